@@ -1,0 +1,203 @@
+//! Posed cameras: equirectangular panoramas and pinhole images with OpenCV distortion.
+//!
+//! Axes are OpenGL's: x right, y up, looking down −z. Pixel centres lie at +0.5.
+
+use glam::{Mat3, Vec2, Vec3};
+use std::f32::consts::{PI, TAU};
+
+/// Pinhole intrinsics in pixels with OpenCV's radial-tangential distortion.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Lens {
+    /// Focal length along x.
+    pub fl_x: f32,
+    /// Focal length along y.
+    pub fl_y: f32,
+    /// Principal point, column.
+    pub cx: f32,
+    /// Principal point, row.
+    pub cy: f32,
+    /// Radial coefficients k1, k2.
+    pub k: [f32; 2],
+    /// Tangential coefficients p1, p2.
+    pub p: [f32; 2],
+}
+
+/// How directions map to pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Projection {
+    /// Full panorama: design §1.1.
+    Equirectangular,
+    /// Perspective image.
+    Pinhole(Lens),
+}
+
+/// A posed camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    /// Projection model.
+    pub projection: Projection,
+    /// Image width in pixels.
+    pub width: usize,
+    /// Image height in pixels.
+    pub height: usize,
+    /// Rotation from camera to world; columns are the camera's right, up and backward axes.
+    pub world_from_camera: Mat3,
+    /// Camera centre in world coordinates, metres relative to the scene's origin.
+    pub position: Vec3,
+}
+
+impl Camera {
+    /// The same camera at another image size with the same aspect.
+    #[must_use]
+    pub fn resized(&self, width: usize, height: usize) -> Self {
+        let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
+        let projection = match self.projection {
+            Projection::Equirectangular => Projection::Equirectangular,
+            Projection::Pinhole(l) => {
+                Projection::Pinhole(Lens { fl_x: l.fl_x * sx, fl_y: l.fl_y * sy, cx: l.cx * sx, cy: l.cy * sy, ..l })
+            }
+        };
+        Self { projection, width, height, ..*self }
+    }
+
+    /// Unit world direction through continuous pixel coordinates.
+    #[must_use]
+    pub fn direction(&self, pixel: Vec2) -> Vec3 {
+        let d_camera = match self.projection {
+            Projection::Equirectangular => {
+                let lambda = TAU * (pixel.x / self.width as f32 - 0.5);
+                let theta = PI * pixel.y / self.height as f32;
+                Vec3::new(lambda.sin() * theta.sin(), theta.cos(), -lambda.cos() * theta.sin())
+            }
+            Projection::Pinhole(l) => {
+                let distorted = Vec2::new((pixel.x - l.cx) / l.fl_x, (pixel.y - l.cy) / l.fl_y);
+                let p = undistort(distorted, &l);
+                Vec3::new(p.x, -p.y, -1.0)
+            }
+        };
+        (self.world_from_camera * d_camera).normalize()
+    }
+
+    /// Continuous pixel coordinates of a world point; `None` where the camera cannot see it (behind a pinhole camera,
+    /// outside its frame, or the camera centre itself).
+    #[must_use]
+    pub fn project(&self, point: Vec3) -> Option<Vec2> {
+        let d = self.world_from_camera.transpose() * (point - self.position);
+        let length = d.length();
+        if !(length > 0.0) {
+            return None;
+        }
+        match self.projection {
+            Projection::Equirectangular => {
+                let lambda = d.x.atan2(-d.z);
+                let theta = (d.x * d.x + d.z * d.z).sqrt().atan2(d.y);
+                Some(Vec2::new((lambda / TAU + 0.5) * self.width as f32, theta / PI * self.height as f32))
+            }
+            Projection::Pinhole(l) => {
+                if d.z >= -1e-6 * length {
+                    return None;
+                }
+                let p = distort(Vec2::new(d.x / -d.z, -d.y / -d.z), &l);
+                let pixel = Vec2::new(p.x * l.fl_x + l.cx, p.y * l.fl_y + l.cy);
+                let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < self.width as f32 && pixel.y < self.height as f32;
+                inside.then_some(pixel)
+            }
+        }
+    }
+
+    /// Angle subtended by one pixel at continuous pixel coordinates, radians (square root of its solid angle).
+    #[must_use]
+    pub fn pixel_angle(&self, pixel: Vec2) -> f32 {
+        self.pixel_solid_angle(pixel).sqrt()
+    }
+
+    /// Solid angle of the pixel at continuous pixel coordinates, steradians.
+    #[must_use]
+    pub fn pixel_solid_angle(&self, pixel: Vec2) -> f32 {
+        match self.projection {
+            Projection::Equirectangular => {
+                let theta = PI * pixel.y / self.height as f32;
+                let floor = 0.5 * PI / self.height as f32;
+                (TAU / self.width as f32) * (PI / self.height as f32) * theta.sin().max(floor.sin())
+            }
+            Projection::Pinhole(l) => {
+                let p = Vec2::new((pixel.x - l.cx) / l.fl_x, (pixel.y - l.cy) / l.fl_y);
+                (1.0 + p.length_squared()).powf(-1.5) / (l.fl_x * l.fl_y).abs()
+            }
+        }
+    }
+}
+
+/// OpenCV's radial-tangential model (first two coefficients of each).
+fn distort(p: Vec2, l: &Lens) -> Vec2 {
+    let r2 = p.length_squared();
+    let radial = 1.0 + r2 * (l.k[0] + r2 * l.k[1]);
+    Vec2::new(
+        p.x * radial + 2.0 * l.p[0] * p.x * p.y + l.p[1] * (r2 + 2.0 * p.x * p.x),
+        p.y * radial + l.p[0] * (r2 + 2.0 * p.y * p.y) + 2.0 * l.p[1] * p.x * p.y,
+    )
+}
+
+/// Inverse of [`distort`] by fixed-point iteration (as OpenCV's `undistortPoints`); exact without coefficients.
+fn undistort(target: Vec2, l: &Lens) -> Vec2 {
+    if l.k == [0.0; 2] && l.p == [0.0; 2] {
+        return target;
+    }
+    let mut p = target;
+    for _ in 0..20 {
+        p += target - distort(p, l);
+    }
+    p
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rotation() -> Mat3 {
+        Mat3::from_euler(glam::EulerRot::YXZ, 0.7, -0.3, 0.2)
+    }
+
+    #[test]
+    fn project_inverts_direction_for_both_models() {
+        let lens = Lens { fl_x: 300.0, fl_y: 310.0, cx: 161.0, cy: 118.0, k: [-0.05, 0.01], p: [0.001, -0.002] };
+        for projection in [Projection::Equirectangular, Projection::Pinhole(lens)] {
+            let c =
+                Camera { projection, width: 320, height: 240, world_from_camera: rotation(), position: Vec3::new(1.0, 2.0, 3.0) };
+            for y in 1..24 {
+                for x in 1..32 {
+                    let pixel = Vec2::new(x as f32 * 10.0 + 0.3, y as f32 * 10.0 - 0.2);
+                    let back = c.project(c.position + c.direction(pixel) * 4.0).expect("visible");
+                    assert!((back - pixel).length() < 2e-2, "{projection:?} {pixel} {back}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn panorama_axes_follow_the_contract() {
+        let c = Camera {
+            projection: Projection::Equirectangular,
+            width: 8,
+            height: 4,
+            world_from_camera: Mat3::IDENTITY,
+            position: Vec3::ZERO,
+        };
+        assert!((c.direction(Vec2::new(4.0, 2.0)) - Vec3::NEG_Z).length() < 1e-6, "centre looks down -z");
+        assert!((c.direction(Vec2::new(6.0, 2.0)) - Vec3::X).length() < 1e-6, "right of centre is +x");
+        assert!((c.direction(Vec2::new(4.0, 0.0)) - Vec3::Y).length() < 1e-6, "row 0 is up");
+    }
+
+    #[test]
+    fn solid_angles_of_a_panorama_sum_to_the_sphere() {
+        let c = Camera {
+            projection: Projection::Equirectangular,
+            width: 64,
+            height: 32,
+            world_from_camera: Mat3::IDENTITY,
+            position: Vec3::ZERO,
+        };
+        let sum: f32 = (0..32).map(|y| 64.0 * c.pixel_solid_angle(Vec2::new(0.5, y as f32 + 0.5))).sum();
+        assert!((sum / (4.0 * PI) - 1.0).abs() < 2e-3);
+    }
+}

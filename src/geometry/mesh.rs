@@ -1,0 +1,96 @@
+//! An indexed triangle mesh with one atlas.
+
+use glam::{Vec2, Vec3};
+
+/// Indexed triangles; `positions`, `normals` and `uvs` have equal length.
+///
+/// Positions are in metres relative to [`crate::scene::Scene::origin`]; `uvs` has v = 0 at texture row 0 (glTF).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    /// Vertex positions.
+    pub positions: Vec<Vec3>,
+    /// Unit vertex normals.
+    pub normals: Vec<Vec3>,
+    /// Atlas coordinates in [0, 1].
+    pub uvs: Vec<Vec2>,
+    /// Vertex indices per triangle.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl Mesh {
+    /// The three corner positions of triangle `t`.
+    #[must_use]
+    pub fn corners(&self, t: usize) -> [Vec3; 3] {
+        self.triangles[t].map(|i| self.positions[i as usize])
+    }
+
+    /// The three atlas coordinates of triangle `t`.
+    #[must_use]
+    pub fn corner_uvs(&self, t: usize) -> [Vec2; 3] {
+        self.triangles[t].map(|i| self.uvs[i as usize])
+    }
+
+    /// Unnormalised geometric normal: length is twice the area, direction by the winding.
+    #[must_use]
+    pub fn double_area_normal(&self, t: usize) -> Vec3 {
+        let [a, b, c] = self.corners(t);
+        (b - a).cross(c - a)
+    }
+
+    /// Unit geometric normal; zero for a triangle of zero area.
+    #[must_use]
+    pub fn face_normal(&self, t: usize) -> Vec3 {
+        self.double_area_normal(t).normalize_or_zero()
+    }
+
+    /// Area of triangle `t` in m².
+    #[must_use]
+    pub fn area(&self, t: usize) -> f32 {
+        0.5 * self.double_area_normal(t).length()
+    }
+
+    /// Position at barycentrics (u, v): `(1−u−v)·a + u·b + v·c`, Embree's convention.
+    #[must_use]
+    pub fn position(&self, t: usize, u: f32, v: f32) -> Vec3 {
+        let [a, b, c] = self.corners(t);
+        a + (b - a) * u + (c - a) * v
+    }
+
+    /// Atlas coordinate at barycentrics (u, v).
+    #[must_use]
+    pub fn uv(&self, t: usize, u: f32, v: f32) -> Vec2 {
+        let [a, b, c] = self.corner_uvs(t);
+        a + (b - a) * u + (c - a) * v
+    }
+
+    /// Interpolated unit shading normal at barycentrics (u, v), on the side of the geometric normal; falls back to
+    /// the geometric normal where vertex normals cancel.
+    #[must_use]
+    pub fn shading_normal(&self, t: usize, u: f32, v: f32) -> Vec3 {
+        let [a, b, c] = self.triangles[t].map(|i| self.normals[i as usize]);
+        let face = self.face_normal(t);
+        let n = (a + (b - a) * u + (c - a) * v).normalize_or(face);
+        if n.dot(face) < 0.0 { -n } else { n }
+    }
+
+    /// Bounding box `(min, max)`; zero for an empty mesh.
+    #[must_use]
+    pub fn bounds(&self) -> (Vec3, Vec3) {
+        self.positions
+            .iter()
+            .fold(None, |b: Option<(Vec3, Vec3)>, &p| Some(b.map_or((p, p), |(lo, hi)| (lo.min(p), hi.max(p)))))
+            .unwrap_or((Vec3::ZERO, Vec3::ZERO))
+    }
+
+    /// Replaces the vertex normals by area-weighted means of the adjacent faces.
+    pub fn compute_normals(&mut self) {
+        let mut normals = vec![Vec3::ZERO; self.positions.len()];
+        for t in 0..self.triangles.len() {
+            let n = self.double_area_normal(t);
+            for i in self.triangles[t] {
+                normals[i as usize] += n;
+            }
+        }
+        self.normals = normals.into_iter().map(|n| n.normalize_or(Vec3::Y)).collect();
+    }
+}

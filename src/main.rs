@@ -1,0 +1,3 @@
+//! The `unbake` program.
+
+fn main() {}

@@ -1,0 +1,31 @@
+//! Scalars, duals and frames: the small mathematics every other module is written in.
+
+mod dual;
+mod frame;
+mod real;
+
+pub use dual::Dual;
+pub use frame::Frame;
+pub use real::Real;
+
+use glam::Vec3;
+
+/// Relative luminance of linear Rec. 709 RGB (ITU-R BT.709 weights).
+#[must_use]
+pub fn luminance(rgb: Vec3) -> f32 {
+    rgb.dot(Vec3::new(0.2126, 0.7152, 0.0722))
+}
+
+/// sRGB opto-electronic transfer (IEC 61966-2-1); input clamped to [0, 1].
+#[must_use]
+pub fn srgb_from_linear(x: f32) -> f32 {
+    let x = x.clamp(0.0, 1.0);
+    if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
+}
+
+/// Inverse of [`srgb_from_linear`]; input clamped to [0, 1].
+#[must_use]
+pub fn linear_from_srgb(x: f32) -> f32 {
+    let x = x.clamp(0.0, 1.0);
+    if x <= 0.040_45 { x / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
+}

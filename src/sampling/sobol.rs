@@ -1,0 +1,151 @@
+//! Owen-scrambled Sobol' points by hashing (Burley 2020, "Practical Hash-based Owen Scrambling", JCGT 9(4))
+//! and the Hammersley set of the paper.
+
+/// Direction numbers of Sobol' dimensions 0..3 as 32-bit generator columns (Joe & Kuo 2008, new-joe-kuo-6.21201).
+const DIRECTIONS: [[u32; 32]; 4] =
+    [directions(0, 0, [1, 0, 0]), directions(1, 0, [1, 0, 0]), directions(2, 1, [1, 3, 0]), directions(3, 1, [1, 3, 1])];
+
+const fn directions(degree: usize, a: u32, m: [u32; 3]) -> [u32; 32] {
+    let mut v = [0u32; 32];
+    let mut i = 0;
+    while i < 32 {
+        v[i] = if degree == 0 {
+            1 << (31 - i)
+        } else if i < degree {
+            m[i] << (31 - i)
+        } else {
+            let mut x = v[i - degree] ^ (v[i - degree] >> degree);
+            let mut k = 1;
+            while k < degree {
+                if (a >> (degree - 1 - k)) & 1 == 1 {
+                    x ^= v[i - k];
+                }
+                k += 1;
+            }
+            x
+        };
+        i += 1;
+    }
+    v
+}
+
+fn sobol(index: u32, dimension: usize) -> u32 {
+    let mut x = 0;
+    let mut i = index;
+    let mut bit = 0;
+    while i != 0 {
+        if i & 1 == 1 {
+            x ^= DIRECTIONS[dimension][bit];
+        }
+        i >>= 1;
+        bit += 1;
+    }
+    x
+}
+
+/// Laine–Karras permutation with the constants of Burley's listing 3.
+fn laine_karras(mut x: u32, seed: u32) -> u32 {
+    x = x.wrapping_add(seed);
+    x ^= x.wrapping_mul(0x6c50_b47c);
+    x ^= x.wrapping_mul(0xb82f_1e52);
+    x ^= x.wrapping_mul(0xc7af_e638);
+    x ^= x.wrapping_mul(0x8d22_f6e6);
+    x
+}
+
+fn owen_scramble(x: u32, seed: u32) -> u32 {
+    laine_karras(x.reverse_bits(), seed).reverse_bits()
+}
+
+fn hash_dimension(seed: u32, dimension: u32) -> u32 {
+    let mut h = seed ^ dimension.wrapping_mul(0x9E37_79B9);
+    h = (h ^ (h >> 16)).wrapping_mul(0x85eb_ca6b);
+    h = (h ^ (h >> 13)).wrapping_mul(0xc2b2_ae35);
+    h ^ (h >> 16)
+}
+
+/// An Owen-scrambled, shuffled Sobol' sequence in up to four dimensions, one scramble per key.
+#[derive(Clone, Copy, Debug)]
+pub struct SobolSequence {
+    seed: u32,
+}
+
+impl SobolSequence {
+    /// The sequence of a key (what is being sampled: texel, pass).
+    #[must_use]
+    pub fn new(seed: u64, key: u64) -> Self {
+        Self { seed: super::hash_u64(seed, key) as u32 }
+    }
+
+    /// Point `index` in dimensions 0 and 1, in [0, 1)².
+    #[must_use]
+    pub fn point2(&self, index: u32) -> [f32; 2] {
+        let i = owen_scramble(index, hash_dimension(self.seed, 77));
+        [self.value(i, 0), self.value(i, 1)]
+    }
+
+    /// Point `index` in four dimensions, in [0, 1)⁴.
+    #[must_use]
+    pub fn point4(&self, index: u32) -> [f32; 4] {
+        let i = owen_scramble(index, hash_dimension(self.seed, 77));
+        std::array::from_fn(|d| self.value(i, d))
+    }
+
+    fn value(&self, shuffled: u32, dimension: usize) -> f32 {
+        let x = owen_scramble(sobol(shuffled, dimension), hash_dimension(self.seed, dimension as u32));
+        (x >> 8) as f32 * (1.0 / 16_777_216.0)
+    }
+}
+
+/// Van der Corput radical inverse in base 2, in [0, 1).
+#[must_use]
+pub fn radical_inverse_base2(i: u32) -> f32 {
+    (i.reverse_bits() >> 8) as f32 * (1.0 / 16_777_216.0)
+}
+
+/// Point `i` of the `n`-point Hammersley set (i/n, radical inverse), as the authors use (method §3.1).
+#[must_use]
+pub fn hammersley(i: u32, n: u32) -> [f32; 2] {
+    [i as f32 / n as f32, radical_inverse_base2(i)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every elementary interval of a (0, m, 2)-net in base 2 holds one point, scrambled or not.
+    #[test]
+    fn first_two_dimensions_are_a_net() {
+        for key in 0..8 {
+            let s = SobolSequence::new(3, key);
+            let m = 8u32;
+            let points: Vec<[f32; 2]> = (0..1 << m).map(|i| s.point2(i)).collect();
+            for a in 0..=m {
+                let (nx, ny) = (1usize << a, 1usize << (m - a));
+                let mut seen = vec![false; nx * ny];
+                for p in &points {
+                    let cell = (p[1] * ny as f32) as usize * nx + (p[0] * nx as f32) as usize;
+                    assert!(!std::mem::replace(&mut seen[cell], true), "interval {nx}×{ny} hit twice, key {key}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn all_four_dimensions_are_stratified_and_uncorrelated_between_keys() {
+        let n = 1024;
+        for key in 0..4 {
+            let s = SobolSequence::new(1, key);
+            for d in 0..4 {
+                let mut seen = vec![false; n];
+                for i in 0..n as u32 {
+                    let c = (s.point4(i)[d] * n as f32) as usize;
+                    assert!(!std::mem::replace(&mut seen[c], true), "dimension {d}");
+                }
+            }
+        }
+        let (a, b) = (SobolSequence::new(1, 1), SobolSequence::new(1, 2));
+        let r: f64 = (0..4096).map(|i| f64::from((a.point2(i)[0] - 0.5) * (b.point2(i)[0] - 0.5))).sum::<f64>() / 4096.0 * 12.0;
+        assert!(r.abs() < 0.1, "correlation {r}");
+    }
+}
