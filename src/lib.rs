@@ -27,6 +27,7 @@ pub mod render;
 pub mod report;
 pub mod sampling;
 pub mod scene;
+pub mod solution;
 pub mod synth;
 pub mod texture;
 pub mod trace;
