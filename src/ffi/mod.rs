@@ -1,4 +1,8 @@
-//! (being written)
+//! The border to native code: the only `unsafe` of the program.
+//!
+//! Each submodule owns one library or one machine feature behind safe types; every block says which rule permits it.
 
+#[allow(unsafe_code)]
+pub mod embree;
 #[allow(unsafe_code)]
 pub mod simd;

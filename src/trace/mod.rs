@@ -1,6 +1,19 @@
 //! Rays against the mesh in batches: closest hit and occlusion through Embree, and a brute-force twin for tests.
 
+mod brute;
+mod embree;
+#[cfg(test)]
+mod tests;
+
+pub use brute::BruteForce;
+pub use embree::{BATCH, EmbreeTracer, embree_version};
+
 use glam::Vec3;
+
+/// Whether a position can take part in tracing: finite and not so far out that products of it overflow.
+fn is_usable(p: Vec3) -> bool {
+    p.abs().max_element() < embree::FAR_AWAY && p.is_finite()
+}
 
 /// A ray segment: 32 bytes, the layout the C++ shim reads.
 #[repr(C)]
@@ -21,6 +34,15 @@ impl Ray {
     #[must_use]
     pub fn new(origin: Vec3, direction: Vec3, t_far: f32) -> Self {
         Self { origin: origin.to_array(), t_near: 0.0, direction: direction.to_array(), t_far }
+    }
+
+    /// Whether the ray can hit anything at all: finite origin and direction, a direction that is not zero, and a segment that
+    /// is not empty. Other rays miss.
+    #[must_use]
+    pub fn is_usable(&self) -> bool {
+        let d2 = Vec3::from(self.direction).length_squared();
+        let segment = self.t_near < embree::FAR_AWAY && self.t_far >= self.t_near && self.t_far > 0.0;
+        is_usable(self.origin.into()) && d2 > embree::TINY && d2 < embree::FAR_AWAY && segment
     }
 }
 
@@ -56,6 +78,9 @@ impl Hit {
 }
 
 /// Anything that answers visibility queries in batches.
+///
+/// A hit lies in `t_near < t <= t_far` (a negative `t_near` counts as 0), both faces count, and a ray that is not finite or
+/// has no direction misses.
 pub trait Tracer: Sync {
     /// Closest hits; `hits.len() == rays.len()`.
     fn closest(&self, rays: &[Ray], hits: &mut [Hit]);
