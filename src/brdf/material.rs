@@ -79,12 +79,22 @@ impl Material {
     #[inline]
     #[must_use]
     pub fn sample(&self, n: Vec3, v: Vec3, choice: f32, u: [f32; 2]) -> Option<BrdfSample> {
-        let n_v = n.dot(v);
-        if !(n_v > 0.0) {
+        let share = self.specular_share(n.dot(v));
+        let direction = self.sample_direction(n, v, choice < share, u)?;
+        let pdf = self.pdf_with_share(n, v, direction, share);
+        let weight = self.eval(n, v, direction) / pdf;
+        (pdf > 0.0 && weight.is_finite()).then_some(BrdfSample { direction, weight, pdf })
+    }
+
+    /// Draws a direction from one lobe: visible normals or cosine; `None` below the surface.
+    #[inline]
+    #[must_use]
+    pub fn sample_direction(&self, n: Vec3, v: Vec3, specular: bool, u: [f32; 2]) -> Option<Vec3> {
+        if !(n.dot(v) > 0.0) {
             return None;
         }
         let frame = Frame::from_normal(n);
-        let local = if choice < self.specular_share(n_v) {
+        let local = if specular {
             let v_local = frame.local_from_world(v);
             let alpha = self.clamped_roughness() * self.clamped_roughness();
             let h = sample_vndf(v_local, alpha, u);
@@ -92,28 +102,31 @@ impl Material {
         } else {
             square_to_cosine_hemisphere(u)
         };
-        if !(local.z > 0.0) {
-            return None;
-        }
-        let direction = frame.world_from_local(local).normalize();
-        let pdf = self.pdf(n, v, direction);
-        let weight = self.eval(n, v, direction) / pdf;
-        (pdf > 0.0 && weight.is_finite()).then_some(BrdfSample { direction, weight, pdf })
+        (local.z > 0.0).then(|| frame.world_from_local(local).normalize())
     }
 
     /// Density per steradian with which [`Self::sample`] draws `l`.
     #[inline]
     #[must_use]
     pub fn pdf(&self, n: Vec3, v: Vec3, l: Vec3) -> f32 {
+        self.pdf_with_share(n, v, l, self.specular_share(n.dot(v)))
+    }
+
+    /// Density per steradian of the mixture that takes the specular lobe with probability `share`.
+    #[inline]
+    #[must_use]
+    pub fn pdf_with_share(&self, n: Vec3, v: Vec3, l: Vec3, share: f32) -> f32 {
         let (n_v, n_l) = (n.dot(v), n.dot(l));
         if !(n_v > 0.0 && n_l > 0.0) {
             return 0.0;
         }
+        let diffuse = (1.0 - share) * cosine_hemisphere_pdf(n_l);
+        if share == 0.0 {
+            return diffuse;
+        }
         let h = (v + l).normalize_or(n);
         let alpha = self.clamped_roughness() * self.clamped_roughness();
-        let share = self.specular_share(n_v);
-        let glossy = vndf_reflection_pdf(n_v.min(1.0), n.cross(h).length_squared().min(1.0), alpha);
-        share * glossy + (1.0 - share) * cosine_hemisphere_pdf(n_l)
+        diffuse + share * vndf_reflection_pdf(n_v.min(1.0), n.cross(h).length_squared().min(1.0), alpha)
     }
 }
 

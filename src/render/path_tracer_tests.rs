@@ -1,0 +1,240 @@
+//! Closed forms and an independent brute-force estimator for the path tracer.
+
+use super::*;
+use crate::geometry::Projection;
+use crate::trace::BruteForce;
+use glam::Mat3;
+
+/// Constant material and emission per triangle.
+struct PerTriangle(Vec<Surface>);
+impl SurfaceModel for PerTriangle {
+    fn surface(&self, t: usize, _: f32, _: f32) -> Surface {
+        self.0[t]
+    }
+    fn mean_emission(&self, t: usize) -> Vec3 {
+        self.0[t].emission
+    }
+    fn label(&self, t: usize) -> u16 {
+        t as u16 + 1
+    }
+}
+
+struct Sky(Vec3, Vec<[Vec3; 3]>);
+impl Environment for Sky {
+    fn radiance(&self, d: Vec3) -> Vec3 {
+        self.0 * (1.0 + 0.5 * d.y)
+    }
+    fn portals(&self) -> &[[Vec3; 3]] {
+        &self.1
+    }
+}
+
+fn add_quad(mesh: &mut Mesh, corner: Vec3, a: Vec3, b: Vec3) {
+    let i = mesh.positions.len() as u32;
+    mesh.positions.extend([corner, corner + a, corner + a + b, corner + b]);
+    mesh.normals.extend([a.cross(b).normalize(); 4]);
+    mesh.uvs.extend([Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y]);
+    mesh.triangles.extend([[i, i + 1, i + 2], [i, i + 2, i + 3]]);
+}
+
+/// A box seen from inside, normals inwards: 12 triangles, the last two the ceiling; optionally without the +x wall.
+fn add_room(mesh: &mut Mesh, s: Vec3, closed: bool) {
+    let (x, y, z) = (Vec3::X * s.x, Vec3::Y * s.y, Vec3::Z * s.z);
+    add_quad(mesh, Vec3::ZERO, z, x);
+    add_quad(mesh, Vec3::ZERO, x, y);
+    add_quad(mesh, z, y, x);
+    add_quad(mesh, Vec3::ZERO, y, z);
+    if closed {
+        add_quad(mesh, x, z, y);
+    }
+    add_quad(mesh, y, x, z);
+}
+
+fn camera(width: usize, height: usize, position: Vec3) -> Camera {
+    Camera { projection: Projection::Equirectangular, width, height, world_from_camera: Mat3::IDENTITY, position }
+}
+
+fn surface(albedo: f32, roughness: f32, emission: f32) -> Surface {
+    Surface { material: Material { albedo: Vec3::splat(albedo), roughness }, emission: Vec3::splat(emission) }
+}
+
+#[test]
+fn white_furnace_radiates_e_over_one_minus_a() {
+    let mut mesh = Mesh::default();
+    add_room(&mut mesh, Vec3::new(2.0, 1.5, 1.0), true);
+    let model = PerTriangle(vec![surface(0.6, 0.5, 0.7); mesh.triangles.len()]);
+    let tracer = BruteForce::new(&mesh);
+    let options = PathTracerOptions { samples: 256, lambertian: true, ..Default::default() };
+    let renderer = PathTracer::new(&mesh, &tracer, &model, &BlackEnvironment, options);
+    let image = renderer.render(&camera(16, 8, Vec3::new(0.7, 0.6, 0.4)), 0, &Progress::silent()).radiance();
+    let mean = image.data.iter().map(|p| f64::from(p.x)).sum::<f64>() / image.data.len() as f64;
+    assert!((mean / (0.7 / 0.4) - 1.0).abs() < 4e-3, "furnace shows {mean}");
+    let worst = image.data.iter().map(|p| (p.x / (0.7 / 0.4) - 1.0).abs()).fold(0.0, f32::max);
+    assert!(worst < 0.15, "a pixel is off by {worst}");
+}
+
+#[test]
+fn irradiance_of_a_small_lamp_follows_the_inverse_square() {
+    let mut mesh = Mesh::default();
+    add_quad(&mut mesh, Vec3::new(-2.0, 0.0, -2.0), Vec3::Z * 4.0, Vec3::X * 4.0);
+    add_quad(&mut mesh, Vec3::new(-0.005, 2.0, -0.005), Vec3::X * 0.01, Vec3::Z * 0.01);
+    let model = PerTriangle(vec![surface(0.5, 0.5, 0.0), surface(0.5, 0.5, 0.0), surface(0.0, 0.5, 1e4), surface(0.0, 0.5, 1e4)]);
+    let tracer = BruteForce::new(&mesh);
+    let renderer = PathTracer::new(&mesh, &tracer, &model, &BlackEnvironment, PathTracerOptions::default());
+    for x in [0.0f32, 0.5, 1.5] {
+        let point = IrradiancePoint { position: Vec3::new(x, 0.0, 0.0), face_normal: Vec3::Y, normal: Vec3::Y };
+        let e = f64::from(renderer.irradiance(&[point], 64, 0, &Progress::silent())[0].x);
+        let d2 = f64::from(4.0 + x * x);
+        // L·A·cosθ·cosθ'/d², both cosines 2/d
+        let expected = 1e4 * 1e-4 * 4.0 / (d2 * d2);
+        assert!((e / expected - 1.0).abs() < 1e-3, "at {x}: {e} against {expected}");
+    }
+}
+
+/// Scene of the z-tests: a glossy room with a lamp, a block that casts shadows, one wall open to the sky.
+fn small_scene() -> (Mesh, PerTriangle, Vec<[Vec3; 3]>) {
+    let mut mesh = Mesh::default();
+    let size = Vec3::new(3.0, 2.0, 2.0);
+    add_room(&mut mesh, size, false);
+    add_quad(&mut mesh, Vec3::new(0.5, 1.9, 0.5), Vec3::X * 0.8, Vec3::Z * 0.8);
+    add_quad(&mut mesh, Vec3::new(0.4, 0.7, 0.3), Vec3::Z, Vec3::X);
+    let mut surfaces = vec![surface(0.5, 0.9, 0.0); mesh.triangles.len()];
+    surfaces[0] = surface(0.3, 0.25, 0.0);
+    surfaces[1] = surface(0.3, 0.4, 0.0);
+    surfaces[4] = surface(0.7, 0.6, 0.0);
+    surfaces[10] = surface(0.1, 0.5, 4.0);
+    surfaces[11] = surface(0.1, 0.5, 4.0);
+    let (a, y, z) = (Vec3::X * size.x, Vec3::Y * size.y, Vec3::Z * size.z);
+    (mesh, PerTriangle(surfaces), vec![[a, a + z, a + z + y], [a, a + z + y, a + y]])
+}
+
+/// The plainest estimator there is: uniform directions, no light sampling, no roulette.
+fn brute_radiance(mesh: &Mesh, model: &PerTriangle, sky: &Sky, o: Vec3, d: Vec3, rng: &mut KeyedRng) -> f64 {
+    let tracer = BruteForce::new(mesh);
+    let (mut o, mut d, mut beta, mut sum) = (o, d, 1.0f64, 0.0f64);
+    for _ in 0..24 {
+        let mut hit = [Hit::miss()];
+        tracer.closest(&[Ray::new(o, d, f32::INFINITY)], &mut hit);
+        let hit = hit[0];
+        if !hit.is_hit() {
+            return sum + beta * f64::from(sky.radiance(d).x);
+        }
+        let t = hit.triangle as usize;
+        let s = model.0[t];
+        sum += beta * f64::from(s.emission.x);
+        let face = mesh.face_normal(t);
+        let n = if face.dot(d) > 0.0 { -face } else { face };
+        let l = crate::math::Frame::from_normal(n)
+            .world_from_local(crate::sampling::square_to_uniform_hemisphere([rng.next_f32(), rng.next_f32()]));
+        beta *= f64::from(s.material.eval(n, -d, l).x) * 2.0 * std::f64::consts::PI;
+        o = mesh.position(t, hit.u, hit.v) + n * 1e-4;
+        d = l;
+        if beta == 0.0 {
+            break;
+        }
+    }
+    sum
+}
+
+fn mean_and_error(values: &[f64]) -> (f64, f64) {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    (mean, (variance / n).sqrt())
+}
+
+#[test]
+fn agrees_with_brute_force_in_a_glossy_room() {
+    let (mesh, model, portals) = small_scene();
+    let tracer = BruteForce::new(&mesh);
+    let eye = Vec3::new(1.6, 1.2, 1.4);
+    let mut z_values = Vec::new();
+    for portals in [portals, Vec::new()] {
+        let sky = Sky(Vec3::splat(1.0), portals);
+        // sixteen one-pixel runs with different keys give independent means
+        let options = PathTracerOptions { samples: 256, roulette_from: 1, ..Default::default() };
+        let renderer = PathTracer::new(&mesh, &tracer, &model, &sky, options);
+        let view = camera(4, 2, eye);
+        let frames: Vec<RgbPlane> = (0..24).map(|k| renderer.render(&view, k, &Progress::silent()).radiance()).collect();
+        for pixel in 0..8 {
+            let ours: Vec<f64> = frames.iter().map(|f| f64::from(f.data[pixel].x)).collect();
+            let (a, ea) = mean_and_error(&ours);
+            let samples: Vec<f64> = (0..16)
+                .flat_map(|block| {
+                    let mut rng = KeyedRng::new(77, (pixel * 16 + block) as u64);
+                    (0..1500)
+                        .map(|_| {
+                            let p = Vec2::new((pixel % 4) as f32 + rng.next_f32(), (pixel / 4) as f32 + rng.next_f32());
+                            brute_radiance(&mesh, &model, &sky, eye, view.direction(p), &mut rng)
+                        })
+                        .collect::<Vec<f64>>()
+                })
+                .collect();
+            let (b, eb) = mean_and_error(&samples);
+            z_values.push((a - b) / (ea * ea + eb * eb).sqrt());
+            assert!((a / b - 1.0).abs() < 0.08, "pixel {pixel}: {a} against {b}");
+        }
+    }
+    // 16 tests at 1 % together: Šidák bound 3.42 for the largest
+    let worst = z_values.iter().fold(0.0f64, |m, z| m.max(z.abs()));
+    assert!(worst < 3.6, "z-values {z_values:.2?}");
+}
+
+#[test]
+fn an_exact_cache_changes_nothing_but_the_noise() {
+    struct Constant(f32);
+    impl IndirectCache for Constant {
+        fn irradiance(&self, _: usize, _: f32, _: f32) -> Vec3 {
+            Vec3::splat(self.0)
+        }
+    }
+    let mut mesh = Mesh::default();
+    add_room(&mut mesh, Vec3::splat(2.0), true);
+    let model = PerTriangle(vec![surface(0.5, 0.5, 1.0); mesh.triangles.len()]);
+    let tracer = BruteForce::new(&mesh);
+    let options = PathTracerOptions { samples: 64, lambertian: true, ..Default::default() };
+    let mut renderer = PathTracer::new(&mesh, &tracer, &model, &BlackEnvironment, options);
+    // furnace: L = 2 everywhere, E = 2π
+    let cache = Constant(2.0 * PI);
+    renderer.set_cache(Some(&cache));
+    let image = renderer.render(&camera(8, 4, Vec3::ONE), 0, &Progress::silent()).radiance();
+    let mean = image.data.iter().map(|p| p.x).sum::<f32>() / 32.0;
+    assert!((mean - 2.0).abs() < 0.01, "{mean}");
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let (mesh, model, portals) = small_scene();
+    let tracer = BruteForce::new(&mesh);
+    let sky = Sky(Vec3::ONE, portals);
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+        pool.install(|| {
+            let options = PathTracerOptions { samples: 16, ..Default::default() };
+            let renderer = PathTracer::new(&mesh, &tracer, &model, &sky, options);
+            renderer.render(&camera(24, 12, Vec3::ONE), 5, &Progress::silent()).radiance().data
+        })
+    };
+    assert_eq!(run(1), run(3));
+}
+
+#[test]
+fn first_hit_features_follow_the_class_at_the_centre() {
+    let (mesh, model, _) = small_scene();
+    let tracer = BruteForce::new(&mesh);
+    let sky = Sky(Vec3::ONE, Vec::new());
+    let options = PathTracerOptions { samples: 8, ..Default::default() };
+    let frame = PathTracer::new(&mesh, &tracer, &model, &sky, options).render(&camera(32, 16, Vec3::ONE), 0, &Progress::silent());
+    let mut empty = 0;
+    for i in 0..frame.label.data.len() {
+        match frame.label.data[i] {
+            0 => empty += 1,
+            l => {
+                let m = model.0[usize::from(l) - 1].material;
+                assert!((frame.class_albedo.data[i] - m.albedo).length() < 1e-5);
+                assert!((frame.class_roughness.data[i] - m.roughness).abs() < 1e-5);
+            }
+        }
+    }
+    assert!(empty > 0, "the open wall shows the sky");
+}
