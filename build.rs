@@ -39,6 +39,7 @@ fn run() -> Result<(), String> {
         println!("cargo:rustc-link-arg=-Wl,-rpath,{}", embree.library.display());
     }
     bind_embree(&embree, &out)?;
+    build_image_shim(&out)?;
     cc::Build::new()
         .cpp(true)
         .std("c++17")
@@ -123,5 +124,47 @@ fn bind_embree(embree: &Embree, out: &Path) -> Result<(), String> {
         .map_err(|_| format!("libclang could not be loaded (bindgen needs it)\nInstall it: {PACKAGES}"))?
         .map_err(|e| format!("Embree's headers could not be read: {e}\nInstall what is missing: {PACKAGES}"))?;
     let file = out.join("embree_bindings.rs");
+    bindings.write_to_file(&file).map_err(|e| format!("{}: {e}", file.display()))
+}
+
+/// Compiles the OpenImageIO shim into a shared object of its own, `libunbake_oiio.so` in `out`, which the program embeds.
+fn build_image_shim(out: &Path) -> Result<(), String> {
+    let oiio = pkg_config::Config::new()
+        .atleast_version("2.4")
+        .cargo_metadata(false)
+        .probe("OpenImageIO")
+        .map_err(|e| format!("no usable OpenImageIO (2.4 or newer): {e}\nInstall it: {PACKAGES}"))?;
+    bind_image_shim(out)?;
+    let mut build = cc::Build::new();
+    build.cpp(true).std("c++17").opt_level(2).pic(true).cargo_metadata(false).includes(&oiio.include_paths);
+    let failed = |e: &dyn std::fmt::Display| format!("the C++ shim of OpenImageIO did not compile: {e}\nInstall it: {PACKAGES}");
+    let objects = build.file("ffi/oiio_shim.cpp").try_compile_intermediates().map_err(|e| failed(&e))?;
+    let mut link = build.try_get_compiler().map_err(|e| failed(&e))?.to_command();
+    link.args(["-shared", "-s", "-Wl,--no-undefined"]).args(&objects).arg("-o").arg(out.join("libunbake_oiio.so"));
+    for path in &oiio.link_paths {
+        link.arg(format!("-L{}", path.display()));
+        if !path.starts_with("/usr/lib") {
+            link.arg(format!("-Wl,-rpath,{}", path.display()));
+        }
+    }
+    link.args(oiio.libs.iter().map(|l| format!("-l{l}")));
+    let status = link.status().map_err(|e| failed(&e))?;
+    if status.success() { Ok(()) } else { Err(failed(&format!("the linker ended with {status}"))) }
+}
+
+/// Types of the OpenImageIO shim's functions, looked up by name at run time.
+fn bind_image_shim(out: &Path) -> Result<(), String> {
+    let bindings = bindgen::Builder::default()
+        .header("ffi/oiio_shim.h")
+        .allowlist_type("UnbakeImageInfo")
+        .allowlist_var("UNBAKE_.*")
+        .allowlist_function("unbake_image_.*")
+        .dynamic_library_name("ImageShim")
+        .dynamic_link_require_all(true)
+        .wrap_unsafe_ops(true)
+        .generate_comments(false)
+        .generate()
+        .map_err(|e| format!("ffi/oiio_shim.h could not be read: {e}"))?;
+    let file = out.join("oiio_bindings.rs");
     bindings.write_to_file(&file).map_err(|e| format!("{}: {e}", file.display()))
 }

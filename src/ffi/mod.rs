@@ -5,4 +5,6 @@
 #[allow(unsafe_code)]
 pub mod embree;
 #[allow(unsafe_code)]
+pub mod oiio;
+#[allow(unsafe_code)]
 pub mod simd;

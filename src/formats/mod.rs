@@ -1,1 +1,54 @@
-//! (being written)
+//! Bytes ⇄ types: images of every format the program reads and writes, and files that appear whole or not at all.
+//!
+//! Readers return what is in the file, NaN included: the scene judges. Writers refuse values that are not finite.
+
+mod exr_header;
+mod image_io;
+mod png_io;
+mod whole;
+
+#[cfg(test)]
+mod tests;
+
+pub use image_io::{
+    ImageFormat, ImageInfo, image_info, read_plane, read_rgb, read_two_channels, write_plane_float, write_plane_half,
+    write_rgb_float, write_rgb_half, write_two_channels_float, write_two_channels_half,
+};
+pub use png_io::{read_labels, read_ldr, write_png_rgb8, write_png8, write_png16};
+pub use whole::{Aside, atomic_write};
+
+use crate::{Error, Result};
+use std::path::Path;
+
+/// Pixels an image may have: 16,384².
+pub const MAX_PIXELS: usize = 1 << 28;
+
+/// OpenImageIO's version; loads the library at the first call.
+#[must_use]
+pub fn version() -> String {
+    crate::ffi::oiio::version().unwrap_or_else(|e| format!("unusable: {}", e.lines().next().unwrap_or_default()))
+}
+
+/// Judges a size stated by a file before anything is allocated for it.
+fn checked_size(path: &Path, width: i64, height: i64) -> Result<(usize, usize)> {
+    let fine = width > 0 && height > 0 && width.checked_mul(height).is_some_and(|n| n <= MAX_PIXELS as i64);
+    if fine {
+        return Ok((width as usize, height as usize));
+    }
+    Err(Error::input(
+        path,
+        format!(
+            "its header states {width} × {height} pixels; expected at least 1 × 1 and at most {MAX_PIXELS} in all (16,384²): \
+             the file is damaged, or should be scaled down"
+        ),
+    ))
+}
+
+/// A zeroed buffer for pixels, or an error where memory does not suffice.
+fn pixel_buffer<T: bytemuck::Zeroable + Clone>(path: &Path, count: usize) -> Result<Vec<T>> {
+    let mut data = Vec::new();
+    data.try_reserve_exact(count)
+        .map_err(|e| Error::Failed(format!("{}: no memory for its {count} values: {e}", path.display())))?;
+    data.resize(count, T::zeroed());
+    Ok(data)
+}

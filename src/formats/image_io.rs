@@ -1,0 +1,308 @@
+//! Floating-point images: OpenEXR and Radiance HDR in, OpenEXR (ZIP) out.
+//!
+//! Values are scene-linear and returned as stored. A file's format is told by its first bytes, never by its name, and its
+//! size is judged before anything is allocated for it.
+
+use super::whole::Aside;
+use super::{checked_size, exr_header, pixel_buffer, png_io};
+use crate::ffi::oiio::{self, OpenImage, Sample, Samples};
+use crate::image::{Plane, RgbPlane};
+use crate::{Error, Result};
+use glam::{Vec2, Vec3};
+use half::f16;
+use half::slice::HalfFloatSliceExt;
+use rayon::prelude::*;
+use std::ffi::CStr;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// Largest finite half-precision value.
+const HALF_MAX: f32 = 65504.0;
+
+/// Channels a file may have before it is called damaged.
+const MAX_CHANNELS: i32 = 1024;
+
+/// Image formats the program knows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageFormat {
+    /// OpenEXR.
+    Exr,
+    /// Radiance HDR.
+    Hdr,
+    /// PNG.
+    Png,
+    /// JPEG.
+    Jpeg,
+}
+
+impl ImageFormat {
+    /// Whether values are scene-linear radiance rather than display-referred.
+    #[must_use]
+    pub fn is_linear(self) -> bool {
+        matches!(self, Self::Exr | Self::Hdr)
+    }
+
+    /// OpenImageIO's name of the reader.
+    fn reader(self) -> &'static CStr {
+        match self {
+            Self::Exr => c"openexr",
+            Self::Hdr => c"hdr",
+            Self::Png => c"png",
+            Self::Jpeg => c"jpeg",
+        }
+    }
+}
+
+/// What a file says of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImageInfo {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Channels.
+    pub channels: usize,
+    /// File format.
+    pub format: ImageFormat,
+    /// How samples are stored.
+    pub sample: Sample,
+}
+
+/// Tells the format by the first bytes; errors name what was found instead.
+pub(super) fn sniff(path: &Path) -> Result<ImageFormat> {
+    let mut head = Vec::new();
+    let open = |e: std::io::Error| match e.kind() {
+        std::io::ErrorKind::NotFound => Error::input(path, "no such file; expected an image (check the path in transforms.json)"),
+        _ => Error::input(path, format!("cannot be read: {e}")),
+    };
+    File::open(path).map_err(open)?.take(32).read_to_end(&mut head).map_err(open)?;
+    let found = match head.as_slice() {
+        h if h.starts_with(&exr_header::MAGIC) => return Ok(ImageFormat::Exr),
+        h if h.starts_with(b"#?") => return Ok(ImageFormat::Hdr),
+        h if h.starts_with(b"\x89PNG") => return Ok(ImageFormat::Png),
+        h if h.starts_with(&[0xff, 0xd8, 0xff]) => return Ok(ImageFormat::Jpeg),
+        [] => "an empty file",
+        h if h.starts_with(b"version https://git-lfs") => "a Git LFS pointer (run `git lfs pull`)",
+        h if h.starts_with(b"II") || h.starts_with(b"MM") => "a TIFF or camera raw file",
+        _ => "something else",
+    };
+    Err(Error::input(path, format!("not an image: expected OpenEXR, Radiance HDR, PNG or JPEG, found {found}")))
+}
+
+/// Size, channels and format of an image, from its header alone.
+pub fn image_info(path: impl AsRef<Path>) -> Result<ImageInfo> {
+    let path = path.as_ref();
+    match sniff(path)? {
+        ImageFormat::Png => png_io::info(path),
+        format => {
+            let image = open(path, format)?;
+            let (w, h, c) = image.size();
+            Ok(ImageInfo { width: w as usize, height: h as usize, channels: c as usize, format, sample: image.sample() })
+        }
+    }
+}
+
+/// Opens an image after judging its header; the size is then within limits.
+pub(super) fn open(path: &Path, format: ImageFormat) -> Result<OpenImage> {
+    if format == ImageFormat::Exr {
+        let file = File::open(path).map_err(|e| Error::input(path, format!("cannot be read: {e}")))?;
+        let (w, h) = exr_header::data_window(file).map_err(|e| Error::input(path, damaged(&e)))?;
+        checked_size(path, w, h)?;
+    }
+    crate::ffi::oiio::version().map_err(Error::Native)?;
+    let image = OpenImage::open(path, format.reader()).map_err(|e| Error::input(path, damaged(&e)))?;
+    let (w, h, c) = image.size();
+    checked_size(path, w.into(), h.into())?;
+    let refuse = |what: &str| Err(Error::input(path, what.to_string()));
+    if !(1..=MAX_CHANNELS).contains(&c) {
+        return Err(Error::input(path, format!("its header states {c} channels; expected 1 to {MAX_CHANNELS}")));
+    }
+    if !image.is_flat() {
+        return refuse("a deep or volume image; expected a flat one: save it flattened");
+    }
+    if !image.is_uncropped() {
+        return refuse("its data window differs from its display window; expected every pixel: save it uncropped");
+    }
+    if format == ImageFormat::Hdr && image.orientation() != 1 {
+        return refuse("its rows or columns are stored in another order than -Y +X; save it in the usual order");
+    }
+    Ok(image)
+}
+
+fn damaged(reason: &str) -> String {
+    format!("damaged or cut short: {reason}; copy, render or download it again")
+}
+
+/// Opens `path` as linear radiance.
+fn open_linear(path: &Path) -> Result<OpenImage> {
+    match sniff(path)? {
+        format if format.is_linear() => open(path, format),
+        _ => Err(Error::input(
+            path,
+            "a display-referred PNG or JPEG where scene-linear OpenEXR or Radiance HDR is expected; --ldr accepts it as an approximation",
+        )),
+    }
+}
+
+/// The three channels that hold red, green and blue (one channel serves as all three).
+fn pick_rgb(path: &Path, image: &OpenImage) -> Result<[usize; 3]> {
+    let names: Vec<String> = (0..image.size().2 as usize).map(|c| image.channel_name(c)).collect();
+    let find = |wanted: &str| names.iter().position(|n| n.eq_ignore_ascii_case(wanted));
+    if let (Some(r), Some(g), Some(b)) = (find("R"), find("G"), find("B")) {
+        return Ok([r, g, b]);
+    }
+    // A layer called `combined` or `diffuse` names its channels `combined.R`.
+    let layers: Vec<&str> = names.iter().filter_map(|n| n.strip_suffix(".R").or_else(|| n.strip_suffix(".r"))).collect();
+    if let [layer] = layers[..] {
+        let of = |c: &str| find(&format!("{layer}.{c}"));
+        if let (Some(r), Some(g), Some(b)) = (of("R"), of("G"), of("B")) {
+            return Ok([r, g, b]);
+        }
+    }
+    if layers.len() <= 1 {
+        match names.len() {
+            // Luminance, perhaps with alpha.
+            1 | 2 => return Ok([0; 3]),
+            // Nothing says what they are: the order of every other program.
+            3 | 4 => return Ok([0, 1, 2]),
+            _ => {}
+        }
+    }
+    let listed = names.iter().take(12).map(String::as_str).collect::<Vec<_>>().join(", ");
+    Err(Error::input(path, format!("channels R, G and B expected, found {listed}: save one layer as R, G, B")))
+}
+
+/// Reads an OpenEXR or Radiance HDR image as linear RGB: channels R, G, B by name, else the first three; one channel is grey.
+pub fn read_rgb(path: impl AsRef<Path>) -> Result<RgbPlane> {
+    let path = path.as_ref();
+    let image = open_linear(path)?;
+    let channels = pick_rgb(path, &image)?;
+    read_rgb_channels(path, image, channels)
+}
+
+/// Reads three channels of an open image.
+pub(super) fn read_rgb_channels(path: &Path, mut image: OpenImage, [r, g, b]: [usize; 3]) -> Result<RgbPlane> {
+    let (w, h, _) = image.size();
+    let (width, height) = (w as usize, h as usize);
+    let mut data: Vec<Vec3> = pixel_buffer(path, width * height)?;
+    let floats: &mut [f32] = bytemuck::cast_slice_mut(&mut data);
+    let bad = |e: String| Error::input(path, damaged(&e));
+    if (g, b) == (r + 1, r + 2) {
+        image.read(r..r + 3, floats, 0, 3).map_err(bad)?;
+    } else if (g, b) == (r, r) {
+        image.read(r..r + 1, floats, 0, 3).map_err(bad)?;
+        data.par_iter_mut().for_each(|p| *p = Vec3::splat(p.x));
+    } else {
+        for (offset, c) in [r, g, b].into_iter().enumerate() {
+            image.read(c..c + 1, floats, offset, 3).map_err(bad)?;
+        }
+    }
+    Ok(Plane { width, height, data })
+}
+
+/// Reads the first channel of an OpenEXR or Radiance HDR image.
+pub fn read_plane(path: impl AsRef<Path>) -> Result<Plane<f32>> {
+    let path = path.as_ref();
+    let mut image = open_linear(path)?;
+    let (w, h, _) = image.size();
+    let (width, height) = (w as usize, h as usize);
+    let mut data = pixel_buffer(path, width * height)?;
+    image.read(0..1, &mut data, 0, 1).map_err(|e| Error::input(path, damaged(&e)))?;
+    Ok(Plane { width, height, data })
+}
+
+/// Reads the first two channels of an OpenEXR image.
+pub fn read_two_channels(path: impl AsRef<Path>) -> Result<Plane<Vec2>> {
+    let path = path.as_ref();
+    let mut image = open_linear(path)?;
+    let (w, h, c) = image.size();
+    if c < 2 {
+        return Err(Error::input(path, "one channel where two are expected"));
+    }
+    let (width, height) = (w as usize, h as usize);
+    let mut data: Vec<Vec2> = pixel_buffer(path, width * height)?;
+    image.read(0..2, bytemuck::cast_slice_mut(&mut data), 0, 2).map_err(|e| Error::input(path, damaged(&e)))?;
+    Ok(Plane { width, height, data })
+}
+
+const RGB: &[&CStr] = &[c"R", c"G", c"B"];
+const GREY: &[&CStr] = &[c"Y"];
+const TWO: &[&CStr] = &[c"R", c"G"];
+
+/// Writes linear RGB in half precision. Returns how many values beyond ±65,504 were clamped; values that are not finite are
+/// an error and nothing is written.
+pub fn write_rgb_half(path: impl AsRef<Path>, plane: &RgbPlane) -> Result<usize> {
+    write_half(path.as_ref(), plane.width, plane.height, RGB, bytemuck::cast_slice(&plane.data))
+}
+
+/// Writes linear RGB in single precision; values that are not finite are an error.
+pub fn write_rgb_float(path: impl AsRef<Path>, plane: &RgbPlane) -> Result<()> {
+    write_float(path.as_ref(), plane.width, plane.height, RGB, bytemuck::cast_slice(&plane.data))
+}
+
+/// Writes one channel in half precision; as [`write_rgb_half`].
+pub fn write_plane_half(path: impl AsRef<Path>, plane: &Plane<f32>) -> Result<usize> {
+    write_half(path.as_ref(), plane.width, plane.height, GREY, &plane.data)
+}
+
+/// Writes one channel in single precision; values that are not finite are an error.
+pub fn write_plane_float(path: impl AsRef<Path>, plane: &Plane<f32>) -> Result<()> {
+    write_float(path.as_ref(), plane.width, plane.height, GREY, &plane.data)
+}
+
+/// Writes two channels, called R and G, in half precision; as [`write_rgb_half`].
+pub fn write_two_channels_half(path: impl AsRef<Path>, plane: &Plane<Vec2>) -> Result<usize> {
+    write_half(path.as_ref(), plane.width, plane.height, TWO, bytemuck::cast_slice(&plane.data))
+}
+
+/// Writes two channels, called R and G, in single precision; values that are not finite are an error.
+pub fn write_two_channels_float(path: impl AsRef<Path>, plane: &Plane<Vec2>) -> Result<()> {
+    write_float(path.as_ref(), plane.width, plane.height, TWO, bytemuck::cast_slice(&plane.data))
+}
+
+/// Samples per piece of a parallel conversion.
+const PIECE: usize = 1 << 16;
+
+fn write_half(path: &Path, width: usize, height: usize, names: &[&CStr], values: &[f32]) -> Result<usize> {
+    let mut halves = vec![f16::ZERO; values.len()];
+    let clamped = halves
+        .par_chunks_mut(PIECE)
+        .zip(values.par_chunks(PIECE))
+        .map(|(out, piece)| {
+            let beyond = piece.iter().filter(|v| v.abs() > HALF_MAX).count();
+            if beyond == 0 {
+                out.convert_from_f32_slice(piece);
+            } else {
+                let held: Vec<f32> = piece.iter().map(|v| v.clamp(-HALF_MAX, HALF_MAX)).collect();
+                out.convert_from_f32_slice(&held);
+            }
+            beyond
+        })
+        .sum();
+    write(path, width, height, names, values, Samples::Half(&halves))?;
+    Ok(clamped)
+}
+
+fn write_float(path: &Path, width: usize, height: usize, names: &[&CStr], values: &[f32]) -> Result<()> {
+    write(path, width, height, names, values, Samples::Float(values))
+}
+
+/// Refuses values that are not finite, then writes aside and renames.
+fn write(path: &Path, width: usize, height: usize, names: &[&CStr], values: &[f32], samples: Samples) -> Result<()> {
+    let bad: usize = values.par_chunks(PIECE).map(|piece| piece.iter().filter(|v| !v.is_finite()).count()).sum();
+    if let Some(first) = (bad > 0).then(|| values.iter().position(|v| !v.is_finite())).flatten() {
+        let (pixel, channel) = (first / names.len(), names[first % names.len()].to_string_lossy());
+        let (column, row) = (pixel % width.max(1), pixel / width.max(1));
+        return Err(Error::Failed(format!(
+            "{}: not written: {bad} of {} values are not finite (first: {} in channel {channel} at column {column}, row {row})",
+            path.display(),
+            values.len(),
+            values[first]
+        )));
+    }
+    let aside = Aside::new(path)?;
+    oiio::write(aside.path(), width, height, names, samples)
+        .map_err(|e| Error::Failed(format!("{}: could not be written: {e}", path.display())))?;
+    aside.finish()
+}

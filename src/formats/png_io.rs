@@ -1,0 +1,159 @@
+//! PNG: class and room ids in and out, pictures for the report, display-referred photographs in.
+
+use super::image_io::{self, ImageFormat, ImageInfo};
+use super::{MAX_PIXELS, atomic_write, checked_size, pixel_buffer};
+use crate::ffi::oiio::Sample;
+use crate::image::{Plane, RgbPlane};
+use crate::math::linear_from_srgb;
+use crate::{Error, Result};
+use glam::Vec3;
+use png::{BitDepth, ColorType, Decoder, Encoder, Limits, Reader, Transformations};
+use rayon::prelude::*;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+/// Opens a PNG and judges its size; nothing is allocated for pixels yet.
+fn open(path: &Path, transform: Transformations) -> Result<Reader<BufReader<File>>> {
+    let file = File::open(path).map_err(|e| Error::input(path, format!("cannot be read: {e}")))?;
+    // The library's own allocations: the lines it works on, text and colour profiles.
+    let mut decoder = Decoder::new_with_limits(BufReader::new(file), Limits { bytes: MAX_PIXELS * 8 });
+    decoder.set_transformations(transform);
+    let header = decoder.read_header_info().map_err(|e| damaged(path, &e))?;
+    checked_size(path, header.width.into(), header.height.into())?;
+    decoder.read_info().map_err(|e| damaged(path, &e))
+}
+
+fn damaged(path: &Path, e: &png::DecodingError) -> Error {
+    Error::input(path, format!("damaged or cut short: {e}; copy or export it again"))
+}
+
+/// The bytes of the whole image, rows without padding between them.
+fn pixels(path: &Path, reader: &mut Reader<BufReader<File>>) -> Result<Vec<u8>> {
+    let size = reader.output_buffer_size().ok_or_else(|| Error::input(path, "too large to be read"))?;
+    let mut bytes = pixel_buffer(path, size)?;
+    reader.next_frame(&mut bytes).map_err(|e| damaged(path, &e))?;
+    Ok(bytes)
+}
+
+/// Size, channels and sample type of a PNG.
+pub(super) fn info(path: &Path) -> Result<ImageInfo> {
+    let reader = open(path, Transformations::IDENTITY)?;
+    let info = reader.info();
+    let sample = if info.bit_depth == BitDepth::Sixteen { Sample::U16 } else { Sample::U8 };
+    Ok(ImageInfo {
+        width: info.width as usize,
+        height: info.height as usize,
+        channels: info.color_type.samples(),
+        format: ImageFormat::Png,
+        sample,
+    })
+}
+
+fn expect_png(path: &Path, what: &str) -> Result<()> {
+    match image_io::sniff(path)? {
+        ImageFormat::Png => Ok(()),
+        other => Err(Error::input(path, format!("{what} expected as PNG, found {other:?}"))),
+    }
+}
+
+/// Reads ids: greyscale of up to 16 bits as stored, or the indices of a palette.
+pub fn read_labels(path: impl AsRef<Path>) -> Result<Plane<u16>> {
+    let path = path.as_ref();
+    expect_png(path, "ids per pixel")?;
+    let mut reader = open(path, Transformations::IDENTITY)?;
+    let (color, depth) = (reader.info().color_type, reader.info().bit_depth);
+    if !matches!(color, ColorType::Grayscale | ColorType::Indexed) {
+        return Err(Error::input(
+            path,
+            format!(
+                "ids expected in one channel (greyscale of 8 or 16 bits, or a palette), found {color:?}: save it as greyscale"
+            ),
+        ));
+    }
+    let (width, height) = (reader.info().width as usize, reader.info().height as usize);
+    let bytes = pixels(path, &mut reader)?;
+    let data = match depth {
+        BitDepth::Sixteen => bytes.chunks_exact(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect(),
+        BitDepth::Eight => bytes.iter().map(|&b| b.into()).collect(),
+        // Several ids per byte, the leftmost in the highest bits, rows padded to bytes.
+        packed => {
+            let bits = packed as usize;
+            let (per_byte, mask) = (8 / bits, (1u16 << bits) - 1);
+            let line = width.div_ceil(per_byte);
+            let id = |i: usize| {
+                let (x, y) = (i % width, i / width);
+                u16::from(bytes[y * line + x / per_byte]) >> (8 - bits * (x % per_byte + 1)) & mask
+            };
+            (0..width * height).map(id).collect()
+        }
+    };
+    Plane::from_data(width, height, data).ok_or_else(|| Error::input(path, "fewer pixels than its header states"))
+}
+
+/// Writes ids as a 16-bit greyscale PNG.
+pub fn write_png16(path: impl AsRef<Path>, plane: &Plane<u16>) -> Result<()> {
+    let bytes: Vec<u8> = plane.data.iter().flat_map(|v| v.to_be_bytes()).collect();
+    write_png(path.as_ref(), plane.width, plane.height, ColorType::Grayscale, BitDepth::Sixteen, &bytes)
+}
+
+/// Writes 8-bit greyscale.
+pub fn write_png8(path: impl AsRef<Path>, plane: &Plane<u8>) -> Result<()> {
+    write_png(path.as_ref(), plane.width, plane.height, ColorType::Grayscale, BitDepth::Eight, &plane.data)
+}
+
+/// Writes 8-bit RGB, three bytes per pixel.
+pub fn write_png_rgb8(path: impl AsRef<Path>, width: usize, height: usize, rgb: &[u8]) -> Result<()> {
+    write_png(path.as_ref(), width, height, ColorType::Rgb, BitDepth::Eight, rgb)
+}
+
+fn write_png(path: &Path, width: usize, height: usize, color: ColorType, depth: BitDepth, bytes: &[u8]) -> Result<()> {
+    let failed = |e: &dyn std::fmt::Display| Error::Failed(format!("{}: could not be written: {e}", path.display()));
+    let (Ok(w), Ok(h)) = (u32::try_from(width), u32::try_from(height)) else {
+        return Err(failed(&format!("{width} × {height} pixels are too many")));
+    };
+    let mut file = Vec::new();
+    let mut encoder = Encoder::new(&mut file, w, h);
+    encoder.set_color(color);
+    encoder.set_depth(depth);
+    let mut writer = encoder.write_header().map_err(|e| failed(&e))?;
+    writer.write_image_data(bytes).map_err(|e| failed(&e))?;
+    writer.finish().map_err(|e| failed(&e))?;
+    atomic_write(path, &file)
+}
+
+/// Reads a display-referred PNG or JPEG and undoes the sRGB curve; transparency and colour profiles are ignored.
+pub fn read_ldr(path: impl AsRef<Path>) -> Result<RgbPlane> {
+    let path = path.as_ref();
+    match image_io::sniff(path)? {
+        ImageFormat::Png => read_ldr_png(path),
+        ImageFormat::Jpeg => {
+            let image = image_io::open(path, ImageFormat::Jpeg)?;
+            let channels = if image.size().2 < 3 { [0; 3] } else { [0, 1, 2] };
+            let mut plane = image_io::read_rgb_channels(path, image, channels)?;
+            plane.data.par_iter_mut().for_each(|p| *p = p.map(linear_from_srgb));
+            Ok(plane)
+        }
+        _ => Err(Error::input(path, "scene-linear where a display-referred PNG or JPEG is expected; leave out --ldr")),
+    }
+}
+
+fn read_ldr_png(path: &Path) -> Result<RgbPlane> {
+    let mut reader = open(path, Transformations::EXPAND)?;
+    let (width, height) = (reader.info().width as usize, reader.info().height as usize);
+    let (color, depth) = reader.output_color_type();
+    let bytes = pixels(path, &mut reader)?;
+    let samples = color.samples();
+    let wide = depth == BitDepth::Sixteen;
+    let steps = if wide { 65535 } else { 255 };
+    let curve: Vec<f32> = (0..=steps).map(|v| linear_from_srgb(v as f32 / steps as f32)).collect();
+    let pixel = |p: &[u8]| {
+        let value = |c: usize| {
+            let c = if samples < 3 { 0 } else { c };
+            curve[if wide { usize::from(u16::from_be_bytes([p[2 * c], p[2 * c + 1]])) } else { usize::from(p[c]) }]
+        };
+        Vec3::new(value(0), value(1), value(2))
+    };
+    let data = bytes.par_chunks_exact(samples * if wide { 2 } else { 1 }).map(pixel).collect();
+    Plane::from_data(width, height, data).ok_or_else(|| Error::input(path, "fewer pixels than its header states"))
+}
