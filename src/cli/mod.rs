@@ -1,1 +1,127 @@
-//! (being written)
+//! The command line: arguments, configuration, progress and exit codes. Everything else is the library's work.
+//!
+//! Results go to stdout, as text or, with `--json`, as one JSON object; progress and errors go to stderr. Exit codes: 0 done,
+//! 1 failed, 2 wrong usage or unusable input. A reader that closes the pipe early is not a failure.
+
+mod args;
+mod config;
+mod progress;
+mod verbs;
+
+pub use args::{Cli, Global, Verb};
+pub use config::Config;
+pub use progress::{Bars, LogLines, Tee};
+
+use crate::error::{Error, Result};
+use crate::progress::{Observer, Progress};
+use crate::report::Recorder;
+use clap::{CommandFactory, FromArgMatches};
+use std::ffi::OsString;
+use std::io::{IsTerminal, Write};
+use std::process::ExitCode;
+use std::sync::Arc;
+
+/// What a verb works with besides its own arguments.
+pub struct Context {
+    /// The effective configuration.
+    pub config: Config,
+    /// Where long work reports to.
+    pub progress: Progress,
+    /// Measures the run.
+    pub recorder: Arc<Recorder>,
+    /// The arguments as typed.
+    pub command: Vec<String>,
+}
+
+impl Context {
+    /// Prints a verb's result: `text` for people or `json` for machines.
+    pub fn result(&self, text: &str, json: &serde_json::Value) -> Result<()> {
+        if self.config.json { print(&format!("{json:#}\n")) } else { print(text) }
+    }
+}
+
+/// Runs the program with the given arguments (the first is its name) and returns its exit code.
+#[must_use]
+pub fn run(arguments: Vec<OsString>) -> ExitCode {
+    let command: Vec<String> = arguments.iter().skip(1).map(|a| a.to_string_lossy().into_owned()).collect();
+    let matches = match Cli::command().try_get_matches_from(arguments) {
+        Ok(matches) => matches,
+        Err(e) => {
+            // help asked for is a result; anything else is wrong usage
+            let _ = e.print();
+            return ExitCode::from(if e.use_stderr() { 2 } else { 0 });
+        }
+    };
+    let wants_json = command.iter().any(|a| a == "--json");
+    let outcome = Cli::from_arg_matches(&matches)
+        .map_err(|e| Error::Usage(e.to_string()))
+        .and_then(|cli| dispatch(&cli, &matches, command));
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(e) => {
+            let _ = writeln!(std::io::stderr(), "error: {e}");
+            if wants_json {
+                let _ = print(&format!("{:#}\n", serde_json::json!({"error": e.to_string(), "exit_code": e.exit_code()})));
+            }
+            ExitCode::from(e.exit_code())
+        }
+    }
+}
+
+fn dispatch(cli: &Cli, matches: &clap::ArgMatches, command: Vec<String>) -> Result<()> {
+    if cli.global.version {
+        return print(&version());
+    }
+    let file = cli.global.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
+    let (table, verb_matches) = matches.subcommand().unwrap_or(("", matches));
+    let config = file.overlaid(&cli.flags(), table, verb_matches)?;
+    if cli.global.print_config {
+        let only = (!table.is_empty()).then_some(table);
+        return print(&config.documented(&Cli::command(), only)?);
+    }
+    let Some(verb) = &cli.verb else {
+        let _ = writeln!(std::io::stderr(), "{}", Cli::command().render_help());
+        return Err(Error::Usage("a verb is missing: say what to do, for example `unbake solve SCENE -o OUT`".into()));
+    };
+    start_threads(config.threads)?;
+    let recorder = Arc::new(Recorder::new(crate::trace::rays_traced));
+    let mut observers: Vec<Arc<dyn Observer>> = vec![recorder.clone()];
+    if !config.quiet {
+        observers.push(if std::io::stderr().is_terminal() { Arc::new(Bars::new()) } else { Arc::new(LogLines::new()) });
+    }
+    let context = Context { config, progress: Progress::new(Arc::new(Tee(observers))), recorder, command };
+    verbs::run(verb, &context)
+}
+
+fn start_threads(threads: Option<usize>) -> Result<()> {
+    let Some(threads) = threads else { return Ok(()) };
+    if threads == 0 || threads > 4096 {
+        return Err(Error::Usage(format!("--threads {threads}: expected 1 to 4096; leave it out to use every core")));
+    }
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build_global()
+        .map_err(|e| Error::Failed(format!("cannot start {threads} threads: {e}")))
+}
+
+/// The text of `--version`.
+fn version() -> String {
+    format!(
+        "unbake {}\nEmbree {}\nOpenImageIO {}\n",
+        env!("CARGO_PKG_VERSION"),
+        crate::trace::embree_version(),
+        crate::formats::version()
+    )
+}
+
+/// Writes to stdout; a closed pipe is the reader's choice and not an error.
+fn print(text: &str) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Error::io("stdout", e)),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,1 +1,7 @@
-//! (being written)
+//! Files that other programs open.
+
+mod glb;
+mod picture;
+
+pub use glb::{GlbOptions, read_glb_mesh, scene_glb};
+pub use picture::{encode_grey8, encode_rgb8, linear_from_srgb, srgb8_from_linear};

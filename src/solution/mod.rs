@@ -1,5 +1,9 @@
 //! What a reconstruction is: the textures that `solve` makes and that evaluation, rendering and export read.
 
+mod store;
+
+pub use store::{AsideFolder, FILES, SaveOptions};
+
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
 use glam::{DVec3, Vec2};
@@ -30,4 +34,45 @@ pub struct Solution {
     pub rooms: Plane<u16>,
     /// Radiance from directions without geometry: an equirectangular map in world axes (design §1.1 with the identity pose).
     pub environment: RgbPlane,
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use glam::Vec3;
+
+    /// A complete little solution for tests of whatever reads one: two triangles, textures of different sizes.
+    pub(crate) fn small_solution() -> Solution {
+        let mesh = Mesh {
+            positions: vec![
+                Vec3::new(-1.0, 0.1, -1.0 / 3.0),
+                Vec3::new(1.0, 0.1, -1.0 / 3.0),
+                Vec3::new(1.0, 0.1, 1.7),
+                Vec3::new(-1.0, 0.1, 1.7),
+            ],
+            normals: vec![Vec3::Y; 4],
+            uvs: vec![Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y],
+            triangles: vec![[0, 2, 1], [0, 3, 2]],
+        };
+        let ramp = |w: usize, h: usize, scale: f32| Plane {
+            width: w,
+            height: h,
+            data: (0..w * h).map(|i| Vec3::new(i as f32, (i % w) as f32, 1.0) * (scale / (w * h) as f32)).collect(),
+        };
+        let mut emission = Plane::filled(8, 8, Vec3::ZERO);
+        emission.data[9] = Vec3::new(12.5, 10.0, 3.0);
+        Solution {
+            mesh,
+            origin: DVec3::new(10_000.123_456_789, -2.5, 0.1),
+            albedo: ramp(16, 16, 0.8),
+            roughness: Plane { width: 32, height: 32, data: (0..1024).map(|i| i as f32 / 1023.0).collect() },
+            irradiance: ramp(8, 8, 6.0),
+            radiance: ramp(8, 8, 2.0),
+            emission,
+            confidence: Plane { width: 16, height: 16, data: (0..256).map(|i| Vec2::new(i as f32 * 0.01, 1e4)).collect() },
+            labels: Plane { width: 16, height: 16, data: (0..256).map(|i| (i % 7) as u16 * 9000).collect() },
+            rooms: Plane::filled(16, 16, 1),
+            environment: ramp(8, 4, 3.0),
+        }
+    }
 }

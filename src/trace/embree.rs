@@ -8,6 +8,7 @@ use crate::ffi::embree::{self, PacketWidth, TriangleScene};
 use crate::geometry::Mesh;
 use crate::{Error, Result};
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Rays per foreign call: large enough to hide its cost, small enough to balance two threads or two hundred. A multiple of
 /// the packet width.
@@ -70,6 +71,7 @@ impl EmbreeTracer {
 impl Tracer for EmbreeTracer {
     fn closest(&self, rays: &[Ray], hits: &mut [Hit]) {
         assert_eq!(rays.len(), hits.len(), "one hit per ray");
+        TRACED.fetch_add(rays.len() as u64, Ordering::Relaxed);
         if rays.len() <= BATCH {
             return self.scene.closest(rays, hits);
         }
@@ -78,12 +80,22 @@ impl Tracer for EmbreeTracer {
 
     fn occluded(&self, rays: &[Ray], occluded: &mut [u8]) {
         assert_eq!(rays.len(), occluded.len(), "one flag per ray");
+        TRACED.fetch_add(rays.len() as u64, Ordering::Relaxed);
         let width = PacketWidth::Sixteen;
         if rays.len() <= BATCH {
             return self.scene.occluded(rays, occluded, width);
         }
         rays.par_chunks(BATCH).zip(occluded.par_chunks_mut(BATCH)).for_each(|(r, o)| self.scene.occluded(r, o, width));
     }
+}
+
+/// Rays this process has traced: for reports only, no computation depends on it.
+static TRACED: AtomicU64 = AtomicU64::new(0);
+
+/// Number of rays that this process has traced through Embree so far.
+#[must_use]
+pub fn rays_traced() -> u64 {
+    TRACED.load(Ordering::Relaxed)
 }
 
 /// The Embree in use: run-time version and, where it differs, the headers it was built with.

@@ -6,7 +6,7 @@ mod embree;
 mod tests;
 
 pub use brute::BruteForce;
-pub use embree::{BATCH, EmbreeTracer, embree_version};
+pub use embree::{BATCH, EmbreeTracer, embree_version, rays_traced};
 
 use glam::Vec3;
 

@@ -1,0 +1,76 @@
+//! What can be typed.
+
+use super::config::Config;
+use crate::evaluate::EvalOptions;
+use clap::{Args, Parser, Subcommand};
+use std::path::PathBuf;
+
+/// Takes the light out of photographs of rooms: albedo, roughness and light textures of indoor scenes on ordinary CPUs.
+#[derive(Parser, Clone, Debug)]
+#[command(name = "unbake", disable_version_flag = true, propagate_version = false, max_term_width = 100)]
+pub struct Cli {
+    /// Options of every verb.
+    #[command(flatten)]
+    pub global: Global,
+    /// What to do.
+    #[command(subcommand)]
+    pub verb: Option<Verb>,
+}
+
+/// Options of every verb.
+#[derive(Args, Clone, Debug, Default)]
+#[command(next_help_heading = "Global options")]
+pub struct Global {
+    /// Number of worker threads [default: all cores]; it never changes the result.
+    #[arg(long, global = true, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Key of every random number: the same seed gives the same bits.
+    #[arg(long, global = true, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// Draw no progress; errors are still printed.
+    #[arg(long, short, global = true)]
+    pub quiet: bool,
+    /// Print the result as one JSON object on stdout.
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// Read options from a TOML file; flags override it.
+    #[arg(long, global = true, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Print the effective configuration as TOML, each key with its meaning, and stop.
+    #[arg(long, global = true)]
+    pub print_config: bool,
+    /// Print the versions of unbake, Embree and OpenImageIO and stop.
+    #[arg(long, short = 'V')]
+    pub version: bool,
+}
+
+/// The verbs.
+#[derive(Subcommand, Clone, Debug)]
+pub enum Verb {
+    /// Score a reconstruction: re-rendering, novel views and, with ground truth, materials.
+    Eval {
+        /// Output folder of `unbake solve`.
+        #[arg(required_unless_present = "print_config", value_name = "OUT")]
+        out: Option<PathBuf>,
+        /// Scene folder (or its transforms.json) that was reconstructed.
+        #[arg(long, required_unless_present = "print_config", value_name = "SCENE")]
+        scene: Option<PathBuf>,
+        /// The evaluation's options.
+        #[command(flatten)]
+        options: EvalOptions,
+    },
+}
+
+impl Cli {
+    /// Everything typed or defaulted on the command line, in the shape of the configuration file.
+    #[must_use]
+    pub fn flags(&self) -> Config {
+        let g = &self.global;
+        let mut config = Config { threads: g.threads, seed: g.seed, quiet: g.quiet, json: g.json, ..Config::default() };
+        match &self.verb {
+            Some(Verb::Eval { options, .. }) => config.eval = options.clone(),
+            None => {}
+        }
+        config
+    }
+}

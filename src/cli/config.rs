@@ -1,0 +1,128 @@
+//! One TOML file whose every key is a flag; flags given on the command line win.
+//!
+//! Options live with the modules that use them (`clap::Args` + `serde`); this file only merges values: the file is read into
+//! the same structures, and each flag that was really typed replaces its key. Nothing is merged as text.
+
+use crate::error::{Error, Result};
+use crate::evaluate::EvalOptions;
+use clap::ArgMatches;
+use clap::parser::ValueSource;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use toml::{Table, Value};
+
+/// Everything the program can be told except which files to work on: the content of a `--config` file.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Config {
+    /// Worker threads; absent = all cores.
+    pub threads: Option<usize>,
+    /// Key of every random number.
+    pub seed: u64,
+    /// No progress on the terminal.
+    pub quiet: bool,
+    /// Results as JSON.
+    pub json: bool,
+    /// Options of `unbake eval`.
+    pub eval: EvalOptions,
+}
+
+impl Config {
+    /// Reads a configuration file; a misspelt key is an error that names its line.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|e| Error::input(path, format!("cannot be read ({e}); give --config an existing TOML file")))?;
+        toml::from_str(&text).map_err(|e| {
+            Error::input(
+                path,
+                format!("is not a valid configuration: {e}\n`unbake --print-config` prints every key with its meaning"),
+            )
+        })
+    }
+
+    /// This configuration with every flag that was typed on the command line replaced by the value in `flags`.
+    ///
+    /// `table` is the verb's table; `matches` are its matches, which contain the global flags as well.
+    pub fn overlaid(&self, flags: &Self, table: &str, matches: &ArgMatches) -> Result<Self> {
+        let failed = |e: String| Error::Failed(format!("merging options: {e}"));
+        let mut base = Table::try_from(self).map_err(|e| failed(e.to_string()))?;
+        let given = Table::try_from(flags).map_err(|e| failed(e.to_string()))?;
+        for id in matches.ids().filter(|id| matches.value_source(id.as_str()) == Some(ValueSource::CommandLine)) {
+            let key = id.as_str().replace('_', "-");
+            if let Some(value) = given.get(&key).filter(|v| !v.is_table()) {
+                base.insert(key, value.clone());
+            } else if let Some(Value::Table(from)) = given.get(table) {
+                let into = base.entry(table).or_insert_with(|| Value::Table(Table::new()));
+                if let Value::Table(into) = into {
+                    copy_leaf(from, into, &key);
+                }
+            }
+        }
+        base.try_into().map_err(|e: toml::de::Error| failed(e.to_string()))
+    }
+
+    /// The configuration as TOML with each option's help above it; `tables` restricts it to one verb.
+    pub fn documented(&self, command: &clap::Command, tables: Option<&str>) -> Result<String> {
+        let failed = |e: String| Error::Failed(format!("printing the configuration: {e}"));
+        let text = toml::to_string(self).map_err(|e| failed(e.to_string()))?;
+        let mut out = String::from("# unbake configuration: every key is also a flag; flags override this file\n");
+        let mut verb: Option<String> = None;
+        for line in text.lines() {
+            if let Some(header) = line.strip_prefix('[').and_then(|l| l.strip_suffix(']')) {
+                verb = header.split('.').next().map(str::to_owned);
+                if wanted(tables, verb.as_deref()) {
+                    out.push_str(&format!("\n[{header}]\n"));
+                }
+                continue;
+            }
+            if !wanted(tables, verb.as_deref()) || line.is_empty() {
+                continue;
+            }
+            let key = line.split('=').next().unwrap_or_default().trim();
+            let owner = verb.as_deref().map_or(Some(command), |v| command.find_subcommand(v));
+            let help = owner.and_then(|c| c.get_arguments().find(|a| a.get_id().as_str().replace('_', "-") == key));
+            if let Some(help) = help.and_then(clap::Arg::get_help) {
+                for paragraph in help.to_string().lines() {
+                    out.push_str(&format!("# {paragraph}\n"));
+                }
+            }
+            out.push_str(line);
+            out.push('\n');
+        }
+        Ok(out)
+    }
+}
+
+/// Keys outside any table are printed always, a verb's table only for that verb.
+fn wanted(tables: Option<&str>, verb: Option<&str>) -> bool {
+    match (tables, verb) {
+        (Some(only), Some(verb)) => only == verb,
+        _ => true,
+    }
+}
+
+/// Copies the leaf `key` from wherever it lies in the nested table `from` to the same place in `into`.
+fn copy_leaf(from: &Table, into: &mut Table, key: &str) -> bool {
+    if let Some(value) = from.get(key).filter(|v| !v.is_table()) {
+        into.insert(key.into(), value.clone());
+        return true;
+    }
+    for (name, value) in from {
+        let Value::Table(inner) = value else { continue };
+        if !holds(inner, key) {
+            continue;
+        }
+        if let Value::Table(into) = into.entry(name.clone()).or_insert_with(|| Value::Table(Table::new())) {
+            return copy_leaf(inner, into, key);
+        }
+    }
+    false
+}
+
+/// Whether `key` is a leaf somewhere in the table.
+fn holds(table: &Table, key: &str) -> bool {
+    table.iter().any(|(name, value)| match value {
+        Value::Table(inner) => holds(inner, key),
+        _ => name == key,
+    })
+}

@@ -1,0 +1,54 @@
+//! The evaluation as an aligned table for the terminal.
+
+use super::{Evaluation, SplitScores};
+use std::fmt::Write;
+
+/// All figures as plain text, at most 100 columns wide.
+#[must_use]
+pub fn terminal_table(evaluation: &Evaluation) -> String {
+    let mut out = String::new();
+    for (title, kind, split) in
+        [("Held-out views", "novel views", &evaluation.test), ("Training views", "re-rendering", &evaluation.train)]
+    {
+        if let Some(split) = split {
+            if !out.is_empty() {
+                out.push('\n');
+            }
+            split_table(&mut out, title, kind, split);
+        }
+    }
+    out
+}
+
+fn split_table(out: &mut String, title: &str, kind: &str, split: &SplitScores) {
+    // writing to a String cannot fail
+    let count = split.views.len();
+    let _ = writeln!(out, "{title} ({count} image{})", if count == 1 { "" } else { "s" });
+    let _ = writeln!(out, "  {:<24} {:>18} {:>12} {:>9} {:>10}", "", "PSNR of mean MSE", "mean PSNR", "SSIM", "MSE");
+    let mut row = |name: &str, s: &super::ImageScores| {
+        let _ =
+            writeln!(out, "  {name:<24} {:>15.2} dB {:>9.2} dB {:>9.4} {:>10.5}", s.psnr_of_mean_mse, s.mean_psnr, s.ssim, s.mse);
+    };
+    row(kind, &split.rendering);
+    if let Some(m) = &split.materials {
+        row("albedo, linear", &m.albedo.linear);
+        row("albedo, FIPT", &m.albedo.fipt);
+        row("albedo, TexIR", &m.albedo.texir);
+        row("roughness, linear", &m.roughness.linear);
+        row("roughness, FIPT", &m.roughness.fipt);
+        let _ = writeln!(out, "  median |R - truth| {:>24.4}", m.roughness_median_absolute_error);
+        let _ = writeln!(
+            out,
+            "\n  {:<24} {:>10} {:>12} {:>12} {:>12} {:>9} {:>9}",
+            "class", "pixels", "albedo", "roughness", "median |dR|", "bias R", "true R"
+        );
+        for c in &m.classes {
+            let name: String = c.name.chars().take(24).collect();
+            let _ = writeln!(
+                out,
+                "  {name:<24} {:>10} {:>9.2} dB {:>9.2} dB {:>12.4} {:>+9.3} {:>9.3}",
+                c.pixels, c.albedo_psnr, c.roughness_psnr, c.roughness_median_absolute_error, c.roughness_bias, c.roughness_truth
+            );
+        }
+    }
+}

@@ -1,0 +1,342 @@
+//! `scene.glb`: the reconstruction as one file that glTF viewers and engines open.
+//!
+//! One mesh with its atlas; base colour in sRGB, a full occlusion-roughness-metallic texture (R = 255, G = roughness, B = 0)
+//! and, where the scene emits, an emissive texture normalised by its maximum, which `KHR_materials_emissive_strength` carries.
+//! Geometry is stored bit-exactly; the scene's origin is the node's translation and, in f64, its extras, so that a solution can
+//! be loaded back from this file without loss.
+
+use super::{encode_rgb8, srgb8_from_linear};
+use crate::error::{Error, Result};
+use crate::geometry::Mesh;
+use crate::image::{Plane, RgbPlane};
+use crate::solution::Solution;
+use glam::{DVec3, Vec2, Vec3};
+use serde_json::{Value, json};
+use std::ops::{Add, Mul};
+use std::path::Path;
+
+/// Choices of the glTF export.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GlbOptions {
+    /// Largest side of an embedded texture in pixels; larger ones are halved until they fit.
+    pub max_texture: usize,
+}
+
+impl Default for GlbOptions {
+    fn default() -> Self {
+        Self { max_texture: 4096 }
+    }
+}
+
+const FLOAT: u32 = 5126;
+const UNSIGNED_INT: u32 = 5125;
+const ARRAY_BUFFER: u32 = 34962;
+const ELEMENT_ARRAY_BUFFER: u32 = 34963;
+const LINEAR: u32 = 9729;
+const LINEAR_MIPMAP_LINEAR: u32 = 9987;
+const CLAMP_TO_EDGE: u32 = 33071;
+
+/// The bytes of `scene.glb`.
+pub fn scene_glb(solution: &Solution, options: GlbOptions) -> Result<Vec<u8>> {
+    let mesh = &solution.mesh;
+    if mesh.triangles.is_empty() || mesh.positions.is_empty() {
+        return Err(Error::Failed("scene.glb cannot be written: the mesh has no triangles".into()));
+    }
+    let strength = peak(&solution.emission);
+    let (base, (orm, emissive)) = rayon::join(
+        || base_colour_png(&solution.albedo, options.max_texture),
+        || {
+            rayon::join(
+                || orm_png(&solution.roughness, options.max_texture),
+                || strength.map(|s| emissive_png(&solution.emission, s, options.max_texture)).transpose(),
+            )
+        },
+    );
+    let (base, orm, emissive) = (base?, orm?, emissive?);
+
+    let mut binary = Binary::default();
+    let (low, high) = mesh.bounds();
+    let exact = |v: Vec3| v.as_dvec3().to_array();
+    let count = mesh.positions.len();
+    let indices = binary.accessor(
+        bytemuck::cast_slice(&mesh.triangles),
+        Some(ELEMENT_ARRAY_BUFFER),
+        json!({"componentType": UNSIGNED_INT, "count": mesh.triangles.len() * 3, "type": "SCALAR"}),
+    );
+    let position = binary.accessor(
+        bytemuck::cast_slice(&mesh.positions),
+        Some(ARRAY_BUFFER),
+        json!({"componentType": FLOAT, "count": count, "type": "VEC3", "min": exact(low), "max": exact(high)}),
+    );
+    let normals: Vec<Vec3> = mesh.normals.iter().map(|n| valid_normal(*n)).collect();
+    let vec3 = json!({"componentType": FLOAT, "count": count, "type": "VEC3"});
+    let normal = binary.accessor(bytemuck::cast_slice(&normals), Some(ARRAY_BUFFER), vec3);
+    let vec2 = json!({"componentType": FLOAT, "count": count, "type": "VEC2"});
+    let uv = binary.accessor(bytemuck::cast_slice(&mesh.uvs), Some(ARRAY_BUFFER), vec2);
+
+    let mut pictures = vec![("base colour", base), ("occlusion roughness metallic", orm)];
+    pictures.extend(emissive.map(|e| ("emissive", e)));
+    let images: Vec<Value> = pictures
+        .iter()
+        .map(|(name, png)| json!({"name": name, "mimeType": "image/png", "bufferView": binary.view(png, None)}))
+        .collect();
+    let textures: Vec<Value> = (0..images.len()).map(|i| json!({"sampler": 0, "source": i})).collect();
+
+    let mut material = json!({
+        "name": "reconstruction",
+        "doubleSided": true,
+        "pbrMetallicRoughness": {
+            "baseColorTexture": {"index": 0},
+            "metallicRoughnessTexture": {"index": 1},
+        },
+        "occlusionTexture": {"index": 1},
+    });
+    let mut root = json!({
+        "asset": {"version": "2.0", "generator": concat!("unbake ", env!("CARGO_PKG_VERSION"))},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [node(solution.origin)],
+        "meshes": [{"name": "scene", "primitives": [{
+            "attributes": {"POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv},
+            "indices": indices,
+            "material": 0,
+        }]}],
+        "accessors": binary.accessors,
+        "bufferViews": binary.views,
+        "buffers": [{"byteLength": binary.bytes.len()}],
+        "images": images,
+        "textures": textures,
+        "samplers": [{"magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR, "wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE}],
+    });
+    if let Some(strength) = strength {
+        material["emissiveTexture"] = json!({"index": 2});
+        material["emissiveFactor"] = json!([1.0, 1.0, 1.0]);
+        material["extensions"] = json!({"KHR_materials_emissive_strength": {"emissiveStrength": f64::from(strength)}});
+        root["extensionsUsed"] = json!(["KHR_materials_emissive_strength"]);
+    }
+    root["materials"] = json!([material]);
+    container(&root, &binary.bytes)
+}
+
+fn node(origin: DVec3) -> Value {
+    let mut node = json!({"name": "scene", "mesh": 0, "extras": {"origin": origin.to_array()}});
+    if origin != DVec3::ZERO {
+        node["translation"] = json!(origin.to_array());
+    }
+    node
+}
+
+/// glTF demands unit normals; anything else (a vertex without area) points up.
+fn valid_normal(n: Vec3) -> Vec3 {
+    if (n.length_squared() - 1.0).abs() < 1e-3 { n } else { n.normalize_or(Vec3::Y) }
+}
+
+/// The binary chunk while it grows; every view starts at a multiple of four bytes.
+#[derive(Default)]
+struct Binary {
+    bytes: Vec<u8>,
+    views: Vec<Value>,
+    accessors: Vec<Value>,
+}
+
+impl Binary {
+    fn view(&mut self, content: &[u8], target: Option<u32>) -> usize {
+        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+        let mut view = json!({"buffer": 0, "byteOffset": self.bytes.len(), "byteLength": content.len()});
+        if let Some(target) = target {
+            view["target"] = json!(target);
+        }
+        self.bytes.extend_from_slice(content);
+        self.views.push(view);
+        self.views.len() - 1
+    }
+
+    fn accessor(&mut self, content: &[u8], target: Option<u32>, mut accessor: Value) -> usize {
+        accessor["bufferView"] = json!(self.view(content, target));
+        self.accessors.push(accessor);
+        self.accessors.len() - 1
+    }
+}
+
+/// Wraps JSON and binary into the GLB container: 12-byte header, two chunks padded to four bytes (spaces, zeros).
+fn container(root: &Value, binary: &[u8]) -> Result<Vec<u8>> {
+    let mut json = serde_json::to_vec(root).map_err(|e| Error::Failed(format!("scene.glb: {e}")))?;
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let padded = binary.len().next_multiple_of(4);
+    let total = 12 + 8 + json.len() + 8 + padded;
+    let word = |n: usize| {
+        u32::try_from(n)
+            .map(u32::to_le_bytes)
+            .map_err(|_| Error::Failed("scene.glb would exceed 4 GiB, the limit of the format; lower the texture size".into()))
+    };
+    let mut out = Vec::with_capacity(total);
+    out.extend_from_slice(b"glTF");
+    out.extend_from_slice(&2u32.to_le_bytes());
+    out.extend_from_slice(&word(total)?);
+    out.extend_from_slice(&word(json.len())?);
+    out.extend_from_slice(b"JSON");
+    out.extend_from_slice(&json);
+    out.extend_from_slice(&word(padded)?);
+    out.extend_from_slice(b"BIN\0");
+    out.extend_from_slice(binary);
+    out.resize(total, 0);
+    Ok(out)
+}
+
+fn base_colour_png(albedo: &RgbPlane, max: usize) -> Result<Vec<u8>> {
+    let plane = fitted(albedo, max);
+    encode_rgb8(plane.width, plane.height, &rgb8(&plane, |v| v.to_array().map(srgb8_from_linear)))
+}
+
+fn orm_png(roughness: &Plane<f32>, max: usize) -> Result<Vec<u8>> {
+    let plane = fitted(roughness, max);
+    encode_rgb8(plane.width, plane.height, &rgb8(&plane, |r| [255, (r.clamp(0.0, 1.0) * 255.0 + 0.5) as u8, 0]))
+}
+
+fn emissive_png(emission: &RgbPlane, strength: f32, max: usize) -> Result<Vec<u8>> {
+    let plane = fitted(emission, max);
+    encode_rgb8(plane.width, plane.height, &rgb8(&plane, |v| (*v / strength).to_array().map(srgb8_from_linear)))
+}
+
+fn rgb8<T>(plane: &Plane<T>, f: impl Fn(&T) -> [u8; 3]) -> Vec<u8> {
+    plane.data.iter().flat_map(f).collect()
+}
+
+/// The largest finite channel of the emission, if anything emits.
+fn peak(emission: &RgbPlane) -> Option<f32> {
+    let max = emission.data.iter().flat_map(|v| v.to_array()).filter(|v| v.is_finite()).fold(0.0, f32::max);
+    (max > 0.0).then_some(max)
+}
+
+/// The plane itself, or halved until both sides are at most `max`.
+fn fitted<T>(plane: &Plane<T>, max: usize) -> std::borrow::Cow<'_, Plane<T>>
+where
+    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
+{
+    let mut out = std::borrow::Cow::Borrowed(plane);
+    while out.width.max(out.height) > max.max(1) {
+        out = std::borrow::Cow::Owned(out.half());
+    }
+    out
+}
+
+/// Mesh and origin of a file that [`scene_glb`] wrote; positions come back bit for bit.
+pub fn read_glb_mesh(path: &Path) -> Result<(Mesh, DVec3)> {
+    let foreign =
+        |what: &str| Error::input(path, format!("{what}; expected the scene.glb that `unbake solve` wrote: run it again"));
+    let bytes = std::fs::read(path).map_err(|e| Error::input(path, format!("cannot be read ({e}); run `unbake solve` first")))?;
+    let gltf = gltf::Gltf::from_slice(&bytes).map_err(|e| foreign(&format!("is not a valid GLB ({e})")))?;
+    let blob = gltf.blob.as_deref().ok_or_else(|| foreign("has no binary chunk"))?;
+    let node = gltf.nodes().find(|n| n.mesh().is_some()).ok_or_else(|| foreign("has no mesh"))?;
+    let primitive = node.mesh().and_then(|m| m.primitives().next()).ok_or_else(|| foreign("has no primitive"))?;
+    let reader = primitive.reader(|buffer| (buffer.index() == 0).then_some(blob));
+
+    let positions: Vec<Vec3> = reader.read_positions().ok_or_else(|| foreign("has no positions"))?.map(Vec3::from).collect();
+    let normals: Vec<Vec3> = reader.read_normals().ok_or_else(|| foreign("has no normals"))?.map(Vec3::from).collect();
+    let uvs: Vec<Vec2> =
+        reader.read_tex_coords(0).ok_or_else(|| foreign("has no TEXCOORD_0"))?.into_f32().map(Vec2::from).collect();
+    let indices: Vec<u32> = reader.read_indices().ok_or_else(|| foreign("has no indices"))?.into_u32().collect();
+    if normals.len() != positions.len() || uvs.len() != positions.len() {
+        return Err(foreign("has vertex attributes of different lengths"));
+    }
+    if indices.iter().any(|&i| i as usize >= positions.len()) {
+        return Err(foreign("has a triangle that names a vertex beyond the last"));
+    }
+    let triangles = indices.as_chunks::<3>().0.to_vec();
+    let origin = origin_of(&bytes).unwrap_or_else(|| DVec3::from_array(node.transform().decomposed().0.map(f64::from)));
+    Ok((Mesh { positions, normals, uvs, triangles }, origin))
+}
+
+/// The f64 origin in the extras of the first node with a mesh.
+fn origin_of(bytes: &[u8]) -> Option<DVec3> {
+    let glb = gltf::binary::Glb::from_slice(bytes).ok()?;
+    let root: Value = serde_json::from_slice(&glb.json).ok()?;
+    let node = root["nodes"].as_array()?.iter().find(|n| n.get("mesh").is_some())?;
+    let origin: [f64; 3] = serde_json::from_value(node["extras"]["origin"].clone()).ok()?;
+    Some(DVec3::from_array(origin))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solution::tests::small_solution;
+
+    fn decoded(bytes: &[u8]) -> (usize, usize, Vec<u8>) {
+        let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().expect("header");
+        let mut pixels = vec![0; reader.output_buffer_size().expect("size")];
+        let info = reader.next_frame(&mut pixels).expect("pixels");
+        (info.width as usize, info.height as usize, pixels)
+    }
+
+    fn image_bytes<'a>(gltf: &'a gltf::Gltf, image: &gltf::Image<'_>) -> &'a [u8] {
+        let gltf::image::Source::View { view, mime_type } = image.source() else { panic!("image is not embedded") };
+        assert_eq!(mime_type, "image/png");
+        &gltf.blob.as_deref().expect("blob")[view.offset()..view.offset() + view.length()]
+    }
+
+    #[test]
+    fn material_and_textures_follow_the_contract() {
+        let solution = small_solution();
+        let bytes = scene_glb(&solution, GlbOptions::default()).expect("writes");
+        let gltf = gltf::Gltf::from_slice(&bytes).expect("valid glTF");
+        let material = gltf.materials().next().expect("material");
+        let strength = material.emissive_strength().expect("extension");
+        assert!((strength - 12.5).abs() < 1e-6);
+        let pbr = material.pbr_metallic_roughness();
+        let orm = pbr.metallic_roughness_texture().expect("orm").texture();
+        assert_eq!(orm.index(), material.occlusion_texture().expect("occlusion").texture().index());
+        let (w, h, pixels) = decoded(image_bytes(&gltf, &orm.source()));
+        assert_eq!((w, h), (solution.roughness.width, solution.roughness.height));
+        for (pixel, r) in pixels.chunks(3).zip(&solution.roughness.data) {
+            assert_eq!((pixel[0], pixel[2]), (255, 0));
+            assert!((f32::from(pixel[1]) / 255.0 - r).abs() <= 0.5 / 255.0 + 1e-6);
+        }
+        let base = pbr.base_color_texture().expect("base").texture();
+        let (_, _, pixels) = decoded(image_bytes(&gltf, &base.source()));
+        assert_eq!(pixels[..3], solution.albedo.data[0].to_array().map(srgb8_from_linear));
+        let emissive = material.emissive_texture().expect("emissive").texture();
+        let (_, _, pixels) = decoded(image_bytes(&gltf, &emissive.source()));
+        assert!(pixels.iter().any(|p| *p == 255), "normalised to its maximum");
+    }
+
+    #[test]
+    fn views_are_aligned_and_bounds_are_exact() {
+        let solution = small_solution();
+        let bytes = scene_glb(&solution, GlbOptions::default()).expect("writes");
+        assert_eq!(bytes.len() % 4, 0);
+        assert_eq!(u32::from_le_bytes(bytes[8..12].try_into().expect("4 bytes")) as usize, bytes.len());
+        let gltf = gltf::Gltf::from_slice(&bytes).expect("valid");
+        assert!(gltf.views().all(|v| v.offset() % 4 == 0));
+        let (low, high) = solution.mesh.bounds();
+        let position = gltf.meshes().next().expect("mesh").primitives().next().expect("primitive").bounding_box();
+        assert_eq!((Vec3::from(position.min), Vec3::from(position.max)), (low, high));
+    }
+
+    #[test]
+    fn nothing_emits_means_no_extension() {
+        let mut solution = small_solution();
+        solution.emission.data.fill(Vec3::ZERO);
+        let bytes = scene_glb(&solution, GlbOptions::default()).expect("writes");
+        let gltf = gltf::Gltf::from_slice(&bytes).expect("valid");
+        assert_eq!(gltf.extensions_used().count(), 0);
+        assert_eq!(gltf.images().count(), 2, "no unused image");
+    }
+
+    #[test]
+    fn large_textures_are_halved_to_the_cap() {
+        let solution = small_solution();
+        let bytes = scene_glb(&solution, GlbOptions { max_texture: 4 }).expect("writes");
+        let gltf = gltf::Gltf::from_slice(&bytes).expect("valid");
+        for image in gltf.images() {
+            let (w, h, _) = decoded(image_bytes(&gltf, &image));
+            assert!(w <= 4 && h <= 4);
+        }
+    }
+
+    #[test]
+    fn an_empty_mesh_is_an_error_in_words() {
+        let mut solution = small_solution();
+        solution.mesh = Mesh::default();
+        assert!(scene_glb(&solution, GlbOptions::default()).expect_err("fails").to_string().contains("no triangles"));
+    }
+}

@@ -1,0 +1,256 @@
+//! The output folder: a solution on disk and back.
+//!
+//! Everything is written aside first (a hidden folder inside the output folder, so that it lies on the same file system) and
+//! renamed into place only when every file is complete: a reader sees the old solution or the new one, and a full disk leaves
+//! the old one untouched.
+
+use super::Solution;
+use crate::error::{Error, Result};
+use crate::export::{GlbOptions, read_glb_mesh, scene_glb};
+use crate::formats::{read_labels, read_plane, read_rgb, read_two_channels};
+use crate::formats::{write_plane_half, write_png16, write_rgb_float, write_rgb_half, write_two_channels_half};
+use crate::image::RgbPlane;
+use std::path::{Path, PathBuf};
+
+/// Files of a solution in the order in which they are renamed into place; `scene.glb` last, as the mark of completeness.
+pub const FILES: [&str; 10] = [
+    "albedo.exr",
+    "roughness.exr",
+    "irradiance.exr",
+    "radiance.exr",
+    "emission.exr",
+    "confidence.exr",
+    "labels.png",
+    "rooms.png",
+    "environment.exr",
+    "scene.glb",
+];
+
+/// The largest finite half-precision value.
+const HALF_MAX: f32 = 65_504.0;
+
+/// Choices of [`Solution::save`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SaveOptions {
+    /// The glTF file's choices.
+    pub glb: GlbOptions,
+}
+
+impl Solution {
+    /// Writes the files of design §1.2 into `folder`, creating it if need be: all of them or none.
+    pub fn save(&self, folder: &Path, options: &SaveOptions) -> Result<()> {
+        self.check_finite()?;
+        let aside = AsideFolder::new(folder)?;
+        let at = |name: &str| aside.folder.join(name);
+        let glb = || {
+            let bytes = scene_glb(self, options.glb)?;
+            std::fs::write(at("scene.glb"), bytes).map_err(|e| Error::io(folder.join("scene.glb"), e))
+        };
+        let textures = || {
+            write_rgb_half(at("albedo.exr"), &self.albedo)?;
+            write_plane_half(at("roughness.exr"), &self.roughness)?;
+            write_radiometric(&at("irradiance.exr"), &self.irradiance)?;
+            write_radiometric(&at("radiance.exr"), &self.radiance)?;
+            write_radiometric(&at("emission.exr"), &self.emission)?;
+            write_two_channels_half(at("confidence.exr"), &self.confidence)?;
+            write_png16(at("labels.png"), &self.labels)?;
+            write_png16(at("rooms.png"), &self.rooms)?;
+            write_radiometric(&at("environment.exr"), &self.environment)
+        };
+        let (glb, textures) = rayon::join(glb, textures);
+        textures.and(glb)?;
+        aside.publish(folder, &FILES)
+    }
+
+    /// Reads what [`Solution::save`] wrote. Textures come back at file precision (half), the mesh bit for bit.
+    pub fn load(folder: &Path) -> Result<Self> {
+        if !folder.is_dir() {
+            return Err(Error::input(folder, "is not a folder; expected the output folder of `unbake solve SCENE -o OUT`"));
+        }
+        let missing: Vec<Error> = FILES
+            .iter()
+            .map(|name| folder.join(name))
+            .filter(|path| !path.is_file())
+            .map(|path| Error::input(path, "is missing from the solution; run `unbake solve` again"))
+            .collect();
+        if !missing.is_empty() {
+            return Err(Error::Inputs(missing));
+        }
+        let (mesh, origin) = read_glb_mesh(&folder.join("scene.glb"))?;
+        let rgb = |name: &str| read_rgb(&folder.join(name));
+        let solution = Self {
+            mesh,
+            origin,
+            albedo: rgb("albedo.exr")?,
+            roughness: read_plane(&folder.join("roughness.exr"))?,
+            irradiance: rgb("irradiance.exr")?,
+            radiance: rgb("radiance.exr")?,
+            emission: rgb("emission.exr")?,
+            confidence: read_two_channels(&folder.join("confidence.exr"))?,
+            labels: read_labels(&folder.join("labels.png"))?,
+            rooms: read_labels(&folder.join("rooms.png"))?,
+            environment: rgb("environment.exr")?,
+        };
+        Ok(solution)
+    }
+
+    /// Every texture must be finite: a NaN in a file would surface much later, in another program.
+    fn check_finite(&self) -> Result<()> {
+        let rgb = [
+            ("albedo", &self.albedo),
+            ("irradiance", &self.irradiance),
+            ("radiance", &self.radiance),
+            ("emission", &self.emission),
+            ("environment", &self.environment),
+        ];
+        let first = rgb
+            .iter()
+            .find_map(|(name, plane)| plane.data.iter().position(|v| !v.is_finite()).map(|i| (*name, i, plane.width)))
+            .or_else(|| {
+                let i = self.roughness.data.iter().position(|v| !v.is_finite())?;
+                Some(("roughness", i, self.roughness.width))
+            })
+            .or_else(|| {
+                let i = self.confidence.data.iter().position(|v| !v.is_finite())?;
+                Some(("confidence", i, self.confidence.width))
+            });
+        match first {
+            None => Ok(()),
+            Some((name, i, width)) => Err(Error::Failed(format!(
+                "the {name} texture is not finite at texel ({}, {}): nothing was written; please report this with the scene",
+                i % width.max(1),
+                i / width.max(1)
+            ))),
+        }
+    }
+}
+
+/// Half precision where it can hold the values, 32-bit float where they exceed 65,504.
+fn write_radiometric(path: &Path, plane: &RgbPlane) -> Result<()> {
+    if plane.data.iter().any(|v| v.abs().max_element() > HALF_MAX) {
+        write_rgb_float(path, plane)
+    } else {
+        write_rgb_half(path, plane).map(drop)
+    }
+}
+
+/// A hidden sibling folder for files in the making; removed when dropped.
+#[derive(Debug)]
+pub struct AsideFolder {
+    /// Where to write.
+    pub folder: PathBuf,
+}
+
+impl AsideFolder {
+    /// Creates `target` and an empty hidden folder in it.
+    pub fn new(target: &Path) -> Result<Self> {
+        let folder = target.join(format!(".writing-{}", std::process::id()));
+        if folder.exists() {
+            std::fs::remove_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
+        }
+        std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
+        Ok(Self { folder })
+    }
+
+    /// Renames the named files into `target`, in order.
+    pub fn publish<N: AsRef<Path>>(&self, target: &Path, names: &[N]) -> Result<()> {
+        for name in names {
+            let to = target.join(name);
+            std::fs::rename(self.folder.join(name), &to).map_err(|e| Error::io(&to, e))?;
+        }
+        Ok(())
+    }
+}
+
+impl Drop for AsideFolder {
+    fn drop(&mut self) {
+        // nothing useful can be done about a failure here, and what matters has been renamed already
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solution::tests::small_solution;
+    use glam::Vec3;
+
+    #[test]
+    fn a_solution_survives_the_disk() {
+        let folder = tempfile::tempdir().expect("temp");
+        let out = folder.path().join("deep/out");
+        let solution = small_solution();
+        solution.save(&out, &SaveOptions::default()).expect("saves");
+        let mut names: Vec<String> = std::fs::read_dir(&out)
+            .expect("lists")
+            .map(|e| e.expect("entry").file_name().into_string().expect("utf-8"))
+            .collect();
+        names.sort();
+        let mut expected = FILES.map(String::from).to_vec();
+        expected.sort();
+        assert_eq!(names, expected, "exactly the promised files, nothing left aside");
+
+        let back = Solution::load(&out).expect("loads");
+        assert_eq!(back.mesh, solution.mesh, "geometry is bit-exact");
+        assert_eq!(back.origin, solution.origin, "origin is exact in f64");
+        assert_eq!(back.labels, solution.labels);
+        assert_eq!(back.rooms, solution.rooms);
+        let close = |a: &RgbPlane, b: &RgbPlane| {
+            assert_eq!((a.width, a.height), (b.width, b.height));
+            for (a, b) in a.data.iter().zip(&b.data) {
+                assert!((*a - *b).abs().max_element() <= 1e-3 * b.abs().max_element() + 1e-6, "{a} {b}");
+            }
+        };
+        close(&back.albedo, &solution.albedo);
+        close(&back.irradiance, &solution.irradiance);
+        close(&back.radiance, &solution.radiance);
+        close(&back.emission, &solution.emission);
+        close(&back.environment, &solution.environment);
+        for (a, b) in back.roughness.data.iter().zip(&solution.roughness.data) {
+            assert!((a - b).abs() < 1e-3);
+        }
+        for (a, b) in back.confidence.data.iter().zip(&solution.confidence.data) {
+            assert!((*a - *b).abs().max_element() <= 1e-3 * b.abs().max_element());
+        }
+    }
+
+    #[test]
+    fn radiance_beyond_half_precision_is_kept() {
+        let folder = tempfile::tempdir().expect("temp");
+        let mut solution = small_solution();
+        solution.emission.data[1] = Vec3::splat(3.0e6);
+        solution.save(folder.path(), &SaveOptions::default()).expect("saves");
+        let back = Solution::load(folder.path()).expect("loads");
+        assert_eq!(back.emission.data[1], Vec3::splat(3.0e6));
+    }
+
+    #[test]
+    fn a_failed_save_leaves_the_old_solution() {
+        let folder = tempfile::tempdir().expect("temp");
+        let solution = small_solution();
+        solution.save(folder.path(), &SaveOptions::default()).expect("saves");
+        let before = std::fs::read(folder.path().join("albedo.exr")).expect("reads");
+        let mut broken = solution.clone();
+        broken.albedo.data[0].x = 0.9;
+        broken.roughness.data[3] = f32::NAN;
+        let message = broken.save(folder.path(), &SaveOptions::default()).expect_err("refuses").to_string();
+        assert!(message.contains("roughness texture is not finite at texel (3, 0)"), "{message}");
+        assert_eq!(std::fs::read(folder.path().join("albedo.exr")).expect("reads"), before);
+        assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), FILES.len());
+    }
+
+    #[test]
+    fn what_is_missing_is_named_with_the_cure() {
+        let folder = tempfile::tempdir().expect("temp");
+        small_solution().save(folder.path(), &SaveOptions::default()).expect("saves");
+        std::fs::remove_file(folder.path().join("rooms.png")).expect("removes");
+        let e = Solution::load(folder.path()).expect_err("incomplete");
+        assert_eq!(e.exit_code(), 2);
+        assert!(e.to_string().contains("rooms.png: is missing") && e.to_string().contains("unbake solve"), "{e}");
+        let e = Solution::load(&folder.path().join("nowhere")).expect_err("no folder");
+        assert_eq!(e.exit_code(), 2);
+        std::fs::write(folder.path().join("rooms.png"), b"x").expect("writes");
+        std::fs::write(folder.path().join("scene.glb"), b"glTF nonsense").expect("writes");
+        assert_eq!(Solution::load(folder.path()).expect_err("garbage").exit_code(), 2);
+    }
+}
