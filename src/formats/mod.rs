@@ -3,8 +3,12 @@
 //! Readers return what is in the file, NaN included: the scene judges. Writers refuse values that are not finite.
 
 mod exr_header;
+pub mod gltf;
 mod image_io;
+pub mod obj;
+pub mod ply;
 mod png_io;
+mod raw_mesh;
 mod whole;
 
 #[cfg(test)]
@@ -15,6 +19,7 @@ pub use image_io::{
     write_rgb_float, write_rgb_half, write_two_channels_float, write_two_channels_half,
 };
 pub use png_io::{read_labels, read_ldr, write_png_rgb8, write_png8, write_png16};
+pub use raw_mesh::{RawMesh, read_mesh};
 pub use whole::{Aside, atomic_write};
 
 use crate::{Error, Result};

@@ -1,9 +1,44 @@
 //! Validated input: mesh, views, labels, rooms.
 
+mod load;
+mod mesh_prep;
+mod pixels;
+mod rooms;
+pub mod transforms;
+mod unwrap;
+
+pub use mesh_prep::{MeshStats, atlas_overlap, prepare_mesh};
+pub use pixels::PixelStats;
+pub use rooms::find_rooms;
+pub use unwrap::{UnwrapStats, unwrap_mesh};
+
 use crate::geometry::{Camera, Mesh};
 use crate::image::Plane;
 use glam::DVec3;
 use std::path::PathBuf;
+
+/// How a scene is read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LoadOptions {
+    /// Accept display-referred images (PNG, JPEG) as sRGB.
+    pub ldr: bool,
+    /// Ignore NaN and infinite pixels instead of refusing the image.
+    pub clamp_nan: bool,
+    /// Make a new atlas even if the mesh brings one.
+    pub unwrap: bool,
+    /// Side of the atlas, in texels, for which an own atlas is laid out.
+    pub unwrap_resolution: u32,
+    /// Texels kept free around every chart of an own atlas.
+    pub unwrap_padding: u32,
+    /// Problems reported in full before the rest is only counted.
+    pub max_issues: usize,
+}
+
+impl Default for LoadOptions {
+    fn default() -> Self {
+        Self { ldr: false, clamp_nan: false, unwrap: false, unwrap_resolution: 2048, unwrap_padding: 2, max_issues: 50 }
+    }
+}
 
 /// A semantic class.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -72,4 +107,47 @@ pub struct Scene {
     pub views: Vec<View>,
     /// Rooms, if the scene brings them.
     pub rooms: Option<RoomGrid>,
+    /// `classes` were declared by the file: other ids in label images are errors.
+    pub classes_declared: bool,
+    /// What was found and done while the mesh was made usable.
+    pub mesh_stats: MeshStats,
+    /// What a user should know although the scene is usable.
+    pub warnings: Vec<String>,
+    /// How the scene was read; pixels are read the same way.
+    pub options: LoadOptions,
+}
+
+impl Scene {
+    /// A scene made in memory: no images on disk beyond those the views name, nothing to warn of.
+    #[must_use]
+    pub fn from_parts(folder: PathBuf, origin: DVec3, mesh: Mesh, classes: Vec<Class>, views: Vec<View>) -> Self {
+        Self {
+            folder,
+            origin,
+            mesh,
+            classes_declared: !classes.is_empty(),
+            classes,
+            views,
+            rooms: None,
+            mesh_stats: MeshStats::default(),
+            warnings: Vec::new(),
+            options: LoadOptions::default(),
+        }
+    }
+
+    /// Training views in file order.
+    pub fn train_views(&self) -> impl Iterator<Item = &View> {
+        self.views.iter().filter(|v| v.split == Split::Train)
+    }
+
+    /// Held-out views in file order.
+    pub fn test_views(&self) -> impl Iterator<Item = &View> {
+        self.views.iter().filter(|v| v.split == Split::Test)
+    }
+
+    /// The class of an id.
+    #[must_use]
+    pub fn class(&self, id: u16) -> Option<&Class> {
+        self.classes.binary_search_by_key(&id, |c| c.id).ok().map(|i| &self.classes[i])
+    }
 }

@@ -1,0 +1,490 @@
+//! glTF 2.0 geometry: `.glb` and `.gltf` with embedded or neighbouring buffers.
+//!
+//! Only what geometry needs is deserialised, and every index, offset and count is checked against the bytes that are there
+//! before anything is allocated: a hostile file gives an error, never a panic or a huge allocation. Node transforms are
+//! composed in f64, so that a mesh moved far from the origin by its node keeps its shape.
+
+use super::raw_mesh::{Part, RawMesh};
+use crate::{Error, Result};
+use glam::{DMat4, DQuat, DVec3, Vec2, Vec3};
+use serde::Deserialize;
+use std::path::Path;
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Document {
+    #[serde(default)]
+    scene: Option<usize>,
+    #[serde(default)]
+    scenes: Vec<SceneRoot>,
+    #[serde(default)]
+    nodes: Vec<Node>,
+    #[serde(default)]
+    meshes: Vec<MeshEntry>,
+    #[serde(default)]
+    accessors: Vec<Accessor>,
+    #[serde(default)]
+    buffer_views: Vec<BufferView>,
+    #[serde(default)]
+    buffers: Vec<Buffer>,
+    #[serde(default)]
+    extensions_required: Vec<String>,
+}
+
+#[derive(Deserialize)]
+struct SceneRoot {
+    #[serde(default)]
+    nodes: Vec<usize>,
+}
+
+#[derive(Deserialize)]
+struct Node {
+    #[serde(default)]
+    children: Vec<usize>,
+    mesh: Option<usize>,
+    matrix: Option<[f64; 16]>,
+    translation: Option<[f64; 3]>,
+    rotation: Option<[f64; 4]>,
+    scale: Option<[f64; 3]>,
+}
+
+#[derive(Deserialize)]
+struct MeshEntry {
+    #[serde(default)]
+    primitives: Vec<Primitive>,
+}
+
+#[derive(Deserialize)]
+struct Primitive {
+    attributes: Attributes,
+    indices: Option<usize>,
+    mode: Option<u32>,
+}
+
+#[derive(Deserialize)]
+struct Attributes {
+    #[serde(rename = "POSITION")]
+    position: Option<usize>,
+    #[serde(rename = "NORMAL")]
+    normal: Option<usize>,
+    #[serde(rename = "TEXCOORD_0")]
+    uv: Option<usize>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Accessor {
+    buffer_view: Option<usize>,
+    #[serde(default)]
+    byte_offset: u64,
+    component_type: u32,
+    count: u64,
+    #[serde(rename = "type")]
+    shape: String,
+    #[serde(default)]
+    normalized: bool,
+    sparse: Option<serde::de::IgnoredAny>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct BufferView {
+    buffer: usize,
+    #[serde(default)]
+    byte_offset: u64,
+    byte_length: u64,
+    byte_stride: Option<u64>,
+}
+
+#[derive(Deserialize)]
+struct Buffer {
+    uri: Option<String>,
+}
+
+/// Extensions that change how geometry is stored in ways not read here.
+const UNREADABLE: [&str; 3] = ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"];
+/// Deepest node hierarchy followed; real files stay far below, and a cycle must end.
+const MAX_DEPTH: usize = 256;
+/// Most mesh instances; a hostile hierarchy can reach one node along exponentially many paths.
+const MAX_INSTANCES: usize = 1 << 20;
+
+/// Geometry of a `.glb` or `.gltf` from its bytes; neighbouring buffer files are looked up beside `path`.
+pub fn mesh_from_gltf(bytes: &[u8], path: &Path) -> Result<RawMesh> {
+    let fail = |m: String| Error::input(path, m);
+    let (json, blob) = if bytes.starts_with(b"glTF") { split_glb(bytes).map_err(fail)? } else { (bytes, None) };
+    let document: Document =
+        serde_json::from_slice(json).map_err(|e| fail(format!("the glTF JSON is malformed: {e}; export the mesh again")))?;
+    if let Some(e) = document.extensions_required.iter().find(|e| UNREADABLE.contains(&e.as_str())) {
+        return Err(fail(format!("the geometry is compressed with {e}, which is not supported; export without compression")));
+    }
+    let buffers = document
+        .buffers
+        .iter()
+        .enumerate()
+        .map(|(i, b)| load_buffer(i, b, blob, path))
+        .collect::<std::result::Result<Vec<_>, _>>()
+        .map_err(fail)?;
+    let reader = Reader { document: &document, buffers };
+    let parts = reader.parts().map_err(fail)?;
+    if parts.is_empty() {
+        return Err(fail("no triangle geometry in the scene; export the mesh with its triangles".into()));
+    }
+    RawMesh::from_parts(parts, path)
+}
+
+/// The JSON and binary chunks of a `.glb`.
+fn split_glb(bytes: &[u8]) -> std::result::Result<(&[u8], Option<&[u8]>), String> {
+    let word = |at: usize| -> Option<u32> { Some(u32::from_le_bytes(bytes.get(at..at.checked_add(4)?)?.try_into().ok()?)) };
+    let truncated = || format!("truncated .glb ({} bytes); copy the file again", bytes.len());
+    let version = word(4).ok_or_else(truncated)?;
+    if version != 2 {
+        return Err(format!("glTF binary version {version}; only version 2 is supported"));
+    }
+    if word(8).ok_or_else(truncated)? as usize > bytes.len() {
+        return Err(truncated());
+    }
+    let (mut at, mut json, mut blob) = (12usize, None, None);
+    while at + 8 <= bytes.len() {
+        let (length, kind) = (word(at).ok_or_else(truncated)? as usize, word(at + 4).ok_or_else(truncated)?);
+        let chunk = at.checked_add(8).and_then(|b| bytes.get(b..b.checked_add(length)?)).ok_or_else(truncated)?;
+        match kind {
+            0x4E4F_534A if json.is_none() => json = Some(chunk),
+            0x004E_4942 if blob.is_none() => blob = Some(chunk),
+            _ => {}
+        }
+        at += 8 + length;
+    }
+    Ok((json.ok_or("the .glb has no JSON chunk; export the mesh again")?, blob))
+}
+
+fn load_buffer(i: usize, buffer: &Buffer, blob: Option<&[u8]>, path: &Path) -> std::result::Result<Vec<u8>, String> {
+    let Some(uri) = &buffer.uri else {
+        return blob
+            .map(<[u8]>::to_vec)
+            .ok_or_else(|| format!("buffer {i} has neither a uri nor a binary chunk; export the mesh again"));
+    };
+    if let Some(data) = uri.strip_prefix("data:") {
+        let encoded = data.split_once(";base64,").ok_or_else(|| format!("buffer {i}: the data uri is not base64"))?.1;
+        return decode_base64(encoded).ok_or_else(|| format!("buffer {i}: damaged base64; export the mesh again"));
+    }
+    if uri.contains("://") {
+        return Err(format!("buffer {i} lies at {uri}; only files beside the mesh are read. Export with embedded buffers"));
+    }
+    let file = path.with_file_name("").join(decode_percent(uri));
+    std::fs::read(&file)
+        .map_err(|e| format!("buffer {i}, {}: {e}; keep the buffer beside the .gltf or export a .glb", file.display()))
+}
+
+fn decode_base64(text: &str) -> Option<Vec<u8>> {
+    let (mut out, mut bits, mut held) = (Vec::with_capacity(text.len() / 4 * 3), 0u32, 0u32);
+    for c in text.bytes().filter(|c| !c.is_ascii_whitespace()).take_while(|&c| c != b'=') {
+        let value = match c {
+            b'A'..=b'Z' => c - b'A',
+            b'a'..=b'z' => c - b'a' + 26,
+            b'0'..=b'9' => c - b'0' + 52,
+            b'+' | b'-' => 62,
+            b'/' | b'_' => 63,
+            _ => return None,
+        };
+        bits = (bits << 6) | u32::from(value);
+        held += 6;
+        if held >= 8 {
+            held -= 8;
+            out.push((bits >> held) as u8);
+            bits &= (1 << held) - 1;
+        }
+    }
+    Some(out)
+}
+
+fn decode_percent(uri: &str) -> String {
+    let (bytes, mut out, mut i) = (uri.as_bytes(), Vec::with_capacity(uri.len()), 0);
+    while i < bytes.len() {
+        let hex = |c: u8| (c as char).to_digit(16).map(|d| d as u8);
+        let escaped =
+            (bytes[i] == b'%' && i + 2 < bytes.len()).then(|| Some(hex(bytes[i + 1])? * 16 + hex(bytes[i + 2])?)).flatten();
+        out.push(escaped.unwrap_or(bytes[i]));
+        i += if escaped.is_some() { 3 } else { 1 };
+    }
+    String::from_utf8_lossy(&out).into_owned()
+}
+
+struct Reader<'a> {
+    document: &'a Document,
+    buffers: Vec<Vec<u8>>,
+}
+
+type Reading<T> = std::result::Result<T, String>;
+
+impl Reader<'_> {
+    /// All triangle primitives of the default scene, in world coordinates.
+    fn parts(&self) -> Reading<Vec<Part>> {
+        let d = self.document;
+        let roots: Vec<usize> = match d.scenes.get(d.scene.unwrap_or(0)) {
+            Some(scene) => scene.nodes.clone(),
+            // no scene: the nodes nobody lists as a child
+            None => {
+                let children: std::collections::BTreeSet<usize> =
+                    d.nodes.iter().flat_map(|n| n.children.iter().copied()).collect();
+                (0..d.nodes.len()).filter(|i| !children.contains(i)).collect()
+            }
+        };
+        let mut parts = Vec::new();
+        let mut visited = 0usize;
+        let mut stack: Vec<(usize, DMat4, usize)> = roots.iter().rev().map(|&n| (n, DMat4::IDENTITY, 0)).collect();
+        while let Some((index, parent, depth)) = stack.pop() {
+            visited += 1;
+            if depth > MAX_DEPTH || visited > MAX_INSTANCES {
+                return Err("the node hierarchy is cyclic or nested too deeply; export the mesh again".into());
+            }
+            let node = d.nodes.get(index).ok_or_else(|| format!("node {index} does not exist; export the mesh again"))?;
+            let world = parent * local_transform(node);
+            stack.extend(node.children.iter().rev().map(|&c| (c, world, depth + 1)));
+            if let Some(m) = node.mesh {
+                let mesh = d.meshes.get(m).ok_or_else(|| format!("mesh {m} does not exist; export the mesh again"))?;
+                for (p, primitive) in mesh.primitives.iter().enumerate() {
+                    let part = self.part(primitive, &world).map_err(|e| format!("mesh {m}, primitive {p}: {e}"))?;
+                    parts.extend(part);
+                }
+            }
+        }
+        Ok(parts)
+    }
+
+    fn part(&self, primitive: &Primitive, world: &DMat4) -> Reading<Option<Part>> {
+        let mode = primitive.mode.unwrap_or(4);
+        if mode < 4 {
+            return Ok(None); // points and lines carry no surface
+        }
+        let position = primitive.attributes.position.ok_or("no POSITION; export the mesh again")?;
+        let positions: Vec<DVec3> =
+            self.floats::<3>(position)?.into_iter().map(|p| world.transform_point3(DVec3::from_array(p))).collect();
+        let of_length = |what: &str, n: usize| -> Reading<()> {
+            if n == positions.len() {
+                Ok(())
+            } else {
+                Err(format!("{n} {what} for {} positions; export the mesh again", positions.len()))
+            }
+        };
+        // normals transform with the inverse transpose; its sign carries mirrorings
+        let normal_matrix = glam::DMat3::from_mat4(*world).inverse().transpose();
+        let normals = match primitive.attributes.normal {
+            Some(a) if normal_matrix.is_finite() => {
+                let n = self.floats::<3>(a)?;
+                of_length("normals", n.len())?;
+                Some(
+                    n.into_iter()
+                        .map(|n| (normal_matrix * DVec3::from_array(n)).normalize_or_zero().as_vec3())
+                        .collect::<Vec<Vec3>>(),
+                )
+            }
+            _ => None,
+        };
+        let uvs = match primitive.attributes.uv {
+            Some(a) => {
+                let uv = self.floats::<2>(a)?;
+                of_length("texture coordinates", uv.len())?;
+                Some(uv.into_iter().map(|[u, v]| Vec2::new(u as f32, v as f32)).collect())
+            }
+            None => None,
+        };
+        let indices = match primitive.indices {
+            Some(a) => self.indices(a)?,
+            None => (0..positions.len() as u32).collect(),
+        };
+        let mut triangles = triangulate(&indices, mode)?;
+        if glam::DMat3::from_mat4(*world).determinant() < 0.0 {
+            triangles.iter_mut().for_each(|t| t.swap(1, 2)); // a mirroring node turns the winding round
+        }
+        Ok(Some(Part { positions, normals, uvs, triangles }))
+    }
+
+    /// The bytes of an accessor's elements: `(bytes from the first element, stride, count)`, checked to lie in the buffer.
+    fn elements(&self, index: usize, size: u64) -> Reading<(&[u8], usize, usize)> {
+        let again = "export the mesh again";
+        let a = self.document.accessors.get(index).ok_or_else(|| format!("accessor {index} does not exist; {again}"))?;
+        if a.sparse.is_some() {
+            return Err(format!("accessor {index} is sparse, which is not supported; export without morph targets"));
+        }
+        let v = a.buffer_view.ok_or_else(|| format!("accessor {index} has no data; {again}"))?;
+        let view = self.document.buffer_views.get(v).ok_or_else(|| format!("buffer view {v} does not exist; {again}"))?;
+        let buffer = self.buffers.get(view.buffer).ok_or_else(|| format!("buffer {} does not exist; {again}", view.buffer))?;
+        let stride = view.byte_stride.unwrap_or(size);
+        let needed = if a.count == 0 {
+            Some(0)
+        } else {
+            (a.count - 1).checked_mul(stride).and_then(|n| n.checked_add(size)).and_then(|n| n.checked_add(a.byte_offset))
+        };
+        let end = view.byte_offset.checked_add(view.byte_length);
+        match (needed, end) {
+            (Some(needed), Some(end)) if needed <= view.byte_length && end <= buffer.len() as u64 && stride >= size => {
+                let begin = (view.byte_offset + a.byte_offset).min(end) as usize;
+                Ok((&buffer[begin..end as usize], stride as usize, a.count as usize))
+            }
+            _ => Err(format!(
+                "accessor {index} claims {} elements, more than its buffer of {} bytes holds; the file is truncated or damaged, {again}",
+                a.count,
+                buffer.len()
+            )),
+        }
+    }
+
+    /// Elements of `N` numbers: floats or (`KHR_mesh_quantization`) integers, normalised where the accessor says so.
+    fn floats<const N: usize>(&self, index: usize) -> Reading<Vec<[f64; N]>> {
+        let a = self
+            .document
+            .accessors
+            .get(index)
+            .ok_or_else(|| format!("accessor {index} does not exist; export the mesh again"))?;
+        let expected = if N == 3 { "VEC3" } else { "VEC2" };
+        if a.shape != expected {
+            return Err(format!("accessor {index} is {}, expected {expected}; export the mesh again", a.shape));
+        }
+        let width = component_size(a.component_type).ok_or_else(|| format!("accessor {index}: unknown component type"))?;
+        let (bytes, stride, count) = self.elements(index, (width * N) as u64)?;
+        let number = |at: usize| component(&bytes[at..at + width], a.component_type, a.normalized);
+        Ok((0..count).map(|i| std::array::from_fn(|k| number(i * stride + k * width))).collect())
+    }
+
+    fn indices(&self, index: usize) -> Reading<Vec<u32>> {
+        let a = self
+            .document
+            .accessors
+            .get(index)
+            .ok_or_else(|| format!("accessor {index} does not exist; export the mesh again"))?;
+        let width = match (a.component_type, a.shape.as_str()) {
+            (5121, "SCALAR") => 1,
+            (5123, "SCALAR") => 2,
+            (5125, "SCALAR") => 4,
+            _ => return Err(format!("accessor {index}: indices must be unsigned integers; export the mesh again")),
+        };
+        let (bytes, stride, count) = self.elements(index, width as u64)?;
+        let word = |at: usize| bytes[at..at + width].iter().rev().fold(0u32, |w, &b| (w << 8) | u32::from(b));
+        Ok((0..count).map(|i| word(i * stride)).collect())
+    }
+}
+
+fn local_transform(node: &Node) -> DMat4 {
+    if let Some(m) = node.matrix {
+        return DMat4::from_cols_array(&m);
+    }
+    let rotation = node.rotation.map_or(DQuat::IDENTITY, |r| {
+        let q = DQuat::from_array(r);
+        if q.length_squared() > 0.0 { q.normalize() } else { DQuat::IDENTITY }
+    });
+    let scale = node.scale.map_or(DVec3::ONE, DVec3::from_array);
+    DMat4::from_scale_rotation_translation(scale, rotation, node.translation.map_or(DVec3::ZERO, DVec3::from_array))
+}
+
+fn component_size(kind: u32) -> Option<usize> {
+    match kind {
+        5120 | 5121 => Some(1),
+        5122 | 5123 => Some(2),
+        5125 | 5126 => Some(4),
+        _ => None,
+    }
+}
+
+fn component(b: &[u8], kind: u32, normalized: bool) -> f64 {
+    let scaled = |v: f64, max: f64| if normalized { (v / max).max(-1.0) } else { v };
+    match (kind, b) {
+        (5120, &[a]) => scaled(f64::from(a as i8), 127.0),
+        (5121, &[a]) => scaled(f64::from(a), 255.0),
+        (5122, &[a, b]) => scaled(f64::from(i16::from_le_bytes([a, b])), 32767.0),
+        (5123, &[a, b]) => scaled(f64::from(u16::from_le_bytes([a, b])), 65535.0),
+        (5125, &[a, b, c, d]) => scaled(f64::from(u32::from_le_bytes([a, b, c, d])), f64::from(u32::MAX)),
+        (5126, &[a, b, c, d]) => f64::from(f32::from_le_bytes([a, b, c, d])),
+        _ => f64::NAN,
+    }
+}
+
+/// Triangles of an index list: mode 4 = list, 5 = strip, 6 = fan.
+fn triangulate(indices: &[u32], mode: u32) -> Reading<Vec<[u32; 3]>> {
+    Ok(match mode {
+        4 if !indices.len().is_multiple_of(3) => {
+            return Err(format!("{} indices are no whole triangles; export the mesh again", indices.len()));
+        }
+        4 => indices.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect(),
+        5 => indices
+            .windows(3)
+            .enumerate()
+            .map(|(i, w)| if i % 2 == 0 { [w[0], w[1], w[2]] } else { [w[1], w[0], w[2]] })
+            .collect(),
+        6 => indices.get(1..).unwrap_or_default().windows(2).map(|w| [indices[0], w[0], w[1]]).collect(),
+        _ => return Err(format!("unknown primitive mode {mode}")),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A `.gltf` of one triangle below two nodes, with the buffer embedded in base64.
+    fn document(count: u64, matrix: &str) -> String {
+        let floats: Vec<u8> = [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|f| f.to_le_bytes()).collect();
+        let text = encode_base64(&floats);
+        format!(
+            r#"{{"asset":{{"version":"2.0"}},"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1],"translation":[10000,0,0]}},{{"mesh":0{matrix}}}],
+            "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":{count},"type":"VEC3"}}],
+            "bufferViews":[{{"buffer":0,"byteLength":36}}],"buffers":[{{"byteLength":36,"uri":"data:application/octet-stream;base64,{text}"}}]}}"#
+        )
+    }
+
+    fn encode_base64(bytes: &[u8]) -> String {
+        const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+        bytes
+            .chunks(3)
+            .flat_map(|c| {
+                let w = c.iter().fold(0u32, |w, &b| (w << 8) | u32::from(b)) << (8 * (3 - c.len()));
+                (0..4).map(move |i| if i <= c.len() { ALPHABET[(w >> (18 - 6 * i)) as usize & 63] as char } else { '=' })
+            })
+            .collect()
+    }
+
+    #[test]
+    fn node_transforms_compose_and_mirroring_keeps_the_outside_outside() {
+        let mesh = mesh_from_gltf(document(3, r#","scale":[-2,1,1]"#).as_bytes(), Path::new("t.gltf")).expect("readable");
+        assert_eq!(mesh.positions, vec![DVec3::new(1e4, 0.0, 0.0), DVec3::new(9998.0, 0.0, 0.0), DVec3::new(1e4, 1.0, 0.0)]);
+        let [a, b, c] = mesh.triangles[0].map(|i| mesh.positions[i as usize]);
+        assert!((b - a).cross(c - a).z > 0.0, "the front still faces +z");
+        assert!(mesh.uvs.is_empty() && mesh.normals.is_empty());
+    }
+
+    #[test]
+    fn counts_beyond_the_bytes_and_cycles_are_errors() {
+        for count in [4, u64::MAX / 2, u64::MAX] {
+            let e = mesh_from_gltf(document(count, "").as_bytes(), Path::new("t.gltf")).expect_err("too many").to_string();
+            assert!(e.contains("t.gltf") && (e.contains("claims") || e.contains("malformed")), "{e}");
+        }
+        let cyclic = document(3, r#","children":[0]"#);
+        assert!(mesh_from_gltf(cyclic.as_bytes(), Path::new("t.gltf")).is_err());
+    }
+
+    #[test]
+    fn every_truncation_and_byte_flip_of_a_glb_is_survived() {
+        let json = document(3, "");
+        let json = format!("{json}{}", " ".repeat((4 - json.len() % 4) % 4));
+        let mut glb = b"glTF\x02\0\0\0".to_vec();
+        glb.extend((20 + json.len() as u32).to_le_bytes());
+        glb.extend((json.len() as u32).to_le_bytes());
+        glb.extend(b"JSON");
+        glb.extend(json.as_bytes());
+        assert!(mesh_from_gltf(&glb, Path::new("t.glb")).is_ok());
+        for n in 0..glb.len() {
+            assert!(mesh_from_gltf(&glb[..n], Path::new("t.glb")).is_err(), "truncated to {n}");
+            for flip in [0x01, 0x80] {
+                let mut damaged = glb.clone();
+                damaged[n] ^= flip;
+                let _ = mesh_from_gltf(&damaged, Path::new("t.glb"));
+            }
+        }
+    }
+
+    #[test]
+    fn strips_and_fans_become_triangles() {
+        assert_eq!(triangulate(&[0, 1, 2, 3], 5), Ok(vec![[0, 1, 2], [2, 1, 3]]));
+        assert_eq!(triangulate(&[0, 1, 2, 3], 6), Ok(vec![[0, 1, 2], [0, 2, 3]]));
+        assert!(triangulate(&[0, 1], 4).is_err());
+        assert_eq!(triangulate(&[], 6), Ok(vec![]));
+    }
+}

@@ -1,0 +1,326 @@
+//! Loading a scene folder: every problem of every file is collected before anything is refused.
+
+use super::mesh_prep::prepare_mesh;
+use super::transforms::{Frame, Model, Transforms, parse_transforms};
+use super::{Class, LoadOptions, Scene, Split, View, rooms};
+use crate::formats::{self, ImageInfo};
+use crate::geometry::{Camera, Lens, Projection};
+use crate::{Error, Result};
+use glam::DVec3;
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+impl Scene {
+    /// Loads and validates the scene in a folder (or described by a JSON file given directly).
+    ///
+    /// Pixels are not decoded, only the image headers are read; class ids are gathered from the label images if the file
+    /// declares none. All problems are reported at once as [`Error::Inputs`].
+    pub fn load(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Self> {
+        let path = path.as_ref();
+        let file = if path.is_dir() { path.join("transforms.json") } else { path.to_path_buf() };
+        let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
+        let transforms = read_transforms(&file).map_err(|e| limited(e, options.max_issues))?;
+
+        let mut issues = Vec::new();
+        let mut warnings = Vec::new();
+        let splits = splits(&transforms, &file, &mut issues, &mut warnings);
+        check_stems(&transforms.frames, &file, &mut issues);
+        let mesh_path = folder.join(&transforms.mesh_path);
+        let mesh = formats::read_mesh(&mesh_path).and_then(|raw| prepare_mesh(raw, &mesh_path, transforms.z_up, options));
+        let origin = mesh.as_ref().map_or(DVec3::ZERO, |m| m.1);
+        let checked: Vec<_> = transforms
+            .frames
+            .par_iter()
+            .zip(&splits)
+            .filter_map(|(f, s)| s.map(|s| view(f, s, &folder, origin, options)))
+            .collect();
+        let mut views = Vec::new();
+        for result in checked {
+            match result {
+                Ok(v) => views.push(v),
+                Err(e) => issues.extend(e),
+            }
+        }
+        let classes_declared = transforms.classes.is_some();
+        let classes = match transforms.classes {
+            Some(c) => c,
+            None => derived_classes(&views, &mut issues),
+        };
+        let rooms = transforms
+            .rooms_path
+            .as_ref()
+            .and_then(|p| rooms::read_rooms(&folder.join(p), origin).map_err(|e| issues.push(e)).ok());
+        let (mesh, origin, mesh_stats) = match mesh {
+            Ok(m) => m,
+            Err(e) => {
+                issues.insert(0, e);
+                return Err(limited(issues, options.max_issues));
+            }
+        };
+        if !issues.is_empty() {
+            return Err(limited(issues, options.max_issues));
+        }
+        let scene = Self {
+            folder,
+            origin,
+            mesh,
+            classes,
+            views,
+            rooms,
+            classes_declared,
+            mesh_stats,
+            warnings,
+            options: options.clone(),
+        };
+        Ok(scene.with_mesh_warnings(&mesh_path))
+    }
+
+    /// Adds what a user should know about geometry and cameras although the scene is usable.
+    fn with_mesh_warnings(mut self, mesh_path: &Path) -> Self {
+        let s = &self.mesh_stats;
+        let name = mesh_path.display();
+        let mut notes = Vec::new();
+        if s.degenerate > 0 {
+            notes.push(format!("{name}: {} of {} triangles have no area and are left out", s.degenerate, s.file_triangles));
+        }
+        if s.normals_computed > 0 {
+            notes
+                .push(format!("{name}: normals of {} vertices were missing and are computed from the faces", s.normals_computed));
+        }
+        if let Some(u) = &s.unwrapped {
+            notes.push(format!("{name}: no atlas given; unwrapped into {} charts, {:.0} % filled", u.charts, 100.0 * u.fill));
+        }
+        if s.without_texels > 0 {
+            notes.push(format!("{name}: {} triangles have no area in the atlas and get no texels", s.without_texels));
+        }
+        if s.overlapping_texels > 0 {
+            notes.push(format!(
+                "{name}: {} of {} texels (at 2048²) are claimed by several triangles, whose materials get mixed; pass --unwrap for a new atlas",
+                s.overlapping_texels, s.covered_texels
+            ));
+        }
+        let (lo, hi) = self.mesh.bounds();
+        let outside: Vec<&str> = self
+            .views
+            .iter()
+            .filter(|v| v.camera.position.cmplt(lo).any() || v.camera.position.cmpgt(hi).any())
+            .map(|v| v.stem.as_str())
+            .collect();
+        if !outside.is_empty() {
+            notes.push(format!(
+                "{} of {} cameras lie outside the mesh's bounding box (first: {}); are mesh and poses in the same coordinates and metres? up_axis \"z\" turns both",
+                outside.len(),
+                self.views.len(),
+                outside[0]
+            ));
+        }
+        self.warnings.extend(notes);
+        self
+    }
+}
+
+fn read_transforms(file: &Path) -> std::result::Result<Transforms, Vec<Error>> {
+    let bytes = std::fs::read(file).map_err(|e| {
+        vec![Error::input(file, format!("cannot be read: {e}; give a scene folder that holds transforms.json, or such a file"))]
+    })?;
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
+    let text = std::str::from_utf8(bytes)
+        .map_err(|e| vec![Error::input(file, format!("byte {} is not UTF-8; save the file as UTF-8 JSON", e.valid_up_to()))])?;
+    parse_transforms(text).map_err(|issues| issues.into_iter().map(|m| Error::input(file, m)).collect())
+}
+
+/// One error for many, the first `max` of them in full.
+fn limited(mut issues: Vec<Error>, max: usize) -> Error {
+    let max = max.max(1);
+    if issues.len() > max {
+        let more = issues.len() - max;
+        issues.truncate(max);
+        issues.push(Error::Usage(format!("and {more} more problems of input; mend these first")));
+    }
+    Error::Inputs(issues)
+}
+
+/// The split of every frame; `None` for frames neither list names.
+fn splits(t: &Transforms, file: &Path, issues: &mut Vec<Error>, warnings: &mut Vec<String>) -> Vec<Option<Split>> {
+    let mut fail = |m: String| issues.push(Error::input(file, m));
+    let plain = |s: &str| s.strip_prefix("./").unwrap_or(s).to_owned();
+    let known: BTreeSet<String> = t.frames.iter().map(|f| plain(&f.file_path)).collect();
+    let mut listed = |list: &Option<Vec<String>>, key: &str| -> Option<BTreeSet<String>> {
+        let names: BTreeSet<String> = list.as_ref()?.iter().map(|s| plain(s)).collect();
+        for missing in names.difference(&known) {
+            fail(format!("{key}: \"{missing}\" is no frame's file_path; write the names exactly as in frames"));
+        }
+        Some(names)
+    };
+    let (train, test) = (listed(&t.train, "train_filenames"), listed(&t.test, "test_filenames"));
+    match (&train, &test) {
+        (Some(names), _) if names.is_empty() => fail("train_filenames: empty; name at least one training image".into()),
+        (None, Some(_)) => {
+            fail("test_filenames without train_filenames: no image to reconstruct from; add train_filenames".into())
+        }
+        (Some(a), Some(b)) => {
+            for both in a.intersection(b) {
+                fail(format!("\"{both}\" is in train_filenames and test_filenames; leave it in one of them"));
+            }
+        }
+        _ => {}
+    }
+    let split: Vec<Option<Split>> = t
+        .frames
+        .iter()
+        .map(|f| {
+            let name = plain(&f.file_path);
+            match (&train, &test) {
+                (None, _) => Some(Split::Train),
+                (Some(a), _) if a.contains(&name) => Some(Split::Train),
+                (_, Some(b)) if b.contains(&name) => Some(Split::Test),
+                _ => None,
+            }
+        })
+        .collect();
+    let unused = split.iter().filter(|s| s.is_none()).count();
+    if unused > 0 {
+        warnings.push(format!("{unused} frames are in neither train_filenames nor test_filenames and are not used"));
+    }
+    split
+}
+
+/// File stems name everything written for a view, so each may occur once.
+fn check_stems(frames: &[Frame], file: &Path, issues: &mut Vec<Error>) {
+    let mut seen: BTreeMap<String, &Frame> = BTreeMap::new();
+    for f in frames {
+        let Some(stem) = stem(&f.file_path) else {
+            issues.push(Error::input(file, format!("frames[{}].file_path: \"{}\" names no file", f.index, f.file_path)));
+            continue;
+        };
+        if let Some(first) = seen.insert(stem.clone(), f) {
+            issues.push(Error::input(
+                file,
+                format!(
+                    "frames[{}] ({}) and frames[{}] ({}) share the file stem \"{stem}\", which names their outputs; rename one",
+                    first.index, first.file_path, f.index, f.file_path
+                ),
+            ));
+        }
+    }
+}
+
+fn stem(path: &str) -> Option<String> {
+    Some(Path::new(path).file_stem()?.to_str()?.to_owned())
+}
+
+/// Checks a frame's files by their headers.
+fn view(f: &Frame, split: Split, folder: &Path, origin: DVec3, options: &LoadOptions) -> std::result::Result<View, Vec<Error>> {
+    let image_path = folder.join(&f.file_path);
+    let mut issues = Vec::new();
+    let info = match formats::image_info(&image_path) {
+        Ok(i) => Some(i),
+        Err(e) => {
+            issues.push(as_input(e, &image_path, &format!("frames[{}]", f.index)));
+            None
+        }
+    };
+    if info.as_ref().is_some_and(|i| !i.format.is_linear()) && !options.ldr {
+        issues.push(Error::input(
+            &image_path,
+            "display-referred image: its values are not proportional to light. Give EXR or Radiance HDR, or pass --ldr to treat it as sRGB",
+        ));
+    }
+    if let Some(i) = &info {
+        if let Some([w, h]) = f.size.filter(|s| *s != [i.width, i.height]) {
+            issues.push(Error::input(
+                &image_path,
+                format!(
+                    "the image is {}x{}, transforms.json says {w}x{h} for frames[{}]; correct w and h or the image",
+                    i.width, i.height, f.index
+                ),
+            ));
+        } else if f.model == Model::Equirectangular && i.width != 2 * i.height {
+            issues.push(Error::input(
+                &image_path,
+                format!("{}x{} is no full panorama; EQUIRECTANGULAR needs a width of twice the height", i.width, i.height),
+            ));
+        }
+    }
+    let side_file = |path: &Option<String>, what: &str, issues: &mut Vec<Error>| -> Option<PathBuf> {
+        let path = folder.join(path.as_ref()?);
+        match (formats::image_info(&path), &info) {
+            (Err(e), _) => issues.push(as_input(e, &path, &format!("frames[{}]", f.index))),
+            (Ok(side), Some(image)) if !same_aspect(&side, image) => issues.push(Error::input(
+                &path,
+                format!(
+                    "the {what} image is {}x{}, its photograph {}x{}; any resolution will do, but the aspect must be the same",
+                    side.width, side.height, image.width, image.height
+                ),
+            )),
+            _ => {}
+        }
+        Some(path)
+    };
+    let label_path = side_file(&f.label_path, "label", &mut issues);
+    let mask_path = side_file(&f.mask_path, "mask", &mut issues);
+    let (Some(info), Some(stem), true) = (info, stem(&f.file_path), issues.is_empty()) else {
+        return Err(issues);
+    };
+    let camera = camera(f, &info, origin);
+    Ok(View { stem, camera, image_path, label_path, mask_path, exposure_ev: f.exposure_ev, split })
+}
+
+fn camera(f: &Frame, info: &ImageInfo, origin: DVec3) -> Camera {
+    let projection = match f.model {
+        Model::Equirectangular => Projection::Equirectangular,
+        Model::Pinhole(i) => {
+            let [cx, cy] = i.centre.unwrap_or([0.5 * info.width as f64, 0.5 * info.height as f64]);
+            Projection::Pinhole(Lens {
+                fl_x: i.focal[0] as f32,
+                fl_y: i.focal[1] as f32,
+                cx: cx as f32,
+                cy: cy as f32,
+                k: i.k.map(|x| x as f32),
+                p: i.p.map(|x| x as f32),
+            })
+        }
+    };
+    Camera {
+        projection,
+        width: info.width,
+        height: info.height,
+        world_from_camera: f.rotation.as_mat3(),
+        position: (f.position - origin).as_vec3(),
+    }
+}
+
+/// Whether two sizes show the same aspect to within one pixel of the smaller.
+fn same_aspect(a: &ImageInfo, b: &ImageInfo) -> bool {
+    let (aw, ah, bw, bh) = (a.width as f64, a.height as f64, b.width as f64, b.height as f64);
+    let expected = aw * bh / bw;
+    (expected - ah).abs() <= 0.5 + 1e-9 || (ah * bw / bh - aw).abs() <= 0.5 + 1e-9
+}
+
+/// Reading input failed: exit code 2 and the place that named the file, whatever layer noticed.
+pub(super) fn as_input(e: Error, path: &Path, place: &str) -> Error {
+    match e {
+        Error::Input { path, message } => Error::Input { path, message: format!("{message} (named by {place})") },
+        Error::Io { path, source } => Error::Input { path, message: format!("{source}; the file is named by {place}") },
+        e @ (Error::Native(_) | Error::Failed(_)) => Error::input(path, format!("{e} (named by {place})")),
+        e => e,
+    }
+}
+
+/// Classes of a scene that declares none: every id in the label images.
+fn derived_classes(views: &[View], issues: &mut Vec<Error>) -> Vec<Class> {
+    let found: Vec<Result<BTreeSet<u16>>> = views
+        .par_iter()
+        .filter_map(|v| v.label_path.as_ref())
+        .map(|p| Ok(formats::read_labels(p).map_err(|e| as_input(e, p, "label_path"))?.data.into_iter().collect()))
+        .collect();
+    let mut ids = BTreeSet::new();
+    for f in found {
+        match f {
+            Ok(f) => ids.extend(f),
+            Err(e) => issues.push(e),
+        }
+    }
+    ids.into_iter().filter(|&id| id > 0).map(|id| Class { id, name: format!("class {id}"), is_light: false }).collect()
+}

@@ -1,0 +1,363 @@
+//! From a file's mesh to a usable one: finite, with area, with unit normals and with one atlas, relative to the scene's centre.
+
+use super::unwrap::{UnwrapStats, unwrap_mesh};
+use super::{LoadOptions, transforms::y_up_from_z_up};
+use crate::formats::RawMesh;
+use crate::geometry::Mesh;
+use crate::{Error, Result};
+use glam::{DVec3, Vec2, Vec3};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// What was found and done while a mesh was made usable.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct MeshStats {
+    /// Triangles in the file.
+    pub file_triangles: usize,
+    /// Triangles without area, kept out.
+    pub degenerate: usize,
+    /// Triangles with area whose texture coordinates have none: they get no texels.
+    pub without_texels: usize,
+    /// The file had no normals, or some were zero: they were computed from the faces.
+    pub normals_computed: usize,
+    /// Texels of a 2048² atlas covered by at least one triangle.
+    pub covered_texels: usize,
+    /// Texels of a 2048² atlas claimed by more than one triangle.
+    pub overlapping_texels: usize,
+    /// Present if the program made the atlas itself.
+    pub unwrapped: Option<UnwrapStats>,
+}
+
+/// Side of the atlas on which overlaps are counted.
+const OVERLAP_SIDE: usize = 2048;
+/// Texture coordinates this far outside [0, 1] are rounding and clamped.
+const UV_SLACK: f32 = 1e-3;
+/// A triangle whose height is this small against its longest edge has no direction in f32.
+const DEGENERATE: f32 = 1e-7;
+/// Faces meeting at a flatter angle share a computed normal; sharper edges stay sharp.
+const CREASE_DEGREES: f32 = 40.0;
+
+/// Validates and completes a mesh; returns it with its origin (file coordinates, y-up) and what was done.
+pub fn prepare_mesh(mut raw: RawMesh, path: &Path, z_up: bool, options: &LoadOptions) -> Result<(Mesh, DVec3, MeshStats)> {
+    let fail = |m: String| Error::input(path, m);
+    let mut stats = MeshStats { file_triangles: raw.triangles.len(), ..MeshStats::default() };
+    if raw.triangles.is_empty() {
+        return Err(fail("no triangles; export the mesh with its faces".into()));
+    }
+    let count = raw.positions.len();
+    if let Some((t, i)) =
+        raw.triangles.iter().enumerate().find_map(|(t, c)| c.iter().find(|&&i| i as usize >= count).map(|&i| (t, i)))
+    {
+        return Err(fail(format!("triangle {t} uses vertex {i}, but there are {count} vertices; export the mesh again")));
+    }
+    if z_up {
+        let turn = y_up_from_z_up();
+        raw.positions.iter_mut().for_each(|p| *p = turn * *p);
+        let turn = turn.as_mat3();
+        raw.normals.iter_mut().for_each(|n| *n = turn * *n);
+    }
+    let used = used_vertices(&raw.triangles, count);
+    let bad: Vec<usize> = (0..count).filter(|&i| used[i] && !raw.positions[i].is_finite()).collect();
+    if let Some(first) = bad.first() {
+        return Err(fail(format!(
+            "{} of {count} vertices are NaN or infinite (first: vertex {first}); repair the mesh",
+            bad.len()
+        )));
+    }
+    let origin = centre(&raw, &used).map_err(fail)?;
+
+    let mut mesh = Mesh {
+        positions: raw.positions.iter().map(|p| (*p - origin).as_vec3()).collect(),
+        normals: raw.normals,
+        uvs: raw.uvs,
+        triangles: raw.triangles,
+    };
+    mesh.triangles = {
+        let kept: Vec<[u32; 3]> = (0..mesh.triangles.len()).filter(|&t| has_area(&mesh, t)).map(|t| mesh.triangles[t]).collect();
+        stats.degenerate = stats.file_triangles - kept.len();
+        kept
+    };
+    if mesh.triangles.is_empty() {
+        return Err(fail(format!(
+            "none of the {} triangles has an area; expected a surface in metres. Check the export",
+            stats.file_triangles
+        )));
+    }
+    compact(&mut mesh);
+    stats.normals_computed = complete_normals(&mut mesh);
+    if mesh.uvs.is_empty() || options.unwrap {
+        let (unwrapped, made) = unwrap_mesh(&mesh, options.unwrap_resolution, options.unwrap_padding).map_err(fail)?;
+        mesh = unwrapped;
+        stats.unwrapped = Some(made);
+    } else {
+        clamp_uvs(&mut mesh).map_err(fail)?;
+    }
+    stats.without_texels = (0..mesh.triangles.len())
+        .filter(|&t| {
+            let [a, b, c] = mesh.corner_uvs(t);
+            (b - a).perp_dot(c - a) == 0.0
+        })
+        .count();
+    (stats.covered_texels, stats.overlapping_texels) = atlas_overlap(&mesh, OVERLAP_SIDE);
+    Ok((mesh, origin, stats))
+}
+
+fn used_vertices(triangles: &[[u32; 3]], count: usize) -> Vec<bool> {
+    let mut used = vec![false; count];
+    triangles.iter().flatten().for_each(|&i| used[i as usize] = true);
+    used
+}
+
+/// Centre of the bounding box of the vertices in use.
+fn centre(raw: &RawMesh, used: &[bool]) -> std::result::Result<DVec3, String> {
+    let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for (p, _) in raw.positions.iter().zip(used).filter(|(_, u)| **u) {
+        lo = lo.min(*p);
+        hi = hi.max(*p);
+    }
+    let size = (hi - lo).max_element();
+    if lo.abs().max(hi.abs()).max_element() > 1e9 || size > 1e7 {
+        return Err(format!(
+            "the mesh spans {lo} to {hi}; expected a scene in metres (at most 10,000 km wide, within 1e9 m of the origin)"
+        ));
+    }
+    Ok(0.5 * (lo + hi))
+}
+
+fn has_area(mesh: &Mesh, t: usize) -> bool {
+    let [a, b, c] = mesh.corners(t);
+    let longest = (b - a).length_squared().max((c - a).length_squared()).max((c - b).length_squared());
+    let double_area = (b - a).cross(c - a).length();
+    double_area > DEGENERATE * longest && mesh.face_normal(t) != Vec3::ZERO
+}
+
+/// Drops vertices no triangle uses, keeping the order.
+fn compact(mesh: &mut Mesh) {
+    let used = used_vertices(&mesh.triangles, mesh.positions.len());
+    if used.iter().all(|&u| u) {
+        return;
+    }
+    let mut target = vec![0u32; used.len()];
+    let mut next = 0;
+    for (t, _) in target.iter_mut().zip(&used).filter(|(_, u)| **u) {
+        *t = next;
+        next += 1;
+    }
+    let keep = |i: usize| used.get(i).copied().unwrap_or(false);
+    let mut i = 0;
+    mesh.positions.retain(|_| (keep(i), i += 1).0);
+    i = 0;
+    mesh.normals.retain(|_| (keep(i), i += 1).0);
+    i = 0;
+    mesh.uvs.retain(|_| (keep(i), i += 1).0);
+    mesh.triangles.iter_mut().for_each(|t| *t = t.map(|v| target[v as usize]));
+}
+
+/// Makes every normal a unit vector; returns how many vertices got a computed one.
+fn complete_normals(mesh: &mut Mesh) -> usize {
+    if mesh.normals.len() != mesh.positions.len() {
+        split_at_creases(mesh);
+        return mesh.positions.len();
+    }
+    let mut computed = None;
+    let mut count = 0;
+    for i in 0..mesh.normals.len() {
+        let n = mesh.normals[i];
+        mesh.normals[i] = match n.try_normalize().filter(|n| n.is_finite()) {
+            Some(unit) => unit,
+            None => {
+                count += 1;
+                let fallback: &Vec<Vec3> = computed.get_or_insert_with(|| {
+                    let mut m = mesh.clone();
+                    m.compute_normals();
+                    m.normals
+                });
+                fallback[i]
+            }
+        };
+    }
+    count
+}
+
+/// Computes normals that are smooth over flat edges and sharp over creases, duplicating vertices along creases.
+///
+/// A plain vertex mean would round off every corner of a room whose walls share vertices, and with it the light on them.
+fn split_at_creases(mesh: &mut Mesh) {
+    let bits = |p: Vec3| p.to_array().map(|x| (x + 0.0).to_bits()); // + 0.0 joins -0 and 0
+    let mut around: BTreeMap<[u32; 3], Vec<u32>> = BTreeMap::new();
+    for (t, corners) in mesh.triangles.iter().enumerate() {
+        for &v in corners {
+            around.entry(bits(mesh.positions[v as usize])).or_default().push(t as u32);
+        }
+    }
+    let double_areas: Vec<Vec3> = (0..mesh.triangles.len()).map(|t| mesh.double_area_normal(t)).collect();
+    let limit = CREASE_DEGREES.to_radians().cos();
+    let mut made: BTreeMap<(u32, [u32; 3]), u32> = BTreeMap::new();
+    let (mut positions, mut normals, mut uvs) = (Vec::new(), Vec::new(), Vec::new());
+    for t in 0..mesh.triangles.len() {
+        let own = double_areas[t].normalize_or_zero();
+        for k in 0..3 {
+            let v = mesh.triangles[t][k];
+            let p = mesh.positions[v as usize];
+            let faces = &around[&bits(p)];
+            // a vertex shared by thousands of faces (a fan's hub) would cost the square of that: its own face must do
+            let sum: Vec3 = if faces.len() > 256 {
+                own
+            } else {
+                faces.iter().map(|&f| double_areas[f as usize]).filter(|n| n.normalize_or_zero().dot(own) >= limit).sum()
+            };
+            let normal = sum.normalize_or(own);
+            let next = positions.len() as u32;
+            let index = *made.entry((v, bits(normal))).or_insert(next);
+            if index == next {
+                positions.push(p);
+                normals.push(normal);
+                uvs.extend(mesh.uvs.get(v as usize));
+            }
+            mesh.triangles[t][k] = index;
+        }
+    }
+    (mesh.positions, mesh.normals, mesh.uvs) = (positions, normals, uvs);
+}
+
+/// Brings texture coordinates into [0, 1] where only rounding left it, or says why the atlas cannot be used.
+fn clamp_uvs(mesh: &mut Mesh) -> std::result::Result<(), String> {
+    if let Some(i) = mesh.uvs.iter().position(|t| !t.is_finite()) {
+        return Err(format!(
+            "vertex {i} has a NaN or infinite texture coordinate; export again, or pass --unwrap to let unbake make the atlas"
+        ));
+    }
+    let outside = |t: &Vec2| t.min_element() < -UV_SLACK || t.max_element() > 1.0 + UV_SLACK;
+    if let Some(i) = mesh.uvs.iter().position(outside) {
+        let n = mesh.uvs.iter().filter(|t| outside(t)).count();
+        return Err(format!(
+            "{n} of {} texture coordinates lie outside [0, 1] (first: vertex {i} at {}): the texture repeats, so that places share texels. Expected one atlas; \
+             unwrap the mesh, or pass --unwrap to let unbake do it",
+            mesh.uvs.len(),
+            mesh.uvs[i]
+        ));
+    }
+    mesh.uvs.iter_mut().for_each(|t| *t = t.clamp(Vec2::ZERO, Vec2::ONE));
+    Ok(())
+}
+
+/// Texels of a `side`² atlas whose centre lies strictly inside at least one, and inside more than one triangle.
+///
+/// Strictly inside, by a thousandth of a texel, so that triangles sharing an edge do not count as overlapping.
+#[must_use]
+pub fn atlas_overlap(mesh: &Mesh, side: usize) -> (usize, usize) {
+    const MARGIN: f64 = 1e-3;
+    let mut hits = vec![0u8; side * side];
+    for t in 0..mesh.triangles.len() {
+        let corners = mesh.corner_uvs(t).map(|p| p.as_dvec2() * side as f64 - 0.5);
+        let (lo, hi) = (corners[0].min(corners[1]).min(corners[2]), corners[0].max(corners[1]).max(corners[2]));
+        let (first, last) = ((lo.y + MARGIN).ceil().max(0.0) as usize, (hi.y - MARGIN).floor().min(side as f64 - 1.0));
+        if !(last >= 0.0) {
+            continue;
+        }
+        for row in first..=last as usize {
+            let y = row as f64;
+            let (mut x0, mut x1) = (f64::INFINITY, f64::NEG_INFINITY);
+            for k in 0..3 {
+                let (a, b) = (corners[k], corners[(k + 1) % 3]);
+                if (a.y <= y) != (b.y <= y) {
+                    let x = a.x + (b.x - a.x) * ((y - a.y) / (b.y - a.y));
+                    (x0, x1) = (x0.min(x), x1.max(x));
+                }
+            }
+            let (begin, end) = ((x0 + MARGIN).ceil().max(0.0), (x1 - MARGIN).floor().min(side as f64 - 1.0));
+            if end >= begin {
+                hits[row * side + begin as usize..=row * side + end as usize].iter_mut().for_each(|h| *h = h.saturating_add(1));
+            }
+        }
+    }
+    (hits.iter().filter(|&&h| h > 0).count(), hits.iter().filter(|&&h| h > 1).count())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A unit cube with shared corners and no normals, moved by `offset`.
+    fn cube(offset: DVec3) -> RawMesh {
+        let positions = (0..8).map(|i| DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64) + offset).collect();
+        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let triangles = quads.iter().flat_map(|q: &[u32; 4]| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect();
+        RawMesh { positions, triangles, ..RawMesh::default() }
+    }
+
+    fn prepare(raw: RawMesh) -> Result<(Mesh, DVec3, MeshStats)> {
+        prepare_mesh(raw, Path::new("m.obj"), false, &LoadOptions { unwrap_resolution: 256, ..LoadOptions::default() })
+    }
+
+    #[test]
+    fn computed_normals_keep_a_cube_sharp() {
+        let (mesh, _, stats) = prepare(cube(DVec3::ZERO)).expect("usable");
+        for t in 0..mesh.triangles.len() {
+            for v in mesh.triangles[t] {
+                assert!(mesh.normals[v as usize].dot(mesh.face_normal(t)) > 0.9999);
+            }
+        }
+        assert!(stats.normals_computed > 0 && stats.unwrapped.is_some());
+        assert_eq!(stats.overlapping_texels, 0);
+    }
+
+    #[test]
+    fn ten_kilometres_away_the_relative_coordinates_are_the_same() {
+        let (near, near_origin, _) = prepare(cube(DVec3::new(0.3, 0.2, 0.1))).expect("usable");
+        let (far, far_origin, _) = prepare(cube(DVec3::new(10_000.3, 0.2, -9_999.9))).expect("usable");
+        assert!((far_origin - near_origin - DVec3::new(1e4, 0.0, -1e4)).length() < 1e-9);
+        for (a, b) in near.positions.iter().zip(&far.positions) {
+            assert!((*a - *b).length() < 1e-6, "{a} {b}");
+        }
+        assert_eq!(near.triangles, far.triangles);
+    }
+
+    #[test]
+    fn unusable_meshes_say_why() {
+        let mut nan = cube(DVec3::ZERO);
+        nan.positions[3].y = f64::NAN;
+        let mut range = cube(DVec3::ZERO);
+        range.triangles[2][1] = 99;
+        let mut flat = cube(DVec3::ZERO);
+        flat.positions.iter_mut().for_each(|p| *p = DVec3::new(p.x, p.x, p.x));
+        let mut tiled = cube(DVec3::ZERO);
+        tiled.uvs = vec![Vec2::new(3.0, 0.5); 8];
+        let mut huge = cube(DVec3::ZERO);
+        huge.positions[0].x = 1e300;
+        for (raw, expected) in [
+            (nan, "vertex 3"),
+            (range, "vertex 99"),
+            (flat, "has an area"),
+            (tiled, "--unwrap"),
+            (huge, "metres"),
+            (RawMesh::default(), "no triangles"),
+        ] {
+            let e = prepare(raw).expect_err(expected);
+            assert!(e.to_string().starts_with("m.obj:") && e.to_string().contains(expected) && e.exit_code() == 2, "{e}");
+        }
+    }
+
+    #[test]
+    fn degenerate_triangles_and_their_vertices_are_kept_out() {
+        let mut raw = cube(DVec3::ZERO);
+        raw.positions.push(DVec3::new(f64::NAN, 0.0, 0.0)); // unused
+        raw.triangles.push([0, 0, 1]);
+        raw.triangles.insert(0, [0, 7, 7]);
+        let (mesh, origin, stats) = prepare(raw).expect("usable");
+        assert_eq!((mesh.triangles.len(), stats.degenerate), (12, 2));
+        assert_eq!(origin, DVec3::splat(0.5));
+        assert!(mesh.positions.iter().chain(&mesh.normals).all(|p| p.is_finite()));
+    }
+
+    #[test]
+    fn overlap_counts_shared_texels_but_not_shared_edges() {
+        let uvs = vec![Vec2::ZERO, Vec2::new(0.5, 0.0), Vec2::new(0.5, 0.5), Vec2::new(0.0, 0.5)];
+        let mut mesh =
+            Mesh { positions: vec![Vec3::ZERO; 4], normals: vec![Vec3::Y; 4], uvs, triangles: vec![[0, 1, 2], [0, 2, 3]] };
+        let (covered, shared) = atlas_overlap(&mesh, 64);
+        assert!(covered >= 32 * 32 - 32 && covered <= 32 * 32 && shared == 0, "{covered} {shared}");
+        mesh.triangles.push([1, 3, 0]);
+        assert!(atlas_overlap(&mesh, 64).1 > 400);
+    }
+}

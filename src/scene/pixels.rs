@@ -1,0 +1,156 @@
+//! Pixels of a view on demand: radiance, class ids and masks, checked as they are read.
+
+use super::load::as_input;
+use super::{Scene, View};
+use crate::formats;
+use crate::image::{Plane, RgbPlane};
+use crate::{Error, Result};
+use glam::{Vec2, Vec3};
+use std::path::Path;
+
+/// What was mended while an image was read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct PixelStats {
+    /// NaN or infinite pixels set to black; only under a mask or with `clamp_nan`.
+    pub not_finite: usize,
+    /// Pixels with a negative channel, which was set to 0 (ringing of a resampling filter, as a rule).
+    pub negative: usize,
+}
+
+impl Scene {
+    /// The view's radiance, exposure applied. NaN and infinite pixels are an error unless masked (see [`Scene::load_mask`]).
+    pub fn load_radiance(&self, view: &View) -> Result<RgbPlane> {
+        self.load_radiance_with_stats(view).map(|(image, _)| image)
+    }
+
+    /// [`Scene::load_radiance`] with a count of what was mended.
+    pub fn load_radiance_with_stats(&self, view: &View) -> Result<(RgbPlane, PixelStats)> {
+        let path = &view.image_path;
+        let mut image = self.read_image(view)?;
+        let gain = view.exposure_ev.exp2();
+        let mut stats = PixelStats::default();
+        let mut bad = Vec::new();
+        for (i, p) in image.data.iter_mut().enumerate() {
+            let scaled = *p * gain;
+            if !scaled.is_finite() {
+                if p.is_finite() {
+                    let (x, y) = (i % image.width, i / image.width);
+                    return Err(Error::input(
+                        path,
+                        format!("pixel (column {x}, row {y}) overflows at exposure_ev {}; lower exposure_ev", view.exposure_ev),
+                    ));
+                }
+                bad.push(i);
+                *p = Vec3::ZERO;
+                continue;
+            }
+            stats.negative += usize::from(scaled.min_element() < 0.0);
+            *p = scaled.max(Vec3::ZERO);
+        }
+        if !bad.is_empty() && !self.options.clamp_nan {
+            let mask = self.read_mask(view)?;
+            let seen: Vec<usize> = bad.iter().copied().filter(|&i| mask.as_ref().is_none_or(|m| m.data[i])).collect();
+            if let Some(first) = seen.first() {
+                let (n, x, y) = (seen.len(), first % image.width, first / image.width);
+                return Err(Error::input(
+                    path,
+                    format!(
+                        "{n} of {} pixels are NaN or infinite (first at column {x}, row {y}); mend the image, mask them, or pass --clamp-nan to ignore them",
+                        image.data.len()
+                    ),
+                ));
+            }
+        }
+        stats.not_finite = bad.len();
+        Ok((image, stats))
+    }
+
+    /// The view's class ids at the resolution of the file; `None` without labels. 0 is unlabelled.
+    pub fn load_labels(&self, view: &View) -> Result<Option<Plane<u16>>> {
+        let Some(path) = &view.label_path else { return Ok(None) };
+        let labels = formats::read_labels(path).map_err(|e| as_input(e, path, "label_path"))?;
+        same_aspect_as_image(labels.width, labels.height, view, path, "label")?;
+        if self.classes_declared {
+            let known = self.known_ids();
+            if let Some(i) = labels.data.iter().position(|&id| !known[id as usize]) {
+                let (id, x, y) = (labels.data[i], i % labels.width, i / labels.width);
+                let n = labels.data.iter().filter(|&&id| !known[id as usize]).count();
+                return Err(Error::input(
+                    path,
+                    format!(
+                        "class id {id} (column {x}, row {y}; {n} pixels with undeclared ids) is not in classes; declare {{\"id\": {id}, ...}} in \
+                         transforms.json, paint the pixels 0, or remove classes altogether"
+                    ),
+                ));
+            }
+        }
+        Ok(Some(labels))
+    }
+
+    /// Which pixels of the view may be used (`true`), at the image's size; `None` if all may.
+    ///
+    /// Joins the mask file and, with `clamp_nan`, the pixels that are not finite.
+    pub fn load_mask(&self, view: &View) -> Result<Option<Plane<bool>>> {
+        let mask = self.read_mask(view)?;
+        if !self.options.clamp_nan {
+            return Ok(mask);
+        }
+        let image = self.read_image(view)?;
+        if image.data.iter().all(|p| p.is_finite()) {
+            return Ok(mask);
+        }
+        let mut mask = mask.unwrap_or_else(|| Plane::filled(image.width, image.height, true));
+        for (m, p) in mask.data.iter_mut().zip(&image.data) {
+            *m &= p.is_finite();
+        }
+        Ok(Some(mask))
+    }
+
+    /// Whether each possible id is declared; 0 always is.
+    fn known_ids(&self) -> Vec<bool> {
+        let mut known = vec![false; 1 << 16];
+        known[0] = true;
+        self.classes.iter().for_each(|c| known[c.id as usize] = true);
+        known
+    }
+
+    fn read_image(&self, view: &View) -> Result<RgbPlane> {
+        let path = &view.image_path;
+        let linear = formats::image_info(path).map(|i| i.format.is_linear());
+        let image = match linear {
+            Ok(false) if self.options.ldr => formats::read_ldr(path),
+            _ => formats::read_rgb(path),
+        };
+        let image = image.map_err(|e| as_input(e, path, "file_path"))?;
+        if (image.width, image.height) != (view.camera.width, view.camera.height) {
+            return Err(Error::input(
+                path,
+                format!(
+                    "the image is {}x{}, expected {}x{}; it changed since the scene was loaded, or w and h are wrong",
+                    image.width, image.height, view.camera.width, view.camera.height
+                ),
+            ));
+        }
+        Ok(image)
+    }
+
+    /// The mask file, brought to the image's size.
+    fn read_mask(&self, view: &View) -> Result<Option<Plane<bool>>> {
+        let Some(path) = &view.mask_path else { return Ok(None) };
+        let mask = formats::read_labels(path).map_err(|e| as_input(e, path, "mask_path"))?;
+        same_aspect_as_image(mask.width, mask.height, view, path, "mask")?;
+        let (w, h) = (view.camera.width, view.camera.height);
+        let scale = Vec2::new(mask.width as f32 / w as f32, mask.height as f32 / h as f32);
+        let data = (0..w * h).map(|i| *mask.nearest((Vec2::new((i % w) as f32, (i / w) as f32) + 0.5) * scale) != 0).collect();
+        Ok(Some(Plane { width: w, height: h, data }))
+    }
+}
+
+fn same_aspect_as_image(width: usize, height: usize, view: &View, path: &Path, what: &str) -> Result<()> {
+    let (w, h) = (view.camera.width as f64, view.camera.height as f64);
+    let (sw, sh) = (width as f64, height as f64);
+    if width > 0 && height > 0 && ((sw * h / w - sh).abs() <= 0.5 + 1e-9 || (sh * w / h - sw).abs() <= 0.5 + 1e-9) {
+        return Ok(());
+    }
+    Err(Error::input(path, format!("the {what} image is {width}x{height}, its photograph {w}x{h}; the aspect must be the same")))
+}

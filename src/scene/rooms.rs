@@ -1,0 +1,410 @@
+//! Rooms on the floor plan: read from a file, or found in the mesh.
+//!
+//! Found as people find them: a room is free floor that walls enclose, and a doorway is where a wall goes on above. The wall
+//! map is therefore cut out of the mesh above door height, where lintels close the doorways and furniture is out of the way
+//! (an occupancy grid: Elfes 1989). What remains open is split at narrow places of its distance transform, by a watershed
+//! that fills from the widest places down. All lengths scale with the storey's height, so a scene in other units gives the
+//! same rooms.
+
+use super::load::as_input;
+use super::{RoomGrid, Scene};
+use crate::formats;
+use crate::image::Plane;
+use crate::trace::{Hit, Ray, Tracer};
+use crate::{Error, Result};
+use glam::{DVec3, Vec2, Vec3};
+use serde::Deserialize;
+use std::path::Path;
+
+/// Storey height that fixes the unit of the lengths below, metres.
+const STOREY: f32 = 2.6;
+/// Cell of the occupancy grid.
+const CELL: f32 = 0.06;
+/// Most cells along one side; a larger plan gets larger cells.
+const MAX_SIDE: usize = 2048;
+/// Doors end below this height above the floor.
+const DOOR: f32 = 2.12;
+/// Slices cut between door height and ceiling.
+const SLICES: usize = 7;
+/// A cell is wall if the mesh crosses it in this many slices: hanging lamps and rods cross fewer.
+const WALL_SLICES: u8 = 3;
+/// Openings whose half width exceeds this join rooms rather than dividing them.
+const WIDE: f32 = 0.8;
+/// An opening this wide against the smaller side's own half width is a shape of the room, not a door.
+const NECK: f32 = 0.65;
+/// Smallest floor of a room, m².
+const MIN_AREA: f32 = 2.0;
+/// How far room ids reach beyond the free floor, to cover the surfaces of walls and cupboards.
+const REACH: f32 = 1.0;
+
+#[derive(Deserialize)]
+struct RoomsFile {
+    cell: f64,
+    x_min: f64,
+    z_min: f64,
+}
+
+/// Reads a room grid: a PNG of ids and, beside it, its JSON (same stem, or `rooms.json`).
+pub(super) fn read_rooms(path: &Path, origin: DVec3) -> Result<RoomGrid> {
+    let cells = formats::read_labels(path).map_err(|e| as_input(e, path, "rooms_path"))?;
+    let own = path.with_extension("json");
+    let json = if own.is_file() { own } else { path.with_file_name("rooms.json") };
+    let text = std::fs::read_to_string(&json).map_err(|e| {
+        Error::input(&json, format!("{e}; rooms_path needs it beside the grid with {{\"cell\", \"x_min\", \"z_min\"}} in metres"))
+    })?;
+    let file: RoomsFile = serde_json::from_str(&text)
+        .map_err(|e| Error::input(&json, format!("{e}; expected {{\"cell\", \"x_min\", \"z_min\"}} in metres")))?;
+    if !(file.cell > 0.0 && file.cell.is_finite() && file.x_min.is_finite() && file.z_min.is_finite()) {
+        return Err(Error::input(
+            &json,
+            format!("cell {} m at {}, {}; expected finite values and a positive cell", file.cell, file.x_min, file.z_min),
+        ));
+    }
+    let (x_min, z_min) = ((file.x_min - origin.x) as f32, (file.z_min - origin.z) as f32);
+    Ok(RoomGrid { cells, cell: file.cell as f32, x_min, z_min })
+}
+
+impl RoomGrid {
+    /// The room below or above a point: id of the grid cell it lies in, 0 outside.
+    #[must_use]
+    pub fn room_at(&self, point: Vec3) -> u16 {
+        let (column, row) = ((point.x - self.x_min) / self.cell, (point.z - self.z_min) / self.cell);
+        if column >= 0.0 && row >= 0.0 && column < self.cells.width as f32 && row < self.cells.height as f32 {
+            self.cells[(column as usize, row as usize)]
+        } else {
+            0
+        }
+    }
+
+    /// The room a surface faces: a step of two cells along its normal takes walls thinner than a cell apart.
+    #[must_use]
+    pub fn room_of_surface(&self, point: Vec3, normal: Vec3) -> u16 {
+        match self.room_at(point + normal * (2.0 * self.cell)) {
+            0 => self.room_at(point),
+            id => id,
+        }
+    }
+
+    /// Number of rooms: the highest id.
+    #[must_use]
+    pub fn count(&self) -> u16 {
+        self.cells.data.iter().copied().max().unwrap_or(0)
+    }
+}
+
+/// Finds the rooms of a scene: ids from 1 by descending floor area; one room if nothing divides the plan.
+#[must_use]
+pub fn find_rooms(scene: &Scene, tracer: &dyn Tracer) -> RoomGrid {
+    let storey = storey(scene, tracer);
+    let plan = Plan::new(scene, &storey);
+    let walls = plan.walls(scene, &storey);
+    let inside = plan.roofed(tracer, &storey);
+    let free: Vec<bool> = walls.iter().zip(&inside).map(|(&w, &i)| !w && i).collect();
+    let mut labels = watershed(&plan, &free, storey.unit);
+    merge_small(&plan, &mut labels, storey.unit);
+    renumber(&mut labels);
+    if labels.iter().all(|&l| l == 0) {
+        // no enclosed floor found: everything is one room, which is always a valid answer
+        labels.iter_mut().for_each(|l| *l = 1);
+    } else {
+        spread(&plan, &mut labels, (REACH * storey.unit / plan.cell).ceil() as usize);
+    }
+    let cells = Plane {
+        width: plan.width,
+        height: plan.height,
+        data: labels.into_iter().map(|l| l.min(u32::from(u16::MAX)) as u16).collect(),
+    };
+    RoomGrid { cells, cell: plan.cell, x_min: plan.min.x, z_min: plan.min.y }
+}
+
+/// Heights of the storey the cameras stand in, and the unit its lengths are measured in.
+struct Storey {
+    floor: f32,
+    ceiling: f32,
+    unit: f32,
+    roofed: bool,
+}
+
+fn storey(scene: &Scene, tracer: &dyn Tracer) -> Storey {
+    let (lo, hi) = scene.mesh.bounds();
+    let cameras: Vec<Vec3> = scene.views.iter().map(|v| v.camera.position).collect();
+    let along = |direction: Vec3| -> Vec<f32> {
+        let rays: Vec<Ray> = cameras.iter().map(|&c| Ray::new(c, direction, f32::INFINITY)).collect();
+        let mut hits = vec![Hit::miss(); rays.len()];
+        tracer.closest(&rays, &mut hits);
+        let mut y: Vec<f32> =
+            hits.iter().zip(&cameras).filter(|(h, _)| h.is_hit()).map(|(h, c)| c.y + direction.y * h.t).collect();
+        y.sort_by(f32::total_cmp);
+        y
+    };
+    // furniture below and lamps above the cameras pull to the middle: take the outer quartiles
+    let (below, above) = (along(Vec3::NEG_Y), along(Vec3::Y));
+    let floor = below.get(below.len() / 4).copied().unwrap_or(lo.y);
+    let roofed = 2 * above.len() > cameras.len();
+    let ceiling = if roofed { above[(3 * above.len() / 4).min(above.len() - 1)] } else { hi.y };
+    let height = (ceiling - floor).max(1e-6);
+    // storeys are 2.2 to 4 m high; anything else means other units
+    let unit = if (2.0..=4.5).contains(&height) { 1.0 } else { height / STOREY };
+    Storey { floor, ceiling: floor + height, unit, roofed }
+}
+
+/// The floor plan's grid.
+struct Plan {
+    min: Vec2,
+    cell: f32,
+    width: usize,
+    height: usize,
+}
+
+impl Plan {
+    fn new(scene: &Scene, storey: &Storey) -> Self {
+        let (lo, hi) = scene.mesh.bounds();
+        let extent = Vec2::new(hi.x - lo.x, hi.z - lo.z);
+        let cell = (CELL * storey.unit).max(extent.max_element() / (MAX_SIDE - 4) as f32).max(f32::MIN_POSITIVE);
+        let side = |length: f32| ((length / cell).ceil() as usize + 4).min(MAX_SIDE);
+        Self { min: Vec2::new(lo.x, lo.z) - 2.0 * cell, cell, width: side(extent.x), height: side(extent.y) }
+    }
+
+    fn len(&self) -> usize {
+        self.width * self.height
+    }
+
+    /// World x, z of a cell's centre.
+    fn centre(&self, i: usize) -> Vec2 {
+        self.min + Vec2::new((i % self.width) as f32 + 0.5, (i / self.width) as f32 + 0.5) * self.cell
+    }
+
+    /// The up to four edge neighbours of a cell.
+    fn neighbours(&self, i: usize) -> impl Iterator<Item = usize> + use<> {
+        let (w, x, y, h) = (self.width, i % self.width, i / self.width, self.height);
+        [(x > 0).then(|| i - 1), (x + 1 < w).then(|| i + 1), (y > 0).then(|| i - w), (y + 1 < h).then(|| i + w)]
+            .into_iter()
+            .flatten()
+    }
+
+    /// Cells the mesh crosses in several slices between door height and ceiling.
+    fn walls(&self, scene: &Scene, storey: &Storey) -> Vec<bool> {
+        let height = storey.ceiling - storey.floor;
+        let top = storey.floor + height - 0.1 * storey.unit.min(height);
+        let bottom = (storey.floor + DOOR * storey.unit).min(top - 0.12 * height);
+        let heights: Vec<f32> = (0..SLICES).map(|k| bottom + (top - bottom) * (k as f32 + 0.5) / SLICES as f32).collect();
+        let mut count = vec![0u8; self.len()];
+        let mut last = vec![u8::MAX; self.len()];
+        for (k, &y) in heights.iter().enumerate() {
+            for t in 0..scene.mesh.triangles.len() {
+                let corners = scene.mesh.corners(t);
+                if let Some((a, b)) = slice(&corners, y) {
+                    self.line(a, b, |i| {
+                        if last[i] != k as u8 {
+                            last[i] = k as u8;
+                            count[i] += 1;
+                        }
+                    });
+                }
+            }
+        }
+        count.into_iter().map(|c| c >= WALL_SLICES).collect()
+    }
+
+    /// Visits the cells a segment passes, in steps of half a cell.
+    fn line(&self, a: Vec2, b: Vec2, mut visit: impl FnMut(usize)) {
+        let steps = (((b - a).length() / (0.5 * self.cell)).ceil() as usize).clamp(1, 4 * MAX_SIDE);
+        for s in 0..=steps {
+            let p = (a + (b - a) * (s as f32 / steps as f32) - self.min) / self.cell;
+            if p.x >= 0.0 && p.y >= 0.0 && (p.x as usize) < self.width && (p.y as usize) < self.height {
+                visit(p.y as usize * self.width + p.x as usize);
+            }
+        }
+    }
+
+    /// Cells with a floor below and, in a roofed scene, a ceiling above.
+    fn roofed(&self, tracer: &dyn Tracer, storey: &Storey) -> Vec<bool> {
+        let y = storey.floor + 0.9 * (storey.ceiling - storey.floor);
+        let trace = |direction: Vec3| -> Vec<bool> {
+            let rays: Vec<Ray> = (0..self.len())
+                .map(|i| {
+                    let c = self.centre(i);
+                    Ray::new(Vec3::new(c.x, y, c.y), direction, f32::INFINITY)
+                })
+                .collect();
+            let mut occluded = vec![0u8; rays.len()];
+            tracer.occluded(&rays, &mut occluded);
+            occluded.into_iter().map(|o| o != 0).collect()
+        };
+        let mut inside = trace(Vec3::NEG_Y);
+        if storey.roofed {
+            inside.iter_mut().zip(trace(Vec3::Y)).for_each(|(i, above)| *i &= above);
+        }
+        inside
+    }
+}
+
+/// The segment (x, z) in which a triangle crosses height `y`.
+fn slice(corners: &[Vec3; 3], y: f32) -> Option<(Vec2, Vec2)> {
+    let mut points = [Vec2::ZERO; 2];
+    let mut n = 0;
+    for k in 0..3 {
+        let (a, b) = (corners[k], corners[(k + 1) % 3]);
+        if (a.y <= y) != (b.y <= y) && n < 2 {
+            let p = a + (b - a) * ((y - a.y) / (b.y - a.y));
+            points[n] = Vec2::new(p.x, p.z);
+            n += 1;
+        }
+    }
+    (n == 2).then_some((points[0], points[1]))
+}
+
+/// Euclidean distance to the nearest cell that is not free, in cells (Felzenszwalb and Huttenlocher 2012: parabolas per axis).
+fn distance(plan: &Plan, free: &[bool]) -> Vec<f32> {
+    const FAR: f64 = 1e12;
+    let (w, h) = (plan.width, plan.height);
+    let mut squared: Vec<f64> = free.iter().map(|&f| if f { FAR } else { 0.0 }).collect();
+    let mut line = vec![0.0f64; w.max(h)];
+    for x in 0..w {
+        for y in 0..h {
+            line[y] = squared[y * w + x];
+        }
+        let out = lower_envelope(&line[..h]);
+        for y in 0..h {
+            squared[y * w + x] = out[y];
+        }
+    }
+    for y in 0..h {
+        let out = lower_envelope(&squared[y * w..(y + 1) * w]);
+        squared[y * w..(y + 1) * w].copy_from_slice(&out);
+    }
+    squared.into_iter().map(|d| d.sqrt() as f32).collect()
+}
+
+/// min over q of (p − q)² + f(q) for every p.
+fn lower_envelope(f: &[f64]) -> Vec<f64> {
+    let n = f.len();
+    let (mut sites, mut from) = (vec![0usize; n], vec![f64::NEG_INFINITY; n + 1]);
+    let mut k = 0;
+    for q in 1..n {
+        loop {
+            let (qf, v) = (q as f64, sites[k] as f64);
+            let s = ((f[q] + qf * qf) - (f[sites[k]] + v * v)) / (2.0 * (qf - v));
+            if s > from[k] || k == 0 {
+                if s <= from[k] {
+                    sites[0] = q;
+                    from[1] = f64::INFINITY;
+                } else {
+                    k += 1;
+                    sites[k] = q;
+                    from[k] = s;
+                    from[k + 1] = f64::INFINITY;
+                }
+                break;
+            }
+            k -= 1;
+        }
+    }
+    let last = k;
+    let mut k = 0;
+    (0..n)
+        .map(|p| {
+            while k < last && from[k + 1] < p as f64 {
+                k += 1;
+            }
+            let d = p as f64 - sites[k] as f64;
+            d * d + f[sites[k]]
+        })
+        .collect()
+}
+
+/// Regions of the free floor (ids from 1), split where an opening is narrow against both sides.
+fn watershed(plan: &Plan, free: &[bool], unit: f32) -> Vec<u32> {
+    let distances = distance(plan, free);
+    let mut order: Vec<u32> = (0..plan.len() as u32).filter(|&i| free[i as usize]).collect();
+    order.sort_by(|&a, &b| distances[b as usize].total_cmp(&distances[a as usize]).then(a.cmp(&b)));
+    let wide = WIDE * unit / plan.cell;
+    let mut labels = vec![0u32; plan.len()];
+    let (mut parent, mut peak) = (vec![0u32], vec![0.0f32]);
+    for &i in &order {
+        let (i, d) = (i as usize, distances[i as usize]);
+        let mut own = 0u32;
+        for n in plan.neighbours(i) {
+            if labels[n] == 0 {
+                continue;
+            }
+            let other = root(&mut parent, labels[n]);
+            if own == 0 {
+                own = other;
+            } else if own != other {
+                let (low, high) = if peak[own as usize] < peak[other as usize] { (own, other) } else { (other, own) };
+                // the cell is the widest passage between the two basins: d is its half width
+                if d >= wide || d >= NECK * peak[low as usize] {
+                    parent[low as usize] = high;
+                    own = high;
+                } else {
+                    own = high;
+                }
+            }
+        }
+        if own == 0 {
+            own = parent.len() as u32;
+            parent.push(own);
+            peak.push(d);
+        }
+        labels[i] = own;
+    }
+    labels.iter_mut().filter(|l| **l != 0).for_each(|l| *l = root(&mut parent, *l));
+    labels
+}
+
+fn root(parent: &mut [u32], mut i: u32) -> u32 {
+    while parent[i as usize] != i {
+        parent[i as usize] = parent[parent[i as usize] as usize];
+        i = parent[i as usize];
+    }
+    i
+}
+
+/// Joins regions too small for a room with the neighbour they share the longest border with; lonely ones vanish.
+fn merge_small(plan: &Plan, labels: &mut [u32], unit: f32) {
+    let min_cells = (MIN_AREA * unit * unit / (plan.cell * plan.cell)) as usize;
+    loop {
+        let mut area = std::collections::BTreeMap::<u32, usize>::new();
+        labels.iter().filter(|l| **l != 0).for_each(|l| *area.entry(*l).or_default() += 1);
+        let Some((&small, _)) = area.iter().filter(|(_, a)| **a < min_cells).min_by_key(|(l, a)| (**a, **l)) else { return };
+        let mut border = std::collections::BTreeMap::<u32, usize>::new();
+        for i in 0..labels.len() {
+            if labels[i] == small {
+                plan.neighbours(i)
+                    .map(|n| labels[n])
+                    .filter(|&l| l != 0 && l != small)
+                    .for_each(|l| *border.entry(l).or_default() += 1);
+            }
+        }
+        let target = border.iter().max_by_key(|(l, n)| (**n, std::cmp::Reverse(**l))).map_or(0, |(l, _)| *l);
+        labels.iter_mut().filter(|l| **l == small).for_each(|l| *l = target);
+    }
+}
+
+/// Ids 1, 2, … by descending area.
+fn renumber(labels: &mut [u32]) {
+    let mut area = std::collections::BTreeMap::<u32, usize>::new();
+    labels.iter().filter(|l| **l != 0).for_each(|l| *area.entry(*l).or_default() += 1);
+    let mut order: Vec<(u32, usize)> = area.into_iter().collect();
+    order.sort_by_key(|&(l, a)| (std::cmp::Reverse(a), l));
+    let ids: std::collections::BTreeMap<u32, u32> = order.iter().enumerate().map(|(i, (l, _))| (*l, i as u32 + 1)).collect();
+    labels.iter_mut().filter(|l| **l != 0).for_each(|l| *l = ids[&*l]);
+}
+
+/// Lets ids grow by `steps` cells into what has none: wall surfaces belong to the room they face.
+fn spread(plan: &Plan, labels: &mut [u32], steps: usize) {
+    let mut front: Vec<usize> = (0..plan.len()).filter(|&i| labels[i] != 0).collect();
+    for _ in 0..steps {
+        let mut next = Vec::new();
+        for &i in &front {
+            for n in plan.neighbours(i) {
+                if labels[n] == 0 {
+                    labels[n] = labels[i];
+                    next.push(n);
+                }
+            }
+        }
+        front = next;
+    }
+}
