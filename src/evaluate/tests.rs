@@ -71,17 +71,9 @@ fn scene(folder: &Path, views: &[(&str, Split)]) -> Scene {
             }
         })
         .collect();
-    Scene {
-        folder: folder.into(),
-        origin: DVec3::ZERO,
-        mesh: Mesh::default(),
-        classes: vec![
-            Class { id: 1, name: "wall".into(), is_light: false },
-            Class { id: 2, name: "lamp".into(), is_light: true },
-        ],
-        views,
-        rooms: None,
-    }
+    let classes =
+        vec![Class { id: 1, name: "wall".into(), is_light: false }, Class { id: 2, name: "lamp".into(), is_light: true }];
+    Scene::from_parts(folder.into(), DVec3::ZERO, Mesh::default(), classes, views)
 }
 
 fn run(scene: &Scene, renderer: &Constant, options: &EvalOptions, out: Option<&Path>) -> Evaluation {

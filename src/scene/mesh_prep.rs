@@ -138,10 +138,8 @@ fn compact(mesh: &mut Mesh) {
         return;
     }
     let mut target = vec![0u32; used.len()];
-    let mut next = 0;
-    for (t, _) in target.iter_mut().zip(&used).filter(|(_, u)| **u) {
-        *t = next;
-        next += 1;
+    for (next, (t, _)) in target.iter_mut().zip(&used).filter(|(_, u)| **u).enumerate() {
+        *t = next as u32;
     }
     let keep = |i: usize| used.get(i).copied().unwrap_or(false);
     let mut i = 0;
@@ -252,7 +250,7 @@ pub fn atlas_overlap(mesh: &Mesh, side: usize) -> (usize, usize) {
         let corners = mesh.corner_uvs(t).map(|p| p.as_dvec2() * side as f64 - 0.5);
         let (lo, hi) = (corners[0].min(corners[1]).min(corners[2]), corners[0].max(corners[1]).max(corners[2]));
         let (first, last) = ((lo.y + MARGIN).ceil().max(0.0) as usize, (hi.y - MARGIN).floor().min(side as f64 - 1.0));
-        if !(last >= 0.0) {
+        if last.is_nan() || last < 0.0 {
             continue;
         }
         for row in first..=last as usize {

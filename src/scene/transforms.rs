@@ -240,7 +240,7 @@ fn inherited(keys: &Keys<'_>, globals: &Keys<'_>, key: &str, issues: &mut Vec<St
 fn size(keys: &Keys<'_>, globals: &Keys<'_>, issues: &mut Vec<String>) -> Option<[usize; 2]> {
     let mut side = |key: &str| -> Option<usize> {
         let n = inherited(keys, globals, key, issues)?;
-        if n >= 1.0 && n <= 65_536.0 && n.fract() == 0.0 {
+        if (1.0..=65_536.0).contains(&n) && n.fract() == 0.0 {
             Some(n as usize)
         } else {
             issues.push(format!("{}: {n} pixels; expected a whole number from 1 to 65536", keys.at(key)));
@@ -284,7 +284,7 @@ fn model(keys: &Keys<'_>, globals: &Keys<'_>, size: Option<[usize; 2]>, issues: 
         return None;
     };
     let fl_y = fl_y.unwrap_or(fl_x);
-    if !(fl_x > 0.0 && fl_y > 0.0) || !(fl_x + fl_y).is_finite() {
+    if fl_x.min(fl_y) <= 0.0 || !(fl_x + fl_y).is_finite() {
         issues.push(format!("{}: focal lengths {fl_x}, {fl_y}; expected positive pixels", keys.at("fl_x")));
         return None;
     }
@@ -330,7 +330,7 @@ fn pose(value: &Value, z_up: bool) -> Result<(DMat3, DVec3), String> {
 /// The exact rotation next to `m`, or why `m` is none.
 fn rigid(m: DMat3) -> Result<DMat3, String> {
     let det = m.determinant();
-    if !(det.abs() > 1e-12) || !det.is_finite() {
+    if det.abs() <= 1e-12 || !det.is_finite() {
         return Err(format!(
             "the pose is singular (determinant {det:.3e}); expected a rotation with determinant 1. Export the cameras again"
         ));
