@@ -11,14 +11,13 @@ pub use scores::{ClassScores, Evaluation, ImageScores, MaterialScores, Protocols
 pub use table::terminal_table;
 
 use crate::error::{Error, Result};
-use crate::formats::{read_labels, read_plane, read_rgb, write_plane_half, write_rgb_half};
+use crate::formats::{read_plane, read_rgb, write_plane_half, write_rgb_half};
 use crate::geometry::Camera;
 use crate::image::{Plane, RgbPlane};
 use crate::metrics::{masked_mse, masked_ssim, psnr};
 use crate::progress::Progress;
 use crate::scene::{Scene, Split, View};
 use crate::solution::AsideFolder;
-use glam::Vec3;
 use protocol::{box_average, least_squares_albedo, material_mask, quantised, tone_mapped, working_size};
 use scores::{Accumulator, ClassTally};
 use serde::{Deserialize, Serialize};
@@ -108,15 +107,20 @@ pub fn evaluate(
 
     progress.stage("evaluation", views.len() as u64, |progress| {
         for view in &views {
-            let photograph = photograph(view)?;
+            let (photograph, valid) = photograph(scene, view)?;
             let rendered = renderer.render(&view.camera)?;
             if let Some(aside) = &aside {
                 files.extend(write_view(&aside.folder, &view.stem, &rendered)?);
             }
             let truth = ground_truth(scene, view)?;
             let accumulator = if view.split == Split::Test { &mut test } else { &mut train };
-            let scores = score_view(view, &photograph, &rendered, truth.as_ref(), options, accumulator)?;
-            each(&ViewOutcome { view, photograph: &photograph, rendered: &rendered, scores: &scores, truth: truth.as_ref() });
+            let truth = truth.as_ref();
+            let mut scores = score_rendering(view, (&photograph, &valid), &rendered, options, accumulator)?;
+            if let Some(truth) = truth {
+                let labels = labels_of(scene, view, &rendered)?;
+                score_materials(&labels, &rendered, truth, options, accumulator, &mut scores);
+            }
+            each(&ViewOutcome { view, photograph: &photograph, rendered: &rendered, scores: &scores, truth });
             accumulator.views.push(scores);
             progress.advance(1);
         }
@@ -134,25 +138,11 @@ pub fn evaluate(
     Ok(evaluation)
 }
 
-/// The working radiance of a view: image · 2^exposure_ev; masked pixels become NaN, which scores leave out.
-pub fn photograph(view: &View) -> Result<RgbPlane> {
-    let mut image = read_rgb(&view.image_path)?;
-    check_size(&view.image_path, image.width, image.height, &view.camera)?;
-    let scale = view.exposure_ev.exp2();
-    for v in &mut image.data {
-        *v *= scale;
-    }
-    if let Some(path) = &view.mask_path {
-        let mask = read_labels(path)?;
-        for y in 0..image.height {
-            for x in 0..image.width {
-                if *nearest_of(&mask, &image, x, y) == 0 {
-                    image[(x, y)] = Vec3::NAN;
-                }
-            }
-        }
-    }
-    Ok(image)
+/// The working radiance of a view and which of its pixels count.
+pub fn photograph(scene: &Scene, view: &View) -> Result<(RgbPlane, Plane<bool>)> {
+    let image = scene.load_radiance(view)?;
+    let valid = scene.load_mask(view)?.unwrap_or_else(|| Plane::filled(image.width, image.height, true));
+    Ok((image, valid))
 }
 
 fn check_size(path: &Path, width: usize, height: usize, camera: &Camera) -> Result<()> {
@@ -189,59 +179,63 @@ fn write_view(folder: &Path, stem: &str, rendered: &RenderedView) -> Result<[Str
     Ok(names)
 }
 
-fn score_view(
+fn score_rendering(
     view: &View,
-    photograph: &RgbPlane,
+    (photograph, valid): (&RgbPlane, &Plane<bool>),
     rendered: &RenderedView,
-    truth: Option<&GroundTruth>,
     options: &EvalOptions,
     accumulator: &mut Accumulator,
 ) -> Result<ViewScores> {
-    let (w, h) = working_size(photograph.width, photograph.height);
-    let valid = photograph.map(|v| v.is_finite());
-    let (photo_small, counted) = box_average(photograph, &valid, w, h);
-    let (render_small, _) = box_average(&rendered.radiance, &valid, w, h);
-    let gain = options.exposure.exp2();
-    let (a, b) = (tone_mapped(&render_small, gain), tone_mapped(&photo_small, gain));
+    let (a, b, counted) = comparable(photograph, valid, &rendered.radiance, options.exposure);
     let Some(mse) = masked_mse(&a, &b, &counted) else {
         return Err(Error::input(&view.image_path, "has no valid pixel to compare with; check the image and its mask"));
     };
-    let ssim = masked_ssim(&a, &b, &counted).unwrap_or(1.0);
-    accumulator.rendering.add(mse, Some(ssim));
-    let mut scores = ViewScores {
+    let ssim = masked_ssim(&a, &b, &counted);
+    accumulator.rendering.add(mse, ssim);
+    Ok(ViewScores {
         stem: view.stem.clone(),
         psnr: psnr(mse),
-        ssim,
+        ssim: ssim.unwrap_or(1.0),
         mse,
         nonfinite_pixels: rendered.radiance.data.iter().filter(|v| !v.is_finite()).count(),
         ..ViewScores::default()
-    };
-    if let Some(truth) = truth {
-        score_materials(view, rendered, truth, options, accumulator, &mut scores)?;
-    }
-    Ok(scores)
+    })
+}
+
+/// The re-rendering and the photograph as the image scores compare them, and the pixels that count.
+#[must_use]
+pub fn comparable(
+    photograph: &RgbPlane,
+    valid: &Plane<bool>,
+    rendering: &RgbPlane,
+    exposure: f32,
+) -> (RgbPlane, RgbPlane, Plane<bool>) {
+    let (w, h) = working_size(photograph.width, photograph.height);
+    let (photo_small, counted) = box_average(photograph, valid, w, h);
+    let (render_small, _) = box_average(rendering, valid, w, h);
+    let gain = exposure.exp2();
+    (tone_mapped(&render_small, gain), tone_mapped(&photo_small, gain), counted)
+}
+
+/// Class ids at the frame's size: the scene's, or those the renderer sees where the scene labels nothing.
+fn labels_of(scene: &Scene, view: &View, rendered: &RenderedView) -> Result<Plane<u16>> {
+    let Some(file) = scene.load_labels(view)? else { return Ok(rendered.labels.clone()) };
+    let (w, h) = (rendered.labels.width, rendered.labels.height);
+    let data = (0..w * h).map(|i| *nearest_of(&file, &rendered.labels, i % w, i / w)).collect();
+    Ok(Plane { width: w, height: h, data })
 }
 
 fn score_materials(
-    view: &View,
+    labels: &Plane<u16>,
     rendered: &RenderedView,
     truth: &GroundTruth,
     options: &EvalOptions,
     accumulator: &mut Accumulator,
     scores: &mut ViewScores,
-) -> Result<()> {
-    let labels = match &view.label_path {
-        Some(path) => {
-            let file = read_labels(path)?;
-            let (w, h) = (truth.albedo.width, truth.albedo.height);
-            let data = (0..w * h).map(|i| *nearest_of(&file, &truth.albedo, i % w, i / w)).collect();
-            Plane { width: w, height: h, data }
-        }
-        None => rendered.labels.clone(),
-    };
-    let mask = material_mask(&labels, truth, &accumulator.lights);
+) {
+    let mask = material_mask(labels, truth, &accumulator.lights);
     let Some(linear) = masked_mse(&rendered.albedo, &truth.albedo, &mask) else {
-        return Ok(()); // a view of lamps and sky only says nothing about materials
+        return; // a view of lamps and sky only says nothing about materials
     };
     let bits = |p: &RgbPlane| if options.quantise { p.map(|v| v.map(quantised)) } else { p.clone() };
     let fipt_roughness = |p: &Plane<f32>| {
@@ -277,8 +271,7 @@ fn score_materials(
     scores.roughness_psnr = Some(psnr(roughness_mse[0]));
     scores.roughness_psnr_fipt = Some(psnr(roughness_mse[1]));
     let tally: &mut ClassTally = &mut accumulator.classes;
-    tally.add(&labels, &mask, rendered, truth);
-    Ok(())
+    tally.add(labels, &mask, rendered, truth);
 }
 
 #[cfg(test)]

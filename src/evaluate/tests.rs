@@ -4,7 +4,7 @@ use super::*;
 use crate::formats::write_png16;
 use crate::geometry::{Mesh, Projection};
 use crate::scene::Class;
-use glam::{DVec3, Mat3};
+use glam::{DVec3, Mat3, Vec3};
 
 const W: usize = 64;
 const H: usize = 32;
@@ -121,7 +121,7 @@ fn files_appear_and_the_json_reads_back() {
     assert_eq!(names, expected);
     let json = std::fs::read_to_string(out.join("eval/metrics.json")).expect("reads");
     assert_eq!(serde_json::from_str::<Evaluation>(&json).expect("parses"), e);
-    let render = read_rgb(&out.join("eval/a.render.exr")).expect("reads");
+    let render = read_rgb(out.join("eval/a.render.exr")).expect("reads");
     assert_eq!((render.width, render.height, render.data[5]), (W, H, Vec3::splat(0.5)));
     let perfect = e.train.as_ref().expect("train").materials.as_ref().expect("truth").albedo.linear.mean_psnr;
     assert!((perfect - 100.0).abs() < 1e-9, "a perfect reconstruction scores the maximum: {perfect}");

@@ -296,7 +296,7 @@ mod tests {
         assert_eq!(pixels[..3], solution.albedo.data[0].to_array().map(srgb8_from_linear));
         let emissive = material.emissive_texture().expect("emissive").texture();
         let (_, _, pixels) = decoded(image_bytes(&gltf, &emissive.source()));
-        assert!(pixels.iter().any(|p| *p == 255), "normalised to its maximum");
+        assert!(pixels.contains(&255), "normalised to its maximum");
     }
 
     #[test]

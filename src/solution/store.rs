@@ -77,18 +77,18 @@ impl Solution {
             return Err(Error::Inputs(missing));
         }
         let (mesh, origin) = read_glb_mesh(&folder.join("scene.glb"))?;
-        let rgb = |name: &str| read_rgb(&folder.join(name));
+        let rgb = |name: &str| read_rgb(folder.join(name));
         let solution = Self {
             mesh,
             origin,
             albedo: rgb("albedo.exr")?,
-            roughness: read_plane(&folder.join("roughness.exr"))?,
+            roughness: read_plane(folder.join("roughness.exr"))?,
             irradiance: rgb("irradiance.exr")?,
             radiance: rgb("radiance.exr")?,
             emission: rgb("emission.exr")?,
-            confidence: read_two_channels(&folder.join("confidence.exr"))?,
-            labels: read_labels(&folder.join("labels.png"))?,
-            rooms: read_labels(&folder.join("rooms.png"))?,
+            confidence: read_two_channels(folder.join("confidence.exr"))?,
+            labels: read_labels(folder.join("labels.png"))?,
+            rooms: read_labels(folder.join("rooms.png"))?,
             environment: rgb("environment.exr")?,
         };
         Ok(solution)
