@@ -31,8 +31,8 @@ class DenormalsOff {
     DenormalsOff &operator=(const DenormalsOff &) = delete;
 };
 
-// Origins farther out than this overflow inside the traversal's products; Embree itself refuses such vertices (1.8e18).
-constexpr float FAR_AWAY = 1e18f;
+// Triple products of coordinates beyond this would overflow inside the intersection test (1e12 cubed is 1e36).
+constexpr float FAR_AWAY = 1e12f;
 // Directions are unit vectors; a squared length below this is no direction (and would be a denormal soon).
 constexpr float TINY = 1e-30f;
 
@@ -134,7 +134,8 @@ extern "C" void unbake_closest(RTCScene scene, const UnbakeRay *rays, UnbakeHit 
             rh.hit.primID = RTC_INVALID_GEOMETRY_ID;
             rh.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
             unbake::intersect1(scene, &rh, arguments);
-            if (rh.hit.geomID != RTC_INVALID_GEOMETRY_ID) {
+            // The quotient of a sliver can still overflow where t_far is infinite: that is no place.
+            if (rh.hit.geomID != RTC_INVALID_GEOMETRY_ID && rh.ray.tfar < std::numeric_limits<float>::infinity()) {
                 hit.t = rh.ray.tfar;
                 hit.u = rh.hit.u;
                 hit.v = rh.hit.v;

@@ -302,6 +302,33 @@ fn display_referred_pictures_are_linearised() {
     assert!(refused(read_ldr(&exr)).contains("--ldr"));
 }
 
+/// A 3 × 2 greyscale JPEG of value 128 throughout (made with Pillow: `Image.new('L', (3, 2), 128)`, quality 95).
+const GREY_JPEG: &str = "ffd8ffe000104a46494600010100000100010000ffdb00430002010101010102010101020202020204030202020205040403040605060606\
+     05060606070908060709070606080b08090a0a0a0a0a06080b0c0b0a0c090a0a0affc0000b080002000301011100ffc4001f000001050101\
+     0101010100000000000000000102030405060708090a0bffc400b5100002010303020403050504040000017d010203000411051221314106\
+     13516107227114328191a1082342b1c11552d1f02433627282090a161718191a25262728292a3435363738393a434445464748494a535455\
+     565758595a636465666768696a737475767778797a838485868788898a92939495969798999aa2a3a4a5a6a7a8a9aab2b3b4b5b6b7b8b9ba\
+     c2c3c4c5c6c7c8c9cad2d3d4d5d6d7d8d9dae1e2e3e4e5e6e7e8e9eaf1f2f3f4f5f6f7f8f9faffda0008010100003f002bffd9";
+
+#[test]
+fn jpeg_photographs_are_linearised() {
+    let dir = folder();
+    let path = dir.path().join("photo.jpg");
+    let byte = |i: usize| u8::from_str_radix(&GREY_JPEG[i..i + 2], 16).expect("hexadecimal");
+    let bytes: Vec<u8> = (0..GREY_JPEG.len()).step_by(2).map(byte).collect();
+    std::fs::write(&path, &bytes).expect("file");
+    let info = image_info(&path).expect("info");
+    assert_eq!((info.width, info.height, info.channels, info.format), (3, 2, 1, ImageFormat::Jpeg));
+    let image = read_ldr(&path).expect("read");
+    let expected = Vec3::splat(crate::math::linear_from_srgb(128.0 / 255.0));
+    assert!(image.data.len() == 6 && image.data.iter().all(|p| (*p - expected).abs().max_element() < 1e-6), "{image:?}");
+    assert!(refused(read_rgb(&path)).contains("--ldr"));
+    for n in [4, 30, 300] {
+        std::fs::write(&path, &bytes[..n]).expect("cut");
+        refused(read_ldr(&path));
+    }
+}
+
 #[test]
 fn a_file_appears_whole_or_not_at_all() {
     let dir = folder();

@@ -14,8 +14,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// the packet width.
 pub const BATCH: usize = 4096;
 
-/// Coordinates beyond this overflow inside the traversal; Embree refuses vertices beyond 1.8e18.
-pub(super) const FAR_AWAY: f32 = 1e18;
+/// Triple products of coordinates beyond this would overflow inside the intersection test; Embree itself refuses vertices
+/// beyond 1.8e18, but returns infinite distances long before.
+pub(super) const FAR_AWAY: f32 = 1e12;
 
 /// Squared length below which a direction is none (directions are unit vectors); the shim uses the same limits.
 pub(super) const TINY: f32 = 1e-30;
@@ -29,7 +30,7 @@ pub struct EmbreeTracer {
 impl EmbreeTracer {
     /// Builds the acceleration structure of `mesh`.
     ///
-    /// Triangles with a corner that is not finite (or beyond 1e18) are never hit ([`Self::skipped`] counts them), nor are
+    /// Triangles with a corner that is not finite (or beyond 1e12) are never hit ([`Self::skipped`] counts them), nor are
     /// those of zero area. An empty mesh is never hit. A vertex index out of range is an error.
     pub fn new(mesh: &Mesh) -> Result<Self> {
         let count = mesh.positions.len();

@@ -283,3 +283,36 @@ fn the_version_is_stated() {
     let version = embree_version();
     assert!(version.starts_with(['3', '4']), "{version}");
 }
+
+#[test]
+fn rays_and_meshes_of_random_bits_end_nothing() {
+    // Debian builds Embree with assertions, which would end the process on a ray it calls invalid.
+    let bits = |seed: u64, i: u64| f32::from_bits(crate::sampling::hash_u64(seed, i) as u32);
+    let ray = |i: u64| {
+        let b = |k: u64| bits(21, i * 8 + k);
+        Ray { origin: [b(0), b(1), b(2)], t_near: b(3), direction: [b(4), b(5), b(6)], t_far: b(7) }
+    };
+    let mut rays: Vec<Ray> = (0..20_000).map(ray).collect();
+    // Usable, but at the limits.
+    let limit = embree::FAR_AWAY * 0.99;
+    for (i, r) in rays.iter_mut().enumerate().step_by(3) {
+        let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
+        *r = Ray { origin: [sign * limit, 0.5, -limit], t_near: 0.0, direction: [-sign, 1e-12, 1.0], t_far: f32::MAX };
+        r.t_far = if i % 4 == 0 { f32::INFINITY } else { r.t_far };
+    }
+    let mut wild = Mesh::default();
+    for i in 0..3000u64 {
+        wild.positions.push(Vec3::new(bits(22, 3 * i), bits(22, 3 * i + 1), bits(22, 3 * i + 2)));
+    }
+    // Far corners among near ones, and slivers across everything.
+    wild.positions.extend([Vec3::splat(limit), Vec3::splat(-limit), Vec3::new(limit, -limit, 0.0), Vec3::splat(1e-38)]);
+    let n = wild.positions.len() as u32;
+    wild.triangles = (0..n - 2).map(|i| [i, i + 1, (i * 7 + 2) % n]).collect();
+    for mesh in [&wild, &soup(500, 23)] {
+        let tracer = EmbreeTracer::new(mesh).expect("builds");
+        for hit in closest(&tracer, &rays) {
+            assert!(if hit.is_hit() { hit.t.is_finite() } else { hit == Hit::miss() }, "{hit:?}");
+        }
+        assert!(occluded(&tracer, &rays).iter().all(|&o| o <= 1));
+    }
+}
