@@ -1,1 +1,7 @@
-//! (being written)
+//! What each view sees: first hits per pixel, which pixels are free of edges, and the observations of a surface point.
+
+mod observe;
+mod view_buffer;
+
+pub use observe::{Observation, ObservedView, Observer, Orientation};
+pub use view_buffer::ViewBuffer;

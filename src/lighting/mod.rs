@@ -1,1 +1,13 @@
-//! (being written)
+//! The light of the scene as textures: observed radiance (TBL), emitters, environment and irradiance (IrT).
+
+mod emitters;
+mod environment;
+mod irt;
+mod light_field;
+mod tbl;
+
+pub use emitters::{EmitterSample, Emitters, detect_emissive};
+pub use environment::Environment;
+pub use irt::{Bake, Estimator, Irradiance, IrtOptions, Receiver, bake_irradiance};
+pub use light_field::LightField;
+pub use tbl::{Fusion, fuse_radiance};

@@ -1,1 +1,9 @@
-//! (being written)
+//! The atlas: which texel lies on which point of the mesh, lookups with footprints, and filling of what charts leave empty.
+
+mod fill;
+mod mips;
+mod texels;
+
+pub use fill::fill_uncovered;
+pub use mips::MipChain;
+pub use texels::{SurfacePoint, Texels};

@@ -1,0 +1,149 @@
+//! Observations of a surface point: in which views it is seen, with what radiance, and how well.
+//!
+//! A view sees a point if the pixels around its projection first hit the point's own surface; their radiance is interpolated
+//! bilinearly over those pixels only. No ray is needed beyond the view's own first hits.
+
+use super::ViewBuffer;
+use crate::geometry::{Camera, Mesh, Projection};
+use crate::image::{Plane, RgbPlane, Wrap, bilinear_taps};
+use crate::trace::Hit;
+use glam::Vec3;
+
+/// A photograph with what its pixels see.
+#[derive(Clone, Debug)]
+pub struct ObservedView {
+    /// First hits at the image's size.
+    pub buffer: ViewBuffer,
+    /// Scene-linear radiance, same size.
+    pub radiance: RgbPlane,
+    /// Pixels of one smooth surface and label.
+    pub clean: Plane<bool>,
+    /// Class ids, any size with the same aspect.
+    pub labels: Option<Plane<u16>>,
+    /// Pixels that may be used (same size as the image); all if absent.
+    pub valid: Option<Plane<bool>>,
+}
+
+/// One view's look at a surface point.
+#[derive(Clone, Copy, Debug)]
+pub struct Observation {
+    /// Index into the observer's views.
+    pub view: u32,
+    /// Radiance towards the camera.
+    pub radiance: Vec3,
+    /// Continuous pixel coordinates.
+    pub pixel: glam::Vec2,
+    /// Cosine between the face normal and the direction to the camera.
+    pub n_v: f32,
+    /// Side of the pixel's footprint on the surface, metres.
+    pub footprint: f32,
+    /// Whether all pixels used are clean.
+    pub clean: bool,
+    /// Class id at the nearest pixel; 0 without labels.
+    pub label: u16,
+}
+
+/// Which side of each triangle the cameras see: +1 along the winding's normal, −1 against it.
+#[derive(Clone, Debug)]
+pub struct Orientation {
+    sign: Vec<i8>,
+}
+
+impl Orientation {
+    /// Lets the pixels of all views vote per triangle, by solid angle; triangles nobody sees keep their winding.
+    #[must_use]
+    pub fn vote(mesh: &Mesh, buffers: &[&ViewBuffer]) -> Self {
+        let mut ballot = vec![0.0f32; mesh.triangles.len()];
+        for b in buffers {
+            let (w, h) = (b.triangle.width, b.triangle.height);
+            for y in 0..h {
+                let solid_angle = b.camera.pixel_solid_angle(glam::Vec2::new(0.5 * w as f32, y as f32 + 0.5));
+                for x in 0..w {
+                    let t = b.triangle[(x, y)];
+                    if t != Hit::MISS {
+                        let d = b.camera.direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+                        ballot[t as usize] -= solid_angle * mesh.face_normal(t as usize).dot(d).signum();
+                    }
+                }
+            }
+        }
+        Self { sign: ballot.into_iter().map(|b| if b < 0.0 { -1 } else { 1 }).collect() }
+    }
+
+    /// The winding's own orientation for `triangles` triangles.
+    #[must_use]
+    pub fn of_winding(triangles: usize) -> Self {
+        Self { sign: vec![1; triangles] }
+    }
+
+    /// +1 or −1 for triangle `t`.
+    #[must_use]
+    pub fn sign(&self, t: usize) -> f32 {
+        f32::from(self.sign[t])
+    }
+
+    /// Number of triangles seen from behind their winding.
+    #[must_use]
+    pub fn flipped(&self) -> usize {
+        self.sign.iter().filter(|s| **s < 0).count()
+    }
+}
+
+/// Finds the observations of surface points in a set of views.
+pub struct Observer<'a> {
+    /// The mesh all views were traced against.
+    pub mesh: &'a Mesh,
+    /// The views.
+    pub views: &'a [ObservedView],
+}
+
+impl Observer<'_> {
+    /// Appends to `out` (cleared first) every view that sees `position` on a surface with outward unit `face_normal`.
+    pub fn observe(&self, position: Vec3, face_normal: Vec3, out: &mut Vec<Observation>) {
+        out.clear();
+        for (i, view) in self.views.iter().enumerate() {
+            out.extend(self.observe_in(i as u32, view, position, face_normal));
+        }
+    }
+
+    fn observe_in(&self, index: u32, view: &ObservedView, position: Vec3, face_normal: Vec3) -> Option<Observation> {
+        let camera: &Camera = &view.buffer.camera;
+        let to_camera = camera.position - position;
+        let distance = to_camera.length();
+        let n_v = face_normal.dot(to_camera) / distance;
+        if !(n_v > 0.02) {
+            return None;
+        }
+        let pixel = camera.project(position)?;
+        let angle = camera.pixel_angle(pixel);
+        let footprint = distance * angle / n_v.sqrt();
+        let wrap = if camera.projection == Projection::Equirectangular { Wrap::Repeat } else { Wrap::Clamp };
+        let taps = bilinear_taps(camera.width, camera.height, pixel, wrap);
+        // reach of two pixels along the surface; off the plane by a third of a pixel's footprint at most
+        let reach = 2.5 * distance * angle / n_v.max(0.1);
+        let lift = (0.35 * distance * angle).max(2e-4 * distance);
+        let (mut sum, mut weight, mut clean) = (Vec3::ZERO, 0.0f32, true);
+        for (k, w) in taps {
+            let t = view.buffer.distance.data[k];
+            if w <= 0.0 || !t.is_finite() || view.valid.as_ref().is_some_and(|v| !v.data[k]) {
+                continue;
+            }
+            let (x, y) = (k % camera.width, k / camera.width);
+            let offset = camera.position + camera.direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5)) * t - position;
+            if face_normal.dot(offset).abs() > lift + 0.15 * offset.length() || offset.length() > reach {
+                continue;
+            }
+            clean &= view.clean.data[k];
+            sum += view.radiance.data[k] * w;
+            weight += w;
+        }
+        if weight < 0.25 {
+            return None;
+        }
+        let label = view.labels.as_ref().map_or(0, |l| {
+            let scale = glam::Vec2::new(l.width as f32 / camera.width as f32, l.height as f32 / camera.height as f32);
+            *l.nearest(pixel * scale)
+        });
+        Some(Observation { view: index, radiance: sum / weight, pixel, n_v, footprint, clean: clean && weight > 0.99, label })
+    }
+}

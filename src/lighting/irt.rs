@@ -1,0 +1,268 @@
+//! The irradiance texture (IrT): E(x) = ∫ L(x, ω) cosθ dω over the hemisphere of every texel, linear RGB, in the images' exposure.
+//!
+//! `Uniform` is the paper's estimator: Hammersley points, one random shift per texel (method §3.1). `Mis` combines
+//! cosine-distributed rays with samples on emitters by the balance heuristic (Veach & Guibas 1995), both from an Owen-scrambled
+//! Sobol' sequence per texel; texels whose two halves disagree are refined.
+
+use super::emitters::segment;
+use super::{Emitters, LightField};
+use crate::geometry::Mesh;
+use crate::math::Frame;
+use crate::parallel;
+use crate::progress::Progress;
+use crate::sampling::{KeyedRng, SobolSequence, hammersley, square_to_cosine_hemisphere, square_to_uniform_hemisphere};
+use crate::trace::{Hit, Ray, Tracer};
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+use std::f32::consts::{FRAC_1_PI, PI, TAU};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Texels per parallel task.
+const CHUNK: usize = 256;
+
+/// How irradiance is estimated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Estimator {
+    /// The paper's: uniform hemisphere, Hammersley points with a random shift per texel.
+    Uniform,
+    /// Cosine-distributed rays, Owen-scrambled Sobol' points.
+    Cosine,
+    /// Cosine rays and emitter samples combined by multiple importance sampling.
+    Mis,
+}
+
+/// Options of the irradiance bake.
+#[derive(Clone, Debug, PartialEq)]
+pub struct IrtOptions {
+    /// Estimator.
+    pub estimator: Estimator,
+    /// Hemisphere rays per texel in the first round.
+    pub rays: u32,
+    /// Emitter samples per texel in the first round (only `Mis`).
+    pub emitter_samples: u32,
+    /// Rounds at most; each round after the first doubles a texel's samples.
+    pub max_rounds: u32,
+    /// Relative standard error at which a texel is done.
+    pub target: f32,
+    /// Seed of the sample points.
+    pub seed: u64,
+}
+
+impl Default for IrtOptions {
+    fn default() -> Self {
+        Self { estimator: Estimator::Mis, rays: 64, emitter_samples: 16, max_rounds: 1, target: 0.01, seed: 0 }
+    }
+}
+
+/// Irradiance of a list of surface points.
+#[derive(Clone, Debug, Default)]
+pub struct Irradiance {
+    /// E per point.
+    pub value: Vec<Vec3>,
+    /// Estimated standard error of E's luminance, relative.
+    pub error: Vec<f32>,
+    /// Rays traced in all.
+    pub rays: u64,
+}
+
+/// A point that receives light.
+#[derive(Clone, Copy, Debug)]
+pub struct Receiver {
+    /// Position on the surface, metres.
+    pub position: Vec3,
+    /// Unit shading normal on the lit side.
+    pub normal: Vec3,
+    /// Unit geometric normal on the lit side: rays start above it.
+    pub face_normal: Vec3,
+    /// Key of its random numbers: equal keys give equal points whatever else is baked.
+    pub key: u64,
+}
+
+/// Everything rays need.
+pub struct Bake<'a> {
+    /// Geometry.
+    pub mesh: &'a Mesh,
+    /// Visibility.
+    pub tracer: &'a dyn Tracer,
+    /// Radiance along rays.
+    pub field: &'a LightField,
+    /// Emitters to sample.
+    pub emitters: &'a Emitters,
+    /// Distance by which rays start above the surface, metres.
+    pub offset: f32,
+}
+
+/// Bakes the irradiance of `count` receivers given by `receiver(i)`.
+#[must_use]
+pub fn bake_irradiance(bake: &Bake, count: usize, receiver: impl Fn(usize) -> Receiver + Sync + Send, options: &IrtOptions, progress: &Progress) -> Irradiance {
+    let rays = AtomicU64::new(0);
+    let parts = parallel::map_chunks(count, CHUNK, |range| {
+        let receivers: Vec<Receiver> = range.clone().map(&receiver).collect();
+        let out = bake_chunk(bake, &receivers, options);
+        rays.fetch_add(out.rays, Ordering::Relaxed);
+        progress.advance(range.len() as u64);
+        out
+    });
+    let mut all = Irradiance { rays: rays.into_inner(), ..Irradiance::default() };
+    all.value.reserve_exact(count);
+    all.error.reserve_exact(count);
+    for p in parts {
+        all.value.extend(p.value);
+        all.error.extend(p.error);
+    }
+    all
+}
+
+/// Running estimate of one receiver: sums of two independent halves.
+#[derive(Clone, Copy, Default)]
+struct Halves {
+    sum: [Vec3; 2],
+}
+
+fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irradiance {
+    let mut out = Irradiance { value: vec![Vec3::ZERO; receivers.len()], error: vec![0.0; receivers.len()], rays: 0 };
+    let mut pending: Vec<u32> = (0..receivers.len() as u32).collect();
+    let mut halves = vec![Halves::default(); receivers.len()];
+    let mut scratch = Scratch::default();
+    let (mut first_ray, mut first_light) = (0u32, 0u32);
+    let (mut rays, mut lights) = (options.rays.max(2), if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 });
+    for round in 0..options.max_rounds.max(1) {
+        // estimates of a round are weighted by its share of all samples so far
+        for h in &mut halves {
+            *h = Halves::default();
+        }
+        let total_rays = first_ray + rays;
+        let total_lights = first_light + lights;
+        for group in pending.chunks(32) {
+            out.rays += scratch.run(bake, receivers, group, options, [0, total_rays], [0, total_lights], &mut halves);
+        }
+        let last = round + 1 == options.max_rounds.max(1);
+        pending.retain(|&i| {
+            let h = halves[i as usize];
+            let e = h.sum[0] + h.sum[1];
+            out.value[i as usize] = e;
+            let (a, b) = (crate::math::luminance(h.sum[0]), crate::math::luminance(h.sum[1]));
+            let error = if a + b > 0.0 { (a - b).abs() / (a + b) } else { 0.0 };
+            out.error[i as usize] = error;
+            !last && error > options.target
+        });
+        if pending.is_empty() {
+            break;
+        }
+        (first_ray, first_light) = (total_rays, total_lights);
+        (rays, lights) = (total_rays, total_lights);
+    }
+    out
+}
+
+#[derive(Default)]
+struct Scratch {
+    rays: Vec<Ray>,
+    hits: Vec<Hit>,
+    /// Per ray: cosine at the receiver, receiver, half.
+    tags: Vec<(f32, u32, u8)>,
+    shadow: Vec<Ray>,
+    hidden: Vec<u8>,
+    /// Per shadow ray: contribution if unoccluded, receiver, half.
+    pending: Vec<(Vec3, u32, u8)>,
+}
+
+impl Scratch {
+    /// Traces the samples `rays` and `lights` of every receiver in `group`; returns the number of rays.
+    fn run(&mut self, bake: &Bake, receivers: &[Receiver], group: &[u32], options: &IrtOptions, rays: [u32; 2], lights: [u32; 2], halves: &mut [Halves]) -> u64 {
+        self.rays.clear();
+        self.tags.clear();
+        self.shadow.clear();
+        self.pending.clear();
+        for &i in group {
+            self.hemisphere_rays(bake, &receivers[i as usize], i, options, rays);
+            self.emitter_rays(bake, &receivers[i as usize], i, options, rays[1], lights);
+        }
+        self.hits.resize(self.rays.len(), Hit::miss());
+        bake.tracer.closest(&self.rays, &mut self.hits);
+        self.hidden.resize(self.shadow.len(), 0);
+        bake.tracer.occluded(&self.shadow, &mut self.hidden);
+        self.gather_hemisphere(bake, receivers, options, rays[1], lights[1], halves);
+        for (k, (value, i, half)) in self.pending.iter().enumerate() {
+            if self.hidden[k] == 0 {
+                halves[*i as usize].sum[*half as usize] += *value;
+            }
+        }
+        (self.rays.len() + self.shadow.len()) as u64
+    }
+
+    fn hemisphere_rays(&mut self, bake: &Bake, r: &Receiver, i: u32, options: &IrtOptions, [begin, end]: [u32; 2]) {
+        let frame = Frame::from_normal(r.normal);
+        let origin = r.position + r.face_normal * bake.offset;
+        let sequence = SobolSequence::new(options.seed, r.key);
+        let mut rng = KeyedRng::new(options.seed, r.key);
+        let shift = [rng.next_f32(), rng.next_f32()];
+        for s in begin..end {
+            let local = match options.estimator {
+                Estimator::Uniform => {
+                    let h = hammersley(s, end);
+                    square_to_uniform_hemisphere([(h[0] + shift[0]).fract(), (h[1] + shift[1]).fract()])
+                }
+                Estimator::Cosine | Estimator::Mis => square_to_cosine_hemisphere(sequence.point2(s)),
+            };
+            let direction = frame.world_from_local(local);
+            self.rays.push(Ray::new(origin, direction, f32::INFINITY));
+            self.tags.push((local.z, i, (s & 1) as u8));
+        }
+    }
+
+    fn emitter_rays(&mut self, bake: &Bake, r: &Receiver, i: u32, options: &IrtOptions, n_rays: u32, [begin, end]: [u32; 2]) {
+        let Some(choice) = bake.emitters.choice_at(r.position).filter(|_| end > begin) else { return };
+        let origin = r.position + r.face_normal * bake.offset;
+        let sequence = SobolSequence::new(options.seed ^ 0x5eed_1a3b, r.key);
+        for s in begin..end {
+            let e = bake.emitters.sample(bake.mesh, bake.field, choice, sequence.point4(s));
+            let d = e.position - origin;
+            let d2 = d.length_squared();
+            let w = d / d2.sqrt().max(f32::MIN_POSITIVE);
+            let (cos_r, cos_e) = (r.normal.dot(w), -e.normal.dot(w));
+            if !(cos_r > 0.0 && cos_e > 0.0 && r.face_normal.dot(w) > 0.0) {
+                continue;
+            }
+            let pdf_light = e.pdf_area * d2 / cos_e;
+            let pdf_ray = cos_r * FRAC_1_PI;
+            // balance heuristic with n_e light samples and n_r rays
+            let value = e.radiance * (cos_r / (end as f32 * pdf_light + n_rays as f32 * pdf_ray));
+            self.shadow.push(segment(origin, e.position));
+            self.pending.push((value, i, (s & 1) as u8));
+        }
+    }
+
+    fn gather_hemisphere(&self, bake: &Bake, receivers: &[Receiver], options: &IrtOptions, n_rays: u32, n_lights: u32, halves: &mut [Halves]) {
+        // diameter per metre of the cone one ray stands for
+        let spread = 2.0 * (1.0 / n_rays as f32).sqrt();
+        let mut current = (u32::MAX, None);
+        for (k, hit) in self.hits.iter().enumerate() {
+            let (cosine, i, half) = self.tags[k];
+            let direction = Vec3::from_array(self.rays[k].direction);
+            let l = bake.field.arriving(hit, direction, if options.estimator == Estimator::Uniform { 0.0 } else { spread });
+            let weight = match options.estimator {
+                Estimator::Uniform => TAU * cosine / n_rays as f32,
+                Estimator::Cosine => PI / n_rays as f32,
+                Estimator::Mis => {
+                    let pdf_ray = cosine * FRAC_1_PI;
+                    let mut pdf_light = 0.0;
+                    if n_lights > 0 && hit.is_hit() && bake.field.is_emissive(hit.triangle as usize) {
+                        if current.0 != i {
+                            current = (i, bake.emitters.choice_at(receivers[i as usize].position));
+                        }
+                        let cos_e = -bake.field.outward_normal(hit.triangle as usize).dot(direction);
+                        if let Some(choice) = current.1.filter(|_| cos_e > 0.0) {
+                            pdf_light = bake.emitters.pdf_area(choice, hit.triangle) * hit.t * hit.t / cos_e;
+                        }
+                    }
+                    cosine / (n_rays as f32 * pdf_ray + n_lights as f32 * pdf_light)
+                }
+            };
+            if cosine > 0.0 {
+                halves[i as usize].sum[half as usize] += l * weight;
+            }
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! Texture-based lighting (TBL): the radiance every texel sends out, fused from all views that see it.
+//!
+//! The paper copies one pixel of one view per texel (method §2.1, W6), so that a highlight seen from that view becomes light.
+//! Here every view contributes with a weight from its footprint; a weighted median finds the view-independent level and a
+//! one-step Huber mean around it uses all consistent views.
+
+use crate::gbuffer::{Observation, Observer, Orientation};
+use crate::parallel;
+use crate::progress::Progress;
+use crate::texture::Texels;
+use glam::Vec3;
+
+/// Texels per parallel task.
+const CHUNK: usize = 2048;
+
+/// Fused radiance per covered texel.
+#[derive(Clone, Debug, Default)]
+pub struct Fusion {
+    /// Radiance sent out, zero where unobserved.
+    pub radiance: Vec<Vec3>,
+    /// Number of views used.
+    pub views: Vec<u8>,
+    /// Class id by vote of the observing views, 0 where unlabelled or unobserved.
+    pub label: Vec<u16>,
+    /// Smallest luminance over the clean views: light that cannot be a highlight.
+    pub floor: Vec<f32>,
+}
+
+/// Fuses the observations of every texel.
+#[must_use]
+pub fn fuse_radiance(observer: &Observer, orientation: &Orientation, texels: &Texels, progress: &Progress) -> Fusion {
+    let parts = parallel::map_chunks(texels.len(), CHUNK, |range| {
+        let mut out = Fusion::default();
+        let mut seen = Vec::new();
+        for i in range.clone() {
+            let t = texels.point[i].triangle as usize;
+            let n = observer.mesh.face_normal(t) * orientation.sign(t);
+            observer.observe(texels.position(observer.mesh, i), n, &mut seen);
+            out.label.push(vote_label(&seen));
+            prefer_clean(&mut seen);
+            out.radiance.push(robust_mean(&seen));
+            out.views.push(seen.len().min(255) as u8);
+            out.floor.push(seen.iter().map(|o| crate::math::luminance(o.radiance)).fold(f32::INFINITY, f32::min));
+        }
+        progress.advance(range.len() as u64);
+        out
+    });
+    let mut all = Fusion::default();
+    for p in parts {
+        all.radiance.extend(p.radiance);
+        all.views.extend(p.views);
+        all.label.extend(p.label);
+        all.floor.extend(p.floor);
+    }
+    all
+}
+
+/// Keeps only clean observations if there is at least one.
+pub(crate) fn prefer_clean(seen: &mut Vec<Observation>) {
+    if seen.iter().any(|o| o.clean) {
+        seen.retain(|o| o.clean);
+    }
+}
+
+/// Sharpness weight of an observation: inverse footprint area.
+pub(crate) fn sharpness(o: &Observation) -> f32 {
+    1.0 / (o.footprint * o.footprint).max(1e-12)
+}
+
+/// The label most observing views agree on, weighted by sharpness; ties go to the smaller id.
+fn vote_label(seen: &[Observation]) -> u16 {
+    let mut ballot: Vec<(u16, f32)> = Vec::new();
+    for o in seen.iter().filter(|o| o.label != 0) {
+        let w = o.n_v * if o.clean { 1.0 } else { 0.1 };
+        match ballot.iter_mut().find(|b| b.0 == o.label) {
+            Some(b) => b.1 += w,
+            None => ballot.push((o.label, w)),
+        }
+    }
+    ballot.sort_by_key(|b| b.0);
+    ballot.iter().fold((0u16, 0.0f32), |best, b| if b.1 > best.1 { *b } else { best }).0
+}
+
+/// Weighted median by luminance, then a Huber-weighted mean around it.
+fn robust_mean(seen: &[Observation]) -> Vec3 {
+    match seen {
+        [] => return Vec3::ZERO,
+        [one] => return one.radiance,
+        _ => {}
+    }
+    let mut order: Vec<(f32, f32)> = seen.iter().map(|o| (crate::math::luminance(o.radiance), sharpness(o).sqrt())).collect();
+    order.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * order.iter().map(|o| o.1).sum::<f32>();
+    let mut acc = 0.0;
+    let mut median = order[0].0;
+    for (value, w) in &order {
+        acc += w;
+        median = *value;
+        if acc >= half {
+            break;
+        }
+    }
+    let mut spread: Vec<f32> = order.iter().map(|o| (o.0 - median).abs()).collect();
+    spread.sort_by(f32::total_cmp);
+    let scale = 1.5 * spread[spread.len() / 2] + 0.02 * median + f32::MIN_POSITIVE;
+    let (mut sum, mut total) = (Vec3::ZERO, 0.0);
+    for o in seen {
+        let distance = (crate::math::luminance(o.radiance) - median).abs() / scale;
+        let w = sharpness(o).sqrt() / distance.max(1.0);
+        sum += o.radiance * w;
+        total += w;
+    }
+    if total > 0.0 { sum / total } else { Vec3::ZERO }
+}
