@@ -56,6 +56,22 @@ impl Mesh {
         a + (b - a) * u + (c - a) * v
     }
 
+    /// Barycentrics (u, v) of the point of triangle `t`'s plane nearest to `p`, clamped to the triangle; (0, 0) if its area is zero.
+    #[must_use]
+    pub fn barycentrics(&self, t: usize, p: Vec3) -> (f32, f32) {
+        let [a, b, c] = self.corners(t);
+        let (e1, e2, d) = (b - a, c - a, p - a);
+        let (d11, d12, d22) = (e1.dot(e1), e1.dot(e2), e2.dot(e2));
+        let det = d11 * d22 - d12 * d12;
+        if det.is_nan() || det <= 0.0 {
+            return (0.0, 0.0);
+        }
+        let (p1, p2) = (d.dot(e1), d.dot(e2));
+        let u = ((d22 * p1 - d12 * p2) / det).clamp(0.0, 1.0);
+        let v = ((d11 * p2 - d12 * p1) / det).clamp(0.0, 1.0 - u);
+        (u, v)
+    }
+
     /// Atlas coordinate at barycentrics (u, v).
     #[must_use]
     pub fn uv(&self, t: usize, u: f32, v: f32) -> Vec2 {

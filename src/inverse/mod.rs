@@ -1,1 +1,7 @@
-//! (being written)
+//! From light and observations to materials: stage I albedo, stage II roughness, stage III refinement.
+
+mod albedo;
+mod roughness;
+
+pub use albedo::{AlbedoEstimate, estimate_albedo, specular_image};
+pub use roughness::{GroupFit, fit_groups};

@@ -128,14 +128,17 @@ fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irra
     let (mut first_ray, mut first_light) = (0u32, 0u32);
     let (mut rays, mut lights) = (options.rays.max(2), if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 });
     for round in 0..options.max_rounds.max(1) {
-        // estimates of a round are weighted by its share of all samples so far
-        for h in &mut halves {
-            *h = Halves::default();
+        if round > 0 {
+            // sample counts double: what is summed so far counts half
+            for &i in &pending {
+                let h = &mut halves[i as usize];
+                h.sum = h.sum.map(|s| s * 0.5);
+            }
         }
         let total_rays = first_ray + rays;
         let total_lights = first_light + lights;
         for group in pending.chunks(32) {
-            out.rays += scratch.run(bake, receivers, group, options, [0, total_rays], [0, total_lights], &mut halves);
+            out.rays += scratch.run(bake, receivers, group, options, [first_ray, total_rays], [first_light, total_lights], &mut halves);
         }
         let last = round + 1 == options.max_rounds.max(1);
         pending.retain(|&i| {
@@ -207,6 +210,10 @@ impl Scratch {
                 Estimator::Cosine | Estimator::Mis => square_to_cosine_hemisphere(sequence.point2(s)),
             };
             let direction = frame.world_from_local(local);
+            // below the true surface the surface itself blocks the light
+            if r.face_normal.dot(direction) <= 0.0 || local.z <= 0.0 {
+                continue;
+            }
             self.rays.push(Ray::new(origin, direction, f32::INFINITY));
             self.tags.push((local.z, i, (s & 1) as u8));
         }
@@ -260,9 +267,7 @@ impl Scratch {
                     cosine / (n_rays as f32 * pdf_ray + n_lights as f32 * pdf_light)
                 }
             };
-            if cosine > 0.0 {
-                halves[i as usize].sum[half as usize] += l * weight;
-            }
+            halves[i as usize].sum[half as usize] += l * weight;
         }
     }
 }

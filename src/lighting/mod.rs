@@ -4,10 +4,13 @@ mod emitters;
 mod environment;
 mod irt;
 mod light_field;
+mod reflection;
 mod tbl;
 
 pub use emitters::{EmitterSample, Emitters, detect_emissive};
 pub use environment::Environment;
 pub use irt::{Bake, Estimator, Irradiance, IrtOptions, Receiver, bake_irradiance};
 pub use light_field::LightField;
+pub use reflection::{Gaze, Levels, Reflector};
+pub(crate) use tbl::prefer_clean;
 pub use tbl::{Fusion, fuse_radiance};

@@ -1,0 +1,114 @@
+//! The specular response of evidence points in every view that sees them, traced once (method §12.3 point 6).
+//!
+//! A point seen from several views pins down roughness without knowing its albedo or irradiance: its diffuse radiance is the same in
+//! all views, so whatever differs between them must be the specular part.
+
+use super::{Candidate, LEVELS, LOBES};
+use crate::gbuffer::{Observation, Observer};
+use crate::lighting::{Bake, Gaze, Levels, Reflector};
+use crate::parallel;
+use crate::progress::Progress;
+use crate::sampling::hash_u64;
+use glam::Vec3;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// A point and its range in [`Evidence::sights`].
+#[derive(Clone, Copy, Debug)]
+pub struct EvidencePoint {
+    /// Group (class, room).
+    pub group: (u16, u16),
+    /// Triangle.
+    pub triangle: u32,
+    /// Position.
+    pub position: Vec3,
+    /// First sight.
+    pub first: u32,
+    /// Number of sights, at least two.
+    pub count: u32,
+}
+
+/// One view's look at an evidence point.
+#[derive(Clone, Copy, Debug)]
+pub struct Sight {
+    /// View index.
+    pub view: u32,
+    /// Observed radiance.
+    pub radiance: Vec3,
+    /// Cosine between shading normal and view direction.
+    pub n_v: f32,
+    /// Relative weight: sharp, frontal views count more.
+    pub weight: f32,
+}
+
+/// Evidence points, their sights, and per sight the specular radiance at every level of [`LEVELS`].
+#[derive(Clone, Debug, Default)]
+pub struct Evidence {
+    /// Points.
+    pub points: Vec<EvidencePoint>,
+    /// Sights of all points, point by point.
+    pub sights: Vec<Sight>,
+    /// `sights.len() × LEVELS.len()` specular radiances.
+    pub specular: Vec<Vec3>,
+    /// Rays traced.
+    pub rays: u64,
+}
+
+impl Evidence {
+    /// Specular radiance of sight `s` at all levels.
+    #[must_use]
+    pub fn response(&self, s: usize) -> &[Vec3] {
+        &self.specular[s * LEVELS.len()..(s + 1) * LEVELS.len()]
+    }
+}
+
+/// Observes every candidate in all views and traces its specular response; candidates with fewer than two clean sights are
+/// dropped.
+#[must_use]
+pub fn gather_evidence(
+    bake: &Bake,
+    observer: &Observer,
+    candidates: &[Candidate],
+    normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
+    seed: u64,
+    progress: &Progress,
+) -> Evidence {
+    const CHUNK: usize = 64;
+    let rays = AtomicU64::new(0);
+    let reflector = Reflector { bake, rays_per_lobe: 10, emitter_samples: 16, seed };
+    let parts = parallel::map_chunks(candidates.len(), CHUNK, |range| {
+        let mut out = Evidence::default();
+        let mut gazes = Vec::new();
+        let mut seen: Vec<Observation> = Vec::new();
+        for i in range.clone() {
+            let c = &candidates[i];
+            let (normal, face_normal) = normals(c.triangle, c.position);
+            observer.observe(c.position, face_normal, &mut seen);
+            seen.retain(|o| o.clean && o.n_v > 0.12);
+            if seen.len() < 2 {
+                continue;
+            }
+            let first = out.sights.len() as u32;
+            for o in &seen {
+                let camera = &observer.views[o.view as usize].buffer.camera;
+                let view = (camera.position - c.position).normalize_or(normal);
+                out.sights.push(Sight { view: o.view, radiance: o.radiance, n_v: normal.dot(view), weight: (o.n_v / o.footprint).sqrt() });
+                let key = hash_u64(hash_u64(u64::from(o.view), u64::from(c.triangle)), i as u64);
+                gazes.push(Gaze { position: c.position, normal, face_normal, view, key });
+            }
+            out.points.push(EvidencePoint { group: c.group, triangle: c.triangle, position: c.position, first, count: seen.len() as u32 });
+        }
+        out.specular = vec![Vec3::ZERO; out.sights.len() * LEVELS.len()];
+        let traced = reflector.reflect(&gazes, Levels::Shared { lobes: &LOBES, evaluate: &LEVELS }, &mut out.specular);
+        rays.fetch_add(traced, Ordering::Relaxed);
+        progress.advance(range.len() as u64);
+        out
+    });
+    let mut all = Evidence { rays: rays.into_inner(), ..Evidence::default() };
+    for p in parts {
+        let base = all.sights.len() as u32;
+        all.points.extend(p.points.into_iter().map(|q| EvidencePoint { first: q.first + base, ..q }));
+        all.sights.extend(p.sights);
+        all.specular.extend(p.specular);
+    }
+    all
+}

@@ -1,0 +1,117 @@
+//! Which surface points carry evidence about roughness.
+//!
+//! A pixel is a virtual highlight if a mirror there would show something much brighter than the surface itself (the paper's VHL with
+//! a scale-free threshold, method §6). Per class and room the strongest ones are kept beside evenly spread ones: highlights fix the
+//! roughness, ordinary points keep the answer honest.
+
+use crate::brdf::fresnel;
+use crate::gbuffer::ObservedView;
+use crate::lighting::Bake;
+use crate::math::luminance;
+use crate::sampling::hash_u64;
+use crate::trace::{Hit, Ray};
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// How many points are selected.
+#[derive(Clone, Debug)]
+pub struct SelectOptions {
+    /// Pixels between candidates along rows and columns.
+    pub stride: usize,
+    /// Evenly spread points per group.
+    pub even: usize,
+    /// Highlight points per group.
+    pub highlights: usize,
+    /// Seed.
+    pub seed: u64,
+}
+
+/// A surface point seen at a pixel.
+#[derive(Clone, Copy, Debug)]
+pub struct Candidate {
+    /// Triangle.
+    pub triangle: u32,
+    /// Position.
+    pub position: Vec3,
+    /// Group (class, room).
+    pub group: (u16, u16),
+    /// Mirrored light over own radiance: how much of a highlight this pixel would be.
+    pub strength: f32,
+    order: u64,
+}
+
+/// Selects points per group. `group(triangle, position)` names the (class, room) of a surface point, or `None` for surfaces
+/// without material (emitters, unlabelled).
+#[must_use]
+pub fn select_points(
+    bake: &Bake,
+    views: &[ObservedView],
+    normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
+    group: &(dyn Fn(u32, Vec3) -> Option<(u16, u16)> + Sync),
+    options: &SelectOptions,
+) -> Vec<Candidate> {
+    let per_view: Vec<Vec<Candidate>> =
+        views.par_iter().enumerate().map(|(i, v)| candidates(bake, i, v, normals, group, options)).collect();
+    let mut groups: BTreeMap<(u16, u16), Vec<Candidate>> = BTreeMap::new();
+    for c in per_view.into_iter().flatten() {
+        groups.entry(c.group).or_default().push(c);
+    }
+    let mut chosen = Vec::new();
+    for (_, mut members) in groups {
+        // a keyed shuffle, then evenly spread points first
+        members.sort_by_key(|c| c.order);
+        let even = options.even.min(members.len());
+        let mut rest = members.split_off(even);
+        chosen.extend(members);
+        rest.retain(|c| c.strength > 0.05);
+        rest.sort_by(|a, b| b.strength.min(2.0).total_cmp(&a.strength.min(2.0)).then(a.order.cmp(&b.order)));
+        rest.truncate(options.highlights);
+        chosen.extend(rest);
+    }
+    chosen
+}
+
+fn candidates(
+    bake: &Bake,
+    index: usize,
+    view: &ObservedView,
+    normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
+    group: &(dyn Fn(u32, Vec3) -> Option<(u16, u16)> + Sync),
+    options: &SelectOptions,
+) -> Vec<Candidate> {
+    let b = &view.buffer;
+    let (w, h) = (b.triangle.width, b.triangle.height);
+    let stride = options.stride.max(1);
+    let mut found = Vec::new();
+    let mut rays = Vec::new();
+    let mut kept: Vec<(Candidate, f32, f32)> = Vec::new();
+    for y in (index % stride..h).step_by(stride) {
+        rays.clear();
+        kept.clear();
+        for x in (0..w).step_by(stride) {
+            let t = b.triangle[(x, y)];
+            if t == Hit::MISS || !view.clean[(x, y)] || view.valid.as_ref().is_some_and(|v| !v[(x, y)]) {
+                continue;
+            }
+            let d = b.camera.direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+            let position = b.camera.position + d * b.distance[(x, y)];
+            let (n, face) = normals(t, position);
+            let n_v = -n.dot(d);
+            let Some(g) = group(t, position).filter(|_| n_v > 0.05 && face.dot(d) < 0.0) else { continue };
+            let mirror = d + n * (2.0 * n_v);
+            let order = hash_u64(options.seed, hash_u64(index as u64, (y * w + x) as u64));
+            rays.push(Ray::new(position + face * bake.offset, mirror, f32::INFINITY));
+            let c = Candidate { triangle: t, position, group: g, strength: 0.0, order };
+            kept.push((c, n_v, luminance(view.radiance[(x, y)])));
+        }
+        let mut hits = vec![Hit::miss(); rays.len()];
+        bake.tracer.closest(&rays, &mut hits);
+        for (k, (mut c, n_v, own)) in kept.iter().copied().enumerate() {
+            let mirrored = luminance(bake.field.arriving(&hits[k], Vec3::from_array(rays[k].direction), 0.05));
+            c.strength = fresnel(n_v) * mirrored / own.max(1e-12);
+            found.push(c);
+        }
+    }
+    found
+}

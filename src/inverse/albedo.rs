@@ -1,0 +1,151 @@
+//! Stage I in closed form: a texel's albedo is π/E times its diffuse radiance, the robust mean over views of the observed radiance
+//! less the specular part.
+
+use crate::gbuffer::{ObservedView, Observer, Orientation};
+use crate::image::{Plane, RgbPlane};
+use crate::lighting::{Bake, Gaze, Levels, Reflector};
+use crate::math::luminance;
+use crate::parallel;
+use crate::progress::Progress;
+use crate::sampling::hash_u64;
+use crate::texture::Texels;
+use crate::trace::Hit;
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Albedo per covered texel.
+#[derive(Clone, Debug, Default)]
+pub struct AlbedoEstimate {
+    /// Albedo, not clamped; zero where unobserved.
+    pub value: Vec<Vec3>,
+    /// Standard error of its luminance; infinite where unobserved.
+    pub error: Vec<f32>,
+}
+
+/// Specular radiance at every pixel of a view, given roughness per surface point. Returns the image and the rays traced.
+#[must_use]
+pub fn specular_image(
+    reflector: &Reflector,
+    view: &ObservedView,
+    view_index: usize,
+    normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
+    roughness: &(dyn Fn(u32, Vec3) -> f32 + Sync),
+) -> (RgbPlane, u64) {
+    let b = &view.buffer;
+    let (w, h) = (b.triangle.width, b.triangle.height);
+    let mut image = Plane::filled(w, h, Vec3::ZERO);
+    let rays = AtomicU64::new(0);
+    image.data.par_chunks_mut(w).enumerate().for_each(|(y, row)| {
+        let mut gazes = Vec::with_capacity(w);
+        let mut levels = Vec::with_capacity(w);
+        let mut columns = Vec::with_capacity(w);
+        for x in 0..w {
+            let t = b.triangle[(x, y)];
+            if t == Hit::MISS {
+                continue;
+            }
+            let d = b.camera.direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+            let position = b.camera.position + d * b.distance[(x, y)];
+            let (normal, face_normal) = normals(t, position);
+            if face_normal.dot(d) >= 0.0 {
+                continue;
+            }
+            gazes.push(Gaze { position, normal, face_normal, view: -d, key: hash_u64(view_index as u64, (y * w + x) as u64) });
+            levels.push(roughness(t, position));
+            columns.push(x);
+        }
+        let mut out = vec![Vec3::ZERO; gazes.len()];
+        rays.fetch_add(reflector.reflect(&gazes, Levels::Own(&levels), &mut out), Ordering::Relaxed);
+        for (x, value) in columns.into_iter().zip(out) {
+            row[x] = value;
+        }
+    });
+    (image, rays.into_inner())
+}
+
+/// Estimates albedo from views whose specular part is `specular[v]` (same size as view v's image).
+#[must_use]
+pub fn estimate_albedo(
+    observer: &Observer,
+    specular: &[RgbPlane],
+    orientation: &Orientation,
+    texels: &Texels,
+    irradiance: &RgbPlane,
+    progress: &Progress,
+) -> AlbedoEstimate {
+    const CHUNK: usize = 2048;
+    let mesh = observer.mesh;
+    let size = Vec2::new(irradiance.width as f32, irradiance.height as f32);
+    let parts = parallel::map_chunks(texels.len(), CHUNK, |range| {
+        let mut out = AlbedoEstimate::default();
+        let mut seen = Vec::new();
+        let mut looks: Vec<(Vec3, f32)> = Vec::new();
+        for i in range.clone() {
+            let p = texels.point[i];
+            let t = p.triangle as usize;
+            observer.observe(texels.position(mesh, i), mesh.face_normal(t) * orientation.sign(t), &mut seen);
+            crate::lighting::prefer_clean(&mut seen);
+            looks.clear();
+            for o in &seen {
+                let camera = &observer.views[o.view as usize].buffer.camera;
+                let wrap = if camera.projection == crate::geometry::Projection::Equirectangular {
+                    crate::image::Wrap::Repeat
+                } else {
+                    crate::image::Wrap::Clamp
+                };
+                let s = specular[o.view as usize].bilinear(o.pixel, wrap);
+                // where the specular part is a large share, its own error is too
+                let share = luminance(s) / luminance(o.radiance).max(1e-12);
+                let w = (1.0 / (o.footprint * o.footprint)).powi(2) * o.n_v / (1.0 + (share / 0.15).powi(2));
+                looks.push((o.radiance - s, w));
+            }
+            let e = irradiance.bilinear(mesh.uv(t, p.u, p.v) * size, crate::image::Wrap::Clamp).max(Vec3::splat(1e-12));
+            let (diffuse, spread) = robust_diffuse(&looks);
+            out.value.push(diffuse * std::f32::consts::PI / e);
+            out.error.push(spread * std::f32::consts::PI / luminance(e));
+        }
+        progress.advance(range.len() as u64);
+        out
+    });
+    let mut all = AlbedoEstimate::default();
+    for p in parts {
+        all.value.extend(p.value);
+        all.error.extend(p.error);
+    }
+    all
+}
+
+/// Weighted robust mean of diffuse radiances and its standard error; (0, ∞) without observations.
+fn robust_diffuse(looks: &[(Vec3, f32)]) -> (Vec3, f32) {
+    if looks.is_empty() {
+        return (Vec3::ZERO, f32::INFINITY);
+    }
+    let mut order: Vec<(f32, f32)> = looks.iter().map(|l| (luminance(l.0), l.1)).collect();
+    order.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * order.iter().map(|o| o.1).sum::<f32>();
+    let mut acc = 0.0;
+    let mut median = order[0].0;
+    for (v, w) in &order {
+        acc += w;
+        median = *v;
+        if acc >= half {
+            break;
+        }
+    }
+    let tolerance = 0.06 * median.abs() + f32::MIN_POSITIVE;
+    let (mut sum, mut total, mut square, mut weight2) = (Vec3::ZERO, 0.0, 0.0, 0.0);
+    for (v, w) in looks {
+        let r = (luminance(*v) - median) / tolerance;
+        let k = w / (1.0 + r * r);
+        sum += *v * k;
+        total += k;
+        square += k * (luminance(*v) - median).powi(2);
+        weight2 += k * k;
+    }
+    if total <= 0.0 {
+        return (looks[0].0, median.abs());
+    }
+    let effective = total * total / weight2;
+    (sum / total, ((square / total).max((0.02 * median).powi(2)) / effective).sqrt())
+}

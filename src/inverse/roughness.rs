@@ -1,0 +1,130 @@
+//! Stage II: one roughness per (class, room) by a pooled search over the evidence.
+//!
+//! For a candidate roughness every point's views, less their specular part, must agree on one diffuse radiance. The disagreement,
+//! summed over the points of a group, is tabulated at all levels; its global minimum is the answer and its depth the confidence
+//! (method §12.3 point 7; variable projection, Golub & Pereyra 1973: the diffuse radiance is eliminated in closed form).
+
+use crate::highlight::{Evidence, LEVELS};
+use crate::math::luminance;
+use glam::Vec3;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Relative disagreement beyond which a view counts as an outlier (moving object, misregistration).
+const OUTLIER: f32 = 0.25;
+
+/// What the evidence says about one group.
+#[derive(Clone, Debug)]
+pub struct GroupFit {
+    /// (class, room).
+    pub group: (u16, u16),
+    /// Best roughness.
+    pub roughness: f32,
+    /// Standard error of the roughness from the curvature of the objective.
+    pub error: f32,
+    /// Objective per level (mean relative disagreement).
+    pub objective: Vec<f64>,
+    /// Points used.
+    pub points: usize,
+}
+
+/// Fits every group of the evidence.
+#[must_use]
+pub fn fit_groups(evidence: &Evidence) -> Vec<GroupFit> {
+    let mut groups: BTreeMap<(u16, u16), Vec<usize>> = BTreeMap::new();
+    for (i, p) in evidence.points.iter().enumerate() {
+        groups.entry(p.group).or_default().push(i);
+    }
+    groups.into_iter().map(|(group, points)| fit_group(evidence, group, &points)).collect()
+}
+
+fn fit_group(evidence: &Evidence, group: (u16, u16), points: &[usize]) -> GroupFit {
+    let rows: Vec<[f64; LEVELS.len()]> = points.par_iter().map(|&i| disagreement(evidence, i)).collect();
+    let n = rows.len().max(1) as f64;
+    let objective: Vec<f64> = (0..LEVELS.len()).map(|k| rows.iter().map(|r| r[k]).sum::<f64>() / n).collect();
+    let best = (0..LEVELS.len()).min_by(|&a, &b| objective[a].total_cmp(&objective[b])).unwrap_or(0);
+    let (roughness, curvature) = parabola_minimum(best, &objective);
+    // spread of the points' slopes around the minimum: sandwich estimate
+    let (lo, hi) = (best.saturating_sub(1), (best + 1).min(LEVELS.len() - 1));
+    let step = f64::from(LEVELS[hi] - LEVELS[lo]);
+    let slopes: Vec<f64> = rows.iter().map(|r| (r[hi] - r[lo]) / step).collect();
+    let mean = slopes.iter().sum::<f64>() / n;
+    let variance = slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n / n;
+    let error = if curvature > 0.0 { (variance.sqrt() / curvature) as f32 } else { 1.0 };
+    GroupFit { group, roughness, error: error.min(1.0), objective, points: points.len() }
+}
+
+/// Robust relative disagreement of a point's views per level.
+fn disagreement(evidence: &Evidence, i: usize) -> [f64; LEVELS.len()] {
+    let p = &evidence.points[i];
+    let range = p.first as usize..(p.first + p.count) as usize;
+    let sights = &evidence.sights[range.clone()];
+    let mut by_luminance: Vec<f32> = sights.iter().map(|s| luminance(s.radiance)).collect();
+    by_luminance.sort_by(f32::total_cmp);
+    let scale = by_luminance[by_luminance.len() / 2].max(1e-9);
+    let mut diffuse = vec![(Vec3::ZERO, 0.0f32); sights.len()];
+    std::array::from_fn(|k| {
+        for (d, (s, j)) in diffuse.iter_mut().zip(sights.iter().zip(range.clone())) {
+            *d = (s.radiance - evidence.response(j)[k], s.weight);
+        }
+        let centre = robust_centre(&diffuse, scale);
+        let mut sum = 0.0;
+        let mut weight = 0.0;
+        for (d, w) in &diffuse {
+            let e = (*d - centre) / scale;
+            let r = e.abs().dot(Vec3::splat(1.0 / 3.0));
+            sum += f64::from(w * (r * r / (r + 0.02)).min(OUTLIER));
+            weight += f64::from(*w);
+        }
+        sum / weight
+    })
+}
+
+/// Weighted mean refined twice by Cauchy-like weights, per colour together.
+fn robust_centre(values: &[(Vec3, f32)], scale: f32) -> Vec3 {
+    let mut centre = weighted_median(values);
+    for _ in 0..2 {
+        let (mut sum, mut total) = (Vec3::ZERO, 0.0);
+        for (v, w) in values {
+            let r = (*v - centre).abs().dot(Vec3::splat(1.0 / 3.0)) / scale;
+            let k = w / (1.0 + (r / 0.03).powi(2));
+            sum += *v * k;
+            total += k;
+        }
+        if total > 0.0 {
+            centre = sum / total;
+        }
+    }
+    centre
+}
+
+fn weighted_median(values: &[(Vec3, f32)]) -> Vec3 {
+    let mut order: Vec<(f32, usize)> = values.iter().enumerate().map(|(i, v)| (luminance(v.0), i)).collect();
+    order.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * values.iter().map(|v| v.1).sum::<f32>();
+    let mut acc = 0.0;
+    for (_, i) in &order {
+        acc += values[*i].1;
+        if acc >= half {
+            return values[*i].0;
+        }
+    }
+    values.first().map_or(Vec3::ZERO, |v| v.0)
+}
+
+/// Vertex of the parabola through the best level and its neighbours (unequal spacing), and the second derivative there.
+fn parabola_minimum(best: usize, objective: &[f64]) -> (f32, f64) {
+    let last = LEVELS.len() - 1;
+    let mid = best.clamp(1, last - 1);
+    let x = [mid - 1, mid, mid + 1].map(|i| f64::from(LEVELS[i]));
+    let y = [mid - 1, mid, mid + 1].map(|i| objective[i]);
+    let (d1, d2) = ((y[1] - y[0]) / (x[1] - x[0]), (y[2] - y[1]) / (x[2] - x[1]));
+    let curvature = 2.0 * (d2 - d1) / (x[2] - x[0]);
+    if curvature <= 0.0 {
+        return (LEVELS[best], curvature);
+    }
+    let slope_mid = d1 + (x[1] - x[0]) * curvature * 0.5;
+    let vertex = x[1] - slope_mid / curvature;
+    let bounds = (f64::from(LEVELS[best.saturating_sub(1)]), f64::from(LEVELS[(best + 1).min(last)]));
+    (vertex.clamp(bounds.0, bounds.1) as f32, curvature)
+}

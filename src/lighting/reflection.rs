@@ -1,0 +1,221 @@
+//! Specular reflection of the light field: L_s(R) = ∫ L(l) f_s(v, l; R) (n·l) dl at surface points seen from given directions.
+//!
+//! Directions come from a mixture of visible-normal GGX lobes and emitter samples (balance heuristic), so that one set of traced
+//! rays serves any number of roughness levels R (method §12.3 point 6); the radiance along a ray is averaged over the cone the
+//! ray stands for.
+
+use super::emitters::segment;
+use super::irt::Bake;
+use crate::brdf::{sample_vndf, specular, vndf_reflection_pdf};
+use crate::math::Frame;
+use crate::sampling::{AliasTable, SobolSequence};
+use crate::trace::{Hit, Ray};
+use glam::Vec3;
+use std::f32::consts::FRAC_1_PI;
+
+/// Gazes per batch of rays.
+const BATCH: usize = 48;
+
+/// A surface point seen from a direction.
+#[derive(Clone, Copy, Debug)]
+pub struct Gaze {
+    /// Position on the surface.
+    pub position: Vec3,
+    /// Unit shading normal on the seen side.
+    pub normal: Vec3,
+    /// Unit geometric normal on the seen side.
+    pub face_normal: Vec3,
+    /// Unit direction towards the viewer.
+    pub view: Vec3,
+    /// Key of its random numbers.
+    pub key: u64,
+}
+
+/// The roughness values rays are drawn for and responses evaluated at.
+#[derive(Clone, Copy, Debug)]
+pub enum Levels<'a> {
+    /// All gazes share the lobes and the evaluated roughness levels.
+    Shared {
+        /// Roughness of the sampled lobes.
+        lobes: &'a [f32],
+        /// Roughness levels evaluated.
+        evaluate: &'a [f32],
+    },
+    /// Gaze i has its own roughness `values[i]`, sampled and evaluated.
+    Own(&'a [f32]),
+}
+
+/// Estimates specular reflection.
+pub struct Reflector<'a> {
+    /// Scene and light.
+    pub bake: &'a Bake<'a>,
+    /// Rays per lobe.
+    pub rays_per_lobe: u32,
+    /// Emitter samples per gaze.
+    pub emitter_samples: u32,
+    /// Seed of the sample points.
+    pub seed: u64,
+}
+
+#[derive(Default)]
+struct Scratch {
+    rays: Vec<Ray>,
+    hits: Vec<Hit>,
+    gaze_of_ray: Vec<u32>,
+    shadow: Vec<Ray>,
+    hidden: Vec<u8>,
+    light: Vec<(u32, Vec3, f32)>,
+}
+
+impl Reflector<'_> {
+    /// Adds to `out[i · K + k]` the specular radiance of gaze i at its k-th evaluated level (K levels). Returns the rays traced.
+    pub fn reflect(&self, gazes: &[Gaze], levels: Levels, out: &mut [Vec3]) -> u64 {
+        let k = match levels {
+            Levels::Shared { evaluate, .. } => evaluate.len(),
+            Levels::Own(_) => 1,
+        };
+        let mut scratch = Scratch::default();
+        let mut rays = 0;
+        for (b, group) in gazes.chunks(BATCH).enumerate() {
+            let first = b * BATCH;
+            let own = match levels {
+                Levels::Own(values) => Levels::Own(&values[first..first + group.len()]),
+                shared @ Levels::Shared { .. } => shared,
+            };
+            rays += self.batch(group, own, &mut scratch, &mut out[first * k..(first + group.len()) * k]);
+        }
+        rays
+    }
+
+    fn batch(&self, gazes: &[Gaze], levels: Levels, s: &mut Scratch, out: &mut [Vec3]) -> u64 {
+        s.rays.clear();
+        s.gaze_of_ray.clear();
+        s.shadow.clear();
+        s.light.clear();
+        let choices: Vec<Option<&AliasTable>> = gazes.iter().map(|g| self.bake.emitters.choice_at(g.position)).collect();
+        for (i, g) in gazes.iter().enumerate() {
+            self.lobe_rays(i, g, lobes(&levels, i), s);
+            if let Some(choice) = choices[i] {
+                self.emitter_rays(i, g, choice, s);
+            }
+        }
+        s.hits.resize(s.rays.len(), Hit::miss());
+        self.bake.tracer.closest(&s.rays, &mut s.hits);
+        s.hidden.resize(s.shadow.len(), 0);
+        self.bake.tracer.occluded(&s.shadow, &mut s.hidden);
+        for (r, hit) in s.hits.iter().enumerate() {
+            let i = s.gaze_of_ray[r] as usize;
+            let g = &gazes[i];
+            let l = Vec3::from_array(s.rays[r].direction);
+            let mut emitter_pdf = 0.0;
+            if hit.is_hit() && self.bake.field.is_emissive(hit.triangle as usize) {
+                let cos_e = -self.bake.field.outward_normal(hit.triangle as usize).dot(l);
+                if let Some(choice) = choices[i].filter(|_| cos_e > 0.0) {
+                    emitter_pdf = self.bake.emitters.pdf_area(choice, hit.triangle) * hit.t * hit.t / cos_e;
+                }
+            }
+            let half = HalfVector::new(g, l);
+            let density = self.density(&half, lobes(&levels, i), emitter_pdf);
+            let spread = 2.0 * (FRAC_1_PI / density.max(0.3)).sqrt();
+            let radiance = self.bake.field.arriving(hit, l, spread);
+            accumulate(&half, radiance / density, &levels, i, out);
+        }
+        for (k, &(i, radiance, pdf)) in s.light.iter().enumerate() {
+            if s.hidden[k] == 0 {
+                let i = i as usize;
+                let half = HalfVector::new(&gazes[i], Vec3::from_array(s.shadow[k].direction));
+                let density = self.density(&half, lobes(&levels, i), pdf);
+                accumulate(&half, radiance / density, &levels, i, out);
+            }
+        }
+        (s.rays.len() + s.shadow.len()) as u64
+    }
+
+    /// Expected number of samples per steradian of the whole mixture.
+    fn density(&self, half: &HalfVector, lobes: &[f32], emitter_pdf: f32) -> f32 {
+        let lobe_sum: f32 = lobes.iter().map(|r| vndf_reflection_pdf(half.n_v, half.sin2_nh, r * r)).sum();
+        self.rays_per_lobe as f32 * lobe_sum + self.emitter_samples as f32 * emitter_pdf
+    }
+
+    fn lobe_rays(&self, i: usize, g: &Gaze, lobes: &[f32], s: &mut Scratch) {
+        let frame = Frame::from_normal(g.normal);
+        let mut view = frame.local_from_world(g.view);
+        view.z = view.z.max(MIN_COSINE);
+        let view = view.normalize();
+        let origin = g.position + g.face_normal * self.bake.offset;
+        for (k, &roughness) in lobes.iter().enumerate() {
+            let sequence = SobolSequence::new(self.seed.wrapping_add(k as u64), g.key);
+            for j in 0..self.rays_per_lobe {
+                let h = sample_vndf(view, roughness * roughness, sequence.point2(j));
+                let l_local = h * (2.0 * view.dot(h)) - view;
+                let l = frame.world_from_local(l_local);
+                if l_local.z > 0.0 && l.dot(g.face_normal) > 0.0 {
+                    s.rays.push(Ray::new(origin, l, f32::INFINITY));
+                    s.gaze_of_ray.push(i as u32);
+                }
+            }
+        }
+    }
+
+    fn emitter_rays(&self, i: usize, g: &Gaze, choice: &AliasTable, s: &mut Scratch) {
+        let origin = g.position + g.face_normal * self.bake.offset;
+        let sequence = SobolSequence::new(self.seed ^ 0x11_9474, g.key);
+        for j in 0..self.emitter_samples {
+            let e = self.bake.emitters.sample(self.bake.mesh, self.bake.field, choice, sequence.point4(j));
+            let d = e.position - origin;
+            let d2 = d.length_squared().max(1e-12);
+            let l = d / d2.sqrt();
+            let cos_e = -e.normal.dot(l);
+            if cos_e > 0.0 && g.normal.dot(l) > 0.0 && g.face_normal.dot(l) > 0.0 {
+                s.shadow.push(segment(origin, e.position));
+                s.light.push((i as u32, e.radiance, e.pdf_area * d2 / cos_e));
+            }
+        }
+    }
+}
+
+/// Below this cosine the view counts as grazing: the model's terms stay finite.
+const MIN_COSINE: f32 = 1e-3;
+
+struct HalfVector {
+    n_l: f32,
+    n_v: f32,
+    sin2_nh: f32,
+    v_h: f32,
+}
+
+impl HalfVector {
+    fn new(g: &Gaze, l: Vec3) -> Self {
+        let h = (g.view + l).normalize_or(g.normal);
+        Self {
+            n_l: g.normal.dot(l).max(0.0),
+            n_v: g.normal.dot(g.view).max(MIN_COSINE),
+            sin2_nh: g.normal.cross(h).length_squared().min(1.0),
+            v_h: g.view.dot(h).max(0.0),
+        }
+    }
+}
+
+fn lobes<'a>(levels: &Levels<'a>, i: usize) -> &'a [f32] {
+    match levels {
+        Levels::Shared { lobes, .. } => lobes,
+        Levels::Own(values) => std::slice::from_ref(&values[i]),
+    }
+}
+
+fn accumulate(half: &HalfVector, weighted: Vec3, levels: &Levels, i: usize, out: &mut [Vec3]) {
+    if half.n_l <= 0.0 || weighted == Vec3::ZERO {
+        return;
+    }
+    match levels {
+        Levels::Shared { evaluate, .. } => {
+            let row = &mut out[i * evaluate.len()..(i + 1) * evaluate.len()];
+            for (value, &r) in row.iter_mut().zip(*evaluate) {
+                *value += weighted * (specular(half.n_l, half.n_v, half.sin2_nh, half.v_h, r) * half.n_l);
+            }
+        }
+        Levels::Own(values) => {
+            out[i] += weighted * (specular(half.n_l, half.n_v, half.sin2_nh, half.v_h, values[i]) * half.n_l);
+        }
+    }
+}

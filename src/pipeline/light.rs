@@ -1,0 +1,182 @@
+//! Lighting stages: TBL, environment, emitters, IrT.
+//!
+//! Irradiance is baked twice. A coarse bake tells which texels send out more than they can reflect (emitters) and what surfaces no
+//! camera sees send out (the class's albedo times their irradiance); the full bake then uses both.
+
+use super::{SolveOptions, Surface, surface::coverage};
+use crate::image::{Plane, RgbPlane};
+use crate::lighting::{Bake, Emitters, Environment, IrtOptions, Irradiance, LightField, Receiver, bake_irradiance, detect_emissive};
+use crate::math::luminance;
+use crate::progress::Progress;
+use crate::texture::{Texels, fill_uncovered};
+use glam::{Vec2, Vec3};
+use std::collections::BTreeMap;
+use std::f32::consts::{FRAC_1_PI, PI};
+
+/// Side of the coarse irradiance texture relative to the full one.
+const COARSE: usize = 4;
+
+/// The reconstructed light of a scene.
+pub struct Light {
+    /// Radiance along rays.
+    pub field: LightField,
+    /// Emitters to sample.
+    pub emitters: Emitters,
+    /// Emitting triangles.
+    pub emissive: Vec<bool>,
+    /// Fused radiance, unseen texels predicted, filled outside charts.
+    pub radiance: RgbPlane,
+    /// Covered texels of the irradiance texture.
+    pub texels: Texels,
+    /// Irradiance texture, filled outside charts.
+    pub irradiance: RgbPlane,
+    /// Relative standard error per covered irradiance texel.
+    pub error: Vec<f32>,
+    /// Rays traced.
+    pub rays: u64,
+}
+
+/// Reconstructs the light from the fused observations.
+#[must_use]
+pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &Progress) -> Light {
+    let scene = surface.scene;
+    let environment = Environment::observe(&surface.views);
+    let known = known_lights(surface);
+    let observed: Vec<bool> = surface.fusion.views.iter().map(|v| *v > 0).collect();
+    let mut radiance = filled_radiance(surface, &surface.fusion.radiance, &observed);
+    let coarse = Texels::rasterize(&scene.mesh, options.irradiance_size / COARSE, options.irradiance_size / COARSE);
+    let coarse_options = IrtOptions { rays: 64, emitter_samples: 16, max_rounds: 1, seed: options.seed ^ 1, ..IrtOptions::default() };
+    let mut rays = 0;
+
+    // light as observed, known lamps only
+    let (field, emitters) = light_field(surface, &radiance, &known, environment.clone(), &coarse);
+    let first = progress.stage("emitters", coarse.len() as u64, |p| bake(surface, &field, &emitters, &coarse, &coarse_options, p));
+    rays += first.rays;
+    let coarse_irradiance = texture_of(&coarse, &first.value);
+    let excess = excess(surface, &coarse_irradiance);
+    let triangle: Vec<u32> = surface.texels.point.iter().map(|p| p.triangle).collect();
+    let emissive = detect_emissive(scene.mesh.triangles.len(), &triangle, &excess, &known);
+
+    // surfaces nobody sees send out their class's albedo times their irradiance
+    let unseen = observed.iter().filter(|o| !**o).count();
+    if unseen > 0 {
+        let predicted = predict_unseen(surface, &coarse_irradiance, &observed, &emissive);
+        radiance = filled_radiance(surface, &predicted, &vec![true; observed.len()]);
+    }
+    let (field, emitters) = light_field(surface, &radiance, &emissive, environment, &coarse);
+    progress.note(format!(
+        "{} emitting triangles in {} lamps; environment {}; {:.1} % of texels unseen by any view",
+        emissive.iter().filter(|e| **e).count(),
+        emitters.lamp_count(),
+        if field.environment.is_black() { "not needed: no ray escapes".to_owned() } else { format!("seen in {:.1} % of directions", 100.0 * field.environment.seen_share()) },
+        100.0 * unseen as f64 / observed.len().max(1) as f64
+    ));
+    let texels = Texels::rasterize(&scene.mesh, options.irradiance_size, options.irradiance_size);
+    let full_options = IrtOptions {
+        rays: options.irradiance_rays,
+        emitter_samples: options.emitter_samples,
+        max_rounds: 2,
+        target: options.irradiance_error,
+        seed: options.seed,
+        ..IrtOptions::default()
+    };
+    let baked = progress.stage("irradiance", texels.len() as u64, |p| bake(surface, &field, &emitters, &texels, &full_options, p));
+    rays += baked.rays;
+    let irradiance = texture_of(&texels, &baked.value);
+    Light { field, emitters, emissive, radiance, texels, irradiance, error: baked.error, rays }
+}
+
+/// Triangles whose class is known to emit.
+fn known_lights(surface: &Surface) -> Vec<bool> {
+    let mut votes = vec![(0u32, 0u32); surface.scene.mesh.triangles.len()];
+    for (p, &label) in surface.texels.point.iter().zip(&surface.labels) {
+        let v = &mut votes[p.triangle as usize];
+        v.1 += 1;
+        v.0 += u32::from(surface.scene.classes.iter().any(|c| c.is_light && c.id == label));
+    }
+    votes.iter().map(|v| v.0 > 0 && 2 * v.0 >= v.1).collect()
+}
+
+fn filled_radiance(surface: &Surface, values: &[Vec3], observed: &[bool]) -> RgbPlane {
+    let plane = surface.texels.scatter(values, Vec3::ZERO);
+    fill_uncovered(&plane, &surface.texels.scatter(observed, false))
+}
+
+fn texture_of(texels: &Texels, values: &[Vec3]) -> RgbPlane {
+    fill_uncovered(&texels.scatter(values, Vec3::ZERO), &coverage(texels))
+}
+
+fn light_field(surface: &Surface, radiance: &RgbPlane, emissive: &[bool], environment: Environment, receivers: &Texels) -> (LightField, Emitters) {
+    let mesh = &surface.scene.mesh;
+    let emitting: Vec<bool> = surface.texels.point.iter().map(|p| emissive[p.triangle as usize]).collect();
+    let emitting: Plane<bool> = surface.texels.scatter(&emitting, false);
+    let field = LightField::new(mesh, &surface.orientation, radiance.clone(), &emitting, emissive, surface.back.clone(), environment);
+    let probes: Vec<(Vec3, Vec3)> = (0..receivers.len())
+        .map(|i| {
+            let p = receivers.point[i];
+            let (n, _) = surface.normals(p.triangle as usize, p.u, p.v);
+            (receivers.position(mesh, i), n)
+        })
+        .collect();
+    let emitters = Emitters::new(mesh, &field, &surface.tracer, &probes);
+    (field, emitters)
+}
+
+fn bake(surface: &Surface, field: &LightField, emitters: &Emitters, texels: &Texels, options: &IrtOptions, progress: &Progress) -> Irradiance {
+    let bake = Bake { mesh: &surface.scene.mesh, tracer: &surface.tracer, field, emitters, offset: surface.offset };
+    let receiver = |i: usize| {
+        let p = texels.point[i];
+        let (normal, face_normal) = surface.normals(p.triangle as usize, p.u, p.v);
+        Receiver { position: texels.position(&surface.scene.mesh, i), normal, face_normal, key: u64::from(texels.cell[i]) }
+    };
+    bake_irradiance(&bake, texels.len(), receiver, options, progress)
+}
+
+/// π·L/E of the least bright clean view per albedo texel; 0 where unknown.
+fn excess(surface: &Surface, irradiance: &RgbPlane) -> Vec<f32> {
+    (0..surface.texels.len())
+        .map(|i| {
+            let e = luminance(irradiance_at(surface, irradiance, i));
+            let floor = surface.fusion.floor[i];
+            if e > 0.0 && floor.is_finite() { PI * floor / e } else { 0.0 }
+        })
+        .collect()
+}
+
+fn irradiance_at(surface: &Surface, irradiance: &RgbPlane, i: usize) -> Vec3 {
+    let p = surface.texels.point[i];
+    let uv = surface.scene.mesh.uv(p.triangle as usize, p.u, p.v);
+    irradiance.bilinear(uv * Vec2::new(irradiance.width as f32, irradiance.height as f32), crate::image::Wrap::Clamp)
+}
+
+/// Radiance of every texel: as observed, or the median albedo of its class times its irradiance where nobody sees it.
+fn predict_unseen(surface: &Surface, irradiance: &RgbPlane, observed: &[bool], emissive: &[bool]) -> Vec<Vec3> {
+    let mut samples: BTreeMap<u16, [Vec<f32>; 3]> = BTreeMap::new();
+    let stride = (surface.texels.len() / 400_000).max(1);
+    for i in (0..surface.texels.len()).step_by(stride) {
+        if observed[i] && !emissive[surface.texels.point[i].triangle as usize] {
+            let e = irradiance_at(surface, irradiance, i);
+            let a = surface.fusion.radiance[i] * PI / e.max(Vec3::splat(1e-12));
+            let s = samples.entry(surface.labels[i]).or_default();
+            for c in 0..3 {
+                s[c].push(a[c].min(1.0));
+            }
+        }
+    }
+    let mut median = |values: &mut Vec<f32>| {
+        values.sort_by(f32::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(0.5)
+    };
+    let albedo: BTreeMap<u16, Vec3> =
+        samples.iter_mut().map(|(k, v)| (*k, Vec3::new(median(&mut v[0]), median(&mut v[1]), median(&mut v[2])))).collect();
+    (0..surface.texels.len())
+        .map(|i| {
+            if observed[i] {
+                surface.fusion.radiance[i]
+            } else {
+                let a = albedo.get(&surface.labels[i]).copied().unwrap_or(Vec3::splat(0.5));
+                a * irradiance_at(surface, irradiance, i) * FRAC_1_PI
+            }
+        })
+        .collect()
+}

@@ -1,0 +1,60 @@
+//! Options of `unbake solve`.
+
+use serde::{Deserialize, Serialize};
+
+/// A preset of samples, resolutions and refinement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Quality {
+    /// A quick look: half the texture resolution, a quarter of the samples.
+    Draft,
+    /// The default.
+    Standard,
+    /// More samples where they still pay.
+    High,
+}
+
+/// Options of the reconstruction. Every field is a command-line flag and a key of the TOML configuration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, clap::Args)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct SolveOptions {
+    /// Preset of samples, resolutions and refinement.
+    #[arg(long, value_enum, default_value = "standard")]
+    pub quality: Quality,
+    /// Side of the albedo, radiance and label textures, texels.
+    #[arg(long, value_name = "TEXELS", default_value_t = Self::default().albedo_size)]
+    pub albedo_size: usize,
+    /// Side of the roughness texture, texels.
+    #[arg(long, value_name = "TEXELS", default_value_t = Self::default().roughness_size)]
+    pub roughness_size: usize,
+    /// Side of the irradiance texture, texels.
+    #[arg(long, value_name = "TEXELS", default_value_t = Self::default().irradiance_size)]
+    pub irradiance_size: usize,
+    /// Hemisphere rays per irradiance texel in the first round.
+    #[arg(long, value_name = "N", default_value_t = Self::default().irradiance_rays)]
+    pub irradiance_rays: u32,
+    /// Emitter samples per irradiance texel in the first round.
+    #[arg(long, value_name = "N", default_value_t = Self::default().emitter_samples)]
+    pub emitter_samples: u32,
+    /// Relative standard error of irradiance at which a texel is done.
+    #[arg(long, value_name = "RATIO", default_value_t = Self::default().irradiance_error)]
+    pub irradiance_error: f32,
+    /// Seed of all random numbers.
+    #[arg(long, value_name = "N", default_value_t = Self::default().seed)]
+    pub seed: u64,
+}
+
+impl Default for SolveOptions {
+    fn default() -> Self {
+        Self {
+            quality: Quality::Standard,
+            albedo_size: 2048,
+            roughness_size: 4096,
+            irradiance_size: 1024,
+            irradiance_rays: 64,
+            emitter_samples: 16,
+            irradiance_error: 0.01,
+            seed: 0,
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! The main job: light, then materials.
+
+use super::surface::coverage;
+use super::{Light, SolveOptions, Surface, reconstruct_light};
+use crate::Result;
+use crate::highlight::{SelectOptions, gather_evidence, select_points};
+use crate::image::Plane;
+use crate::inverse::{GroupFit, estimate_albedo, fit_groups, specular_image};
+use crate::lighting::{Bake, Reflector};
+use crate::progress::Progress;
+use crate::scene::Scene;
+use crate::solution::Solution;
+use crate::texture::fill_uncovered;
+use glam::{Vec2, Vec3};
+use std::collections::BTreeMap;
+
+/// Roughness of a class without evidence anywhere: matte, as most indoor surfaces without visible highlights are.
+const ROUGHNESS_PRIOR: f32 = 0.8;
+
+/// A reconstruction and what is known about it.
+pub struct Solved {
+    /// The textures.
+    pub solution: Solution,
+    /// Roughness fits per (class, room).
+    pub fits: Vec<GroupFit>,
+    /// Rays traced in all.
+    pub rays: u64,
+}
+
+/// Reconstructs materials and light of a scene.
+///
+/// # Errors
+/// Unreadable or unusable images and labels.
+pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -> Result<Solved> {
+    let surface = Surface::observe(scene, options, progress)?;
+    let light = reconstruct_light(&surface, options, progress);
+    let bake = Bake { mesh: &scene.mesh, tracer: &surface.tracer, field: &light.field, emitters: &light.emitters, offset: surface.offset };
+    let labels = surface.texels.scatter(&surface.labels, 0);
+    let normals = |t: u32, p: Vec3| surface.normals_at(t, p);
+    let label_at = |t: u32, p: Vec3| {
+        let uv = surface.uv_at(t, p);
+        *labels.nearest(uv * Vec2::new(labels.width as f32, labels.height as f32))
+    };
+    let group = |t: u32, p: Vec3| (!light.emissive[t as usize]).then(|| (label_at(t, p), 0u16));
+
+    let evidence = progress.stage("highlights", 0, |_| {
+        let select = SelectOptions { stride: 3, even: 1200, highlights: 1200, seed: options.seed };
+        select_points(&bake, &surface.views, &normals, &group, &select)
+    });
+    let evidence = progress.stage("specular samples", evidence.len() as u64, |p| {
+        gather_evidence(&bake, &surface.observer(), &evidence, &normals, options.seed, p)
+    });
+    let fits = progress.stage("roughness", 1, |_| fit_groups(&evidence));
+    let roughness_of: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.roughness)).collect();
+    let roughness_at = |t: u32, p: Vec3| roughness_of.get(&label_at(t, p)).copied().unwrap_or(ROUGHNESS_PRIOR);
+
+    let reflector = Reflector { bake: &bake, rays_per_lobe: 4, emitter_samples: 2, seed: options.seed ^ 0x51ec };
+    let mut rays = light.rays + evidence.rays;
+    let specular: Vec<_> = progress.stage("specular images", surface.views.len() as u64, |p| {
+        surface
+            .views
+            .iter()
+            .enumerate()
+            .map(|(i, v)| {
+                let (image, traced) = specular_image(&reflector, v, i, &normals, &roughness_at);
+                rays += traced;
+                p.advance(1);
+                image
+            })
+            .collect()
+    });
+    let albedo = progress.stage("albedo", surface.texels.len() as u64, |p| {
+        estimate_albedo(&surface.observer(), &specular, &surface.orientation, &surface.texels, &light.irradiance, p)
+    });
+    let solution = assemble(&surface, &light, options, &albedo, &roughness_of, labels);
+    Ok(Solved { solution, fits, rays })
+}
+
+fn assemble(
+    surface: &Surface,
+    light: &Light,
+    options: &SolveOptions,
+    albedo: &crate::inverse::AlbedoEstimate,
+    roughness_of: &BTreeMap<u16, f32>,
+    labels: Plane<u16>,
+) -> Solution {
+    let texels = &surface.texels;
+    let observed: Vec<bool> = albedo.error.iter().map(|e| e.is_finite()).collect();
+    let value: Vec<Vec3> = albedo.value.iter().map(|a| a.clamp(Vec3::ZERO, Vec3::ONE)).collect();
+    let albedo_plane = fill_uncovered(&texels.scatter(&value, Vec3::ZERO), &texels.scatter(&observed, false));
+    let confidence: Vec<Vec2> = albedo.error.iter().map(|e| Vec2::new(e.min(1e4), 1e4)).collect();
+    let emission: Vec<Vec3> = (0..texels.len())
+        .map(|i| if light.emissive[texels.point[i].triangle as usize] { light.radiance.data[texels.cell[i] as usize] } else { Vec3::ZERO })
+        .collect();
+    let size = options.roughness_size;
+    let covered = coverage(texels);
+    let r: Vec<f32> = surface.labels.iter().map(|l| roughness_of.get(l).copied().unwrap_or(ROUGHNESS_PRIOR)).collect();
+    let r = fill_uncovered(&texels.scatter(&r, 0.0), &covered);
+    let roughness = Plane {
+        width: size,
+        height: size,
+        data: (0..size * size).map(|i| r[((i % size) * r.width / size, (i / size) * r.height / size)]).collect(),
+    };
+    Solution {
+        mesh: surface.scene.mesh.clone(),
+        origin: surface.scene.origin,
+        albedo: albedo_plane,
+        roughness,
+        irradiance: light.irradiance.clone(),
+        radiance: light.radiance.clone(),
+        emission: texels.scatter(&emission, Vec3::ZERO),
+        confidence: texels.scatter(&confidence, Vec2::splat(1e4)),
+        rooms: labels.map(|_| 0),
+        labels,
+        environment: light.field.environment.map().clone(),
+    }
+}

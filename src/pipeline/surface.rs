@@ -1,0 +1,194 @@
+//! Geometry with what the photographs see of it: the ground every later stage stands on.
+
+use super::SolveOptions;
+use crate::Result;
+use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
+use crate::image::Plane;
+use crate::lighting::Fusion;
+use crate::progress::Progress;
+use crate::scene::{Scene, Split};
+use crate::texture::Texels;
+use crate::trace::{EmbreeTracer, Hit};
+use glam::Vec3;
+
+/// Mesh, acceleration structure, views and their fused observations on the atlas.
+pub struct Surface<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Embree.
+    pub tracer: EmbreeTracer,
+    /// Training views.
+    pub views: Vec<ObservedView>,
+    /// Side of each triangle the cameras see.
+    pub orientation: Orientation,
+    /// Covered texels of the albedo atlas.
+    pub texels: Texels,
+    /// Fused radiance and label votes of `texels`.
+    pub fusion: Fusion,
+    /// Class per texel after the vote and filling; 0 only without any label.
+    pub labels: Vec<u16>,
+    /// Mean radiance of each triangle's far side, zero where unseen.
+    pub back: Vec<Vec3>,
+    /// Distance by which rays start above a surface, metres.
+    pub offset: f32,
+}
+
+impl<'a> Surface<'a> {
+    /// Reads the training views and fuses what they see.
+    ///
+    /// # Errors
+    /// Unreadable or unusable images and labels.
+    pub fn observe(scene: &'a Scene, options: &SolveOptions, progress: &Progress) -> Result<Self> {
+        let tracer = EmbreeTracer::new(&scene.mesh)?;
+        let train: Vec<_> = scene.views.iter().filter(|v| v.split == Split::Train).collect();
+        let views = progress.stage("views", train.len() as u64, |p| {
+            train
+                .iter()
+                .map(|view| {
+                    let radiance = scene.load_radiance(view)?;
+                    let labels = scene.load_labels(view)?;
+                    let valid = scene.load_mask(view)?;
+                    let buffer = ViewBuffer::trace(&view.camera.resized(radiance.width, radiance.height), &tracer);
+                    let clean = buffer.clean_pixels(&scene.mesh, labels.as_ref());
+                    p.advance(1);
+                    Ok(ObservedView { buffer, radiance, clean, labels, valid })
+                })
+                .collect::<Result<Vec<_>>>()
+        })?;
+        let orientation = Orientation::vote(&scene.mesh, &views.iter().map(|v| &v.buffer).collect::<Vec<_>>());
+        if orientation.flipped() > 0 {
+            progress.note(format!(
+                "{} of {} triangles are seen from behind their winding; their normals are turned",
+                orientation.flipped(),
+                scene.mesh.triangles.len()
+            ));
+        }
+        let texels = Texels::rasterize(&scene.mesh, options.albedo_size, options.albedo_size);
+        let fusion = progress.stage("radiance", texels.len() as u64, |p| {
+            crate::lighting::fuse_radiance(&Observer { mesh: &scene.mesh, views: &views }, &orientation, &texels, p)
+        });
+        let labels = complete_labels(scene, &texels, &fusion);
+        let back = back_radiance(scene, &views, &orientation);
+        let (lo, hi) = scene.mesh.bounds();
+        // a tenth of a millimetre in a ten-metre room, well above the rounding of positions
+        let offset = (hi - lo).length() * 1e-5;
+        Ok(Self { scene, tracer, views, orientation, texels, fusion, labels, back, offset })
+    }
+
+    /// Finds the observations of surface points.
+    #[must_use]
+    pub fn observer(&self) -> Observer<'_> {
+        Observer { mesh: &self.scene.mesh, views: &self.views }
+    }
+
+    /// Shading and geometric normal at the point of a triangle nearest to `position`, on the side the cameras see.
+    #[must_use]
+    pub fn normals_at(&self, triangle: u32, position: Vec3) -> (Vec3, Vec3) {
+        let (u, v) = self.scene.mesh.barycentrics(triangle as usize, position);
+        self.normals(triangle as usize, u, v)
+    }
+
+    /// Atlas coordinate of the point of a triangle nearest to `position`.
+    #[must_use]
+    pub fn uv_at(&self, triangle: u32, position: Vec3) -> glam::Vec2 {
+        let (u, v) = self.scene.mesh.barycentrics(triangle as usize, position);
+        self.scene.mesh.uv(triangle as usize, u, v)
+    }
+
+    /// Shading and geometric normal at a surface point, on the side the cameras see.
+    #[must_use]
+    pub fn normals(&self, triangle: usize, u: f32, v: f32) -> (Vec3, Vec3) {
+        let sign = self.orientation.sign(triangle);
+        (self.scene.mesh.shading_normal(triangle, u, v) * sign, self.scene.mesh.face_normal(triangle) * sign)
+    }
+}
+
+/// Texels without a vote take their triangle's majority, then the nearest labelled texel of the atlas.
+fn complete_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> {
+    let mut ballot: Vec<Vec<(u16, u32)>> = vec![Vec::new(); scene.mesh.triangles.len()];
+    for i in 0..texels.len() {
+        let l = fusion.label[i];
+        if l != 0 {
+            let b = &mut ballot[texels.point[i].triangle as usize];
+            match b.iter_mut().find(|v| v.0 == l) {
+                Some(v) => v.1 += 1,
+                None => b.push((l, 1)),
+            }
+        }
+    }
+    // triangles without any vote take that of a neighbour sharing a vertex position, ring by ring
+    let mut of_triangle: Vec<u16> =
+        ballot.iter().map(|b| b.iter().fold((0u16, 0u32), |best, v| if v.1 > best.1 { *v } else { best }).0).collect();
+    spread_over_neighbours(scene, &mut of_triangle);
+    (0..texels.len()).map(|i| if fusion.label[i] != 0 { fusion.label[i] } else { of_triangle[texels.point[i].triangle as usize] }).collect()
+}
+
+fn spread_over_neighbours(scene: &Scene, labels: &mut [u16]) {
+    let mesh = &scene.mesh;
+    let mut vertex_of = std::collections::HashMap::new();
+    let welded: Vec<u32> = mesh
+        .positions
+        .iter()
+        .map(|p| {
+            let next = vertex_of.len() as u32;
+            *vertex_of.entry(p.to_array().map(f32::to_bits)).or_insert(next)
+        })
+        .collect();
+    let mut at_vertex = vec![0u16; vertex_of.len()];
+    for _ in 0..64 {
+        let mut changed = false;
+        for (t, corners) in mesh.triangles.iter().enumerate() {
+            if labels[t] != 0 {
+                for &c in corners {
+                    let v = &mut at_vertex[welded[c as usize] as usize];
+                    if *v == 0 {
+                        *v = labels[t];
+                        changed = true;
+                    }
+                }
+            }
+        }
+        for (t, corners) in mesh.triangles.iter().enumerate() {
+            if labels[t] == 0 {
+                if let Some(l) = corners.iter().map(|&c| at_vertex[welded[c as usize] as usize]).find(|l| *l != 0) {
+                    labels[t] = l;
+                    changed = true;
+                }
+            }
+        }
+        if !changed {
+            break;
+        }
+    }
+}
+
+/// Mean radiance per triangle of pixels that see it from the side away from its orientation.
+fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientation) -> Vec<Vec3> {
+    let n = scene.mesh.triangles.len();
+    let mut sum = vec![Vec3::ZERO; n];
+    let mut count = vec![0u32; n];
+    for v in views {
+        let b = &v.buffer;
+        let (w, h): (usize, usize) = (b.triangle.width, b.triangle.height);
+        for y in 0..h {
+            for x in 0..w {
+                let t = b.triangle[(x, y)];
+                if t == Hit::MISS {
+                    continue;
+                }
+                let t = t as usize;
+                let d = b.camera.direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+                if scene.mesh.face_normal(t).dot(d) * orientation.sign(t) > 0.0 {
+                    sum[t] += v.radiance[(x, y)];
+                    count[t] += 1;
+                }
+            }
+        }
+    }
+    sum.iter().zip(&count).map(|(s, c)| if *c > 0 { *s / *c as f32 } else { Vec3::ZERO }).collect()
+}
+
+/// A plane of texel validity for the covered texels of `texels`.
+pub(super) fn coverage(texels: &Texels) -> Plane<bool> {
+    texels.scatter(&vec![true; texels.len()], false)
+}

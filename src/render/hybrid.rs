@@ -1,0 +1,229 @@
+//! The hybrid renderer: L = A·E/π + L_s(R), with irradiance from its texture and specular reflection traced against the observed
+//! radiance (method §5). Fast, because all bounces are in the textures; edits do not change the light. For changed light use the
+//! path tracer.
+
+use crate::Result;
+use crate::geometry::Camera;
+use crate::image::{Plane, RgbPlane, Wrap};
+use crate::lighting::{Bake, Emitters, Environment, Gaze, Levels, LightField, Reflector};
+use crate::sampling::hash_u64;
+use crate::solution::Solution;
+use crate::trace::{EmbreeTracer, Hit, Ray, Tracer};
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+use std::f32::consts::FRAC_1_PI;
+
+/// What a renderer shows from one camera, at the camera's image size.
+#[derive(Clone, Debug)]
+pub struct RenderedView {
+    /// Outgoing radiance towards the camera.
+    pub radiance: RgbPlane,
+    /// Albedo of the surface seen, 0 where there is none.
+    pub albedo: RgbPlane,
+    /// Roughness R of the surface seen, 0 where there is none.
+    pub roughness: Plane<f32>,
+    /// Class id of the surface seen, 0 where there is none.
+    pub labels: Plane<u16>,
+}
+
+/// Renders a solution from a camera. Implementations hold what they need prepared (ray structure, textures).
+pub trait ViewRenderer {
+    /// The view from `camera`, at its image size.
+    ///
+    /// # Errors
+    /// Whatever the implementation needs and cannot get.
+    fn render(&self, camera: &Camera) -> Result<RenderedView>;
+}
+
+/// Samples of the hybrid renderer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HybridOptions {
+    /// Primary rays per pixel along each axis.
+    pub supersampling: u32,
+    /// Specular rays per primary ray.
+    pub specular_rays: u32,
+    /// Emitter samples per primary ray.
+    pub emitter_samples: u32,
+    /// Seed of the sample points.
+    pub seed: u64,
+}
+
+impl Default for HybridOptions {
+    fn default() -> Self {
+        Self { supersampling: 2, specular_rays: 4, emitter_samples: 2, seed: 0 }
+    }
+}
+
+/// A solution prepared for rendering.
+pub struct HybridRenderer<'a> {
+    solution: &'a Solution,
+    tracer: EmbreeTracer,
+    field: LightField,
+    emitters: Emitters,
+    offset: f32,
+    options: HybridOptions,
+}
+
+impl<'a> HybridRenderer<'a> {
+    /// Builds the ray structure and the light field of a solution.
+    ///
+    /// # Errors
+    /// If Embree cannot be used.
+    pub fn new(solution: &'a Solution, options: HybridOptions) -> Result<Self> {
+        let mesh = &solution.mesh;
+        let tracer = EmbreeTracer::new(mesh)?;
+        let orientation = crate::gbuffer::Orientation::of_winding(mesh.triangles.len());
+        let emission = &solution.emission;
+        let size = Vec2::new(emission.width as f32, emission.height as f32);
+        let emissive_triangles: Vec<bool> = (0..mesh.triangles.len())
+            .map(|t| {
+                [(0.34, 0.33), (0.6, 0.2), (0.2, 0.6), (0.2, 0.2)]
+                    .iter()
+                    .any(|&(u, v)| *emission.nearest(mesh.uv(t, u, v) * size) != Vec3::ZERO)
+            })
+            .collect();
+        let emissive = if (emission.width, emission.height) == (solution.radiance.width, solution.radiance.height) {
+            emission.map(|e| *e != Vec3::ZERO)
+        } else {
+            solution.radiance.map(|_| false)
+        };
+        let environment = Environment::from_map(solution.environment.clone());
+        let field =
+            LightField::new(mesh, &orientation, solution.radiance.clone(), &emissive, &emissive_triangles, Vec::new(), environment);
+        let probes: Vec<(Vec3, Vec3)> = (0..mesh.triangles.len())
+            .step_by((mesh.triangles.len() / 50_000).max(1))
+            .map(|t| (mesh.position(t, 1.0 / 3.0, 1.0 / 3.0), mesh.face_normal(t)))
+            .collect();
+        let emitters = Emitters::new(mesh, &field, &tracer, &probes);
+        let (lo, hi) = mesh.bounds();
+        Ok(Self { solution, tracer, field, emitters, offset: (hi - lo).length() * 1e-5, options })
+    }
+
+    fn render_row(&self, camera: &Camera, y: usize) -> Row {
+        let n = self.options.supersampling.max(1) as usize;
+        let samples = n * n;
+        let w = camera.width;
+        let rays: Vec<Ray> = (0..w * samples)
+            .map(|i| {
+                let (x, s) = (i / samples, i % samples);
+                let offset = Vec2::new((s % n) as f32 + 0.5, (s / n) as f32 + 0.5) / n as f32;
+                Ray::new(camera.position, camera.direction(Vec2::new(x as f32, y as f32) + offset), f32::INFINITY)
+            })
+            .collect();
+        let mut hits = vec![Hit::miss(); rays.len()];
+        self.tracer.closest(&rays, &mut hits);
+        let mut gazes = Vec::new();
+        let mut levels = Vec::new();
+        let mut gaze_of = vec![u32::MAX; rays.len()];
+        let mut points = Vec::with_capacity(rays.len());
+        for (i, (ray, hit)) in rays.iter().zip(&hits).enumerate() {
+            let direction = Vec3::from_array(ray.direction);
+            let point = self.shade_point(hit, direction);
+            if let Some((normal, face_normal)) = point.normals {
+                gaze_of[i] = gazes.len() as u32;
+                let key = hash_u64((y * w * samples + i) as u64, camera.position.x.to_bits().into());
+                let position = camera.position + direction * hit.t;
+                gazes.push(Gaze { position, normal, face_normal, view: -direction, key });
+                levels.push(point.roughness);
+            }
+            points.push(point);
+        }
+        let mut specular = vec![Vec3::ZERO; gazes.len()];
+        let bake =
+            Bake { mesh: &self.solution.mesh, tracer: &self.tracer, field: &self.field, emitters: &self.emitters, offset: self.offset };
+        let reflector = Reflector {
+            bake: &bake,
+            rays_per_lobe: self.options.specular_rays,
+            emitter_samples: self.options.emitter_samples,
+            seed: self.options.seed,
+        };
+        reflector.reflect(&gazes, Levels::Own(&levels), &mut specular);
+        for (p, g) in points.iter_mut().zip(&gaze_of) {
+            if *g != u32::MAX {
+                p.radiance += specular[*g as usize];
+            }
+        }
+        Row::resolve(&points, samples)
+    }
+
+    fn shade_point(&self, hit: &Hit, direction: Vec3) -> Point {
+        let s = self.solution;
+        if !hit.is_hit() {
+            return Point { radiance: self.field.environment.radiance(direction), ..Point::default() };
+        }
+        let t = hit.triangle as usize;
+        let uv = s.mesh.uv(t, hit.u, hit.v);
+        let at = |w: usize, h: usize| uv * Vec2::new(w as f32, h as f32);
+        let label = *s.labels.nearest(at(s.labels.width, s.labels.height));
+        let albedo = s.albedo.bilinear(at(s.albedo.width, s.albedo.height), Wrap::Clamp);
+        let roughness = *s.roughness.nearest(at(s.roughness.width, s.roughness.height));
+        if self.field.is_emissive(t) && *s.emission.nearest(at(s.emission.width, s.emission.height)) != Vec3::ZERO {
+            return Point { radiance: self.field.emitted(t, hit.u, hit.v), albedo, roughness, label, normals: None };
+        }
+        let irradiance = s.irradiance.bilinear(at(s.irradiance.width, s.irradiance.height), Wrap::Clamp);
+        let (mut normal, mut face_normal) = (s.mesh.shading_normal(t, hit.u, hit.v), s.mesh.face_normal(t));
+        if face_normal.dot(direction) > 0.0 {
+            (normal, face_normal) = (-normal, -face_normal);
+        }
+        Point { radiance: albedo * irradiance * FRAC_1_PI, albedo, roughness, label, normals: Some((normal, face_normal)) }
+    }
+}
+
+impl ViewRenderer for HybridRenderer<'_> {
+    fn render(&self, camera: &Camera) -> Result<RenderedView> {
+        let (w, h) = (camera.width, camera.height);
+        let rows: Vec<Row> = (0..h).into_par_iter().map(|y| self.render_row(camera, y)).collect();
+        let mut out = RenderedView {
+            radiance: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
+            albedo: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
+            roughness: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
+            labels: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
+        };
+        for r in rows {
+            out.radiance.data.extend(r.radiance);
+            out.albedo.data.extend(r.albedo);
+            out.roughness.data.extend(r.roughness);
+            out.labels.data.extend(r.labels);
+        }
+        Ok(out)
+    }
+}
+
+/// A shaded primary hit; `normals` (shading, geometric) where specular reflection is to be added.
+#[derive(Clone, Copy, Default)]
+struct Point {
+    radiance: Vec3,
+    albedo: Vec3,
+    roughness: f32,
+    label: u16,
+    normals: Option<(Vec3, Vec3)>,
+}
+
+#[derive(Default)]
+struct Row {
+    radiance: Vec<Vec3>,
+    albedo: Vec<Vec3>,
+    roughness: Vec<f32>,
+    labels: Vec<u16>,
+}
+
+impl Row {
+    /// Averages the samples of each pixel; materials only over the samples with the pixel's most frequent label.
+    fn resolve(points: &[Point], samples: usize) -> Self {
+        let mut row = Self::default();
+        for pixel in points.chunks(samples) {
+            let label = pixel
+                .iter()
+                .map(|p| (pixel.iter().filter(|q| q.label == p.label).count(), p.label))
+                .max()
+                .map_or(0, |best| best.1);
+            let same: Vec<&Point> = pixel.iter().filter(|p| p.label == label).collect();
+            let share = 1.0 / same.len().max(1) as f32;
+            row.radiance.push(pixel.iter().map(|p| p.radiance).sum::<Vec3>() / samples as f32);
+            row.albedo.push(same.iter().map(|p| p.albedo).sum::<Vec3>() * share);
+            row.roughness.push(same.iter().map(|p| p.roughness).sum::<f32>() * share);
+            row.labels.push(label);
+        }
+        row
+    }
+}
