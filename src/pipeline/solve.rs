@@ -102,7 +102,7 @@ fn assemble(
         data: (0..size * size).map(|i| r[((i % size) * r.width / size, (i / size) * r.height / size)]).collect(),
     };
     Solution {
-        mesh: surface.scene.mesh.clone(),
+        mesh: surface.oriented_mesh(),
         origin: surface.scene.origin,
         albedo: albedo_plane,
         roughness,

@@ -3,6 +3,7 @@
 use super::SolveOptions;
 use crate::Result;
 use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
+use crate::geometry::Mesh;
 use crate::image::Plane;
 use crate::lighting::Fusion;
 use crate::progress::Progress;
@@ -79,6 +80,30 @@ impl<'a> Surface<'a> {
     #[must_use]
     pub fn observer(&self) -> Observer<'_> {
         Observer { mesh: &self.scene.mesh, views: &self.views }
+    }
+
+    /// The mesh with every triangle wound so that its front is the side the cameras see. Vertices between turned and unturned
+    /// triangles are doubled, so that vertex normals agree with their faces.
+    #[must_use]
+    pub fn oriented_mesh(&self) -> Mesh {
+        let mut mesh = self.scene.mesh.clone();
+        let mut turned: Vec<Option<u32>> = vec![None; mesh.positions.len()];
+        for (t, corners) in mesh.triangles.iter_mut().enumerate() {
+            if self.orientation.sign(t) > 0.0 {
+                continue;
+            }
+            for c in corners.iter_mut() {
+                let i = *c as usize;
+                *c = *turned[i].get_or_insert_with(|| {
+                    mesh.positions.push(mesh.positions[i]);
+                    mesh.uvs.push(mesh.uvs[i]);
+                    mesh.normals.push(-mesh.normals[i]);
+                    (mesh.positions.len() - 1) as u32
+                });
+            }
+            corners.swap(1, 2);
+        }
+        mesh
     }
 
     /// Shading and geometric normal at the point of a triangle nearest to `position`, on the side the cameras see.
