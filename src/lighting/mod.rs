@@ -13,4 +13,4 @@ pub use irt::{Bake, Estimator, Irradiance, IrtOptions, Receiver, bake_irradiance
 pub use light_field::LightField;
 pub use reflection::{Gaze, Levels, Reflector};
 pub(crate) use tbl::prefer_clean;
-pub use tbl::{Fusion, fuse_radiance};
+pub use tbl::{Fusion, UNSEEN, fuse_radiance};

@@ -13,6 +13,9 @@ use glam::Vec3;
 /// Texels per parallel task.
 const CHUNK: usize = 2048;
 
+/// The label of a texel that no view sees.
+pub const UNSEEN: u16 = u16::MAX;
+
 /// Fused radiance per covered texel.
 #[derive(Clone, Debug, Default)]
 pub struct Fusion {
@@ -20,7 +23,7 @@ pub struct Fusion {
     pub radiance: Vec<Vec3>,
     /// Number of views used.
     pub views: Vec<u8>,
-    /// Class id by vote of the observing views, 0 where unlabelled or unobserved.
+    /// Class id by vote of the observing views, 0 = unlabelled, [`UNSEEN`] where no view sees the texel.
     pub label: Vec<u16>,
     /// Smallest luminance over the clean views: light that cannot be a highlight.
     pub floor: Vec<f32>,
@@ -70,7 +73,7 @@ pub(crate) fn sharpness(o: &Observation) -> f32 {
 /// The label most observing views agree on, weighted by sharpness; ties go to the smaller id.
 fn vote_label(seen: &[Observation]) -> u16 {
     let mut ballot: Vec<(u16, f32)> = Vec::new();
-    for o in seen.iter().filter(|o| o.label != 0) {
+    for o in seen {
         let w = o.n_v * if o.clean { 1.0 } else { 0.1 };
         match ballot.iter_mut().find(|b| b.0 == o.label) {
             Some(b) => b.1 += w,
@@ -78,7 +81,7 @@ fn vote_label(seen: &[Observation]) -> u16 {
         }
     }
     ballot.sort_by_key(|b| b.0);
-    ballot.iter().fold((0u16, 0.0f32), |best, b| if b.1 > best.1 { *b } else { best }).0
+    ballot.iter().fold((UNSEEN, 0.0f32), |best, b| if b.1 > best.1 { *b } else { best }).0
 }
 
 /// Weighted median by luminance, then a Huber-weighted mean around it.

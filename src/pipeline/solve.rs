@@ -50,6 +50,24 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     let evidence = progress.stage("specular samples", evidence.len() as u64, |p| {
         gather_evidence(&bake, &surface.observer(), &evidence, &normals, options.seed, p)
     });
+    if std::env::var("DUMP").is_ok() {
+        let class: u16 = std::env::var("DUMP").unwrap().parse().unwrap();
+        let mut k = 0;
+        for p in evidence.points.iter().filter(|p| p.group.0 == class) {
+            k += 1;
+            if k % 97 != 0 {
+                continue;
+            }
+            println!("point {} tri {}", p.position, p.triangle);
+            for j in p.first..p.first + p.count {
+                let s = &evidence.sights[j as usize];
+                let r = evidence.response(j as usize);
+                let f = |k: usize| crate::math::luminance(r[k]);
+                let l = crate::math::luminance(s.radiance);
+                println!("   v{:2} nv {:.2} w {:.2} I {:.4}  S(.06) {:.4} S(.22) {:.4} S(.42) {:.4} S(.55) {:.4} S(1) {:.4} | D(.22) {:.4} D(.42) {:.4} D(1) {:.4}", s.view, s.n_v, s.weight, l, f(1), f(6), f(10), f(12), f(17), l-f(6), l - f(10), l-f(17));
+            }
+        }
+    }
     let fits = progress.stage("roughness", 1, |_| fit_groups(&evidence));
     let roughness_of: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.roughness)).collect();
     let roughness_at = |t: u32, p: Vec3| roughness_of.get(&label_at(t, p)).copied().unwrap_or(ROUGHNESS_PRIOR);

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
 use crate::geometry::Mesh;
 use crate::image::Plane;
-use crate::lighting::Fusion;
+use crate::lighting::{Fusion, UNSEEN};
 use crate::progress::Progress;
 use crate::scene::{Scene, Split};
 use crate::texture::Texels;
@@ -133,7 +133,7 @@ fn complete_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> 
     let mut ballot: Vec<Vec<(u16, u32)>> = vec![Vec::new(); scene.mesh.triangles.len()];
     for i in 0..texels.len() {
         let l = fusion.label[i];
-        if l != 0 {
+        if l != UNSEEN {
             let b = &mut ballot[texels.point[i].triangle as usize];
             match b.iter_mut().find(|v| v.0 == l) {
                 Some(v) => v.1 += 1,
@@ -143,9 +143,12 @@ fn complete_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> 
     }
     // triangles without any vote take that of a neighbour sharing a vertex position, ring by ring
     let mut of_triangle: Vec<u16> =
-        ballot.iter().map(|b| b.iter().fold((0u16, 0u32), |best, v| if v.1 > best.1 { *v } else { best }).0).collect();
+        ballot.iter().map(|b| b.iter().fold((UNSEEN, 0u32), |best, v| if v.1 > best.1 { *v } else { best }).0).collect();
     spread_over_neighbours(scene, &mut of_triangle);
-    (0..texels.len()).map(|i| if fusion.label[i] != 0 { fusion.label[i] } else { of_triangle[texels.point[i].triangle as usize] }).collect()
+    let known = |l: u16| if l == UNSEEN { 0 } else { l };
+    (0..texels.len())
+        .map(|i| known(if fusion.label[i] != UNSEEN { fusion.label[i] } else { of_triangle[texels.point[i].triangle as usize] }))
+        .collect()
 }
 
 fn spread_over_neighbours(scene: &Scene, labels: &mut [u16]) {
@@ -159,14 +162,14 @@ fn spread_over_neighbours(scene: &Scene, labels: &mut [u16]) {
             *vertex_of.entry(p.to_array().map(f32::to_bits)).or_insert(next)
         })
         .collect();
-    let mut at_vertex = vec![0u16; vertex_of.len()];
+    let mut at_vertex = vec![UNSEEN; vertex_of.len()];
     for _ in 0..64 {
         let mut changed = false;
         for (t, corners) in mesh.triangles.iter().enumerate() {
-            if labels[t] != 0 {
+            if labels[t] != UNSEEN {
                 for &c in corners {
                     let v = &mut at_vertex[welded[c as usize] as usize];
-                    if *v == 0 {
+                    if *v == UNSEEN {
                         *v = labels[t];
                         changed = true;
                     }
@@ -174,8 +177,8 @@ fn spread_over_neighbours(scene: &Scene, labels: &mut [u16]) {
             }
         }
         for (t, corners) in mesh.triangles.iter().enumerate() {
-            if labels[t] == 0 {
-                if let Some(l) = corners.iter().map(|&c| at_vertex[welded[c as usize] as usize]).find(|l| *l != 0) {
+            if labels[t] == UNSEEN {
+                if let Some(l) = corners.iter().map(|&c| at_vertex[welded[c as usize] as usize]).find(|l| *l != UNSEEN) {
                     labels[t] = l;
                     changed = true;
                 }
