@@ -23,24 +23,7 @@ use scores::{Accumulator, ClassTally};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// What a renderer shows from one camera, at the camera's image size.
-#[derive(Clone, Debug)]
-pub struct RenderedView {
-    /// Outgoing radiance towards the camera.
-    pub radiance: RgbPlane,
-    /// Albedo of the surface seen, 0 where there is none.
-    pub albedo: RgbPlane,
-    /// Roughness R of the surface seen, 0 where there is none.
-    pub roughness: Plane<f32>,
-    /// Class id of the surface seen, 0 where there is none.
-    pub labels: Plane<u16>,
-}
-
-/// Renders a solution from a camera. Implementations hold what they need prepared (ray structure, textures).
-pub trait ViewRenderer {
-    /// The view from `camera`, at its image size.
-    fn render(&self, camera: &Camera) -> Result<RenderedView>;
-}
+pub use crate::render::{RenderedView, ViewRenderer};
 
 /// What `unbake eval` can be told.
 #[derive(clap::Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

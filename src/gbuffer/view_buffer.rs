@@ -71,9 +71,8 @@ impl ViewBuffer {
             return false;
         }
         let (w, h) = (self.triangle.width as i64, self.triangle.height as i64);
-        let label_at = |x: usize, y: usize| {
-            labels.map(|l| l[(x * l.width / self.triangle.width, y * l.height / self.triangle.height)])
-        };
+        let label_at =
+            |x: usize, y: usize| labels.map(|l| l[(x * l.width / self.triangle.width, y * l.height / self.triangle.height)]);
         let own_label = label_at(x, y);
         let mut own: Option<(Vec3, Vec3)> = None;
         for (dx, dy) in [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)] {

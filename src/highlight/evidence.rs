@@ -91,11 +91,22 @@ pub fn gather_evidence(
             for o in &seen {
                 let camera = &observer.views[o.view as usize].buffer.camera;
                 let view = (camera.position - c.position).normalize_or(normal);
-                out.sights.push(Sight { view: o.view, radiance: o.radiance, n_v: normal.dot(view), weight: (o.n_v / o.footprint).sqrt() });
+                out.sights.push(Sight {
+                    view: o.view,
+                    radiance: o.radiance,
+                    n_v: normal.dot(view),
+                    weight: (o.n_v / o.footprint).sqrt(),
+                });
                 let key = hash_u64(hash_u64(u64::from(o.view), u64::from(c.triangle)), i as u64);
                 gazes.push(Gaze { position: c.position, normal, face_normal, view, key });
             }
-            out.points.push(EvidencePoint { group: c.group, triangle: c.triangle, position: c.position, first, count: seen.len() as u32 });
+            out.points.push(EvidencePoint {
+                group: c.group,
+                triangle: c.triangle,
+                position: c.position,
+                first,
+                count: seen.len() as u32,
+            });
         }
         out.specular = vec![Vec3::ZERO; out.sights.len() * LEVELS.len()];
         let traced = reflector.reflect(&gazes, Levels::Shared { lobes: &LOBES, evaluate: &LEVELS }, &mut out.specular);

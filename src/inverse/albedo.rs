@@ -3,7 +3,7 @@
 
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::image::{Plane, RgbPlane};
-use crate::lighting::{Bake, Gaze, Levels, Reflector};
+use crate::lighting::{Gaze, Levels, Reflector};
 use crate::math::luminance;
 use crate::parallel;
 use crate::progress::Progress;

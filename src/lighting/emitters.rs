@@ -94,7 +94,9 @@ impl Emitters {
         let powers: Vec<f64> = triangles.iter().map(|&t| triangle_power(mesh, field, t as usize)).collect();
         let Some(table) = AliasTable::new(&powers) else { return };
         let area: f32 = triangles.iter().map(|&t| mesh.area(t as usize)).sum();
-        let centre = triangles.iter().map(|&t| mesh.position(t as usize, 1.0 / 3.0, 1.0 / 3.0) * mesh.area(t as usize)).sum::<Vec3>() / area;
+        let centre =
+            triangles.iter().map(|&t| mesh.position(t as usize, 1.0 / 3.0, 1.0 / 3.0) * mesh.area(t as usize)).sum::<Vec3>()
+                / area;
         for (i, &t) in triangles.iter().enumerate() {
             self.slot.insert(t, (self.lamps.len() as u32, table.pmf(i) / mesh.area(t as usize)));
         }
@@ -112,7 +114,10 @@ impl Emitters {
                 let mut reached = vec![0.0f64; self.lamps.len()];
                 let mut possible = vec![0.0f64; self.lamps.len()];
                 let stride = (ids.len() / PROBES).max(1);
-                let sequence = SobolSequence::new(0x1a3b, crate::sampling::hash_u64(cell[0] as u64, crate::sampling::hash_u64(cell[1] as u64, cell[2] as u64)));
+                let sequence = SobolSequence::new(
+                    0x1a3b,
+                    crate::sampling::hash_u64(cell[0] as u64, crate::sampling::hash_u64(cell[1] as u64, cell[2] as u64)),
+                );
                 for (probe, &i) in ids.iter().step_by(stride).take(PROBES).enumerate() {
                     let (p, n) = receivers[i];
                     for (k, lamp) in self.lamps.iter().enumerate() {
@@ -132,9 +137,16 @@ impl Emitters {
                     }
                 }
                 let (r, p): (f64, f64) = (reached.iter().sum(), possible.iter().sum());
-                let weights: Vec<f64> = (0..self.lamps.len())
-                    .map(|k| if r > 0.0 { (1.0 - DEFENSIVE) * reached[k] / r + DEFENSIVE * possible[k] / p } else { possible[k] / p })
-                    .collect();
+                let weights: Vec<f64> =
+                    (0..self.lamps.len())
+                        .map(|k| {
+                            if r > 0.0 {
+                                (1.0 - DEFENSIVE) * reached[k] / r + DEFENSIVE * possible[k] / p
+                            } else {
+                                possible[k] / p
+                            }
+                        })
+                        .collect();
                 AliasTable::new(&weights).map(|t| (*cell, t))
             })
             .collect();
@@ -227,7 +239,13 @@ fn split_into_lamps(mesh: &Mesh, triangles: Vec<u32>) -> Vec<Vec<u32>> {
         if e.max_element() < small || groups.len() >= MAX_LAMPS {
             break;
         }
-        let axis = if e.x >= e.y && e.x >= e.z { 0 } else if e.y >= e.z { 1 } else { 2 };
+        let axis = if e.x >= e.y && e.x >= e.z {
+            0
+        } else if e.y >= e.z {
+            1
+        } else {
+            2
+        };
         let mut g = std::mem::take(&mut groups[i]);
         g.sort_by(|&a, &b| centre(a)[axis].total_cmp(&centre(b)[axis]).then(a.cmp(&b)));
         // cut at the widest gap, so that separate lamps stay whole

@@ -95,7 +95,13 @@ pub struct Bake<'a> {
 
 /// Bakes the irradiance of `count` receivers given by `receiver(i)`.
 #[must_use]
-pub fn bake_irradiance(bake: &Bake, count: usize, receiver: impl Fn(usize) -> Receiver + Sync + Send, options: &IrtOptions, progress: &Progress) -> Irradiance {
+pub fn bake_irradiance(
+    bake: &Bake,
+    count: usize,
+    receiver: impl Fn(usize) -> Receiver + Sync + Send,
+    options: &IrtOptions,
+    progress: &Progress,
+) -> Irradiance {
     let rays = AtomicU64::new(0);
     let parts = parallel::map_chunks(count, CHUNK, |range| {
         let receivers: Vec<Receiver> = range.clone().map(&receiver).collect();
@@ -126,7 +132,8 @@ fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irra
     let mut halves = vec![Halves::default(); receivers.len()];
     let mut scratch = Scratch::default();
     let (mut first_ray, mut first_light) = (0u32, 0u32);
-    let (mut rays, mut lights) = (options.rays.max(2), if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 });
+    let (mut rays, mut lights) =
+        (options.rays.max(2), if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 });
     for round in 0..options.max_rounds.max(1) {
         if round > 0 {
             // sample counts double: what is summed so far counts half
@@ -138,7 +145,8 @@ fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irra
         let total_rays = first_ray + rays;
         let total_lights = first_light + lights;
         for group in pending.chunks(32) {
-            out.rays += scratch.run(bake, receivers, group, options, [first_ray, total_rays], [first_light, total_lights], &mut halves);
+            out.rays +=
+                scratch.run(bake, receivers, group, options, [first_ray, total_rays], [first_light, total_lights], &mut halves);
         }
         let last = round + 1 == options.max_rounds.max(1);
         pending.retain(|&i| {
@@ -173,7 +181,16 @@ struct Scratch {
 
 impl Scratch {
     /// Traces the samples `rays` and `lights` of every receiver in `group`; returns the number of rays.
-    fn run(&mut self, bake: &Bake, receivers: &[Receiver], group: &[u32], options: &IrtOptions, rays: [u32; 2], lights: [u32; 2], halves: &mut [Halves]) -> u64 {
+    fn run(
+        &mut self,
+        bake: &Bake,
+        receivers: &[Receiver],
+        group: &[u32],
+        options: &IrtOptions,
+        rays: [u32; 2],
+        lights: [u32; 2],
+        halves: &mut [Halves],
+    ) -> u64 {
         self.rays.clear();
         self.tags.clear();
         self.shadow.clear();
@@ -241,7 +258,15 @@ impl Scratch {
         }
     }
 
-    fn gather_hemisphere(&self, bake: &Bake, receivers: &[Receiver], options: &IrtOptions, n_rays: u32, n_lights: u32, halves: &mut [Halves]) {
+    fn gather_hemisphere(
+        &self,
+        bake: &Bake,
+        receivers: &[Receiver],
+        options: &IrtOptions,
+        n_rays: u32,
+        n_lights: u32,
+        halves: &mut [Halves],
+    ) {
         // diameter per metre of the cone one ray stands for
         let spread = 2.0 * (1.0 / n_rays as f32).sqrt();
         let mut current = (u32::MAX, None);

@@ -69,11 +69,8 @@ impl LightField {
             })
             .collect();
         let keep = emissive.map(|e| !e);
-        let reflected = if emissive.data.iter().any(|e| *e) {
-            crate::texture::fill_uncovered(&radiance, &keep)
-        } else {
-            radiance.clone()
-        };
+        let reflected =
+            if emissive.data.iter().any(|e| *e) { crate::texture::fill_uncovered(&radiance, &keep) } else { radiance.clone() };
         let back = if back.len() == mesh.triangles.len() { back } else { vec![Vec3::ZERO; mesh.triangles.len()] };
         Self { lookups, reflected: MipChain::new(reflected, MIP_LEVELS), full: radiance, back, environment }
     }

@@ -5,7 +5,9 @@
 
 use super::{SolveOptions, Surface, surface::coverage};
 use crate::image::{Plane, RgbPlane};
-use crate::lighting::{Bake, Emitters, Environment, IrtOptions, Irradiance, LightField, Receiver, bake_irradiance, detect_emissive};
+use crate::lighting::{
+    Bake, Emitters, Environment, Irradiance, IrtOptions, LightField, Receiver, bake_irradiance, detect_emissive,
+};
 use crate::math::luminance;
 use crate::progress::Progress;
 use crate::texture::{Texels, fill_uncovered};
@@ -45,12 +47,14 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let observed: Vec<bool> = surface.fusion.views.iter().map(|v| *v > 0).collect();
     let mut radiance = filled_radiance(surface, &surface.fusion.radiance, &observed);
     let coarse = Texels::rasterize(&scene.mesh, options.irradiance_size / COARSE, options.irradiance_size / COARSE);
-    let coarse_options = IrtOptions { rays: 64, emitter_samples: 16, max_rounds: 1, seed: options.seed ^ 1, ..IrtOptions::default() };
+    let coarse_options =
+        IrtOptions { rays: 64, emitter_samples: 16, max_rounds: 1, seed: options.seed ^ 1, ..IrtOptions::default() };
     let mut rays = 0;
 
     // light as observed, known lamps only
     let (field, emitters) = light_field(surface, &radiance, &known, environment.clone(), &coarse);
-    let first = progress.stage("emitters", coarse.len() as u64, |p| bake(surface, &field, &emitters, &coarse, &coarse_options, p));
+    let first =
+        progress.stage("emitters", coarse.len() as u64, |p| bake(surface, &field, &emitters, &coarse, &coarse_options, p));
     rays += first.rays;
     let coarse_irradiance = texture_of(&coarse, &first.value);
     let excess = excess(surface, &coarse_irradiance);
@@ -68,7 +72,11 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
         "{} emitting triangles in {} lamps; environment {}; {:.1} % of texels unseen by any view",
         emissive.iter().filter(|e| **e).count(),
         emitters.lamp_count(),
-        if field.environment.is_black() { "not needed: no ray escapes".to_owned() } else { format!("seen in {:.1} % of directions", 100.0 * field.environment.seen_share()) },
+        if field.environment.is_black() {
+            "not needed: no ray escapes".to_owned()
+        } else {
+            format!("seen in {:.1} % of directions", 100.0 * field.environment.seen_share())
+        },
         100.0 * unseen as f64 / observed.len().max(1) as f64
     ));
     let texels = Texels::rasterize(&scene.mesh, options.irradiance_size, options.irradiance_size);
@@ -80,7 +88,8 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
         seed: options.seed,
         ..IrtOptions::default()
     };
-    let baked = progress.stage("irradiance", texels.len() as u64, |p| bake(surface, &field, &emitters, &texels, &full_options, p));
+    let baked =
+        progress.stage("irradiance", texels.len() as u64, |p| bake(surface, &field, &emitters, &texels, &full_options, p));
     rays += baked.rays;
     let irradiance = texture_of(&texels, &baked.value);
     Light { field, emitters, emissive, radiance, texels, irradiance, error: baked.error, rays }
@@ -106,11 +115,18 @@ fn texture_of(texels: &Texels, values: &[Vec3]) -> RgbPlane {
     fill_uncovered(&texels.scatter(values, Vec3::ZERO), &coverage(texels))
 }
 
-fn light_field(surface: &Surface, radiance: &RgbPlane, emissive: &[bool], environment: Environment, receivers: &Texels) -> (LightField, Emitters) {
+fn light_field(
+    surface: &Surface,
+    radiance: &RgbPlane,
+    emissive: &[bool],
+    environment: Environment,
+    receivers: &Texels,
+) -> (LightField, Emitters) {
     let mesh = &surface.scene.mesh;
     let emitting: Vec<bool> = surface.texels.point.iter().map(|p| emissive[p.triangle as usize]).collect();
     let emitting: Plane<bool> = surface.texels.scatter(&emitting, false);
-    let field = LightField::new(mesh, &surface.orientation, radiance.clone(), &emitting, emissive, surface.back.clone(), environment);
+    let field =
+        LightField::new(mesh, &surface.orientation, radiance.clone(), &emitting, emissive, surface.back.clone(), environment);
     let probes: Vec<(Vec3, Vec3)> = (0..receivers.len())
         .map(|i| {
             let p = receivers.point[i];
@@ -122,7 +138,14 @@ fn light_field(surface: &Surface, radiance: &RgbPlane, emissive: &[bool], enviro
     (field, emitters)
 }
 
-fn bake(surface: &Surface, field: &LightField, emitters: &Emitters, texels: &Texels, options: &IrtOptions, progress: &Progress) -> Irradiance {
+fn bake(
+    surface: &Surface,
+    field: &LightField,
+    emitters: &Emitters,
+    texels: &Texels,
+    options: &IrtOptions,
+    progress: &Progress,
+) -> Irradiance {
     let bake = Bake { mesh: &surface.scene.mesh, tracer: &surface.tracer, field, emitters, offset: surface.offset };
     let receiver = |i: usize| {
         let p = texels.point[i];
@@ -163,7 +186,7 @@ fn predict_unseen(surface: &Surface, irradiance: &RgbPlane, observed: &[bool], e
             }
         }
     }
-    let mut median = |values: &mut Vec<f32>| {
+    let median = |values: &mut Vec<f32>| {
         values.sort_by(f32::total_cmp);
         values.get(values.len() / 2).copied().unwrap_or(0.5)
     };

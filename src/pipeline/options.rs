@@ -39,8 +39,9 @@ pub struct SolveOptions {
     /// Relative standard error of irradiance at which a texel is done.
     #[arg(long, value_name = "RATIO", default_value_t = Self::default().irradiance_error)]
     pub irradiance_error: f32,
-    /// Seed of all random numbers.
-    #[arg(long, value_name = "N", default_value_t = Self::default().seed)]
+    /// Seed of all random numbers: the command line's global `--seed`.
+    #[arg(skip)]
+    #[serde(skip)]
     pub seed: u64,
 }
 

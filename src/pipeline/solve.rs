@@ -34,7 +34,13 @@ pub struct Solved {
 pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -> Result<Solved> {
     let surface = Surface::observe(scene, options, progress)?;
     let light = reconstruct_light(&surface, options, progress);
-    let bake = Bake { mesh: &scene.mesh, tracer: &surface.tracer, field: &light.field, emitters: &light.emitters, offset: surface.offset };
+    let bake = Bake {
+        mesh: &scene.mesh,
+        tracer: &surface.tracer,
+        field: &light.field,
+        emitters: &light.emitters,
+        offset: surface.offset,
+    };
     let labels = surface.texels.scatter(&surface.labels, 0);
     let normals = |t: u32, p: Vec3| surface.normals_at(t, p);
     let label_at = |t: u32, p: Vec3| {
@@ -50,24 +56,6 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     let evidence = progress.stage("specular samples", evidence.len() as u64, |p| {
         gather_evidence(&bake, &surface.observer(), &evidence, &normals, options.seed, p)
     });
-    if std::env::var("DUMP").is_ok() {
-        let class: u16 = std::env::var("DUMP").unwrap().parse().unwrap();
-        let mut k = 0;
-        for p in evidence.points.iter().filter(|p| p.group.0 == class) {
-            k += 1;
-            if k % 97 != 0 {
-                continue;
-            }
-            println!("point {} tri {}", p.position, p.triangle);
-            for j in p.first..p.first + p.count {
-                let s = &evidence.sights[j as usize];
-                let r = evidence.response(j as usize);
-                let f = |k: usize| crate::math::luminance(r[k]);
-                let l = crate::math::luminance(s.radiance);
-                println!("   v{:2} nv {:.2} w {:.2} I {:.4}  S(.06) {:.4} S(.22) {:.4} S(.42) {:.4} S(.55) {:.4} S(1) {:.4} | D(.22) {:.4} D(.42) {:.4} D(1) {:.4}", s.view, s.n_v, s.weight, l, f(1), f(6), f(10), f(12), f(17), l-f(6), l - f(10), l-f(17));
-            }
-        }
-    }
     let fits = progress.stage("roughness", 1, |_| fit_groups(&evidence));
     let roughness_of: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.roughness)).collect();
     let roughness_at = |t: u32, p: Vec3| roughness_of.get(&label_at(t, p)).copied().unwrap_or(ROUGHNESS_PRIOR);
@@ -108,7 +96,13 @@ fn assemble(
     let albedo_plane = fill_uncovered(&texels.scatter(&value, Vec3::ZERO), &texels.scatter(&observed, false));
     let confidence: Vec<Vec2> = albedo.error.iter().map(|e| Vec2::new(e.min(1e4), 1e4)).collect();
     let emission: Vec<Vec3> = (0..texels.len())
-        .map(|i| if light.emissive[texels.point[i].triangle as usize] { light.radiance.data[texels.cell[i] as usize] } else { Vec3::ZERO })
+        .map(|i| {
+            if light.emissive[texels.point[i].triangle as usize] {
+                light.radiance.data[texels.cell[i] as usize]
+            } else {
+                Vec3::ZERO
+            }
+        })
         .collect();
     let size = options.roughness_size;
     let covered = coverage(texels);

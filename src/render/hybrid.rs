@@ -88,8 +88,15 @@ impl<'a> HybridRenderer<'a> {
             solution.radiance.map(|_| false)
         };
         let environment = Environment::from_map(solution.environment.clone());
-        let field =
-            LightField::new(mesh, &orientation, solution.radiance.clone(), &emissive, &emissive_triangles, Vec::new(), environment);
+        let field = LightField::new(
+            mesh,
+            &orientation,
+            solution.radiance.clone(),
+            &emissive,
+            &emissive_triangles,
+            Vec::new(),
+            environment,
+        );
         let probes: Vec<(Vec3, Vec3)> = (0..mesh.triangles.len())
             .step_by((mesh.triangles.len() / 50_000).max(1))
             .map(|t| (mesh.position(t, 1.0 / 3.0, 1.0 / 3.0), mesh.face_normal(t)))
@@ -129,8 +136,13 @@ impl<'a> HybridRenderer<'a> {
             points.push(point);
         }
         let mut specular = vec![Vec3::ZERO; gazes.len()];
-        let bake =
-            Bake { mesh: &self.solution.mesh, tracer: &self.tracer, field: &self.field, emitters: &self.emitters, offset: self.offset };
+        let bake = Bake {
+            mesh: &self.solution.mesh,
+            tracer: &self.tracer,
+            field: &self.field,
+            emitters: &self.emitters,
+            offset: self.offset,
+        };
         let reflector = Reflector {
             bake: &bake,
             rays_per_lobe: self.options.specular_rays,

@@ -61,8 +61,11 @@ impl Texels {
                 bin.push(t as u32);
             }
         }
-        let parts: Vec<Band> =
-            bins.par_iter().enumerate().map(|(b, bin)| Band::rasterize(mesh, width, b * BAND..((b + 1) * BAND).min(height), size, bin)).collect();
+        let parts: Vec<Band> = bins
+            .par_iter()
+            .enumerate()
+            .map(|(b, bin)| Band::rasterize(mesh, width, b * BAND..((b + 1) * BAND).min(height), size, bin))
+            .collect();
         let mut out = Self { width, height, cell: Vec::new(), point: Vec::new(), interior: Vec::new() };
         let total = parts.iter().map(|p| p.cell.len()).sum();
         out.cell.reserve_exact(total);
