@@ -81,7 +81,7 @@ pub(super) fn sniff(path: &Path) -> Result<ImageFormat> {
         h if h.starts_with(&exr_header::MAGIC) => return Ok(ImageFormat::Exr),
         h if h.starts_with(b"#?") => return Ok(ImageFormat::Hdr),
         h if h.starts_with(b"\x89PNG") => return Ok(ImageFormat::Png),
-        h if h.starts_with(&[0xff, 0xd8, 0xff]) => return Ok(ImageFormat::Jpeg),
+        [0xff, 0xd8, 0xff, ..] => return Ok(ImageFormat::Jpeg),
         [] => "an empty file",
         h if h.starts_with(b"version https://git-lfs") => "a Git LFS pointer (run `git lfs pull`)",
         h if h.starts_with(b"II") || h.starts_with(b"MM") => "a TIFF or camera raw file",

@@ -84,7 +84,7 @@ impl Camera {
     pub fn project(&self, point: Vec3) -> Option<Vec2> {
         let d = self.world_from_camera.transpose() * (point - self.position);
         let length = d.length();
-        if !(length > 0.0) {
+        if length.is_nan() || length <= 0.0 {
             return None;
         }
         match self.projection {

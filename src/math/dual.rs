@@ -51,12 +51,14 @@ impl<const N: usize> Sub for Dual<N> {
         self.zip(o, self.x - o.x, |a, b| a - b)
     }
 }
+#[allow(clippy::suspicious_arithmetic_impl, reason = "the product rule")]
 impl<const N: usize> Mul for Dual<N> {
     type Output = Self;
     fn mul(self, o: Self) -> Self {
         self.zip(o, self.x * o.x, |a, b| a * o.x + self.x * b)
     }
 }
+#[allow(clippy::suspicious_arithmetic_impl, reason = "the quotient rule")]
 impl<const N: usize> Div for Dual<N> {
     type Output = Self;
     fn div(self, o: Self) -> Self {
