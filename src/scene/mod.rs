@@ -1,5 +1,7 @@
 //! Validated input: mesh, views, labels, rooms.
 
+mod check;
+mod check_text;
 mod load;
 mod mesh_prep;
 mod pixels;
@@ -7,6 +9,7 @@ mod rooms;
 pub mod transforms;
 mod unwrap;
 
+pub use check::{CheckReport, ClassShare, ImageKind, MeshSummary, RadianceRange, RoomSummary, Summary, check, check_loaded};
 pub use mesh_prep::{MeshStats, atlas_overlap, prepare_mesh};
 pub use pixels::PixelStats;
 pub use rooms::find_rooms;

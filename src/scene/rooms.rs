@@ -26,12 +26,16 @@ const MAX_SIDE: usize = 2048;
 const DOOR: f32 = 2.12;
 /// Slices cut between door height and ceiling.
 const SLICES: usize = 7;
+/// Heights between which a partition stands: above tables, sofas and worktops, below its own top.
+const PARTITION: [f32; 2] = [1.1, 1.5];
 /// A cell is wall if the mesh crosses it in this many slices: hanging lamps and rods cross fewer.
 const WALL_SLICES: u8 = 3;
 /// Openings whose half width exceeds this join rooms rather than dividing them.
 const WIDE: f32 = 0.8;
 /// An opening this wide against the smaller side's own half width is a shape of the room, not a door.
 const NECK: f32 = 0.65;
+/// Smallest half width of a room at its widest place.
+const NARROW: f32 = 0.3;
 /// Smallest floor of a room, m².
 const MIN_AREA: f32 = 2.0;
 /// How far room ids reach beyond the free floor, to cover the surfaces of walls and cupboards.
@@ -182,11 +186,20 @@ impl Plan {
             .flatten()
     }
 
-    /// Cells the mesh crosses in several slices between door height and ceiling.
+    /// Cells of walls, which the mesh crosses in several slices between door height and ceiling, and of partitions, which it
+    /// crosses in all slices at eye level.
     fn walls(&self, scene: &Scene, storey: &Storey) -> Vec<bool> {
         let height = storey.ceiling - storey.floor;
         let top = storey.floor + height - 0.1 * storey.unit.min(height);
         let bottom = (storey.floor + DOOR * storey.unit).min(top - 0.12 * height);
+        let high = self.crossings(scene, bottom, top);
+        let at = |metres: f32| storey.floor + (metres * storey.unit).min(metres / STOREY * height);
+        let eye = self.crossings(scene, at(PARTITION[0]), at(PARTITION[1]));
+        high.into_iter().zip(eye).map(|(h, e)| h >= WALL_SLICES || e as usize == SLICES).collect()
+    }
+
+    /// In how many of [`SLICES`] slices between two heights the mesh crosses each cell.
+    fn crossings(&self, scene: &Scene, bottom: f32, top: f32) -> Vec<u8> {
         let heights: Vec<f32> = (0..SLICES).map(|k| bottom + (top - bottom) * (k as f32 + 0.5) / SLICES as f32).collect();
         let mut count = vec![0u8; self.len()];
         let mut last = vec![u8::MAX; self.len()];
@@ -203,7 +216,7 @@ impl Plan {
                 }
             }
         }
-        count.into_iter().map(|c| c >= WALL_SLICES).collect()
+        count
     }
 
     /// Visits the cells a segment passes, in steps of half a cell.
@@ -323,23 +336,24 @@ fn watershed(plan: &Plan, free: &[bool], unit: f32) -> Vec<u32> {
     let (mut parent, mut peak) = (vec![0u32], vec![0.0f32]);
     for &i in &order {
         let (i, d) = (i as usize, distances[i as usize]);
+        // the basin of the neighbour uphill takes the cell: following the wider side keeps basins from leaking along walls
         let mut own = 0u32;
-        for n in plan.neighbours(i) {
-            if labels[n] == 0 {
-                continue;
-            }
+        let mut uphill = f32::NEG_INFINITY;
+        for n in plan.neighbours(i).filter(|&n| labels[n] != 0) {
             let other = root(&mut parent, labels[n]);
-            if own == 0 {
-                own = other;
-            } else if own != other {
+            if own != 0 && own != other {
                 let (low, high) = if peak[own as usize] < peak[other as usize] { (own, other) } else { (other, own) };
-                // the cell is the widest passage between the two basins: d is its half width
+                // the cell is on the widest passage between two basins still unjoined: d is at most its half width
                 if d >= wide || d >= NECK * peak[low as usize] {
                     parent[low as usize] = high;
                     own = high;
-                } else {
-                    own = high;
+                    uphill = uphill.max(distances[n]);
+                    continue;
                 }
+            }
+            if distances[n] > uphill {
+                uphill = distances[n];
+                own = root(&mut parent, other);
             }
         }
         if own == 0 {
@@ -349,7 +363,12 @@ fn watershed(plan: &Plan, free: &[bool], unit: f32) -> Vec<u32> {
         }
         labels[i] = own;
     }
-    labels.iter_mut().filter(|l| **l != 0).for_each(|l| *l = root(&mut parent, *l));
+    // a strip narrower than a door on both sides is the inside of a wall
+    let narrow = NARROW * unit / plan.cell;
+    labels.iter_mut().filter(|l| **l != 0).for_each(|l| {
+        let r = root(&mut parent, *l);
+        *l = if peak[r as usize] < narrow { 0 } else { r };
+    });
     labels
 }
 
