@@ -172,6 +172,17 @@ fn bad_poses_and_splits_name_the_frame_and_the_key() {
 }
 
 #[test]
+fn a_damaged_frame_does_not_hide_the_problems_of_others() {
+    let scene = SceneDir::box_room();
+    scene.edit(|t| t["frames"][0]["transform_matrix"] = json!(7));
+    std::fs::remove_file(scene.path("b.exr")).expect("removed");
+    scene.write("mesh.obj", b"f 1 2 3");
+    refused(&scene, &["frames[0] (a.exr).transform_matrix", "b.exr", "mesh.obj"]);
+    let text = Scene::load(scene.folder(), &LoadOptions::default()).expect_err("refused").to_string();
+    assert!(!text.contains("is no frame"), "{text}");
+}
+
+#[test]
 fn duplicate_stems_are_errors() {
     let scene = SceneDir::box_room();
     std::fs::create_dir(scene.path("other")).expect("folder");
