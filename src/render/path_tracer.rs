@@ -170,6 +170,8 @@ struct Vertex {
     view: Vec3,
     material: Material,
     lobes: Lobes,
+    /// Luminance against which a shadow ray's worth is measured; 0 traces every one.
+    reference: f32,
 }
 
 #[derive(Clone, Copy)]
@@ -380,6 +382,7 @@ impl<'a> PathTracer<'a> {
                     view: point.normal,
                     material: Material { albedo: Vec3::ONE, roughness: 1.0 },
                     lobes: Lobes::Diffuse,
+                    reference: 0.0,
                 };
                 let path = Path { slot: slot as u32, beta: Vec3::ONE, first: [Vec3::ONE; 2], origin: point.position, pdf: 0.0 };
                 self.scatter(&vertex, path, keys[slot], 0, &mut wave);
@@ -459,6 +462,7 @@ impl<'a> PathTracer<'a> {
                         continue;
                     }
                     vertex.lobes = Lobes::Specular;
+                    vertex.reference = luminance(path.beta * light);
                 }
                 self.scatter(&vertex, path, keys[slot], bounce, wave);
             }
@@ -496,7 +500,7 @@ impl<'a> PathTracer<'a> {
             normal = face_normal;
         }
         let lobes = if self.options.lambertian { Lobes::Diffuse } else { Lobes::Both };
-        Vertex { position: self.mesh.position(t, hit.u, hit.v), face_normal, normal, view, material, lobes }
+        Vertex { position: self.mesh.position(t, hit.u, hit.v), face_normal, normal, view, material, lobes, reference: 0.0 }
     }
 
     /// Next-event estimation and the continuation of a path at a vertex.
@@ -543,7 +547,12 @@ impl<'a> PathTracer<'a> {
             };
             let mut light = Sums::default();
             self.deposit(&mut light, &advance(lobes(s.direction, s.pdf)), radiance * weight, bounce + 1);
-            if light.diffuse + light.specular != Vec3::ZERO {
+            // beside the diffuse light of a cached vertex a faint highlight is worth a shadow ray only now and then
+            let worth = luminance(advance(lobes(s.direction, s.pdf)).beta * radiance * weight);
+            let keep = if vertex.reference > 0.0 { (2.0 * worth / vertex.reference).clamp(0.1, 1.0) } else { 1.0 };
+            let kept = keep >= 1.0
+                || KeyedRng::new(key.key ^ 0xa11e, (u64::from(bounce) << 32) | u64::from(key.sample)).next_f32() < keep;
+            if kept && light.diffuse + light.specular != Vec3::ZERO {
                 // from the moved origin the same point of the light is aimed at; the end stays clear of it
                 let (direction, t_far) = if s.distance.is_finite() {
                     let d = vertex.position + s.direction * s.distance - origin;
@@ -551,7 +560,7 @@ impl<'a> PathTracer<'a> {
                 } else {
                     (s.direction, f32::INFINITY)
                 };
-                wave.shadow.push(ShadowRay { slot: path.slot, diffuse: light.diffuse, specular: light.specular });
+                wave.shadow.push(ShadowRay { slot: path.slot, diffuse: light.diffuse / keep, specular: light.specular / keep });
                 wave.shadow_rays.push(Ray::new(origin, direction, t_far.max(0.0)));
             }
         }

@@ -95,6 +95,5 @@ pub fn paint(class: u16, rng: &mut KeyedRng) -> Paint {
         FRUIT => (Pattern::Assorted, Vec3::new(0.8, 0.5, 0.15), Vec3::new(0.7, 0.2, 0.1), 0.3),
         _ => (Pattern::Plain, Vec3::splat(0.78), Vec3::ZERO, 0.6),
     };
-    let name = CLASSES.iter().find(|c| c.0 == class).map_or("lamp", |c| c.1);
-    Paint { name, pattern, colours: [a, b], roughness }
+    Paint { pattern, colours: [a, b], roughness }
 }

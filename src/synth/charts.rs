@@ -8,7 +8,7 @@ use glam::{Mat3, Vec2, Vec3};
 use std::f32::consts::{PI, TAU};
 
 /// Largest edge of a tessellated flat patch, metres.
-pub const CELL: f32 = 0.16;
+pub const CELL: f32 = 0.2;
 
 /// What a patch is made of: index into the apartment's materials, and its own random key.
 #[derive(Clone, Copy, Debug)]
@@ -173,7 +173,8 @@ impl Builder {
 
     /// A rounded block: superellipsoid with the given half sizes; `squareness` 1 is an ellipsoid, smaller is boxier.
     pub fn cushion(&mut self, centre: Vec3, half: Vec3, squareness: f32, finish: Finish) {
-        let (nu, nv) = (40, 20);
+        // small ones are seen small
+        let (nu, nv) = if half.max_element() < 0.15 { (16, 8) } else { (24, 12) };
         let size = Vec2::new(4.0 * (half.x + half.z) * 0.9, 2.0 * (half.y + half.x.min(half.z)) * 0.9);
         let e = squareness;
         let pow = |x: f32, p: f32| x.signum() * x.abs().powf(p);

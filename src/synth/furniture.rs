@@ -47,7 +47,7 @@ fn living_room(d: &mut Decorator, size: Vec3) {
     picture(d, Vec3::new(size.x, 1.55, 1.7), Vec3::NEG_X, Vec2::new(1.1, 0.7));
     d.builder_at(Vec3::new(0.45, 0.0, 0.5), floor_lamp);
     d.builder_at(Vec3::new(size.x - 0.45, 0.0, 0.5), |d| plant(d, 1.0));
-    pendant(d, Vec3::new(middle, size.y, 2.2), 0.6, 0.17, warm(30.0));
+    pendant(d, Vec3::new(middle, size.y, 2.2), 0.6, 0.19, warm(48.0));
 }
 
 fn bedroom(d: &mut Decorator, size: Vec3) {
@@ -65,7 +65,7 @@ fn bedroom(d: &mut Decorator, size: Vec3) {
     picture(d, Vec3::new(size.x, 1.55, 1.3), Vec3::NEG_X, Vec2::new(0.7, 0.7));
     picture(d, Vec3::new(middle, 1.65, size.z), Vec3::NEG_Z, Vec2::new(1.2, 0.55));
     d.builder_turned(Vec3::new(middle + 0.2, 0.0, 0.75), 2.6, armchair);
-    ceiling_panel(d, Vec3::new(middle, size.y, 0.5 * size.z - 0.3), Vec2::new(0.8, 0.8), neutral(16.0));
+    ceiling_panel(d, Vec3::new(middle, size.y, 0.5 * size.z - 0.3), Vec2::new(0.8, 0.8), neutral(26.0));
 }
 
 fn kitchen(d: &mut Decorator, size: Vec3) {
@@ -82,8 +82,8 @@ fn kitchen(d: &mut Decorator, size: Vec3) {
     d.builder_turned(Vec3::new(size.x - 0.17, 0.0, 1.3), FRAC_PI_2, |d| shelf(d, 0.9, 1.5));
     picture(d, Vec3::new(0.0, 1.5, 2.4), Vec3::X, Vec2::new(0.5, 0.6));
     d.builder_at(Vec3::new(size.x - 0.4, 0.0, 0.4), |d| plant(d, 0.8));
-    pendant(d, centre + Vec3::new(-0.35, size.y, 0.0), 0.75, 0.11, warm(40.0));
-    pendant(d, centre + Vec3::new(0.35, size.y, 0.0), 0.75, 0.11, warm(40.0));
+    pendant(d, centre + Vec3::new(-0.35, size.y, 0.0), 0.75, 0.13, warm(50.0));
+    pendant(d, centre + Vec3::new(0.35, size.y, 0.0), 0.75, 0.13, warm(50.0));
     let spot = d.lamp(neutral(50.0));
     let rim = d.finish(LAMP_STAND);
     for i in 0..4 {
@@ -192,7 +192,7 @@ fn bowl(d: &mut Decorator) {
         let fruit = d.own_finish(FRUIT);
         let reach = if i == 3 { 0.0 } else { 0.06 };
         let y = if i == 3 { 0.105 } else { 0.06 };
-        d.builder.sphere(Vec3::new(reach * a.cos(), y, reach * a.sin()), r, 10, fruit);
+        d.builder.sphere(Vec3::new(reach * a.cos(), y, reach * a.sin()), r, 8, fruit);
     }
 }
 
@@ -257,7 +257,7 @@ fn shelf(d: &mut Decorator, width: f32, height: f32) {
                 0 => d.builder_at(Vec3::new(x + 0.03, y + t, 0.0), |d| vase(d, 0.2)),
                 1 => {
                     let finish = d.own_finish(ORNAMENT);
-                    d.builder.sphere(Vec3::new(x + 0.03, y + t + 0.062, 0.0), 0.062, 16, finish);
+                    d.builder.sphere(Vec3::new(x + 0.03, y + t + 0.062, 0.0), 0.062, 14, finish);
                 }
                 _ => d.builder_at(Vec3::new(x + 0.03, y + t, 0.0), |d| book_pile(d, 3)),
             }
@@ -284,7 +284,7 @@ fn doors(d: &mut Decorator, low: [f32; 2], high: [f32; 2], z: f32, count: usize,
     for i in 0..count {
         let x = low[0] + w * i as f32;
         block(d, [x + 0.006, low[1], z - 0.018], [x + w - 0.006, high[1], z], true, class);
-        d.builder.sphere(Vec3::new(x + w - 0.05, 0.5 * (low[1] + high[1]), z - 0.03), 0.014, 8, knob);
+        d.builder.sphere(Vec3::new(x + w - 0.05, 0.5 * (low[1] + high[1]), z - 0.03), 0.014, 5, knob);
     }
 }
 
@@ -326,15 +326,15 @@ fn bedside_table(d: &mut Decorator) {
 }
 
 fn table_lamp(d: &mut Decorator) {
-    let (stand, glow) = (d.finish(LAMP_STAND), d.lamp(warm(22.0)));
+    let (stand, glow) = (d.finish(LAMP_STAND), d.lamp(warm(30.0)));
     d.builder.cylinder(Vec3::ZERO, 0.06, 0.015, 24, false, stand);
     d.builder.cylinder(Vec3::Y * 0.015, 0.012, 0.12, 12, false, stand);
-    d.builder.sphere(Vec3::Y * 0.22, 0.09, 12, glow);
+    d.builder.sphere(Vec3::Y * 0.22, 0.09, 8, glow);
 }
 
 fn floor_lamp(d: &mut Decorator) {
     d.occupy(Vec2::splat(-0.2), Vec2::splat(0.2));
-    let (stand, glow) = (d.finish(LAMP_STAND), d.lamp(warm(14.0)));
+    let (stand, glow) = (d.finish(LAMP_STAND), d.lamp(warm(20.0)));
     d.builder.cylinder(Vec3::ZERO, 0.15, 0.02, 28, false, stand);
     d.builder.cylinder(Vec3::Y * 0.02, 0.014, 1.4, 12, false, stand);
     let shade = [Vec2::new(0.0, 0.0), Vec2::new(0.17, 0.0)];
@@ -351,7 +351,7 @@ fn pendant(d: &mut Decorator, ceiling: Vec3, drop: f32, radius: f32, radiance: V
     let centre = ceiling - Vec3::Y * (drop + radius);
     d.builder.cylinder(ceiling - Vec3::Y * 0.03, 0.05, 0.03, 20, true, stand);
     d.builder.cylinder(centre + Vec3::Y * radius, 0.007, drop - 0.03, 8, false, stand);
-    d.builder.sphere(centre, radius, 12, glow);
+    d.builder.sphere(centre, radius, 8, glow);
 }
 
 fn ceiling_panel(d: &mut Decorator, centre: Vec3, size: Vec2, radiance: Vec3) {

@@ -67,7 +67,7 @@ impl Default for SynthOptions {
             views: 40,
             test_views: 16,
             width: 1024,
-            spp: 16,
+            spp: 8,
             texture: 2048,
             no_denoise: false,
             full_paths: false,
@@ -79,7 +79,7 @@ impl SynthOptions {
     /// A setting for tests and quick looks: one small room's worth of pictures in about ten seconds.
     #[must_use]
     pub fn small() -> Self {
-        Self { rooms: 1, views: 6, test_views: 2, width: 256, spp: 16, texture: 512, ..Self::default() }
+        Self { rooms: 1, views: 6, test_views: 2, width: 256, spp: 8, texture: 512, ..Self::default() }
     }
 
     fn validate(&self) -> Result<()> {
@@ -151,16 +151,18 @@ pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) 
     let tracer = EmbreeTracer::new(&mesh)?;
     let surfaces = Textured::new(&mesh, &apartment.charts, &texture);
     let sky = Sky {
-        horizon: Vec3::new(3.4, 3.6, 3.8),
-        zenith: Vec3::new(4.2, 5.0, 6.4),
-        ground: Vec3::new(0.9, 1.0, 0.7),
+        horizon: Vec3::new(4.6, 4.9, 5.2),
+        zenith: Vec3::new(5.6, 6.6, 8.4),
+        ground: Vec3::new(1.3, 1.4, 1.0),
         portals: apartment.portals.clone(),
     };
     let settings = PathTracerOptions { samples: options.spp, seed: options.seed, ..PathTracerOptions::default() };
     let renderer = PathTracer::new(&mesh, &tracer, &surfaces, &sky, settings);
+    // the cache is worth as much care as the pixels, up to what its vertices can resolve
+    let effort = (options.spp as f32 / 8.0).clamp(0.2, 2.0);
     let cache = (!options.full_paths).then(|| {
         let steps = VertexIrradiance::steps(&mesh);
-        progress.stage("caching irradiance", steps, |p| VertexIrradiance::bake(&mesh, &tracer, &renderer, 1.0, p))
+        progress.stage("caching irradiance", steps, |p| VertexIrradiance::bake(&mesh, &tracer, &renderer, effort, p))
     });
     let pixels = views.iter().map(|v| (v.camera.width * v.camera.height) as u64).sum();
     let mut luminances = Vec::new();
@@ -169,7 +171,7 @@ pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) 
         for (i, view) in views.iter().enumerate() {
             let indirect = cache.as_ref().map(|c| c as &dyn crate::render::IndirectCache);
             let frame = renderer.render_with(&view.camera, i as u64, indirect, p);
-            let image = if options.no_denoise { frame.radiance() } else { denoise::denoise(&frame, true) };
+            let image = if options.no_denoise { frame.radiance() } else { denoise::denoise(&frame, &view.camera) };
             luminances.extend(image.data.iter().step_by(61).map(|&c| crate::math::luminance(c)));
             seen.extend(frame.label.data.iter().copied().filter(|&l| l != 0));
             writer.view(&view.stem, &frame, &image)?;

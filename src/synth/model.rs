@@ -86,7 +86,7 @@ impl IndirectCache for VertexIrradiance<'_> {
 }
 
 /// Passes of the cache: samples per vertex, the first with full paths, the others on top of the pass before.
-const PASSES: [u32; 3] = [48, 64, 192];
+const PASSES: [u32; 3] = [24, 48, 128];
 /// A vertex most of whose view is blocked nearer than this lies inside or under something; metres.
 const BURIED: f32 = 0.03;
 
@@ -150,8 +150,9 @@ fn receivers(mesh: &Mesh) -> Vec<IrradiancePoint> {
     let point = |(i, (centre, count, normal)): (usize, &(Vec3, f32, Vec3))| {
         let p = mesh.positions[i];
         let n = mesh.normals[i];
-        let position = if *count > 0.0 { p.lerp(*centre / *count, 0.06) } else { p };
-        // convex surfaces: the chord lies below the vertex; stay on the outside
+        // within the tangent plane: straight towards the centroid would enter a convex body, and see a lamp from inside
+        let inwards = if *count > 0.0 { *centre / *count - p } else { Vec3::ZERO };
+        let position = p + 0.06 * (inwards - n * n.dot(inwards));
         IrradiancePoint { position: position + n * 2e-4, face_normal: normal.normalize_or(n), normal: n }
     };
     sums.iter().enumerate().map(point).collect()

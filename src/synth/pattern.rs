@@ -46,8 +46,6 @@ pub enum Pattern {
 /// A material of the apartment.
 #[derive(Clone, Debug)]
 pub struct Paint {
-    /// Name for people.
-    pub name: &'static str,
     /// Arrangement of the colours.
     pub pattern: Pattern,
     /// First and second colour.
@@ -186,7 +184,7 @@ mod tests {
             Pattern::Assorted,
         ];
         for pattern in patterns {
-            let paint = Paint { name: "p", pattern, colours: [Vec3::splat(0.9), Vec3::splat(0.1)], roughness: 0.3 };
+            let paint = Paint { pattern, colours: [Vec3::splat(0.9), Vec3::splat(0.1)], roughness: 0.3 };
             for i in 0..400 {
                 let uv = Vec2::new((i % 20) as f32 * 0.07 - 0.05, (i / 20) as f32 * 0.05 - 0.05);
                 let (c, r) = paint.look(uv, Vec2::new(1.3, 0.9), 5);
