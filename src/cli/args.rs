@@ -2,6 +2,8 @@
 
 use super::config::Config;
 use crate::evaluate::EvalOptions;
+use crate::pipeline::SolveOptions;
+use crate::scene::LoadOptions;
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
@@ -47,6 +49,30 @@ pub struct Global {
 /// The verbs.
 #[derive(Subcommand, Clone, Debug)]
 pub enum Verb {
+    /// Say what is understood of a scene and everything that is wrong with it.
+    Check {
+        /// Scene folder (or its transforms.json).
+        #[arg(required_unless_present = "print_config", value_name = "SCENE")]
+        scene: Option<PathBuf>,
+        /// How the scene is read.
+        #[command(flatten)]
+        load: LoadOptions,
+    },
+    /// Take the light out of photographs: reconstruct albedo, roughness and light textures of a scene.
+    Solve {
+        /// Scene folder (or its transforms.json).
+        #[arg(required_unless_present = "print_config", value_name = "SCENE")]
+        scene: Option<PathBuf>,
+        /// Folder for the result; created if need be.
+        #[arg(long, short, required_unless_present = "print_config", value_name = "OUT")]
+        out: Option<PathBuf>,
+        /// The reconstruction's options.
+        #[command(flatten)]
+        options: SolveOptions,
+        /// How the scene is read.
+        #[command(flatten)]
+        load: LoadOptions,
+    },
     /// Score a reconstruction: re-rendering, novel views and, with ground truth, materials.
     Eval {
         /// Output folder of `unbake solve`.
@@ -58,6 +84,9 @@ pub enum Verb {
         /// The evaluation's options.
         #[command(flatten)]
         options: EvalOptions,
+        /// How the scene is read.
+        #[command(flatten)]
+        load: LoadOptions,
     },
 }
 
@@ -68,7 +97,9 @@ impl Cli {
         let g = &self.global;
         let mut config = Config { threads: g.threads, seed: g.seed, quiet: g.quiet, json: g.json, ..Config::default() };
         match &self.verb {
-            Some(Verb::Eval { options, .. }) => config.eval = options.clone(),
+            Some(Verb::Check { load, .. }) => config.scene = load.clone(),
+            Some(Verb::Solve { options, load, .. }) => (config.solve, config.scene) = (options.clone(), load.clone()),
+            Some(Verb::Eval { options, load, .. }) => (config.eval, config.scene) = (options.clone(), load.clone()),
             None => {}
         }
         config

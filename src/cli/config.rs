@@ -5,6 +5,8 @@
 
 use crate::error::{Error, Result};
 use crate::evaluate::EvalOptions;
+use crate::pipeline::SolveOptions;
+use crate::scene::LoadOptions;
 use clap::ArgMatches;
 use clap::parser::ValueSource;
 use serde::{Deserialize, Serialize};
@@ -23,6 +25,10 @@ pub struct Config {
     pub quiet: bool,
     /// Results as JSON.
     pub json: bool,
+    /// How a scene is read, by every verb that reads one.
+    pub scene: LoadOptions,
+    /// Options of `unbake solve`.
+    pub solve: SolveOptions,
     /// Options of `unbake eval`.
     pub eval: EvalOptions,
 }
@@ -42,8 +48,8 @@ impl Config {
 
     /// This configuration with every flag that was typed on the command line replaced by the value in `flags`.
     ///
-    /// `table` is the verb's table; `matches` are its matches, which contain the global flags as well.
-    pub fn overlaid(&self, flags: &Self, table: &str, matches: &ArgMatches) -> Result<Self> {
+    /// `tables` are those the verb reads; `matches` are its matches, which contain the global flags as well.
+    pub fn overlaid(&self, flags: &Self, tables: &[&str], matches: &ArgMatches) -> Result<Self> {
         let failed = |e: String| Error::Failed(format!("merging options: {e}"));
         let mut base = Table::try_from(self).map_err(|e| failed(e.to_string()))?;
         let given = Table::try_from(flags).map_err(|e| failed(e.to_string()))?;
@@ -51,9 +57,11 @@ impl Config {
             let key = id.as_str().replace('_', "-");
             if let Some(value) = given.get(&key).filter(|v| !v.is_table()) {
                 base.insert(key, value.clone());
-            } else if let Some(Value::Table(from)) = given.get(table) {
-                let into = base.entry(table).or_insert_with(|| Value::Table(Table::new()));
-                if let Value::Table(into) = into {
+                continue;
+            }
+            for table in tables {
+                let into = base.entry(*table).or_insert_with(|| Value::Table(Table::new()));
+                if let (Some(Value::Table(from)), Value::Table(into)) = (given.get(*table), into) {
                     copy_leaf(from, into, &key);
                 }
             }
@@ -61,30 +69,27 @@ impl Config {
         base.try_into().map_err(|e: toml::de::Error| failed(e.to_string()))
     }
 
-    /// The configuration as TOML with each option's help above it; `tables` restricts it to one verb.
-    pub fn documented(&self, command: &clap::Command, tables: Option<&str>) -> Result<String> {
+    /// The configuration as TOML with each option's help above it; a verb restricts it to what it reads.
+    pub fn documented(&self, command: &clap::Command, verb: Option<&str>) -> Result<String> {
         let failed = |e: String| Error::Failed(format!("printing the configuration: {e}"));
         let text = toml::to_string(self).map_err(|e| failed(e.to_string()))?;
         let mut out = String::from("# unbake configuration: every key is also a flag; flags override this file\n");
-        let mut verb: Option<String> = None;
+        let mut table: Option<String> = None;
         for line in text.lines() {
             if let Some(header) = line.strip_prefix('[').and_then(|l| l.strip_suffix(']')) {
-                verb = header.split('.').next().map(str::to_owned);
-                if wanted(tables, verb.as_deref()) {
+                table = header.split('.').next().map(str::to_owned);
+                if wanted(verb, table.as_deref()) {
                     out.push_str(&format!("\n[{header}]\n"));
                 }
                 continue;
             }
-            if !wanted(tables, verb.as_deref()) || line.is_empty() {
+            if !wanted(verb, table.as_deref()) || line.is_empty() {
                 continue;
             }
             let key = line.split('=').next().unwrap_or_default().trim();
-            let owner = verb.as_deref().map_or(Some(command), |v| command.find_subcommand(v));
-            let help = owner.and_then(|c| c.get_arguments().find(|a| a.get_id().as_str().replace('_', "-") == key));
-            if let Some(help) = help.and_then(clap::Arg::get_help) {
-                for paragraph in help.to_string().lines() {
-                    out.push_str(&format!("# {paragraph}\n"));
-                }
+            let help = help_of(command, table.as_deref(), key);
+            for paragraph in help.unwrap_or_default().lines() {
+                out.push_str(&format!("# {paragraph}\n"));
             }
             out.push_str(line);
             out.push('\n');
@@ -93,11 +98,34 @@ impl Config {
     }
 }
 
-/// Keys outside any table are printed always, a verb's table only for that verb.
-fn wanted(tables: Option<&str>, verb: Option<&str>) -> bool {
-    match (tables, verb) {
-        (Some(only), Some(verb)) => only == verb,
+/// The tables that a verb reads.
+#[must_use]
+pub fn tables_of(verb: &str) -> &'static [&'static str] {
+    match verb {
+        "check" => &["scene"],
+        "solve" => &["solve", "scene"],
+        "eval" => &["eval", "scene"],
+        _ => &[],
+    }
+}
+
+/// Keys outside any table are printed always, a table only for the verbs that read it.
+fn wanted(verb: Option<&str>, table: Option<&str>) -> bool {
+    match (verb, table) {
+        (Some(verb), Some(table)) => tables_of(verb).contains(&table),
         _ => true,
+    }
+}
+
+/// The help sentence of the flag that sets `key`.
+fn help_of(command: &clap::Command, table: Option<&str>, key: &str) -> Option<String> {
+    let find = |c: &clap::Command| {
+        let arg = c.get_arguments().find(|a| a.get_id().as_str().replace('_', "-") == key)?;
+        Some(arg.get_help()?.to_string())
+    };
+    match table {
+        None => find(command),
+        Some(table) => command.get_subcommands().filter(|c| tables_of(c.get_name()).contains(&table)).find_map(find),
     }
 }
 

@@ -57,7 +57,7 @@ pub fn run(arguments: Vec<OsString>) -> ExitCode {
         .map_err(|e| Error::Usage(e.to_string()))
         .and_then(|cli| dispatch(&cli, &matches, command));
     match outcome {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => ExitCode::from(code),
         Err(e) => {
             let _ = writeln!(std::io::stderr(), "error: {e}");
             if wants_json {
@@ -68,16 +68,16 @@ pub fn run(arguments: Vec<OsString>) -> ExitCode {
     }
 }
 
-fn dispatch(cli: &Cli, matches: &clap::ArgMatches, command: Vec<String>) -> Result<()> {
+fn dispatch(cli: &Cli, matches: &clap::ArgMatches, command: Vec<String>) -> Result<u8> {
     if cli.global.version {
-        return print(&version());
+        return print(&version()).map(|()| 0);
     }
     let file = cli.global.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
-    let (table, verb_matches) = matches.subcommand().unwrap_or(("", matches));
-    let config = file.overlaid(&cli.flags(), table, verb_matches)?;
+    let (verb, verb_matches) = matches.subcommand().unwrap_or(("", matches));
+    let config = file.overlaid(&cli.flags(), config::tables_of(verb), verb_matches)?;
     if cli.global.print_config {
-        let only = (!table.is_empty()).then_some(table);
-        return print(&config.documented(&Cli::command(), only)?);
+        let only = (!verb.is_empty()).then_some(verb);
+        return print(&config.documented(&Cli::command(), only)?).map(|()| 0);
     }
     let Some(verb) = &cli.verb else {
         let _ = writeln!(std::io::stderr(), "{}", Cli::command().render_help());

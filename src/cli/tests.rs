@@ -8,8 +8,8 @@ fn overlaid(file: &str, arguments: &[&str]) -> Config {
     let file: Config = toml::from_str(file).expect("valid file");
     let matches = Cli::command().try_get_matches_from(arguments).expect("valid flags");
     let cli = Cli::from_arg_matches(&matches).expect("parses");
-    let (table, verb) = matches.subcommand().expect("verb");
-    file.overlaid(&cli.flags(), table, verb).expect("merges")
+    let (verb, verb_matches) = matches.subcommand().expect("verb");
+    file.overlaid(&cli.flags(), config::tables_of(verb), verb_matches).expect("merges")
 }
 
 #[test]
@@ -52,12 +52,16 @@ fn every_flag_is_a_key_and_every_key_is_a_flag() {
     }
     let config = toml::Table::try_from(Config::default()).expect("serialises");
     for verb in Cli::command().get_subcommands() {
-        let Some(toml::Value::Table(table)) = config.get(verb.get_name()) else { continue };
         let mut keys = Vec::new();
-        leaves(table, &mut keys);
+        for table in config::tables_of(verb.get_name()) {
+            match config.get(*table) {
+                Some(toml::Value::Table(table)) => leaves(table, &mut keys),
+                _ => panic!("{} reads a table [{table}] that does not exist", verb.get_name()),
+            }
+        }
         for key in &keys {
             let known = verb.get_arguments().any(|a| a.get_id().as_str().replace('_', "-") == *key);
-            assert!(known, "[{}] {key} has no flag", verb.get_name());
+            assert!(known, "{key} has no flag in {}", verb.get_name());
         }
         for arg in verb.get_arguments().filter(|a| !a.is_positional() && !a.is_global_set()) {
             let id = arg.get_id().as_str();
@@ -77,6 +81,7 @@ fn typed_flags_override_the_file_and_defaults_do_not() {
     assert_eq!((config.threads, config.seed), (Some(2), 9));
     assert!((config.eval.exposure - 2.5).abs() < 1e-9, "a default must not override the file");
     assert!(config.eval.quantise && config.eval.train);
+    assert!(overlaid("", &["unbake", "eval", "OUT", "--scene", "S", "--clamp-nan"]).scene.clamp_nan, "shared tables as well");
     let typed = overlaid(file, &["unbake", "eval", "OUT", "--scene", "S", "--exposure", "-1"]);
     assert!((typed.eval.exposure + 1.0).abs() < 1e-9);
 }
@@ -88,7 +93,7 @@ fn the_printed_configuration_reads_back_as_itself() {
     assert_eq!(toml::from_str::<Config>(&text).expect("parses"), config);
     assert!(text.contains("# Key of every random number"), "keys carry their help:\n{text}");
     let only = config.documented(&Cli::command(), Some("eval")).expect("prints");
-    assert!(only.contains("[eval]"));
+    assert!(only.contains("[eval]") && only.contains("[scene]") && !only.contains("[solve]"), "{only}");
 }
 
 #[test]

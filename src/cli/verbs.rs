@@ -2,13 +2,31 @@
 
 use super::{Context, Verb};
 use crate::error::{Error, Result};
+use crate::evaluate::{evaluate, terminal_table};
+use crate::pipeline::{SolveOptions, reconstruct};
+use crate::render::{HybridOptions, HybridRenderer};
+use crate::report::{self, Photographer, RunRecord, SceneSummary, Versions, hash_inputs, write_report};
+use crate::scene::{Scene, check};
+use crate::solution::{AsideFolder, SaveOptions, Solution};
+use serde_json::json;
 use std::path::Path;
+use std::time::Duration;
 
-/// Runs one verb.
-pub fn run(verb: &Verb, context: &Context) -> Result<()> {
+/// Runs one verb and returns the exit code of a run that did not fail.
+pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
     match verb {
+        Verb::Check { scene, .. } => return check_scene(required(scene)?, context),
+        Verb::Solve { scene, out, .. } => solve(required(scene)?, required(out)?, context),
         Verb::Eval { out, scene, .. } => eval(required(out)?, required(scene)?, context),
-    }
+    }?;
+    Ok(0)
+}
+
+fn check_scene(path: &Path, context: &Context) -> Result<u8> {
+    let report = context.progress.stage("checking the scene", 1, |_| check(path, &context.config.scene));
+    let json = serde_json::to_value(&report).map_err(|e| Error::Failed(format!("check: {e}")))?;
+    context.result(&report.to_string(), &json)?;
+    Ok(report.exit_code())
 }
 
 /// clap guarantees presence unless `--print-config` was given, which never gets here.
@@ -16,6 +34,99 @@ fn required<T>(value: &Option<T>) -> Result<&T> {
     value.as_ref().ok_or_else(|| Error::Usage("an argument is missing; see --help".into()))
 }
 
-fn eval(_out: &Path, _scene: &Path, _context: &Context) -> Result<()> {
-    Err(Error::Failed("the renderer that evaluation needs is not in this build".into()))
+fn read_scene(path: &Path, context: &Context) -> Result<Scene> {
+    let scene = context.progress.stage("reading the scene", 1, |_| Scene::load(path, &context.config.scene))?;
+    for warning in &scene.warnings {
+        context.progress.note(warning);
+    }
+    Ok(scene)
+}
+
+fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
+    if out.canonicalize().is_ok_and(|o| scene_path.canonicalize().is_ok_and(|s| o == s)) {
+        return Err(Error::Usage(format!("{}: is the scene itself; give another folder to --out", out.display())));
+    }
+    let scene = read_scene(scene_path, context)?;
+    // before the long run: is there a place for the result?
+    drop(AsideFolder::new(out)?);
+    let options = SolveOptions { seed: context.config.seed, ..context.config.solve.clone() };
+    let progress = &context.progress;
+    let solution = reconstruct(&scene, &options, progress)?.solution;
+    progress.stage("writing the textures", 1, |_| solution.save(out, &SaveOptions::default()))?;
+    let mut record = record(&scene, context)?;
+    progress.stage("report", 1, |_| {
+        // one sample per pixel is enough for pictures of this size; `unbake eval` renders at full quality
+        let renderer = HybridRenderer::new(&solution, HybridOptions { supersampling: 1, ..HybridOptions::default() })?;
+        write_report(out, &scene, &solution, &renderer, &record, None, Vec::new())
+    })?;
+    record.measure(&context.recorder);
+    record.write_manifest(out)?;
+    let s = &solution;
+    let text = format!(
+        "albedo {}x{}, roughness {}x{}, irradiance {}x{} in {} ({:.2} GiB at most, {} threads)\nreport: {}\n",
+        s.albedo.width,
+        s.albedo.height,
+        s.roughness.width,
+        s.roughness.height,
+        s.irradiance.width,
+        s.irradiance.height,
+        super::progress::seconds(Duration::from_secs_f64(record.wall_seconds)),
+        record.peak_bytes as f64 / (1u64 << 30) as f64,
+        record.machine.threads,
+        out.join("report.html").display()
+    );
+    context.result(&text, &json!({"out": out, "run": record}))
+}
+
+/// What has been measured so far, with what is known about the run besides.
+fn record(scene: &Scene, context: &Context) -> Result<RunRecord> {
+    let config = serde_json::to_value(&context.config).map_err(|e| Error::Failed(format!("options: {e}")))?;
+    let options = json!({"scene": config["scene"], "solve": config["solve"]});
+    Ok(RunRecord {
+        command: context.command.clone(),
+        versions: Versions::current(),
+        scene: SceneSummary::of(scene),
+        options,
+        seed: context.config.seed,
+        inputs: hash_inputs(scene)?,
+        ..context.recorder.record()
+    })
+}
+
+fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<()> {
+    let solution = context.progress.stage("reading the solution", 1, |_| Solution::load(out))?;
+    let scene = read_scene(scene_path, context)?;
+    if (scene.origin - solution.origin).length() > 1e-6 {
+        let message = format!(
+            "was reconstructed from a scene centred at {}, but {} is centred at {}; give the scene it was made from",
+            solution.origin,
+            scene_path.display(),
+            scene.origin
+        );
+        return Err(Error::input(out, message));
+    }
+    let renderer = HybridRenderer::new(&solution, HybridOptions { seed: context.config.seed, ..HybridOptions::default() })?;
+    let photographer = Photographer::new(&scene, &solution)?;
+    let shown: Vec<&str> = report::shown_views(&scene).iter().map(|v| v.stem.as_str()).collect();
+    let mut pictures = Vec::new();
+    let mut failed = None;
+    let evaluation = evaluate(&scene, &renderer, &context.config.eval, Some(out), &context.progress, &mut |seen| {
+        if shown.contains(&seen.view.stem.as_str()) {
+            match photographer.view(seen.view, seen.rendered, seen.truth) {
+                Ok(view) => pictures.push(view),
+                Err(e) => failed = Some(e),
+            }
+        }
+    })?;
+    failed.map_or(Ok(()), Err)?;
+    // the report tells of the run that made the solution; without its manifest, of this one
+    let record = match RunRecord::read_manifest(out) {
+        Some(record) => record,
+        None => record(&scene, context)?,
+    };
+    context
+        .progress
+        .stage("report", 1, |_| write_report(out, &scene, &solution, &renderer, &record, Some(&evaluation), pictures))?;
+    let json = serde_json::to_value(&evaluation).map_err(|e| Error::Failed(format!("scores: {e}")))?;
+    context.result(&terminal_table(&evaluation), &json)
 }

@@ -16,14 +16,13 @@ use crate::geometry::Camera;
 use crate::image::{Plane, RgbPlane};
 use crate::metrics::{masked_mse, masked_ssim, psnr};
 use crate::progress::Progress;
+use crate::render::{RenderedView, ViewRenderer};
 use crate::scene::{Scene, Split, View};
 use crate::solution::AsideFolder;
 use protocol::{box_average, least_squares_albedo, material_mask, quantised, tone_mapped, working_size};
 use scores::{Accumulator, ClassTally};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-
-pub use crate::render::{RenderedView, ViewRenderer};
 
 /// What `unbake eval` can be told.
 #[derive(clap::Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -1,8 +1,9 @@
 //! The figures an evaluation consists of, and how they are collected view by view.
 
-use super::{GroundTruth, RenderedView};
+use super::GroundTruth;
 use crate::image::Plane;
 use crate::metrics::{psnr, squared_error};
+use crate::render::RenderedView;
 use crate::scene::Scene;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};

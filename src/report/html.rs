@@ -91,12 +91,12 @@ pub fn page(page: &Page<'_>) -> String {
 fn write_page(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
     let r = p.record;
     let name = escaped(&r.scene.name);
-    write!(
+    writeln!(
         out,
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width, \
          initial-scale=1\">\n<title>{name}: unbake report</title>\n<link rel=\"icon\" href=\"data:,\">\n<style>\n{}</style>\n</head>\n\
          <body>\n<main>\n<header>\n<h1>{name}</h1>\n<p>Reconstructed by unbake {} from {} photographs of {} × {} pixels and a mesh of {} \
-         triangles.</p>\n",
+         triangles.</p>",
         include_str!("page.css"),
         escaped(&r.versions.unbake),
         r.scene.training_views,
@@ -126,10 +126,10 @@ fn write_page(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
     decisions_section(out, r)?;
     stages_section(out, &r.stages)?;
     run_section(out, r)?;
-    write!(
+    writeln!(
         out,
         "<footer>unbake {} · Embree {} · OpenImageIO {}</footer>\n</main>\n<dialog><img alt=\"\"><p><span></span><span>← → \
-         Esc</span></p></dialog>\n<script>\n{}</script>\n</body>\n</html>\n",
+         Esc</span></p></dialog>\n<script>\n{}</script>\n</body>\n</html>",
         escaped(&r.versions.unbake),
         escaped(&r.versions.embree),
         escaped(&r.versions.openimageio),
@@ -189,10 +189,10 @@ fn evaluation_section(out: &mut String, evaluation: &Evaluation) -> std::fmt::Re
 }
 
 fn split_tables(out: &mut String, title: &str, kind: &str, split: &SplitScores) -> std::fmt::Result {
-    write!(
+    writeln!(
         out,
         "<h3>{title} <small>{} images</small></h3>\n<div class=\"wrap\"><table><thead><tr><th></th><th>PSNR of mean MSE</th><th>mean \
-         PSNR</th><th>SSIM</th><th>MSE</th></tr></thead><tbody>\n",
+         PSNR</th><th>SSIM</th><th>MSE</th></tr></thead><tbody>",
         split.views.len()
     )?;
     score_row(out, kind, &split.rendering)?;
@@ -241,10 +241,10 @@ fn score_row(out: &mut String, name: &str, s: &ImageScores) -> std::fmt::Result 
 }
 
 fn class_table(out: &mut String, m: &MaterialScores) -> std::fmt::Result {
-    write!(
+    writeln!(
         out,
         "<details open><summary>Every class</summary><div class=\"wrap\"><table><thead><tr><th>class</th><th>pixels</th><th>albedo</th>\
-         <th>roughness</th><th>median |ΔR|</th><th>bias of R</th><th>true R</th></tr></thead><tbody>\n"
+         <th>roughness</th><th>median |ΔR|</th><th>bias of R</th><th>true R</th></tr></thead><tbody>"
     )?;
     for c in &m.classes {
         writeln!(
@@ -259,9 +259,9 @@ fn class_table(out: &mut String, m: &MaterialScores) -> std::fmt::Result {
             c.roughness_truth
         )?;
     }
-    write!(
+    writeln!(
         out,
-        "</tbody></table></div><p class=\"remark\">Median of |ΔR| over all pixels: {:.3}.</p></details>\n",
+        "</tbody></table></div><p class=\"remark\">Median of |ΔR| over all pixels: {:.3}.</p></details>",
         m.roughness_median_absolute_error
     )
 }
@@ -285,11 +285,11 @@ fn views_section(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
     if p.views.is_empty() {
         return Ok(());
     }
-    write!(
+    writeln!(
         out,
-        "<section id=\"views\">\n<h2>Views</h2>\n<p class=\"remark\">Radiance is shown in sRGB at {:+.1} EV, roughness as grey from 0 to \
-         1; the error is the mean absolute difference of the channels after clamp(x<sup>1/2.2</sup>): 0{}{:.1}. Drag across a comparison; \
-         click a picture to enlarge it.</p>\n",
+        "<section id=\"views\">\n<h2>Views</h2>\n<p class=\"remark\">Photographs are shown in sRGB at {:+.1} EV, roughness as grey from 0 to \
+         1; errors are mean absolute differences of the channels (of re-renderings after clamp(x^(1/2.2))): 0{}{:.1}. Drag across a comparison; \
+         click a picture to enlarge it.</p>",
         p.exposure,
         scale_bar(),
         ERROR_RANGE
@@ -305,26 +305,26 @@ fn views_section(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
 
 fn view_section(out: &mut String, view: &ViewPictures) -> std::fmt::Result {
     let kind = if view.split == Split::Test { "held out" } else { "training" };
-    write!(
+    writeln!(
         out,
-        "<section><h3>View {} <small>{kind} · {:.2} dB · SSIM {:.4}</small></h3>\n",
+        "<section><h3>View {} <small>{kind} · {:.2} dB · SSIM {:.4}</small></h3>",
         escaped(&view.stem),
         view.psnr,
         view.ssim
     )?;
     if let [photograph, rendering, ..] = &view.pictures[..] {
         let (w, h) = (photograph.picture.width, photograph.picture.height);
-        write!(
+        writeln!(
             out,
             "<div class=\"compare\"><img src=\"{}\" alt=\"re-rendering\" width=\"{w}\" height=\"{h}\" style=\"height:auto\"><img \
              class=\"top\" src=\"{}\" alt=\"photograph\" width=\"{w}\" height=\"{h}\" style=\"height:auto\"><div class=\"rule\"></div><span \
              class=\"tag\" style=\"left:.5rem\">photograph</span><span class=\"tag\" style=\"right:.5rem\">re-rendering</span><input \
-             type=\"range\" min=\"0\" max=\"100\" value=\"50\" step=\"0.1\" aria-label=\"photograph against re-rendering\"></div>\n",
+             type=\"range\" min=\"0\" max=\"100\" value=\"50\" step=\"0.1\" aria-label=\"photograph against re-rendering\"></div>",
             data_url(&rendering.picture),
             data_url(&photograph.picture)
         )?;
     }
-    out.push_str("<div class=\"figures\">\n");
+    out.push_str("<div class=\"figures views\">\n");
     for captioned in view.pictures.iter().skip(2) {
         figure(out, captioned)?;
     }
@@ -336,10 +336,10 @@ fn maps_section(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
     if p.atlas.is_empty() {
         return Ok(());
     }
-    write!(
+    writeln!(
         out,
         "<section id=\"maps\">\n<h2>Maps on the atlas</h2>\n<p class=\"remark\">Sizes are those of the files. Standard errors on a \
-         logarithmic scale, {}{}{}; grey is unobserved.</p>\n<div class=\"figures maps\">\n",
+         logarithmic scale, {}{}{}; grey is unobserved.</p>\n<div class=\"figures maps\">",
         CONFIDENCE_RANGE.0,
         scale_bar(),
         CONFIDENCE_RANGE.1
@@ -413,7 +413,7 @@ fn run_section(out: &mut String, r: &RunRecord) -> std::fmt::Result {
             .collect();
         writeln!(out, "<pre>unbake {}</pre>", escaped(&quoted.join(" ")))?;
     }
-    out.push_str("<div class=\"wrap\"><table><tbody>\n");
+    out.push_str("<div class=\"wrap plain\"><table><tbody>\n");
     let rows = [
         ("processor", escaped(&r.machine.cpu)),
         ("threads", r.machine.threads.to_string()),

@@ -155,18 +155,19 @@ pub fn encode_jpeg(picture: &Picture, quality: u8) -> Vec<u8> {
     let mut previous = [0i32; 3];
     for by in (0..h).step_by(8) {
         for bx in (0..w).step_by(8) {
-            let mut planes = [[0f32; 64]; 3];
-            for i in 0..64 {
+            let block: [[f32; 3]; 64] = std::array::from_fn(|i| {
                 // blocks over the edge repeat the last row and column
                 let (x, y) = ((bx + i % 8).min(w - 1), (by + i / 8).min(h - 1));
                 let at = 3 * (y * w + x);
                 let [r, g, b] = [picture.rgb[at], picture.rgb[at + 1], picture.rgb[at + 2]].map(f32::from);
-                planes[0][i] = 0.299 * r + 0.587 * g + 0.114 * b - 128.0;
-                planes[1][i] = -0.168_736 * r - 0.331_264 * g + 0.5 * b;
-                planes[2][i] = 0.5 * r - 0.418_688 * g - 0.081_312 * b;
-            }
-            for (c, plane) in planes.iter().enumerate() {
-                let block = quantised_block(plane, &quantisers[c.min(1)], &cosines);
+                [
+                    0.299 * r + 0.587 * g + 0.114 * b - 128.0,
+                    -0.168_736 * r - 0.331_264 * g + 0.5 * b,
+                    0.5 * r - 0.418_688 * g - 0.081_312 * b,
+                ]
+            });
+            for c in 0..3 {
+                let block = quantised_block(&block.map(|p| p[c]), &quantisers[c.min(1)], &cosines);
                 bits.block(&block, previous[c], &dc, &ac);
                 previous[c] = block[0];
             }

@@ -12,8 +12,9 @@ pub use record::{
 };
 
 use crate::error::{Error, Result};
-use crate::evaluate::{Evaluation, ViewRenderer};
+use crate::evaluate::Evaluation;
 use crate::formats::atomic_write;
+use crate::render::ViewRenderer;
 use crate::scene::{Scene, Split, View};
 use crate::solution::Solution;
 use serde_json::json;

@@ -2,19 +2,24 @@
 
 use super::jpeg::Picture;
 use crate::error::Result;
-use crate::evaluate::{GroundTruth, RenderedView, comparable};
+use crate::evaluate::{GroundTruth, comparable};
 use crate::export::srgb8_from_linear;
 use crate::geometry::Camera;
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::metrics::{masked_mse, masked_ssim, psnr};
+use crate::render::RenderedView;
 use crate::scene::{Scene, Split, View};
 use crate::solution::Solution;
 use crate::trace::{EmbreeTracer, Hit, Ray, Tracer};
 use glam::{Vec2, Vec3};
 use std::ops::{Add, Mul};
 
-/// Largest width of a view in the report.
-const VIEW_WIDTH: usize = 768;
+/// Largest width of a photograph and its re-rendering in the report.
+const VIEW_WIDTH: usize = 1024;
+/// Width at which a view is rendered for the report alone.
+const RENDER_WIDTH: usize = 768;
+/// Largest width of the smaller pictures of a view.
+const DETAIL_WIDTH: usize = 640;
 /// Largest side of a texture in the report.
 const MAP_SIDE: usize = 1024;
 /// Error at which the error map saturates: mean absolute difference of the tone-mapped channels.
@@ -54,6 +59,7 @@ pub struct Photographer<'a> {
     solution: &'a Solution,
     tracer: EmbreeTracer,
     gain: f32,
+    irradiance_gain: f32,
 }
 
 impl<'a> Photographer<'a> {
@@ -63,7 +69,8 @@ impl<'a> Photographer<'a> {
             Some(view) => display_gain(&scene.load_radiance(view)?),
             None => 1.0,
         };
-        Ok(Self { scene, solution, tracer: EmbreeTracer::new(&solution.mesh)?, gain })
+        let irradiance_gain = display_gain(&solution.irradiance);
+        Ok(Self { scene, solution, tracer: EmbreeTracer::new(&solution.mesh)?, gain, irradiance_gain })
     }
 
     /// The exposure of all radiance pictures, in stops.
@@ -88,28 +95,22 @@ impl<'a> Photographer<'a> {
         };
         let mut pictures = Vec::new();
         let mut add = |caption: &str, picture| pictures.push(Captioned { caption: caption.into(), picture });
-        add("photograph", self.radiance(&shrunk(&photograph, VIEW_WIDTH)));
-        add("re-rendering", self.radiance(&shrunk(&rendered.radiance, VIEW_WIDTH)));
-        add("error", coloured(&error, |e| inferno(e / ERROR_RANGE)));
-        add("albedo", colour(&shrunk(&rendered.albedo, VIEW_WIDTH)));
-        add("roughness", grey(&shrunk(&rendered.roughness, VIEW_WIDTH)));
-        add("irradiance / π", self.irradiance(&view.camera, w.min(VIEW_WIDTH)));
-        if let Some(truth) = truth {
-            add("true albedo", colour(&shrunk(&truth.albedo, VIEW_WIDTH)));
-            add("true roughness", grey(&shrunk(&truth.roughness, VIEW_WIDTH)));
-            add("albedo error", {
-                let seen = Plane {
-                    width: w,
-                    height: h,
-                    data: (0..w * h)
-                        .map(|i| {
-                            let same = truth.albedo.data.len() == w * h && rendered.labels.data[i] != 0;
-                            if same { (rendered.albedo.data[i] - truth.albedo.data[i]).abs().element_sum() / 3.0 } else { 0.0 }
-                        })
-                        .collect(),
-                };
-                coloured(&shrunk(&seen, VIEW_WIDTH), |e| inferno(e / ERROR_RANGE))
-            });
+        add("photograph", exposed(&shrunk(&photograph, VIEW_WIDTH), self.gain));
+        add("re-rendering", exposed(&shrunk(&rendered.radiance, VIEW_WIDTH), self.gain));
+        add("error of the re-rendering", error_map(&error));
+        add("albedo", colour(&shrunk(&rendered.albedo, DETAIL_WIDTH)));
+        add("roughness", grey(&shrunk(&rendered.roughness, DETAIL_WIDTH)));
+        add("irradiance", self.irradiance(&view.camera, w.min(DETAIL_WIDTH)));
+        if let Some(truth) = truth.filter(|t| t.albedo.data.len() == w * h) {
+            let difference = |at: &dyn Fn(usize) -> f32| {
+                let seen = |i: usize| if rendered.labels.data[i] == 0 { 0.0 } else { at(i) };
+                error_map(&shrunk(&Plane { width: w, height: h, data: (0..w * h).map(seen).collect() }, DETAIL_WIDTH))
+            };
+            let albedo = |i: usize| (rendered.albedo.data[i] - truth.albedo.data[i]).abs().element_sum() / 3.0;
+            add("error of albedo", difference(&albedo));
+            add("true albedo", colour(&shrunk(&truth.albedo, DETAIL_WIDTH)));
+            add("true roughness", grey(&shrunk(&truth.roughness, DETAIL_WIDTH)));
+            add("error of roughness", difference(&|i| (rendered.roughness.data[i] - truth.roughness.data[i]).abs()));
         }
         Ok(ViewPictures {
             stem: view.stem.clone(),
@@ -126,6 +127,10 @@ impl<'a> Photographer<'a> {
         let s = self.solution;
         let sized = |name: &str, w: usize, h: usize| format!("{name}, {w} × {h}");
         let map = |name: &str, w: usize, h: usize, picture| Captioned { caption: sized(name, w, h), picture };
+        let light = |name: &str, plane: &RgbPlane, gain: f32| Captioned {
+            caption: format!("{}, at {:+.1} EV", sized(name, plane.width, plane.height), gain.log2()),
+            picture: exposed(&shrunk(plane, MAP_SIDE), gain),
+        };
         let (low, high) = CONFIDENCE_RANGE;
         let error = |v: f32| {
             if v >= UNOBSERVED {
@@ -136,14 +141,9 @@ impl<'a> Photographer<'a> {
         vec![
             map("albedo", s.albedo.width, s.albedo.height, colour(&shrunk(&s.albedo, MAP_SIDE))),
             map("roughness", s.roughness.width, s.roughness.height, grey(&shrunk(&s.roughness, MAP_SIDE))),
-            map(
-                "irradiance / π",
-                s.irradiance.width,
-                s.irradiance.height,
-                self.radiance(&per_pi(&shrunk(&s.irradiance, MAP_SIDE))),
-            ),
-            map("radiance", s.radiance.width, s.radiance.height, self.radiance(&shrunk(&s.radiance, MAP_SIDE))),
-            map("emission", s.emission.width, s.emission.height, self.radiance(&shrunk(&s.emission, MAP_SIDE))),
+            light("irradiance", &s.irradiance, self.irradiance_gain),
+            light("radiance", &s.radiance, self.gain),
+            light("emission", &s.emission, display_gain(&s.emission)),
             map(
                 "standard error of albedo",
                 s.confidence.width,
@@ -158,20 +158,11 @@ impl<'a> Photographer<'a> {
             ),
             map("classes", s.labels.width, s.labels.height, coloured(&picked(&s.labels, MAP_SIDE), |l| identity(*l))),
             map("rooms", s.rooms.width, s.rooms.height, coloured(&picked(&s.rooms, MAP_SIDE), |l| identity(*l))),
-            map(
-                "environment (directions without geometry)",
-                s.environment.width,
-                s.environment.height,
-                self.radiance(&shrunk(&s.environment, MAP_SIDE)),
-            ),
+            light("environment (where no geometry is)", &s.environment, display_gain(&s.environment)),
         ]
     }
 
-    fn radiance(&self, plane: &RgbPlane) -> Picture {
-        coloured(plane, |v| (*v * self.gain).to_array().map(srgb8_from_linear))
-    }
-
-    /// Irradiance over π, which is the radiance of white paper, seen from a camera.
+    /// The irradiance texture seen from a camera.
     fn irradiance(&self, camera: &Camera, width: usize) -> Picture {
         let height = (camera.height * width / camera.width.max(1)).max(1);
         let camera = camera.resized(width, height);
@@ -191,7 +182,7 @@ impl<'a> Photographer<'a> {
             }
             irradiance.bilinear(self.solution.mesh.uv(hit.triangle as usize, hit.u, hit.v) * size, Wrap::Clamp)
         };
-        self.radiance(&per_pi(&Plane { width, height, data: hits.iter().map(seen).collect() }))
+        exposed(&Plane { width, height, data: hits.iter().map(seen).collect() }, self.irradiance_gain)
     }
 }
 
@@ -207,23 +198,19 @@ pub fn spread(scene: &Scene, split: Split, count: usize) -> Vec<&View> {
 #[must_use]
 pub fn report_camera(view: &View) -> Camera {
     let (w, h) = (view.camera.width, view.camera.height);
-    let width = w.min(VIEW_WIDTH);
+    let width = w.min(RENDER_WIDTH);
     if width == w { view.camera } else { view.camera.resized(width, (h * width / w).max(1)) }
 }
 
-/// The exposure at which the brightest twentieth of an image clips: the same for every picture of a report.
+/// The exposure at which the brightest twentieth of what is not black clips.
 fn display_gain(image: &RgbPlane) -> f32 {
-    let mut peaks: Vec<f32> = image.data.iter().map(|v| v.max_element()).filter(|v| v.is_finite()).collect();
+    let mut peaks: Vec<f32> = image.data.iter().map(|v| v.max_element()).filter(|v| v.is_finite() && *v > 0.0).collect();
     if peaks.is_empty() {
         return 1.0;
     }
     let at = (peaks.len() - 1) * 19 / 20;
     let (_, value, _) = peaks.select_nth_unstable_by(at, f32::total_cmp);
-    if *value > 0.0 { 1.0 / *value } else { 1.0 }
-}
-
-fn per_pi(plane: &RgbPlane) -> RgbPlane {
-    plane.map(|v| *v * std::f32::consts::FRAC_1_PI)
+    1.0 / *value
 }
 
 /// Halved until neither side exceeds `side`.
@@ -247,6 +234,14 @@ fn picked<T: Clone>(plane: &Plane<T>, side: usize) -> Plane<T> {
 
 fn coloured<T>(plane: &Plane<T>, f: impl Fn(&T) -> [u8; 3]) -> Picture {
     Picture { width: plane.width, height: plane.height, rgb: plane.data.iter().flat_map(f).collect() }
+}
+
+fn exposed(plane: &RgbPlane, gain: f32) -> Picture {
+    coloured(plane, |v| (*v * gain).to_array().map(srgb8_from_linear))
+}
+
+fn error_map(plane: &Plane<f32>) -> Picture {
+    coloured(plane, |e| inferno(e / ERROR_RANGE))
 }
 
 fn colour(plane: &RgbPlane) -> Picture {

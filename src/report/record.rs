@@ -128,6 +128,13 @@ impl SceneSummary {
 }
 
 impl RunRecord {
+    /// Takes over what the recorder has measured by now.
+    pub fn measure(&mut self, recorder: &Recorder) {
+        let RunRecord { stages, notes, wall_seconds, cpu_seconds, peak_bytes, rays, .. } = recorder.record();
+        (self.stages, self.notes) = (stages, notes);
+        (self.wall_seconds, self.cpu_seconds, self.peak_bytes, self.rays) = (wall_seconds, cpu_seconds, peak_bytes, rays);
+    }
+
     /// Writes `manifest.json` into `folder`.
     pub fn write_manifest(&self, folder: &Path) -> Result<()> {
         let path = folder.join("manifest.json");

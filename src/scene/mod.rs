@@ -21,19 +21,27 @@ use glam::DVec3;
 use std::path::PathBuf;
 
 /// How a scene is read.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(clap::Args, Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+#[command(next_help_heading = "Scene")]
 pub struct LoadOptions {
     /// Accept display-referred images (PNG, JPEG) as sRGB.
+    #[arg(long)]
     pub ldr: bool,
     /// Ignore NaN and infinite pixels instead of refusing the image.
+    #[arg(long)]
     pub clamp_nan: bool,
     /// Make a new atlas even if the mesh brings one.
+    #[arg(long)]
     pub unwrap: bool,
     /// Side of the atlas, in texels, for which an own atlas is laid out.
+    #[arg(long, value_name = "TEXELS", default_value_t = Self::default().unwrap_resolution)]
     pub unwrap_resolution: u32,
     /// Texels kept free around every chart of an own atlas.
+    #[arg(long, value_name = "TEXELS", default_value_t = Self::default().unwrap_padding)]
     pub unwrap_padding: u32,
     /// Problems reported in full before the rest is only counted.
+    #[arg(long, value_name = "N", default_value_t = Self::default().max_issues)]
     pub max_issues: usize,
 }
 
