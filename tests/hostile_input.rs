@@ -10,6 +10,9 @@ use unbake::formats;
 use unbake::image::Plane;
 use unbake::scene::{LoadOptions, Scene, check};
 
+/// A change to `transforms.json` and what the refusal must say.
+type Edit = (fn(&mut Value), &'static str);
+
 /// Loads the scene and reads every pixel of it, as a solve would.
 fn read_all(scene: &SceneDir, options: &LoadOptions) -> Result<Scene, Error> {
     let loaded = Scene::load(scene.folder(), options)?;
@@ -155,7 +158,7 @@ fn undeclared_ids_are_errors_unless_no_class_is_declared() {
 
 #[test]
 fn bad_poses_and_splits_name_the_frame_and_the_key() {
-    let cases: [(fn(&mut Value), &str); 7] = [
+    let cases: [Edit; 7] = [
         (|t| t["frames"][1]["transform_matrix"][0][0] = json!(0), "frames[1] (b.exr).transform_matrix: the pose is singular"),
         (|t| t["frames"][1]["transform_matrix"][0][0] = json!(-1), "mirrored"),
         (|t| t["frames"][0]["transform_matrix"] = json!([[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]]), "scaled by 2"),
@@ -169,6 +172,17 @@ fn bad_poses_and_splits_name_the_frame_and_the_key() {
         scene.edit(change);
         refused(&scene, &["transforms.json", expected]);
     }
+}
+
+#[test]
+fn a_damaged_frame_does_not_hide_the_problems_of_others() {
+    let scene = SceneDir::box_room();
+    scene.edit(|t| t["frames"][0]["transform_matrix"] = json!(7));
+    std::fs::remove_file(scene.path("b.exr")).expect("removed");
+    scene.write("mesh.obj", b"f 1 2 3");
+    refused(&scene, &["frames[0] (a.exr).transform_matrix", "b.exr", "mesh.obj"]);
+    let text = Scene::load(scene.folder(), &LoadOptions::default()).expect_err("refused").to_string();
+    assert!(!text.contains("is no frame"), "{text}");
 }
 
 #[test]

@@ -4,7 +4,7 @@
 //! only that type traces, hence it may be shared between threads. Structures and constants come from the headers of the
 //! Embree the program is linked to (`build.rs`), and the library met at run time is compared with them before use.
 
-use crate::trace::{Hit, Ray};
+use super::ray::{Hit, Ray};
 use std::ffi::{CStr, CString, c_char, c_void};
 use std::sync::Mutex;
 

@@ -6,5 +6,6 @@
 pub mod embree;
 #[allow(unsafe_code)]
 pub mod oiio;
+pub mod ray;
 #[allow(unsafe_code)]
 pub mod simd;

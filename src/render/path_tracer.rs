@@ -143,7 +143,6 @@ pub struct PathTracer<'a> {
     tracer: &'a dyn Tracer,
     surfaces: &'a dyn SurfaceModel,
     environment: &'a dyn Environment,
-    cache: Option<&'a dyn IndirectCache>,
     lights: Lights,
     options: PathTracerOptions,
     /// Offset of ray origins relative to the largest coordinate involved.
@@ -171,6 +170,8 @@ struct Vertex {
     view: Vec3,
     material: Material,
     lobes: Lobes,
+    /// Luminance against which a shadow ray's worth is measured; 0 traces every one.
+    reference: f32,
 }
 
 #[derive(Clone, Copy)]
@@ -250,12 +251,7 @@ impl<'a> PathTracer<'a> {
         let lights = Lights::new(mesh, surfaces, environment, tracer, options.seed);
         let (low, high) = mesh.bounds();
         let offset_floor = 0.01 * (high - low).max_element();
-        Self { mesh, tracer, surfaces, environment, cache: None, lights, options, offset_floor }
-    }
-
-    /// Sets or removes the cache of irradiance.
-    pub fn set_cache(&mut self, cache: Option<&'a dyn IndirectCache>) {
-        self.cache = cache;
+        Self { mesh, tracer, surfaces, environment, lights, options, offset_floor }
     }
 
     /// Sets the samples per pixel.
@@ -266,11 +262,17 @@ impl<'a> PathTracer<'a> {
     /// Renders a camera; `key` tells views apart. Advances `progress` by the number of pixels.
     #[must_use]
     pub fn render(&self, camera: &Camera, key: u64, progress: &Progress) -> Frame {
+        self.render_with(camera, key, None, progress)
+    }
+
+    /// As [`Self::render`]; indirect light comes from `cache` where one is given.
+    #[must_use]
+    pub fn render_with(&self, camera: &Camera, key: u64, cache: Option<&dyn IndirectCache>, progress: &Progress) -> Frame {
         let (w, h) = (camera.width, camera.height);
         let samples = self.options.samples.max(1) as usize;
         let pixels_per_task = (WAVEFRONT / samples).max(1);
         let tiles = map_chunks(w * h, pixels_per_task, |range| {
-            let out = self.render_run(camera, key, range.clone());
+            let out = self.render_run(camera, key, cache, range.clone());
             progress.advance(range.len() as u64);
             out
         });
@@ -290,7 +292,13 @@ impl<'a> PathTracer<'a> {
         }
     }
 
-    fn render_run(&self, camera: &Camera, view_key: u64, pixels: std::ops::Range<usize>) -> Vec<PixelResult> {
+    fn render_run(
+        &self,
+        camera: &Camera,
+        view_key: u64,
+        cache: Option<&dyn IndirectCache>,
+        pixels: std::ops::Range<usize>,
+    ) -> Vec<PixelResult> {
         let samples = self.options.samples.max(1);
         let centre = |p: usize| Vec2::new((p % camera.width) as f32 + 0.5, (p / camera.width) as f32 + 0.5);
         let mut wave = Wave::default();
@@ -323,7 +331,7 @@ impl<'a> PathTracer<'a> {
             }
             let mut sums = vec![Sums::default(); keys.len()];
             let mut features = vec![None; keys.len()];
-            self.trace_wave(&mut wave, &keys, &mut sums, Some(&mut features), 0);
+            self.trace_wave(&mut wave, &keys, &mut sums, Some(&mut features), cache, 0);
             for (i, (s, f)) in sums.iter().zip(&features).enumerate() {
                 results[i / count as usize].add(s, f.as_ref());
             }
@@ -342,6 +350,19 @@ impl<'a> PathTracer<'a> {
     /// Irradiance at surface points, `samples` paths each; `key` tells passes apart. Advances `progress` by the number of points.
     #[must_use]
     pub fn irradiance(&self, points: &[IrradiancePoint], samples: u32, key: u64, progress: &Progress) -> Vec<Vec3> {
+        self.irradiance_with(points, samples, key, None, progress)
+    }
+
+    /// As [`Self::irradiance`]; indirect light comes from `cache` where one is given.
+    #[must_use]
+    pub fn irradiance_with(
+        &self,
+        points: &[IrradiancePoint],
+        samples: u32,
+        key: u64,
+        cache: Option<&dyn IndirectCache>,
+        progress: &Progress,
+    ) -> Vec<Vec3> {
         let samples = samples.clamp(1, WAVEFRONT as u32);
         let per_task = (WAVEFRONT / samples as usize).max(1);
         let parts = map_chunks(points.len(), per_task, |range| {
@@ -361,6 +382,7 @@ impl<'a> PathTracer<'a> {
                     view: point.normal,
                     material: Material { albedo: Vec3::ONE, roughness: 1.0 },
                     lobes: Lobes::Diffuse,
+                    reference: 0.0,
                 };
                 let path = Path { slot: slot as u32, beta: Vec3::ONE, first: [Vec3::ONE; 2], origin: point.position, pdf: 0.0 };
                 self.scatter(&vertex, path, keys[slot], 0, &mut wave);
@@ -368,7 +390,7 @@ impl<'a> PathTracer<'a> {
             self.resolve_shadows(&mut wave, &mut sums);
             std::mem::swap(&mut wave.paths, &mut wave.next_paths);
             std::mem::swap(&mut wave.rays, &mut wave.next_rays);
-            self.trace_wave(&mut wave, &keys, &mut sums, None, 1);
+            self.trace_wave(&mut wave, &keys, &mut sums, None, cache, 1);
             progress.advance(range.len() as u64);
             let mean = |s: &[Sums]| s.iter().map(|s| s.diffuse).sum::<Vec3>() * (PI / samples as f32);
             sums.chunks(samples as usize).map(mean).collect::<Vec<Vec3>>()
@@ -383,6 +405,7 @@ impl<'a> PathTracer<'a> {
         keys: &[PathKey],
         sums: &mut [Sums],
         mut features: Option<&mut [Option<Feature>]>,
+        cache: Option<&dyn IndirectCache>,
         first_bounce: u32,
     ) {
         for bounce in first_bounce..self.options.max_bounces.max(first_bounce + 1) {
@@ -432,13 +455,14 @@ impl<'a> PathTracer<'a> {
                 if bounce + 1 >= self.options.max_bounces {
                     continue;
                 }
-                if let Some(cache) = self.cache.filter(|_| bounce > 0) {
+                if let Some(cache) = cache.filter(|_| bounce > 0) {
                     let light = cache.irradiance(triangle, hit.u, hit.v) * surface.material.albedo * FRAC_1_PI;
                     self.deposit(&mut sums[slot], &path, light, bounce);
                     if self.options.lambertian {
                         continue;
                     }
                     vertex.lobes = Lobes::Specular;
+                    vertex.reference = luminance(path.beta * light);
                 }
                 self.scatter(&vertex, path, keys[slot], bounce, wave);
             }
@@ -476,7 +500,7 @@ impl<'a> PathTracer<'a> {
             normal = face_normal;
         }
         let lobes = if self.options.lambertian { Lobes::Diffuse } else { Lobes::Both };
-        Vertex { position: self.mesh.position(t, hit.u, hit.v), face_normal, normal, view, material, lobes }
+        Vertex { position: self.mesh.position(t, hit.u, hit.v), face_normal, normal, view, material, lobes, reference: 0.0 }
     }
 
     /// Next-event estimation and the continuation of a path at a vertex.
@@ -523,7 +547,12 @@ impl<'a> PathTracer<'a> {
             };
             let mut light = Sums::default();
             self.deposit(&mut light, &advance(lobes(s.direction, s.pdf)), radiance * weight, bounce + 1);
-            if light.diffuse + light.specular != Vec3::ZERO {
+            // beside the diffuse light of a cached vertex a faint highlight is worth a shadow ray only now and then
+            let worth = luminance(advance(lobes(s.direction, s.pdf)).beta * radiance * weight);
+            let keep = if vertex.reference > 0.0 { (2.0 * worth / vertex.reference).clamp(0.1, 1.0) } else { 1.0 };
+            let kept = keep >= 1.0
+                || KeyedRng::new(key.key ^ 0xa11e, (u64::from(bounce) << 32) | u64::from(key.sample)).next_f32() < keep;
+            if kept && light.diffuse + light.specular != Vec3::ZERO {
                 // from the moved origin the same point of the light is aimed at; the end stays clear of it
                 let (direction, t_far) = if s.distance.is_finite() {
                     let d = vertex.position + s.direction * s.distance - origin;
@@ -531,7 +560,7 @@ impl<'a> PathTracer<'a> {
                 } else {
                     (s.direction, f32::INFINITY)
                 };
-                wave.shadow.push(ShadowRay { slot: path.slot, diffuse: light.diffuse, specular: light.specular });
+                wave.shadow.push(ShadowRay { slot: path.slot, diffuse: light.diffuse / keep, specular: light.specular / keep });
                 wave.shadow_rays.push(Ray::new(origin, direction, t_far.max(0.0)));
             }
         }

@@ -23,6 +23,8 @@ struct Light {
     power: f32,
     /// Mesh triangle; `None` for a portal.
     triangle: Option<u32>,
+    /// Lamp the triangle belongs to: visibility is probed for lamps, not for their triangles.
+    group: u32,
 }
 
 /// A point on a light as seen from a shading point.
@@ -43,6 +45,8 @@ pub struct Lights {
     lights: Vec<Light>,
     light_of_triangle: Vec<u32>,
     portals: Vec<u32>,
+    /// Ranges of `lights` that make up one lamp or window.
+    groups: Vec<std::ops::Range<usize>>,
     origin: Vec3,
     cells_per_metre: f32,
     counts: [usize; 3],
@@ -52,8 +56,12 @@ pub struct Lights {
 const NO_LIGHT: u32 = u32::MAX;
 /// Bound on cells · lights: 12 bytes each.
 const TABLE_BUDGET: usize = 4 << 20;
-/// Visibility rays per cell and light at build time.
-const PROBES: usize = 4;
+/// Visibility rays per cell and lamp at build time.
+const PROBES: usize = 24;
+/// Weight of a lamp of which no probe saw anything, of a triangle that faces away: how much rarer than its power says the
+/// unlikely may be sampled, and so how much brighter a lucky sample can be.
+const UNSEEN: f64 = 0.1;
+const AVERTED: f32 = 0.1;
 
 impl Lights {
     /// Collects the lights of a scene and builds the selection tables.
@@ -78,8 +86,16 @@ impl Lights {
         }
         let portals = (first_portal as u32..lights.len() as u32).collect();
         let (low, high) = mesh.bounds();
-        let mut out =
-            Self { lights, light_of_triangle, portals, origin: low, cells_per_metre: 0.0, counts: [1; 3], tables: Vec::new() };
+        let mut out = Self {
+            lights,
+            light_of_triangle,
+            portals,
+            origin: low,
+            cells_per_metre: 0.0,
+            counts: [1; 3],
+            groups: Vec::new(),
+            tables: Vec::new(),
+        };
         out.build_tables(low, high, tracer, seed);
         out
     }
@@ -89,6 +105,7 @@ impl Lights {
             return;
         }
         let size = (high - low).max(Vec3::splat(1e-6));
+        self.group_lights();
         // cubic cells, about as many as the budget allows but never more than 4096
         let cells = (TABLE_BUDGET / self.lights.len()).clamp(1, 4096) as f32;
         let edge = (size.x * size.y * size.z / cells).cbrt().max(size.max_element() / 64.0);
@@ -110,6 +127,26 @@ impl Lights {
         }
     }
 
+    /// Joins runs of triangles of equal brightness that lie close together.
+    fn group_lights(&mut self) {
+        for i in 0..self.lights.len() {
+            let light = &self.lights[i];
+            let joins = self.groups.last().is_some_and(|g| {
+                let first = &self.lights[g.start];
+                let ratio = (light.power / light.area) / (first.power / first.area);
+                let reach = 0.5 + first.area.sqrt();
+                (ratio - 1.0).abs() < 0.01
+                    && light.triangle.is_some() == first.triangle.is_some()
+                    && (light.corner - first.corner).length() < reach
+            });
+            match self.groups.last_mut().filter(|_| joins) {
+                Some(g) => g.end = i + 1,
+                None => self.groups.push(i..i + 1),
+            }
+            self.lights[i].group = self.groups.len() as u32 - 1;
+        }
+    }
+
     fn cell_table(&self, cell: usize, edge: f32, local: bool, tracer: &dyn Tracer, seed: u64) -> Option<AliasTable> {
         let [nx, ny, _] = self.counts;
         let low = self.origin + Vec3::new((cell % nx) as f32, (cell / nx % ny) as f32, (cell / (nx * ny)) as f32) * edge;
@@ -118,9 +155,10 @@ impl Lights {
             return AliasTable::new(&self.lights.iter().map(|l| f64::from(l.power)).collect::<Vec<_>>());
         }
         let mut rng = KeyedRng::new(seed ^ 0x11_6475, cell as u64);
-        let mut rays = Vec::with_capacity(self.lights.len() * PROBES);
-        for light in &self.lights {
+        let mut rays = Vec::with_capacity(self.groups.len() * PROBES);
+        for group in &self.groups {
             for _ in 0..PROBES {
+                let light = &self.lights[group.start + rng.below(group.len())];
                 let p = low + Vec3::new(rng.next_f32(), rng.next_f32(), rng.next_f32()) * edge;
                 let [u, v] = square_to_triangle([rng.next_f32(), rng.next_f32()]);
                 let d = light.point(u, v) - p;
@@ -129,16 +167,20 @@ impl Lights {
         }
         let mut occluded = vec![0u8; rays.len()];
         tracer.occluded(&rays, &mut occluded);
+        let seen: Vec<f64> =
+            occluded.chunks(PROBES).map(|o| o.iter().filter(|&&x| x == 0).count() as f64 / PROBES as f64).collect();
         let centre = low + Vec3::splat(0.5 * edge);
         let weights: Vec<f64> = self
             .lights
             .iter()
-            .zip(occluded.chunks(PROBES))
-            .map(|(light, o)| {
-                let seen = o.iter().filter(|&&x| x == 0).count() as f64 / PROBES as f64;
-                let d2 = f64::from((light.point(1.0 / 3.0, 1.0 / 3.0) - centre).length_squared());
-                // a light in the cell itself counts as half a cell away
-                f64::from(light.power) * (seen + 0.05) / (d2 + 0.25 * f64::from(edge * edge))
+            .map(|light| {
+                let d = centre - light.point(1.0 / 3.0, 1.0 / 3.0);
+                // half the cell's diagonal widens every angle and every distance
+                let (distance, spread) = (d.length(), 0.87 * edge);
+                let facing = light.normal.dot(d / distance.max(1e-9)) + (spread / distance.max(spread));
+                let facing = if light.triangle.is_none() { 1.0 } else { facing.clamp(AVERTED, 1.0) };
+                let seen = seen[light.group as usize] + UNSEEN;
+                f64::from(light.power * facing) * seen / f64::from(distance.max(0.5 * spread).powi(2))
             })
             .collect();
         let sum: f64 = weights.iter().sum();
@@ -221,7 +263,7 @@ impl Light {
         let edges = [c[1] - c[0], c[2] - c[0]];
         let n = edges[0].cross(edges[1]);
         let area = 0.5 * n.length();
-        Self { corner: c[0], edges, normal: n.normalize_or_zero(), area, power: brightness * area, triangle }
+        Self { corner: c[0], edges, normal: n.normalize_or_zero(), area, power: brightness * area, triangle, group: 0 }
     }
 
     fn point(&self, u: f32, v: f32) -> Vec3 {

@@ -193,11 +193,10 @@ fn an_exact_cache_changes_nothing_but_the_noise() {
     let model = PerTriangle(vec![surface(0.5, 0.5, 1.0); mesh.triangles.len()]);
     let tracer = BruteForce::new(&mesh);
     let options = PathTracerOptions { samples: 64, lambertian: true, ..Default::default() };
-    let mut renderer = PathTracer::new(&mesh, &tracer, &model, &BlackEnvironment, options);
+    let renderer = PathTracer::new(&mesh, &tracer, &model, &BlackEnvironment, options);
     // furnace: L = 2 everywhere, E = 2π
     let cache = Constant(2.0 * PI);
-    renderer.set_cache(Some(&cache));
-    let image = renderer.render(&camera(8, 4, Vec3::ONE), 0, &Progress::silent()).radiance();
+    let image = renderer.render_with(&camera(8, 4, Vec3::ONE), 0, Some(&cache), &Progress::silent()).radiance();
     let mean = image.data.iter().map(|p| p.x).sum::<f32>() / 32.0;
     assert!((mean - 2.0).abs() < 0.01, "{mean}");
 }

@@ -1,7 +1,7 @@
 //! Loading a scene folder: every problem of every file is collected before anything is refused.
 
 use super::mesh_prep::prepare_mesh;
-use super::transforms::{Frame, Model, Transforms, parse_transforms};
+use super::transforms::{Frame, Model, Transforms, parse_usable};
 use super::{Class, LoadOptions, Scene, Split, View, rooms};
 use crate::formats::{self, ImageInfo};
 use crate::geometry::{Camera, Lens, Projection};
@@ -20,14 +20,17 @@ impl Scene {
         let path = path.as_ref();
         let file = if path.is_dir() { path.join("transforms.json") } else { path.to_path_buf() };
         let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
-        let transforms = read_transforms(&file).map_err(|e| limited(e, options.max_issues))?;
-
-        let mut issues = Vec::new();
+        let (transforms, mut issues) = read_transforms(&file).map_err(|e| limited(e, options.max_issues))?;
         let mut warnings = Vec::new();
         let splits = splits(&transforms, &file, &mut issues, &mut warnings);
         check_stems(&transforms.frames, &file, &mut issues);
         let mesh_path = folder.join(&transforms.mesh_path);
-        let mesh = formats::read_mesh(&mesh_path).and_then(|raw| prepare_mesh(raw, &mesh_path, transforms.z_up, options));
+        let mesh = if transforms.mesh_path.is_empty() {
+            return Err(limited(issues, options.max_issues));
+        } else {
+            formats::read_mesh(&mesh_path)
+        };
+        let mesh = mesh.and_then(|raw| prepare_mesh(raw, &mesh_path, transforms.z_up, options));
         let origin = mesh.as_ref().map_or(DVec3::ZERO, |m| m.1);
         let checked: Vec<_> = transforms
             .frames
@@ -120,14 +123,16 @@ impl Scene {
     }
 }
 
-fn read_transforms(file: &Path) -> std::result::Result<Transforms, Vec<Error>> {
+/// The usable part of the file with the problems of the rest; `Err` if nothing of it can be used.
+fn read_transforms(file: &Path) -> std::result::Result<(Transforms, Vec<Error>), Vec<Error>> {
     let bytes = std::fs::read(file).map_err(|e| {
         vec![Error::input(file, format!("cannot be read: {e}; give a scene folder that holds transforms.json, or such a file"))]
     })?;
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     let text = std::str::from_utf8(bytes)
         .map_err(|e| vec![Error::input(file, format!("byte {} is not UTF-8; save the file as UTF-8 JSON", e.valid_up_to()))])?;
-    parse_transforms(text).map_err(|issues| issues.into_iter().map(|m| Error::input(file, m)).collect())
+    let named = |issues: Vec<String>| issues.into_iter().map(|m| Error::input(file, m)).collect();
+    parse_usable(text).map(|(t, issues)| (t, named(issues))).map_err(named)
 }
 
 /// One error for many, the first `max` of them in full.
@@ -145,7 +150,7 @@ fn limited(mut issues: Vec<Error>, max: usize) -> Error {
 fn splits(t: &Transforms, file: &Path, issues: &mut Vec<Error>, warnings: &mut Vec<String>) -> Vec<Option<Split>> {
     let mut fail = |m: String| issues.push(Error::input(file, m));
     let plain = |s: &str| s.strip_prefix("./").unwrap_or(s).to_owned();
-    let known: BTreeSet<String> = t.frames.iter().map(|f| plain(&f.file_path)).collect();
+    let known: BTreeSet<String> = t.names.iter().map(|n| plain(n)).collect();
     let mut listed = |list: &Option<Vec<String>>, key: &str| -> Option<BTreeSet<String>> {
         let names: BTreeSet<String> = list.as_ref()?.iter().map(|s| plain(s)).collect();
         for missing in names.difference(&known) {

@@ -58,6 +58,8 @@ pub struct Transforms {
     pub mesh_path: String,
     /// Frames in file order.
     pub frames: Vec<Frame>,
+    /// `file_path` of all frames, damaged ones included: what the split may name.
+    pub names: Vec<String>,
     /// Declared classes, ascending ids; `None` if the key is absent.
     pub classes: Option<Vec<Class>>,
     /// `train_filenames`.
@@ -81,6 +83,15 @@ const RIGID_TOLERANCE: f64 = 1e-3;
 
 /// Reads the text of a `transforms.json`; on failure every problem found, each naming its place and the cure.
 pub fn parse_transforms(text: &str) -> Result<Transforms, Vec<String>> {
+    match parse_usable(text)? {
+        (transforms, issues) if issues.is_empty() => Ok(transforms),
+        (_, issues) => Err(issues),
+    }
+}
+
+/// What can be used of a `transforms.json` and the problems of the rest, so that the files of intact frames can be checked
+/// in the same run; `Err` if the text is no JSON object.
+pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<String>> {
     let root: Value = serde_json::from_str(text).map_err(|e| {
         vec![format!("line {}, column {}: not valid JSON ({e}); mend the file at that place", e.line(), e.column())]
     })?;
@@ -122,7 +133,9 @@ pub fn parse_transforms(text: &str) -> Result<Transforms, Vec<String>> {
     let train = globals.names("train_filenames", &mut issues);
     let test = globals.names("test_filenames", &mut issues);
     let rooms_path = globals.text("rooms_path", &mut issues);
-    if issues.is_empty() { Ok(Transforms { mesh_path, frames, classes, train, test, rooms_path, z_up }) } else { Err(issues) }
+    let named = |entry: &Value| entry.get("file_path").and_then(Value::as_str).map(str::to_owned);
+    let names = root.get("frames").and_then(Value::as_array).into_iter().flatten().filter_map(named).collect();
+    Ok((Transforms { mesh_path, frames, names, classes, train, test, rooms_path, z_up }, issues))
 }
 
 /// Typed access to an object's keys with messages that name the place.

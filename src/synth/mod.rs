@@ -1,1 +1,194 @@
-//! (being written)
+//! Synthetic apartments with ground truth: the paper's synthetic data set in kind, made on the spot.
+//!
+//! Rooms in a row with doorways, windows, furniture and lamps; every surface has a known albedo and roughness texture under
+//! the paper's reflection model, so that a reconstruction is limited by evidence and noise and not by the model. Panoramas are
+//! rendered by [`crate::render::PathTracer`] and denoised in their diffuse and specular parts apart. The same seed gives the
+//! same bits for any number of threads.
+
+mod apartment;
+mod atlas;
+mod catalogue;
+mod charts;
+mod furniture;
+mod glb;
+mod model;
+mod output;
+mod pattern;
+mod views;
+
+pub use model::{Sky, Textured, VertexIrradiance};
+
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use crate::render::{PathTracer, PathTracerOptions, denoise};
+use crate::trace::EmbreeTracer;
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Options of `unbake synth`.
+#[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct SynthOptions {
+    /// Seed of the floor plan, the colours, the cameras and the noise.
+    #[arg(long, value_name = "N", default_value_t = Self::default().seed, help_heading = "Synthetic scene")]
+    pub seed: u64,
+    /// Rooms in the apartment: living room, bedroom, kitchen, and so on in turn.
+    #[arg(long, value_name = "N", default_value_t = Self::default().rooms, help_heading = "Synthetic scene")]
+    pub rooms: usize,
+    /// Panoramas in all, training and held out.
+    #[arg(long, value_name = "N", default_value_t = Self::default().views, help_heading = "Synthetic scene")]
+    pub views: usize,
+    /// How many of the panoramas are held out.
+    #[arg(long, value_name = "N", default_value_t = Self::default().test_views, help_heading = "Synthetic scene")]
+    pub test_views: usize,
+    /// Width of a panorama in pixels; its height is half of it.
+    #[arg(long, value_name = "PIXELS", default_value_t = Self::default().width, help_heading = "Synthetic scene")]
+    pub width: usize,
+    /// Light paths per pixel before denoising.
+    #[arg(long, value_name = "N", default_value_t = Self::default().spp, help_heading = "Synthetic scene")]
+    pub spp: u32,
+    /// Side of the ground-truth textures in texels.
+    #[arg(long, value_name = "TEXELS", default_value_t = Self::default().texture, help_heading = "Synthetic scene")]
+    pub texture: usize,
+    /// Leave the images as rendered, with their noise.
+    #[arg(long, help_heading = "Synthetic scene")]
+    pub no_denoise: bool,
+    /// Follow every path to its end instead of taking indirect light from irradiance cached at vertices: slower, unbiased.
+    #[arg(long, help_heading = "Synthetic scene")]
+    pub full_paths: bool,
+}
+
+impl Default for SynthOptions {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            rooms: 3,
+            views: 40,
+            test_views: 16,
+            width: 1024,
+            spp: 8,
+            texture: 2048,
+            no_denoise: false,
+            full_paths: false,
+        }
+    }
+}
+
+impl SynthOptions {
+    /// A setting for tests and quick looks: one small room's worth of pictures in about ten seconds.
+    #[must_use]
+    pub fn small() -> Self {
+        Self { rooms: 1, views: 6, test_views: 2, width: 256, spp: 8, texture: 512, ..Self::default() }
+    }
+
+    fn validate(&self) -> Result<()> {
+        let wrong = |what: &str| Err(Error::Usage(format!("synth: {what}")));
+        if !(1..=64).contains(&self.rooms) {
+            return wrong("--rooms must be from 1 to 64");
+        }
+        if self.views == 0 || self.views > 10_000 {
+            return wrong("--views must be from 1 to 10000");
+        }
+        if self.test_views >= self.views {
+            return wrong("--test-views must be smaller than --views: at least one view is needed for training");
+        }
+        if !(16..=16_384).contains(&self.width) || !self.width.is_multiple_of(2) {
+            return wrong("--width must be an even number from 16 to 16384");
+        }
+        if self.spp == 0 || self.spp > 1 << 20 {
+            return wrong("--spp must be from 1 to 1048576");
+        }
+        if !(64..=16_384).contains(&self.texture) {
+            return wrong("--texture must be from 64 to 16384");
+        }
+        Ok(())
+    }
+}
+
+/// What [`generate`] made.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SynthSummary {
+    /// Triangles of the mesh.
+    pub triangles: usize,
+    /// Charts of its atlas.
+    pub charts: usize,
+    /// Texels of the ground-truth texture per metre.
+    pub texels_per_metre: f32,
+    /// Training views.
+    pub train_views: usize,
+    /// Held-out views.
+    pub test_views: usize,
+    /// Classes that occur.
+    pub classes: usize,
+    /// Median over all pixels of the luminance.
+    pub median_radiance: f32,
+}
+
+/// Makes an apartment and writes its scene folder (design §1.1), whole or not at all.
+pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) -> Result<SynthSummary> {
+    options.validate()?;
+    let writer = output::FolderWriter::new(out_folder)?;
+    let apartment = apartment::Apartment::new(options.seed, options.rooms);
+    let Some(atlas) = atlas::Atlas::pack(&apartment.charts, options.texture) else {
+        let message = format!(
+            "synth: {} surfaces do not fit a texture of {}; pass a larger --texture",
+            apartment.charts.len(),
+            options.texture
+        );
+        return Err(Error::Usage(message));
+    };
+    let mesh = atlas.mesh(&apartment.charts);
+    let texture = progress.stage("painting textures", 1, |_| atlas.paint(&apartment.charts, &apartment.paints));
+    let views = views::place(&apartment, options)?;
+    progress.note(format!(
+        "{} rooms, {} triangles, {} charts at {:.0} texels per metre",
+        options.rooms,
+        mesh.triangles.len(),
+        apartment.charts.len(),
+        atlas.density
+    ));
+    let tracer = EmbreeTracer::new(&mesh)?;
+    let surfaces = Textured::new(&mesh, &apartment.charts, &texture);
+    let sky = Sky {
+        horizon: Vec3::new(4.6, 4.9, 5.2),
+        zenith: Vec3::new(5.6, 6.6, 8.4),
+        ground: Vec3::new(1.3, 1.4, 1.0),
+        portals: apartment.portals.clone(),
+    };
+    let settings = PathTracerOptions { samples: options.spp, seed: options.seed, ..PathTracerOptions::default() };
+    let renderer = PathTracer::new(&mesh, &tracer, &surfaces, &sky, settings);
+    // the cache is worth as much care as the pixels, up to what its vertices can resolve
+    let effort = (options.spp as f32 / 8.0).clamp(0.2, 2.0);
+    let cache = (!options.full_paths).then(|| {
+        let steps = VertexIrradiance::steps(&mesh);
+        progress.stage("caching irradiance", steps, |p| VertexIrradiance::bake(&mesh, &tracer, &renderer, effort, p))
+    });
+    let pixels = views.iter().map(|v| (v.camera.width * v.camera.height) as u64).sum();
+    let mut luminances = Vec::new();
+    let mut seen = std::collections::BTreeSet::new();
+    progress.stage("rendering panoramas", pixels, |p| -> Result<()> {
+        for (i, view) in views.iter().enumerate() {
+            let indirect = cache.as_ref().map(|c| c as &dyn crate::render::IndirectCache);
+            let frame = renderer.render_with(&view.camera, i as u64, indirect, p);
+            let image = if options.no_denoise { frame.radiance() } else { denoise::denoise(&frame, &view.camera) };
+            luminances.extend(image.data.iter().step_by(61).map(|&c| crate::math::luminance(c)));
+            seen.extend(frame.label.data.iter().copied().filter(|&l| l != 0));
+            writer.view(&view.stem, &frame, &image)?;
+        }
+        Ok(())
+    })?;
+    luminances.sort_by(f32::total_cmp);
+    writer.scene(&output::Described { options, apartment: &apartment, mesh: &mesh, texture: &texture, views: &views })?;
+    let summary = SynthSummary {
+        triangles: mesh.triangles.len(),
+        charts: apartment.charts.len(),
+        texels_per_metre: atlas.density,
+        train_views: views.iter().filter(|v| !v.held_out).count(),
+        test_views: views.iter().filter(|v| v.held_out).count(),
+        classes: seen.len(),
+        median_radiance: luminances.get(luminances.len() / 2).copied().unwrap_or(0.0),
+    };
+    writer.finish(&summary)?;
+    Ok(summary)
+}

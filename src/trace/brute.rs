@@ -1,6 +1,7 @@
 //! Every ray against every triangle in f64: the plain twin that tests compare Embree with.
 
 use super::{Hit, Ray, Tracer};
+use crate::ffi::ray::is_usable;
 use crate::geometry::Mesh;
 use glam::DVec3;
 
@@ -14,7 +15,7 @@ impl BruteForce {
     /// Copies the triangles of `mesh`; those with indices out of range or corners that are not finite are never hit.
     #[must_use]
     pub fn new(mesh: &Mesh) -> Self {
-        let corner = |i: u32| mesh.positions.get(i as usize).copied().filter(|&p| super::is_usable(p)).map(|p| p.as_dvec3());
+        let corner = |i: u32| mesh.positions.get(i as usize).copied().filter(|&p| is_usable(p)).map(|p| p.as_dvec3());
         let triangles = mesh
             .triangles
             .iter()

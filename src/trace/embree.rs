@@ -5,6 +5,7 @@
 
 use super::{Hit, Ray, Tracer};
 use crate::ffi::embree::{self, PacketWidth, TriangleScene};
+use crate::ffi::ray::is_usable;
 use crate::geometry::Mesh;
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -13,13 +14,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Rays per foreign call: large enough to hide its cost, small enough to balance two threads or two hundred. A multiple of
 /// the packet width.
 pub const BATCH: usize = 4096;
-
-/// Triple products of coordinates beyond this would overflow inside the intersection test; Embree itself refuses vertices
-/// beyond 1.8e18, but returns infinite distances long before.
-pub(super) const FAR_AWAY: f32 = 1e12;
-
-/// Squared length below which a direction is none (directions are unit vectors); the shim uses the same limits.
-pub(super) const TINY: f32 = 1e-30;
 
 /// A mesh in Embree.
 pub struct EmbreeTracer {
@@ -37,11 +31,11 @@ impl EmbreeTracer {
         if let Some((t, tri)) = mesh.triangles.iter().enumerate().find(|(_, tri)| tri.iter().any(|&i| i as usize >= count)) {
             return Err(Error::Failed(format!("mesh: triangle {t} names vertices {tri:?} but there are {count}")));
         }
-        let usable = |i: u32| super::is_usable(mesh.positions[i as usize]);
+        let usable = |i: u32| is_usable(mesh.positions[i as usize]);
         // A corner that is not finite spoils bounding boxes: such a triangle collapses to one finite point, and keeps its
         // number. With no finite vertex at all there is nothing to hit.
         let positions: Vec<[f32; 3]> =
-            mesh.positions.iter().map(|&p| if super::is_usable(p) { p.to_array() } else { [0.0; 3] }).collect();
+            mesh.positions.iter().map(|&p| if is_usable(p) { p.to_array() } else { [0.0; 3] }).collect();
         let mut skipped = 0;
         let triangles: Vec<[u32; 3]> = mesh
             .triangles

@@ -2,8 +2,10 @@
 
 use super::*;
 use crate::ffi::embree::PacketWidth;
+use crate::ffi::ray::FAR_AWAY;
 use crate::geometry::Mesh;
 use crate::sampling::KeyedRng;
+use glam::Vec3;
 
 fn unit(rng: &mut KeyedRng) -> Vec3 {
     loop {
@@ -294,7 +296,7 @@ fn rays_and_meshes_of_random_bits_end_nothing() {
     };
     let mut rays: Vec<Ray> = (0..20_000).map(ray).collect();
     // Usable, but at the limits.
-    let limit = embree::FAR_AWAY * 0.99;
+    let limit = FAR_AWAY * 0.99;
     for (i, r) in rays.iter_mut().enumerate().step_by(3) {
         let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
         *r = Ray { origin: [sign * limit, 0.5, -limit], t_near: 0.0, direction: [-sign, 1e-12, 1.0], t_far: f32::MAX };
