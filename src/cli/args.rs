@@ -4,6 +4,7 @@ use super::config::Config;
 use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveOptions;
 use crate::scene::LoadOptions;
+use crate::synth::SynthOptions;
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
@@ -26,9 +27,9 @@ pub struct Global {
     /// Number of worker threads [default: all cores]; it never changes the result.
     #[arg(long, global = true, value_name = "N")]
     pub threads: Option<usize>,
-    /// Key of every random number: the same seed gives the same bits.
-    #[arg(long, global = true, value_name = "N", default_value_t = 0)]
-    pub seed: u64,
+    /// Key of every random number [default: 0; synth: 1]; the same seed gives the same bits.
+    #[arg(long, global = true, value_name = "N")]
+    pub seed: Option<u64>,
     /// Draw no progress; errors are still printed.
     #[arg(long, short, global = true)]
     pub quiet: bool,
@@ -49,6 +50,15 @@ pub struct Global {
 /// The verbs.
 #[derive(Subcommand, Clone, Debug)]
 pub enum Verb {
+    /// Make a synthetic apartment with ground truth: mesh, HDR panoramas, labels, true albedo and roughness.
+    Synth {
+        /// Folder for the scene; created if need be.
+        #[arg(long, short, required_unless_present = "print_config", value_name = "SCENE")]
+        out: Option<PathBuf>,
+        /// The apartment's options.
+        #[command(flatten)]
+        options: SynthOptions,
+    },
     /// Say what is understood of a scene and everything that is wrong with it.
     Check {
         /// Scene folder (or its transforms.json).
@@ -97,6 +107,7 @@ impl Cli {
         let g = &self.global;
         let mut config = Config { threads: g.threads, seed: g.seed, quiet: g.quiet, json: g.json, ..Config::default() };
         match &self.verb {
+            Some(Verb::Synth { options, .. }) => config.synth = options.clone(),
             Some(Verb::Check { load, .. }) => config.scene = load.clone(),
             Some(Verb::Solve { options, load, .. }) => (config.solve, config.scene) = (options.clone(), load.clone()),
             Some(Verb::Eval { options, load, .. }) => (config.eval, config.scene) = (options.clone(), load.clone()),

@@ -7,6 +7,7 @@ use crate::error::{Error, Result};
 use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveOptions;
 use crate::scene::LoadOptions;
+use crate::synth::SynthOptions;
 use clap::ArgMatches;
 use clap::parser::ValueSource;
 use serde::{Deserialize, Serialize};
@@ -19,14 +20,16 @@ use toml::{Table, Value};
 pub struct Config {
     /// Worker threads; absent = all cores.
     pub threads: Option<usize>,
-    /// Key of every random number.
-    pub seed: u64,
+    /// Key of every random number; absent = the verb's own.
+    pub seed: Option<u64>,
     /// No progress on the terminal.
     pub quiet: bool,
     /// Results as JSON.
     pub json: bool,
     /// How a scene is read, by every verb that reads one.
     pub scene: LoadOptions,
+    /// Options of `unbake synth`.
+    pub synth: SynthOptions,
     /// Options of `unbake solve`.
     pub solve: SolveOptions,
     /// Options of `unbake eval`.
@@ -74,6 +77,12 @@ impl Config {
         let failed = |e: String| Error::Failed(format!("printing the configuration: {e}"));
         let text = toml::to_string(self).map_err(|e| failed(e.to_string()))?;
         let mut out = String::from("# unbake configuration: every key is also a flag; flags override this file\n");
+        for (key, set) in [("threads", self.threads.is_some()), ("seed", self.seed.is_some())] {
+            if !set {
+                let help = help_of(command, None, key).unwrap_or_default();
+                out.push_str(&format!("# {help}\n# {key} =\n"));
+            }
+        }
         let mut table: Option<String> = None;
         for line in text.lines() {
             if let Some(header) = line.strip_prefix('[').and_then(|l| l.strip_suffix(']')) {
@@ -102,6 +111,7 @@ impl Config {
 #[must_use]
 pub fn tables_of(verb: &str) -> &'static [&'static str] {
     match verb {
+        "synth" => &["synth"],
         "check" => &["scene"],
         "solve" => &["solve", "scene"],
         "eval" => &["eval", "scene"],

@@ -34,6 +34,12 @@ pub struct Context {
 }
 
 impl Context {
+    /// The seed of a verb that has none of its own.
+    #[must_use]
+    pub fn seed(&self) -> u64 {
+        self.config.seed.unwrap_or(0)
+    }
+
     /// Prints a verb's result: `text` for people or `json` for machines.
     pub fn result(&self, text: &str, json: &serde_json::Value) -> Result<()> {
         if self.config.json { print(&format!("{json:#}\n")) } else { print(text) }

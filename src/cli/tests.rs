@@ -78,7 +78,7 @@ fn typed_flags_override_the_file_and_defaults_do_not() {
     let file = "threads = 3\nseed = 5\n[eval]\nexposure = 2.5\nquantise = true\n";
     let arguments = ["unbake", "--seed", "9", "eval", "OUT", "--scene", "S", "--train", "--threads", "2"];
     let config = overlaid(file, &arguments);
-    assert_eq!((config.threads, config.seed), (Some(2), 9));
+    assert_eq!((config.threads, config.seed), (Some(2), Some(9)));
     assert!((config.eval.exposure - 2.5).abs() < 1e-9, "a default must not override the file");
     assert!(config.eval.quantise && config.eval.train);
     assert!(overlaid("", &["unbake", "eval", "OUT", "--scene", "S", "--clamp-nan"]).scene.clamp_nan, "shared tables as well");
@@ -88,7 +88,7 @@ fn typed_flags_override_the_file_and_defaults_do_not() {
 
 #[test]
 fn the_printed_configuration_reads_back_as_itself() {
-    let config = Config { threads: Some(4), seed: 11, ..Config::default() };
+    let config = Config { threads: Some(4), seed: Some(11), ..Config::default() };
     let text = config.documented(&Cli::command(), None).expect("prints");
     assert_eq!(toml::from_str::<Config>(&text).expect("parses"), config);
     assert!(text.contains("# Key of every random number"), "keys carry their help:\n{text}");

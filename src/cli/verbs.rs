@@ -8,6 +8,7 @@ use crate::render::{HybridOptions, HybridRenderer};
 use crate::report::{self, Photographer, RunRecord, SceneSummary, Versions, hash_inputs, write_report};
 use crate::scene::{Scene, check};
 use crate::solution::{AsideFolder, SaveOptions, Solution};
+use crate::synth::generate;
 use serde_json::json;
 use std::path::Path;
 use std::time::Duration;
@@ -15,11 +16,32 @@ use std::time::Duration;
 /// Runs one verb and returns the exit code of a run that did not fail.
 pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
     match verb {
+        Verb::Synth { out, .. } => synthesise(required(out)?, context),
         Verb::Check { scene, .. } => return check_scene(required(scene)?, context),
         Verb::Solve { scene, out, .. } => solve(required(scene)?, required(out)?, context),
         Verb::Eval { out, scene, .. } => eval(required(out)?, required(scene)?, context),
     }?;
     Ok(0)
+}
+
+fn synthesise(out: &Path, context: &Context) -> Result<()> {
+    let mut options = context.config.synth.clone();
+    options.seed = context.config.seed.unwrap_or(options.seed);
+    let made = generate(&options, out, &context.progress)?;
+    let run = context.recorder.record();
+    let text = format!(
+        "{}: {} triangles, {} classes, {} training and {} held-out panoramas of {}x{}, {:.0} true texels per metre, in {}\n",
+        out.display(),
+        made.triangles,
+        made.classes,
+        made.train_views,
+        made.test_views,
+        options.width,
+        options.width / 2,
+        made.texels_per_metre,
+        super::progress::seconds(Duration::from_secs_f64(run.wall_seconds)),
+    );
+    context.result(&text, &json!({"out": out, "scene": made, "run": run}))
 }
 
 fn check_scene(path: &Path, context: &Context) -> Result<u8> {
@@ -49,7 +71,7 @@ fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
     let scene = read_scene(scene_path, context)?;
     // before the long run: is there a place for the result?
     drop(AsideFolder::new(out)?);
-    let options = SolveOptions { seed: context.config.seed, ..context.config.solve.clone() };
+    let options = SolveOptions { seed: context.seed(), ..context.config.solve.clone() };
     let progress = &context.progress;
     let solution = reconstruct(&scene, &options, progress)?.solution;
     progress.stage("writing the textures", 1, |_| solution.save(out, &SaveOptions::default()))?;
@@ -87,7 +109,7 @@ fn record(scene: &Scene, context: &Context) -> Result<RunRecord> {
         versions: Versions::current(),
         scene: SceneSummary::of(scene),
         options,
-        seed: context.config.seed,
+        seed: context.seed(),
         inputs: hash_inputs(scene)?,
         ..context.recorder.record()
     })
@@ -105,7 +127,7 @@ fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<()> {
         );
         return Err(Error::input(out, message));
     }
-    let renderer = HybridRenderer::new(&solution, HybridOptions { seed: context.config.seed, ..HybridOptions::default() })?;
+    let renderer = HybridRenderer::new(&solution, HybridOptions { seed: context.seed(), ..HybridOptions::default() })?;
     let photographer = Photographer::new(&scene, &solution)?;
     let shown: Vec<&str> = report::shown_views(&scene).iter().map(|v| v.stem.as_str()).collect();
     let mut pictures = Vec::new();

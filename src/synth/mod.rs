@@ -30,8 +30,9 @@ use std::path::Path;
 #[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct SynthOptions {
-    /// Seed of the floor plan, the colours, the cameras and the noise.
-    #[arg(long, value_name = "N", default_value_t = Self::default().seed, help_heading = "Synthetic scene")]
+    /// Seed of the floor plan, the colours, the cameras and the noise: the command line's global `--seed`.
+    #[arg(skip = Self::default().seed)]
+    #[serde(skip)]
     pub seed: u64,
     /// Rooms in the apartment: living room, bedroom, kitchen, and so on in turn.
     #[arg(long, value_name = "N", default_value_t = Self::default().rooms, help_heading = "Synthetic scene")]
