@@ -31,8 +31,9 @@ pub struct BrdfSample {
 }
 
 impl Material {
+    // unlike `clamp`, `max` turns NaN into the bound
+    #[allow(clippy::manual_clamp)]
     fn clamped_roughness(&self) -> f32 {
-        // also turns NaN into the clamp
         self.roughness.max(MIN_ROUGHNESS).min(1.0)
     }
 
@@ -90,7 +91,7 @@ impl Material {
     #[inline]
     #[must_use]
     pub fn sample_direction(&self, n: Vec3, v: Vec3, specular: bool, u: [f32; 2]) -> Option<Vec3> {
-        if !(n.dot(v) > 0.0) {
+        if n.dot(v) <= 0.0 {
             return None;
         }
         let frame = Frame::from_normal(n);
@@ -221,9 +222,9 @@ mod tests {
                         }
                     }
                 }
-                for k in 0..3 {
+                for (k, mean) in mean.into_iter().enumerate() {
                     let expected = glossy + f64::from(m.albedo[k]);
-                    assert!((mean[k] / expected - 1.0).abs() < 4e-3, "R {roughness} θ {theta}: {} against {expected}", mean[k]);
+                    assert!((mean / expected - 1.0).abs() < 4e-3, "R {roughness} θ {theta}: {} against {expected}", mean);
                 }
             }
         }

@@ -188,17 +188,24 @@ fn tame_outliers(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: boo
         if here.variance.sqrt() < 0.3 * brightness {
             return here;
         }
-        let (mut brightest, mut variance, mut count) = (0.0f32, 0.0f32, 0);
+        // (brightest, summed variance, count) over the neighbours on the same surface, and over all of them: a pixel across
+        // an edge has few of the former
+        let (mut same, mut all) = ((0.0f32, 0.0f32, 0), (0.0f32, 0.0f32, 0));
         for dy in -1isize..=1 {
             for dx in -1isize..=1 {
-                let Some(j) = grid.neighbour(x, y, dx, dy).filter(|&j| j != i) else { continue };
+                let Some(j) = grid.neighbour(x, y, dx, dy).filter(|&j| j != i && guides[j].normal != Vec3::ZERO) else {
+                    continue;
+                };
+                let count = |c: &mut (f32, f32, i32)| {
+                    *c = (c.0.max(luminance(signal[j].value)), c.1 + signal[j].variance, c.2 + 1);
+                };
+                count(&mut all);
                 if same_surface(&guides[i], &guides[j], specular) > 0.05 {
-                    brightest = brightest.max(luminance(signal[j].value));
-                    variance += signal[j].variance;
-                    count += 1;
+                    count(&mut same);
                 }
             }
         }
+        let (brightest, variance, count) = if same.2 < 4 { all } else { same };
         if count < 4 || brightness <= brightest {
             return here;
         }

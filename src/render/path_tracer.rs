@@ -512,7 +512,7 @@ impl<'a> PathTracer<'a> {
             std::array::from_fn(|_| rng.next_f32())
         };
         let (n, v, m) = (vertex.normal, vertex.view, vertex.material);
-        if !(n.dot(v) > 0.0) {
+        if n.dot(v) <= 0.0 {
             return;
         }
         let share = match vertex.lobes {

@@ -277,7 +277,7 @@ impl Light {
             return None;
         }
         let t = self.normal.dot(self.corner - p) / cosine;
-        if !(t > 0.0) {
+        if t <= 0.0 {
             return None;
         }
         let q = p + d * t - self.corner;

@@ -97,7 +97,7 @@ impl Paint {
                 let across = uv.y + 0.035 * noise(id, Vec2::new(along * 1.3, uv.y * 6.0));
                 let grain = fractal(id, Vec2::new(along * 2.5, across * 55.0));
                 let joint = (uv.y / board).fract();
-                let gap = if joint < 0.02 || joint > 0.98 { 0.6 } else { 1.0 };
+                let gap = if !(0.02..=0.98).contains(&joint) { 0.6 } else { 1.0 };
                 (a.lerp(b, (grain * 1.4 - 0.3).clamp(0.0, 1.0)) * (tone * gap), self.roughness)
             }
             Pattern::Tiles { edge, grout_roughness } => {
