@@ -1,20 +1,29 @@
 //! Emitters: which texels emit, and how to sample them from any point of the scene.
 //!
+//! Light from outside enters through openings. Where rays leave the scene, the patches of its bounding box they cross become portals:
+//! area lights through which the environment is seen (Bitterli et al. 2015, "Portal-Masked Environment Map Sampling", in spirit).
+//!
 //! Emissive triangles are gathered into lamps; space into cells. Per cell the lamps are chosen with probability proportional to
 //! the irradiance they are found to send there, with traced visibility, so that lamps in other rooms cost no samples. A defensive
 //! share keeps every lamp possible, hence the estimate unbiased.
 
 use super::LightField;
+use super::hull::Hull;
 use crate::geometry::Mesh;
 use crate::math::luminance;
-use crate::sampling::{AliasTable, SobolSequence, square_to_triangle};
-use crate::trace::{Ray, Tracer};
+use crate::sampling::{Discrete, SobolSequence, square_to_triangle};
+use crate::trace::{Hit, Ray, Tracer};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// At most this many lamps; more are merged with their neighbours in space.
 const MAX_LAMPS: usize = 256;
+/// At most this many portals.
+const MAX_PORTALS: usize = 64;
+/// Receivers and rays per receiver that look for openings.
+const PORTAL_PROBES: usize = 16_384;
+const PORTAL_RAYS: u32 = 32;
 /// Cells along the longest side of the scene: about one metre in a flat.
 const CELLS_LONGEST: f32 = 20.0;
 /// Receivers per cell used to find which lamps reach it.
@@ -24,83 +33,196 @@ const DEFENSIVE: f64 = 0.15;
 
 /// A texel emits if its least bright clean view exceeds this multiple of what a white surface could reflect there.
 const MIN_EXCESS: f32 = 2.0;
+/// How much brighter than the brightest reflecting surfaces (99 % quantile of E/π) an unlabelled emitter must be.
+const BRIGHTER: f32 = 3.0;
 
-/// Finds emissive triangles: those of classes known to emit, and those whose texels send out more than a white surface could
-/// reflect (π·L/E above [`MIN_EXCESS`] in every clean view; scale-free, method §12.3 point 3). `excess` holds π·L_min/E per
-/// covered texel (0 where unknown), `triangle` the triangle of each.
-#[must_use]
-pub fn detect_emissive(triangles: usize, triangle: &[u32], excess: &[f32], known: &[bool]) -> Vec<bool> {
-    let mut votes = vec![(0u32, 0u32); triangles];
-    for (&t, &x) in triangle.iter().zip(excess) {
-        if x > 0.0 {
-            let v = &mut votes[t as usize];
-            v.0 += u32::from(x > MIN_EXCESS);
-            v.1 += 1;
-        }
-    }
-    votes.iter().zip(known).map(|(v, k)| *k || (v.0 > 0 && 2 * v.0 > v.1)).collect()
+/// What one texel says about emission.
+#[derive(Clone, Copy, Debug)]
+pub struct EmissionEvidence {
+    /// Triangle of the texel.
+    pub triangle: u32,
+    /// Class of the texel, 0 = unlabelled.
+    pub label: u16,
+    /// Luminance of the least bright clean view.
+    pub floor: f32,
+    /// Luminance a white diffuse surface would send out there, E/π.
+    pub white: f32,
+    /// Whether any view sees the texel.
+    pub observed: bool,
 }
 
-/// A point on an emitter.
+/// Finds emissive triangles: those of `known` emitters, and those that send out more than a white surface could reflect
+/// (method §12.3 point 3; scale-free, unlike the paper's absolute threshold). Because irradiance in dark corners is uncertain, the
+/// excess alone does not suffice: either most of a labelled class shows it, or the triangle outshines every reflecting surface of
+/// the scene.
+#[must_use]
+pub fn detect_emissive(triangles: usize, texels: &[EmissionEvidence], known: &[bool]) -> Vec<bool> {
+    let exceeds = |e: &EmissionEvidence| e.observed && e.floor > MIN_EXCESS * e.white;
+    let mut white: Vec<f32> = texels.iter().filter(|e| e.observed).map(|e| e.white).collect();
+    white.sort_by(f32::total_cmp);
+    let brightest_reflection = white.get(white.len() * 99 / 100).copied().unwrap_or(0.0);
+    let mut classes: BTreeMap<u16, (u64, u64)> = BTreeMap::new();
+    let mut votes = vec![(0u32, 0u32, 0u32); triangles];
+    for e in texels.iter().filter(|e| e.observed) {
+        let class = classes.entry(e.label).or_default();
+        class.1 += 1;
+        class.0 += u64::from(exceeds(e));
+        let v = &mut votes[e.triangle as usize];
+        v.2 += 1;
+        v.0 += u32::from(exceeds(e));
+        v.1 += u32::from(exceeds(e) && e.floor > BRIGHTER * brightest_reflection);
+    }
+    let emitting_class: BTreeMap<u16, bool> = classes.iter().map(|(k, c)| (*k, *k != 0 && 2 * c.0 > c.1)).collect();
+    let mut label = vec![0u16; triangles];
+    for e in texels {
+        label[e.triangle as usize] = e.label;
+    }
+    (0..triangles)
+        .map(|t| {
+            let (excess, bright, seen) = votes[t];
+            let by_class = 2 * excess > seen && emitting_class.get(&label[t]).copied().unwrap_or(false);
+            known[t] || (seen > 0 && (2 * bright > seen || by_class))
+        })
+        .collect()
+}
+
+/// A direction towards an emitter.
 #[derive(Clone, Copy, Debug)]
 pub struct EmitterSample {
-    /// World position.
-    pub position: Vec3,
-    /// Unit normal on the emitting side.
-    pub normal: Vec3,
-    /// Radiance sent out.
+    /// Shadow ray: hits nothing if the emitter is visible.
+    pub ray: Ray,
+    /// Radiance arriving if visible.
     pub radiance: Vec3,
-    /// Density per m².
-    pub pdf_area: f32,
+    /// Density per steradian at the receiver.
+    pub pdf: f32,
 }
 
+/// A group of emissive triangles or of portal cells, sampled by power.
 struct Lamp {
-    triangles: Vec<u32>,
-    table: AliasTable,
+    kind: LampKind,
+    table: Discrete,
     centre: Vec3,
     power: f64,
 }
 
-/// Samples emissive triangles.
+enum LampKind {
+    /// Mesh triangles.
+    Triangles(Vec<u32>),
+    /// Cells of the bounding box.
+    Portal(Vec<u32>),
+}
+
+/// Samples emissive triangles and portals.
 pub struct Emitters {
     lamps: Vec<Lamp>,
-    /// Per mesh triangle: lamp and probability density per m² within the lamp; `None`-like for non-emitters.
-    slot: BTreeMap<u32, (u32, f32)>,
-    everywhere: Option<AliasTable>,
-    cells: BTreeMap<[i32; 3], AliasTable>,
+    /// Per emissive triangle: lamp and density per m² within the lamp.
+    triangle_slot: BTreeMap<u32, (u32, f32)>,
+    /// Per portal cell: lamp and density per m² within the lamp.
+    portal_slot: BTreeMap<u32, (u32, f32)>,
+    hull: Hull,
+    everywhere: Option<Discrete>,
+    cells: BTreeMap<[i32; 3], Discrete>,
     cell_size: f32,
 }
 
 impl Emitters {
-    /// Gathers the emissive triangles of `field` into lamps and learns which of them reach the `receivers`.
+    /// Gathers the emissive triangles of `field` and the openings to its environment into lamps, and learns which of them reach the
+    /// `receivers` (position, normal).
     #[must_use]
     pub fn new(mesh: &Mesh, field: &LightField, tracer: &dyn Tracer, receivers: &[(Vec3, Vec3)]) -> Self {
         let emissive: Vec<u32> =
             (0..mesh.triangles.len()).filter(|&t| field.is_emissive(t) && mesh.area(t) > 0.0).map(|t| t as u32).collect();
         let (lo, hi) = mesh.bounds();
         let cell_size = ((hi - lo).max_element() / CELLS_LONGEST).max(f32::MIN_POSITIVE);
-        let mut out = Self { lamps: Vec::new(), slot: BTreeMap::new(), everywhere: None, cells: BTreeMap::new(), cell_size };
-        for group in split_into_lamps(mesh, emissive) {
-            out.add_lamp(mesh, field, group);
+        let mut out = Self {
+            lamps: Vec::new(),
+            triangle_slot: BTreeMap::new(),
+            portal_slot: BTreeMap::new(),
+            hull: Hull::around(lo, hi),
+            everywhere: None,
+            cells: BTreeMap::new(),
+            cell_size,
+        };
+        let small = 0.02 * (hi - lo).length();
+        let centre = |t: u32| mesh.position(t as usize, 1.0 / 3.0, 1.0 / 3.0);
+        for group in split_into_lamps(&centre, small, MAX_LAMPS, emissive) {
+            let items = group
+                .iter()
+                .map(|&t| (centre(t), mesh.area(t as usize), triangle_power(mesh, field, t as usize)))
+                .collect::<Vec<_>>();
+            out.add_lamp(LampKind::Triangles(group), &items);
         }
-        out.everywhere = AliasTable::new(&out.lamps.iter().map(|l| l.power).collect::<Vec<_>>());
+        if !field.environment.is_black() {
+            out.add_portals(field, tracer, receivers);
+        }
+        out.everywhere = Discrete::new(&out.lamps.iter().map(|l| l.power).collect::<Vec<_>>());
         if out.lamps.len() > 1 {
             out.learn_cells(mesh, field, tracer, receivers);
         }
         out
     }
 
-    fn add_lamp(&mut self, mesh: &Mesh, field: &LightField, triangles: Vec<u32>) {
-        let powers: Vec<f64> = triangles.iter().map(|&t| triangle_power(mesh, field, t as usize)).collect();
-        let Some(table) = AliasTable::new(&powers) else { return };
-        let area: f32 = triangles.iter().map(|&t| mesh.area(t as usize)).sum();
-        let centre =
-            triangles.iter().map(|&t| mesh.position(t as usize, 1.0 / 3.0, 1.0 / 3.0) * mesh.area(t as usize)).sum::<Vec3>()
-                / area;
-        for (i, &t) in triangles.iter().enumerate() {
-            self.slot.insert(t, (self.lamps.len() as u32, table.pmf(i) / mesh.area(t as usize)));
+    /// Adds a lamp of items given as (centre, area, power).
+    fn add_lamp(&mut self, kind: LampKind, items: &[(Vec3, f32, f64)]) {
+        let Some(table) = Discrete::new(&items.iter().map(|i| i.2).collect::<Vec<_>>()) else { return };
+        let area: f32 = items.iter().map(|i| i.1).sum();
+        let centre = items.iter().map(|i| i.0 * i.1).sum::<Vec3>() / area;
+        let lamp = self.lamps.len() as u32;
+        let (slots, ids) = match &kind {
+            LampKind::Triangles(ids) => (&mut self.triangle_slot, ids),
+            LampKind::Portal(ids) => (&mut self.portal_slot, ids),
+        };
+        for (i, id) in ids.iter().enumerate() {
+            slots.insert(*id, (lamp, table.pmf(i) / items[i].1));
         }
-        self.lamps.push(Lamp { triangles, table, centre, power: powers.iter().sum() });
+        self.lamps.push(Lamp { kind, table, centre, power: items.iter().map(|i| i.2).sum() });
+    }
+
+    /// Finds where rays from the receivers leave the scene and groups those cells of the bounding box into portals.
+    fn add_portals(&mut self, field: &LightField, tracer: &dyn Tracer, receivers: &[(Vec3, Vec3)]) {
+        let stride = (receivers.len() / PORTAL_PROBES).max(1);
+        let probes: Vec<usize> = (0..receivers.len()).step_by(stride).collect();
+        let found = crate::parallel::map_chunks(probes.len(), 64, |range| {
+            let mut rays = Vec::new();
+            for k in range {
+                let (p, n) = receivers[probes[k]];
+                let frame = crate::math::Frame::from_normal(n);
+                let sequence = SobolSequence::new(0x907_7a1, k as u64);
+                for j in 0..PORTAL_RAYS {
+                    let d = frame.world_from_local(crate::sampling::square_to_cosine_hemisphere(sequence.point2(j)));
+                    rays.push(Ray::new(p + n * (1e-4 * self.cell_size), d, f32::INFINITY));
+                }
+            }
+            let mut hits = vec![crate::trace::Hit::miss(); rays.len()];
+            tracer.closest(&rays, &mut hits);
+            let mut out = Vec::new();
+            for (r, h) in rays.iter().zip(&hits) {
+                if !h.is_hit() {
+                    let d = Vec3::from_array(r.direction);
+                    if let Some((cell, _, _)) = self.hull.exit(Vec3::from_array(r.origin), d) {
+                        out.push((cell, f64::from(luminance(field.environment.radiance(d)))));
+                    }
+                }
+            }
+            out
+        });
+        let mut light: BTreeMap<u32, f64> = BTreeMap::new();
+        for (cell, l) in found.into_iter().flatten() {
+            *light.entry(cell).or_default() += l;
+        }
+        if light.is_empty() {
+            return;
+        }
+        let mean = light.values().sum::<f64>() / light.len() as f64;
+        let cells: Vec<u32> = light.keys().copied().collect();
+        let small = 0.08 * self.hull.diagonal();
+        let hull = self.hull.clone();
+        let centre = |c: u32| hull.cell_centre(c);
+        for group in split_into_lamps(&centre, small, MAX_PORTALS, cells) {
+            // a floor keeps cells that few probes crossed possible; unseen cells stay with the hemisphere rays
+            let items: Vec<_> = group.iter().map(|&c| (centre(c), hull.cell_area(c), light[&c].max(0.2 * mean))).collect();
+            self.add_lamp(LampKind::Portal(group), &items);
+        }
     }
 
     fn learn_cells(&mut self, mesh: &Mesh, field: &LightField, tracer: &dyn Tracer, receivers: &[(Vec3, Vec3)]) {
@@ -121,18 +243,16 @@ impl Emitters {
                 for (probe, &i) in ids.iter().step_by(stride).take(PROBES).enumerate() {
                     let (p, n) = receivers[i];
                     for (k, lamp) in self.lamps.iter().enumerate() {
-                        let u = sequence.point4((probe * self.lamps.len() + k) as u32);
-                        let s = lamp_point(mesh, field, lamp, u);
-                        let d = s.position - p;
-                        let d2 = d.length_squared().max(1e-8);
-                        let dir = d / d2.sqrt();
-                        // the emitter's own cosine is left out: it varies over the lamp more than over the cell
-                        let geometry = f64::from(n.dot(dir).max(0.05) / d2) * lamp.power;
-                        possible[k] += geometry;
+                        let u = sequence.point3((probe * self.lamps.len() + k) as u32);
+                        let origin = p + n * (1e-4 * self.cell_size);
+                        let Some(s) = self.towards(mesh, field, lamp, origin, u) else { continue };
+                        let cosine = n.dot(Vec3::from_array(s.ray.direction)).max(0.05);
+                        let light = f64::from((luminance(s.radiance) * cosine / s.pdf).max(0.0));
+                        possible[k] += light;
                         let mut hidden = [0u8];
-                        tracer.occluded(&[segment(p + n * (1e-3 * d2.sqrt()), s.position)], &mut hidden);
+                        tracer.occluded(&[s.ray], &mut hidden);
                         if hidden[0] == 0 {
-                            reached[k] += geometry;
+                            reached[k] += light;
                         }
                     }
                 }
@@ -147,7 +267,7 @@ impl Emitters {
                             }
                         })
                         .collect();
-                AliasTable::new(&weights).map(|t| (*cell, t))
+                Discrete::new(&weights).map(|t| (*cell, t))
             })
             .collect();
         self.cells = tables.into_iter().collect();
@@ -171,23 +291,67 @@ impl Emitters {
 
     /// The lamp choice that suits points around `p`; pass it to [`Self::sample`] and [`Self::pdf_area`].
     #[must_use]
-    pub fn choice_at(&self, p: Vec3) -> Option<&AliasTable> {
+    pub fn choice_at(&self, p: Vec3) -> Option<&Discrete> {
         self.cells.get(&self.cell(p)).or(self.everywhere.as_ref())
     }
 
-    /// Draws a point on an emitter.
+    /// Draws a direction from `origin` towards an emitter; `None` where the drawn point faces away.
     #[must_use]
-    pub fn sample(&self, mesh: &Mesh, field: &LightField, choice: &AliasTable, u: [f32; 4]) -> EmitterSample {
-        let (lamp, _) = choice.sample(u[0]);
-        let mut s = lamp_point(mesh, field, &self.lamps[lamp], u);
-        s.pdf_area *= choice.pmf(lamp);
-        s
+    pub fn sample(&self, mesh: &Mesh, field: &LightField, choice: &Discrete, origin: Vec3, u: [f32; 3]) -> Option<EmitterSample> {
+        let (lamp, rest) = choice.sample(u[0]);
+        let mut s = self.towards(mesh, field, &self.lamps[lamp], origin, [rest, u[1], u[2]])?;
+        s.pdf *= choice.pmf(lamp);
+        Some(s)
     }
 
-    /// Density per m² with which [`Self::sample`] draws a point on `triangle`.
+    /// Density per steradian with which [`Self::sample`] draws the direction of a ray from `origin` that ended in `hit`.
     #[must_use]
-    pub fn pdf_area(&self, choice: &AliasTable, triangle: u32) -> f32 {
-        self.slot.get(&triangle).map_or(0.0, |(lamp, pdf)| choice.pmf(*lamp as usize) * pdf)
+    pub fn pdf(&self, field: &LightField, choice: &Discrete, origin: Vec3, direction: Vec3, hit: &Hit) -> f32 {
+        if hit.is_hit() {
+            if !field.is_emissive(hit.triangle as usize) {
+                return 0.0;
+            }
+            let cosine = -field.outward_normal(hit.triangle as usize).dot(direction);
+            match self.triangle_slot.get(&hit.triangle) {
+                Some((lamp, pdf)) if cosine > 0.0 => choice.pmf(*lamp as usize) * pdf * hit.t * hit.t / cosine,
+                _ => 0.0,
+            }
+        } else {
+            let Some((cell, t, cosine)) = self.hull.exit(origin, direction).filter(|_| !self.portal_slot.is_empty()) else {
+                return 0.0;
+            };
+            self.portal_slot.get(&cell).map_or(0.0, |(lamp, pdf)| choice.pmf(*lamp as usize) * pdf * t * t / cosine)
+        }
+    }
+
+    /// A direction towards a point of one lamp, with its density given the lamp.
+    fn towards(&self, mesh: &Mesh, field: &LightField, lamp: &Lamp, origin: Vec3, u: [f32; 3]) -> Option<EmitterSample> {
+        let (i, _) = lamp.table.sample(u[0]);
+        match &lamp.kind {
+            LampKind::Triangles(ids) => {
+                let t = ids[i] as usize;
+                let [b1, b2] = square_to_triangle([u[1], u[2]]);
+                let d = mesh.position(t, b1, b2) - origin;
+                let d2 = d.length_squared();
+                let cosine = -field.outward_normal(t).dot(d) / d2.sqrt();
+                if !(cosine > 1e-6 && d2 > 0.0) {
+                    return None;
+                }
+                let pdf = lamp.table.pmf(i) / mesh.area(t) * d2 / cosine;
+                Some(EmitterSample { ray: segment(origin, origin + d), radiance: field.emitted(t, b1, b2), pdf })
+            }
+            LampKind::Portal(ids) => {
+                let d = self.hull.cell_point(ids[i], [u[1], u[2]]) - origin;
+                let direction = d.normalize_or_zero();
+                let (_, t, cosine) = self.hull.exit(origin, direction)?;
+                let pdf = lamp.table.pmf(i) / self.hull.cell_area(ids[i]) * t * t / cosine;
+                Some(EmitterSample {
+                    ray: Ray::new(origin, direction, f32::INFINITY),
+                    radiance: field.environment.radiance(direction),
+                    pdf,
+                })
+            }
+        }
     }
 }
 
@@ -198,18 +362,6 @@ pub(crate) fn segment(from: Vec3, to: Vec3) -> Ray {
     Ray::new(from, d / length.max(f32::MIN_POSITIVE), length * (1.0 - 1e-3))
 }
 
-fn lamp_point(mesh: &Mesh, field: &LightField, lamp: &Lamp, u: [f32; 4]) -> EmitterSample {
-    let (i, _) = lamp.table.sample(u[1]);
-    let t = lamp.triangles[i] as usize;
-    let [b1, b2] = square_to_triangle([u[2], u[3]]);
-    EmitterSample {
-        position: mesh.position(t, b1, b2),
-        normal: field.outward_normal(t),
-        radiance: field.emitted(t, b1, b2),
-        pdf_area: lamp.table.pmf(i) / mesh.area(t),
-    }
-}
-
 /// Luminance × area, from a few points; a floor keeps dim corners possible.
 fn triangle_power(mesh: &Mesh, field: &LightField, t: usize) -> f64 {
     const POINTS: [(f32, f32); 4] = [(1.0 / 3.0, 1.0 / 3.0), (0.6, 0.2), (0.2, 0.6), (0.2, 0.2)];
@@ -218,12 +370,10 @@ fn triangle_power(mesh: &Mesh, field: &LightField, t: usize) -> f64 {
     f64::from((lum.iter().sum::<f32>() / 4.0).max(0.1 * peak).max(1e-12)) * f64::from(mesh.area(t))
 }
 
-/// Splits triangles into at most [`MAX_LAMPS`] compact groups by halving the largest extent until groups are lamp-sized.
-fn split_into_lamps(mesh: &Mesh, triangles: Vec<u32>) -> Vec<Vec<u32>> {
-    let (lo, hi) = mesh.bounds();
-    let small = 0.02 * (hi - lo).length();
-    let centre = |t: u32| mesh.position(t as usize, 1.0 / 3.0, 1.0 / 3.0);
-    let mut groups = if triangles.is_empty() { vec![] } else { vec![triangles] };
+/// Splits items into at most `most` compact groups by cutting the largest group at its widest gap until groups are smaller than
+/// `small`.
+fn split_into_lamps(centre: &dyn Fn(u32) -> Vec3, small: f32, most: usize, items: Vec<u32>) -> Vec<Vec<u32>> {
+    let mut groups = if items.is_empty() { vec![] } else { vec![items] };
     loop {
         let extent = |g: &Vec<u32>| {
             let b = g.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |b, &t| (b.0.min(centre(t)), b.1.max(centre(t))));
@@ -236,7 +386,7 @@ fn split_into_lamps(mesh: &Mesh, triangles: Vec<u32>) -> Vec<Vec<u32>> {
             .map(|(i, g)| (i, extent(g)))
             .max_by(|a, b| a.1.max_element().total_cmp(&b.1.max_element()));
         let Some((i, e)) = largest else { break };
-        if e.max_element() < small || groups.len() >= MAX_LAMPS {
+        if e.max_element() < small || groups.len() >= most {
             break;
         }
         let axis = if e.x >= e.y && e.x >= e.z {

@@ -4,7 +4,6 @@
 //! cosine-distributed rays with samples on emitters by the balance heuristic (Veach & Guibas 1995), both from an Owen-scrambled
 //! Sobol' sequence per texel; texels whose two halves disagree are refined.
 
-use super::emitters::segment;
 use super::{Emitters, LightField};
 use crate::geometry::Mesh;
 use crate::math::Frame;
@@ -241,19 +240,15 @@ impl Scratch {
         let origin = r.position + r.face_normal * bake.offset;
         let sequence = SobolSequence::new(options.seed ^ 0x5eed_1a3b, r.key);
         for s in begin..end {
-            let e = bake.emitters.sample(bake.mesh, bake.field, choice, sequence.point4(s));
-            let d = e.position - origin;
-            let d2 = d.length_squared();
-            let w = d / d2.sqrt().max(f32::MIN_POSITIVE);
-            let (cos_r, cos_e) = (r.normal.dot(w), -e.normal.dot(w));
-            if !(cos_r > 0.0 && cos_e > 0.0 && r.face_normal.dot(w) > 0.0) {
+            let Some(e) = bake.emitters.sample(bake.mesh, bake.field, choice, origin, sequence.point3(s)) else { continue };
+            let w = Vec3::from_array(e.ray.direction);
+            let cosine = r.normal.dot(w);
+            if !(cosine > 0.0 && r.face_normal.dot(w) > 0.0) {
                 continue;
             }
-            let pdf_light = e.pdf_area * d2 / cos_e;
-            let pdf_ray = cos_r * FRAC_1_PI;
             // balance heuristic with n_e light samples and n_r rays
-            let value = e.radiance * (cos_r / (end as f32 * pdf_light + n_rays as f32 * pdf_ray));
-            self.shadow.push(segment(origin, e.position));
+            let value = e.radiance * (cosine / (end as f32 * e.pdf + n_rays as f32 * cosine * FRAC_1_PI));
+            self.shadow.push(e.ray);
             self.pending.push((value, i, (s & 1) as u8));
         }
     }
@@ -280,13 +275,13 @@ impl Scratch {
                 Estimator::Mis => {
                     let pdf_ray = cosine * FRAC_1_PI;
                     let mut pdf_light = 0.0;
-                    if n_lights > 0 && hit.is_hit() && bake.field.is_emissive(hit.triangle as usize) {
+                    if n_lights > 0 {
                         if current.0 != i {
                             current = (i, bake.emitters.choice_at(receivers[i as usize].position));
                         }
-                        let cos_e = -bake.field.outward_normal(hit.triangle as usize).dot(direction);
-                        if let Some(choice) = current.1.filter(|_| cos_e > 0.0) {
-                            pdf_light = bake.emitters.pdf_area(choice, hit.triangle) * hit.t * hit.t / cos_e;
+                        if let Some(choice) = current.1 {
+                            let origin = Vec3::from_array(self.rays[k].origin);
+                            pdf_light = bake.emitters.pdf(bake.field, choice, origin, direction, hit);
                         }
                     }
                     cosine / (n_rays as f32 * pdf_ray + n_lights as f32 * pdf_light)

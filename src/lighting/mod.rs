@@ -2,12 +2,13 @@
 
 mod emitters;
 mod environment;
+mod hull;
 mod irt;
 mod light_field;
 mod reflection;
 mod tbl;
 
-pub use emitters::{EmitterSample, Emitters, detect_emissive};
+pub use emitters::{EmissionEvidence, EmitterSample, Emitters, detect_emissive};
 pub use environment::Environment;
 pub use irt::{Bake, Estimator, Irradiance, IrtOptions, Receiver, bake_irradiance};
 pub use light_field::LightField;

@@ -4,11 +4,10 @@
 //! rays serves any number of roughness levels R (method §12.3 point 6); the radiance along a ray is averaged over the cone the
 //! ray stands for.
 
-use super::emitters::segment;
 use super::irt::Bake;
 use crate::brdf::{sample_vndf, specular, vndf_reflection_pdf};
 use crate::math::Frame;
-use crate::sampling::{AliasTable, SobolSequence};
+use crate::sampling::{Discrete, SobolSequence};
 use crate::trace::{Hit, Ray};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
@@ -92,7 +91,7 @@ impl Reflector<'_> {
         s.gaze_of_ray.clear();
         s.shadow.clear();
         s.light.clear();
-        let choices: Vec<Option<&AliasTable>> = gazes.iter().map(|g| self.bake.emitters.choice_at(g.position)).collect();
+        let choices: Vec<Option<&Discrete>> = gazes.iter().map(|g| self.bake.emitters.choice_at(g.position)).collect();
         for (i, g) in gazes.iter().enumerate() {
             self.lobe_rays(i, g, lobes(&levels, i), s);
             if let Some(choice) = choices[i] {
@@ -107,13 +106,8 @@ impl Reflector<'_> {
             let i = s.gaze_of_ray[r] as usize;
             let g = &gazes[i];
             let l = Vec3::from_array(s.rays[r].direction);
-            let mut emitter_pdf = 0.0;
-            if hit.is_hit() && self.bake.field.is_emissive(hit.triangle as usize) {
-                let cos_e = -self.bake.field.outward_normal(hit.triangle as usize).dot(l);
-                if let Some(choice) = choices[i].filter(|_| cos_e > 0.0) {
-                    emitter_pdf = self.bake.emitters.pdf_area(choice, hit.triangle) * hit.t * hit.t / cos_e;
-                }
-            }
+            let origin = Vec3::from_array(s.rays[r].origin);
+            let emitter_pdf = choices[i].map_or(0.0, |c| self.bake.emitters.pdf(self.bake.field, c, origin, l, hit));
             let half = HalfVector::new(g, l);
             let density = self.density(&half, lobes(&levels, i), emitter_pdf);
             let spread = 2.0 * (FRAC_1_PI / density.max(0.3)).sqrt();
@@ -157,18 +151,17 @@ impl Reflector<'_> {
         }
     }
 
-    fn emitter_rays(&self, i: usize, g: &Gaze, choice: &AliasTable, s: &mut Scratch) {
+    fn emitter_rays(&self, i: usize, g: &Gaze, choice: &Discrete, s: &mut Scratch) {
         let origin = g.position + g.face_normal * self.bake.offset;
         let sequence = SobolSequence::new(self.seed ^ 0x11_9474, g.key);
         for j in 0..self.emitter_samples {
-            let e = self.bake.emitters.sample(self.bake.mesh, self.bake.field, choice, sequence.point4(j));
-            let d = e.position - origin;
-            let d2 = d.length_squared().max(1e-12);
-            let l = d / d2.sqrt();
-            let cos_e = -e.normal.dot(l);
-            if cos_e > 0.0 && g.normal.dot(l) > 0.0 && g.face_normal.dot(l) > 0.0 {
-                s.shadow.push(segment(origin, e.position));
-                s.light.push((i as u32, e.radiance, e.pdf_area * d2 / cos_e));
+            let Some(e) = self.bake.emitters.sample(self.bake.mesh, self.bake.field, choice, origin, sequence.point3(j)) else {
+                continue;
+            };
+            let l = Vec3::from_array(e.ray.direction);
+            if g.normal.dot(l) > 0.0 && g.face_normal.dot(l) > 0.0 {
+                s.shadow.push(e.ray);
+                s.light.push((i as u32, e.radiance, e.pdf));
             }
         }
     }

@@ -40,7 +40,8 @@ pub fn fuse_radiance(observer: &Observer, orientation: &Orientation, texels: &Te
             let n = observer.mesh.face_normal(t) * orientation.sign(t);
             observer.observe(texels.position(observer.mesh, i), n, &mut seen);
             out.label.push(vote_label(&seen));
-            prefer_clean(&mut seen);
+            // next to an edge a pixel mixes two surfaces, and beside a lamp the mixture is a false light: such texels count as unseen
+            seen.retain(|o| o.clean);
             out.radiance.push(robust_mean(&seen));
             out.views.push(seen.len().min(255) as u8);
             out.floor.push(seen.iter().map(|o| crate::math::luminance(o.radiance)).fold(f32::INFINITY, f32::min));

@@ -6,7 +6,7 @@
 use super::{SolveOptions, Surface, surface::coverage};
 use crate::image::{Plane, RgbPlane};
 use crate::lighting::{
-    Bake, Emitters, Environment, Irradiance, IrtOptions, LightField, Receiver, bake_irradiance, detect_emissive,
+    Bake, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField, Receiver, bake_irradiance, detect_emissive,
 };
 use crate::math::luminance;
 use crate::progress::Progress;
@@ -57,9 +57,7 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
         progress.stage("emitters", coarse.len() as u64, |p| bake(surface, &field, &emitters, &coarse, &coarse_options, p));
     rays += first.rays;
     let coarse_irradiance = texture_of(&coarse, &first.value);
-    let excess = excess(surface, &coarse_irradiance);
-    let triangle: Vec<u32> = surface.texels.point.iter().map(|p| p.triangle).collect();
-    let emissive = detect_emissive(scene.mesh.triangles.len(), &triangle, &excess, &known);
+    let emissive = emitting_triangles(surface, &coarse_irradiance, &known);
 
     // surfaces nobody sees send out their class's albedo times their irradiance
     let unseen = observed.iter().filter(|o| !**o).count();
@@ -155,15 +153,18 @@ fn bake(
     bake_irradiance(&bake, texels.len(), receiver, options, progress)
 }
 
-/// π·L/E of the least bright clean view per albedo texel; 0 where unknown.
-fn excess(surface: &Surface, irradiance: &RgbPlane) -> Vec<f32> {
-    (0..surface.texels.len())
-        .map(|i| {
-            let e = luminance(irradiance_at(surface, irradiance, i));
-            let floor = surface.fusion.floor[i];
-            if e > 0.0 && floor.is_finite() { PI * floor / e } else { 0.0 }
+/// Emitting triangles by evidence: what they send out in every clean view is more than a white surface could reflect there.
+fn emitting_triangles(surface: &Surface, irradiance: &RgbPlane, known: &[bool]) -> Vec<bool> {
+    let texels: Vec<EmissionEvidence> = (0..surface.texels.len())
+        .map(|i| EmissionEvidence {
+            triangle: surface.texels.point[i].triangle,
+            label: surface.labels[i],
+            floor: if surface.fusion.floor[i].is_finite() { surface.fusion.floor[i] } else { 0.0 },
+            white: luminance(irradiance_at(surface, irradiance, i)) * FRAC_1_PI,
+            observed: surface.fusion.views[i] > 0,
         })
-        .collect()
+        .collect();
+    detect_emissive(surface.scene.mesh.triangles.len(), &texels, known)
 }
 
 fn irradiance_at(surface: &Surface, irradiance: &RgbPlane, i: usize) -> Vec3 {

@@ -14,4 +14,6 @@ pub use warp::{
 };
 
 mod alias;
+mod discrete;
 pub use alias::AliasTable;
+pub use discrete::Discrete;

@@ -84,6 +84,13 @@ impl SobolSequence {
         [self.value(i, 0), self.value(i, 1)]
     }
 
+    /// Point `index` in three dimensions, in [0, 1)³.
+    #[must_use]
+    pub fn point3(&self, index: u32) -> [f32; 3] {
+        let i = owen_scramble(index, hash_dimension(self.seed, 77));
+        std::array::from_fn(|d| self.value(i, d))
+    }
+
     /// Point `index` in four dimensions, in [0, 1)⁴.
     #[must_use]
     pub fn point4(&self, index: u32) -> [f32; 4] {

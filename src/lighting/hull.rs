@@ -1,0 +1,144 @@
+//! The scene's bounding box, slightly enlarged and divided into cells: where rays leave the scene.
+
+use glam::Vec3;
+
+/// Cells along the longest side of the box.
+const CELLS: f32 = 96.0;
+
+/// A box around the scene with its six faces divided into square-ish cells, numbered face by face.
+#[derive(Clone, Debug)]
+pub struct Hull {
+    lo: Vec3,
+    hi: Vec3,
+    /// Cells per axis.
+    count: [u32; 3],
+}
+
+impl Hull {
+    /// The box around `lo..hi`.
+    #[must_use]
+    pub fn around(lo: Vec3, hi: Vec3) -> Self {
+        let margin = Vec3::splat((hi - lo).max_element().max(f32::MIN_POSITIVE) * 1e-3);
+        let (lo, hi) = (lo - margin, hi + margin);
+        let size = hi - lo;
+        let count = (size / size.max_element() * CELLS).ceil().to_array().map(|c| (c as u32).max(1));
+        Self { lo, hi, count }
+    }
+
+    /// Length of the box's diagonal.
+    #[must_use]
+    pub fn diagonal(&self) -> f32 {
+        (self.hi - self.lo).length()
+    }
+
+    /// Where a ray from inside leaves: (cell, distance, cosine to the face's outward normal); `None` from outside.
+    #[must_use]
+    pub fn exit(&self, origin: Vec3, direction: Vec3) -> Option<(u32, f32, f32)> {
+        if !(origin.cmpge(self.lo).all() && origin.cmple(self.hi).all()) {
+            return None;
+        }
+        let (mut t, mut axis) = (f32::INFINITY, 3);
+        for a in 0..3 {
+            let d = direction[a];
+            if d.abs() > 1e-9 {
+                let to = if d > 0.0 { self.hi[a] } else { self.lo[a] };
+                let candidate = (to - origin[a]) / d;
+                if candidate < t {
+                    (t, axis) = (candidate, a);
+                }
+            }
+        }
+        if axis == 3 {
+            return None;
+        }
+        let p = origin + direction * t;
+        let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
+        let index = |a: usize| {
+            let x = (p[a] - self.lo[a]) / (self.hi[a] - self.lo[a]) * self.count[a] as f32;
+            (x.max(0.0) as u32).min(self.count[a] - 1)
+        };
+        let face = 2 * axis as u32 + u32::from(direction[axis] > 0.0);
+        Some((self.number(face, index(b), index(c)), t.max(1e-6), direction[axis].abs()))
+    }
+
+    fn number(&self, face: u32, i: u32, j: u32) -> u32 {
+        (face * 128 + i) * 128 + j
+    }
+
+    fn parts(&self, cell: u32) -> (usize, f32, usize, usize, u32, u32) {
+        let (face, i, j) = (cell / (128 * 128), cell / 128 % 128, cell % 128);
+        let axis = (face / 2) as usize;
+        let at = if face % 2 == 1 { self.hi[axis] } else { self.lo[axis] };
+        (axis, at, (axis + 1) % 3, (axis + 2) % 3, i, j)
+    }
+
+    /// The point of a cell at `u` in [0, 1)².
+    #[must_use]
+    pub fn cell_point(&self, cell: u32, u: [f32; 2]) -> Vec3 {
+        let (axis, at, b, c, i, j) = self.parts(cell);
+        let mut p = Vec3::ZERO;
+        p[axis] = at;
+        p[b] = self.lo[b] + (self.hi[b] - self.lo[b]) * (i as f32 + u[0]) / self.count[b] as f32;
+        p[c] = self.lo[c] + (self.hi[c] - self.lo[c]) * (j as f32 + u[1]) / self.count[c] as f32;
+        p
+    }
+
+    /// Centre of a cell.
+    #[must_use]
+    pub fn cell_centre(&self, cell: u32) -> Vec3 {
+        self.cell_point(cell, [0.5, 0.5])
+    }
+
+    /// Area of a cell, m².
+    #[must_use]
+    pub fn cell_area(&self, cell: u32) -> f32 {
+        let (_, _, b, c, _, _) = self.parts(cell);
+        let side = |a: usize| (self.hi[a] - self.lo[a]) / self.count[a] as f32;
+        side(b) * side(c)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_of_a_cell_are_found_again_as_exits() {
+        let hull = Hull::around(Vec3::new(-1.0, 0.0, 2.0), Vec3::new(4.0, 2.5, 5.0));
+        let origin = Vec3::new(1.0, 1.2, 3.0);
+        let mut seen = 0;
+        for face in 0..6u32 {
+            for (i, j) in [(0, 0), (7, 11), (20, 3)] {
+                let cell = hull.number(face, i, j);
+                let p = hull.cell_point(cell, [0.3, 0.8]);
+                let d = (p - origin).normalize();
+                let (found, t, cosine) = hull.exit(origin, d).expect("inside");
+                assert_eq!(found, cell);
+                assert!((origin + d * t - p).length() < 1e-4 && cosine > 0.0);
+                seen += 1;
+            }
+        }
+        assert_eq!(seen, 18);
+        assert!(hull.exit(Vec3::splat(100.0), Vec3::X).is_none());
+    }
+
+    /// Areas as seen from inside: the solid angles of all cells sum to the sphere.
+    #[test]
+    fn cells_tile_the_sphere() {
+        let hull = Hull::around(Vec3::ZERO, Vec3::new(2.0, 1.0, 1.5));
+        let origin = Vec3::new(0.7, 0.4, 0.6);
+        let mut sum = 0.0f64;
+        for face in 0..6u32 {
+            let axis = (face / 2) as usize;
+            for i in 0..hull.count[(axis + 1) % 3] {
+                for j in 0..hull.count[(axis + 2) % 3] {
+                    let cell = hull.number(face, i, j);
+                    let d = hull.cell_centre(cell) - origin;
+                    let t2 = d.length_squared();
+                    sum += f64::from(hull.cell_area(cell) * d[axis].abs() / t2.sqrt() / t2);
+                }
+            }
+        }
+        assert!((sum / (4.0 * std::f64::consts::PI) - 1.0).abs() < 1e-3, "{sum}");
+    }
+}
