@@ -69,7 +69,8 @@ impl<'a> Photographer<'a> {
             Some(view) => display_gain(&scene.load_radiance(view)?),
             None => 1.0,
         };
-        let irradiance_gain = display_gain(&solution.irradiance);
+        // the texels of lamps and sills would leave the rooms dark
+        let irradiance_gain = gain_at(&solution.irradiance, 0.7);
         Ok(Self { scene, solution, tracer: EmbreeTracer::new(&solution.mesh)?, gain, irradiance_gain })
     }
 
@@ -204,11 +205,16 @@ pub fn report_camera(view: &View) -> Camera {
 
 /// The exposure at which the brightest twentieth of what is not black clips.
 fn display_gain(image: &RgbPlane) -> f32 {
+    gain_at(image, 0.95)
+}
+
+/// The exposure that brings a quantile of what is not black to white.
+fn gain_at(image: &RgbPlane, quantile: f64) -> f32 {
     let mut peaks: Vec<f32> = image.data.iter().map(|v| v.max_element()).filter(|v| v.is_finite() && *v > 0.0).collect();
     if peaks.is_empty() {
         return 1.0;
     }
-    let at = (peaks.len() - 1) * 19 / 20;
+    let at = ((peaks.len() - 1) as f64 * quantile) as usize;
     let (_, value, _) = peaks.select_nth_unstable_by(at, f32::total_cmp);
     1.0 / *value
 }
