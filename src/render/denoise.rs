@@ -18,7 +18,9 @@ const LEVELS: u32 = 5;
 /// B₃ spline.
 const KERNEL: [f32; 3] = [0.375, 0.25, 0.0625];
 /// Width of the luminance weight in standard deviations of the difference.
-const LUMINANCE_SIGMAS: f32 = 2.5;
+const LUMINANCE_SIGMAS: f32 = 4.0;
+/// Standard deviations by which a pixel may exceed the brightest of its neighbours before it is taken for a stray.
+const OUTLIER_SIGMAS: f32 = 2.0;
 /// Albedo below which the diffuse part is not divided further.
 const ALBEDO_FLOOR: f32 = 0.02;
 /// Width of the roughness weight of the specular part.
@@ -111,11 +113,12 @@ fn filter(grid: &Grid, guides: &[Guide], signal: Vec<Signal>, specular: bool) ->
     let mut signal = smooth_variance(grid, guides, &tame_outliers(grid, guides, &signal, specular), specular);
     for level in 0..LEVELS {
         let step = 1isize << level;
+        let steer = steering(grid, guides, &signal, specular);
         let rows = map_chunks(grid.height, 4, |range| {
             let mut out = Vec::with_capacity(range.len() * grid.width);
             for y in range {
                 for x in 0..grid.width {
-                    out.push(wavelet(grid, guides, &signal, x, y, step, specular));
+                    out.push(wavelet(grid, guides, &signal, &steer, (x, y), step, specular));
                 }
             }
             out
@@ -125,13 +128,42 @@ fn filter(grid: &Grid, guides: &[Guide], signal: Vec<Signal>, specular: bool) ->
     signal
 }
 
-fn wavelet(grid: &Grid, guides: &[Guide], signal: &[Signal], x: usize, y: usize, step: isize, specular: bool) -> Signal {
+/// Luminance and its variance, averaged over 3×3 pixels of a surface: what luminance weights are taken from. A pixel's own
+/// noise in its own weights would prefer neighbours that err the same way, and skewed noise would darken the image.
+fn steering(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: bool) -> Vec<[f32; 2]> {
+    let average = |i: usize| {
+        let (x, y) = (i % grid.width, i / grid.width);
+        let (mut sum, mut variance, mut total) = (0.0f32, 0.0f32, 0.0f32);
+        for dy in -1isize..=1 {
+            for dx in -1isize..=1 {
+                let Some(j) = grid.neighbour(x, y, dx, dy) else { continue };
+                let weight = if j == i { 1.0 } else { same_surface(&guides[i], &guides[j], specular) };
+                sum += weight * luminance(signal[j].value);
+                variance += weight * weight * signal[j].variance;
+                total += weight;
+            }
+        }
+        [sum / total, variance / (total * total)]
+    };
+    let parts = map_chunks(signal.len(), 4096, |range| range.map(average).collect::<Vec<[f32; 2]>>());
+    parts.into_iter().flatten().collect()
+}
+
+fn wavelet(
+    grid: &Grid,
+    guides: &[Guide],
+    signal: &[Signal],
+    steer: &[[f32; 2]],
+    (x, y): (usize, usize),
+    step: isize,
+    specular: bool,
+) -> Signal {
     let i = y * grid.width + x;
     let (here, g) = (signal[i], &guides[i]);
     if g.normal == Vec3::ZERO {
         return here;
     }
-    let brightness = luminance(here.value);
+    let [brightness, uncertainty] = steer[i];
     let (mut value, mut variance, mut total) = (Vec3::ZERO, 0.0f32, 0.0f32);
     for dy in -2isize..=2 {
         for dx in -2isize..=2 {
@@ -143,8 +175,8 @@ fn wavelet(grid: &Grid, guides: &[Guide], signal: &[Signal], x: usize, y: usize,
                 if surface == 0.0 {
                     continue;
                 }
-                let sigma = LUMINANCE_SIGMAS * (here.variance + there.variance).sqrt() + 1e-5 * brightness + 1e-12;
-                weight *= surface * (-(luminance(there.value) - brightness).abs() / sigma).exp();
+                let sigma = LUMINANCE_SIGMAS * (uncertainty + steer[j][1]).sqrt() + 1e-5 * brightness + 1e-12;
+                weight *= surface * (-(steer[j][0] - brightness).abs() / sigma).exp();
             }
             value += there.value * weight;
             variance += there.variance * weight * weight;
@@ -178,8 +210,8 @@ fn smooth_variance(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: b
     rows.into_iter().flatten().collect()
 }
 
-/// Pulls pixels that stand out of all their neighbours on the same surface, and are uncertain themselves, down to the
-/// brightest of these: one lucky path would otherwise become a disc.
+/// Pulls pixels that stand out of all their neighbours on the same surface, and are uncertain themselves, down to what the
+/// brightest of these and their noise allow: one lucky path would otherwise become a disc.
 fn tame_outliers(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: bool) -> Vec<Signal> {
     let tame = |i: usize| {
         let (x, y) = (i % grid.width, i / grid.width);
@@ -206,10 +238,13 @@ fn tame_outliers(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: boo
             }
         }
         let (brightest, variance, count) = if same.2 < 4 { all } else { same };
-        if count < 4 || brightness <= brightest {
+        // one pixel in nine is the brightest of its neighbourhood: only what their noise does not explain is taken away
+        let mean_variance = variance / count.max(1) as f32;
+        let limit = brightest + OUTLIER_SIGMAS * mean_variance.sqrt();
+        if count < 4 || brightness <= limit {
             return here;
         }
-        Signal { value: here.value * (brightest / brightness), variance: here.variance.min(variance / count as f32) }
+        Signal { value: here.value * (limit / brightness), variance: here.variance.min(mean_variance) }
     };
     let parts = map_chunks(signal.len(), 4096, |range| range.map(tame).collect::<Vec<Signal>>());
     parts.into_iter().flatten().collect()
