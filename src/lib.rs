@@ -4,6 +4,7 @@
 //! indoor scene, its irradiance and radiance textures, and a `.glb` that any engine can relight. The method is that of
 //! *Multi-view Inverse Rendering for Large-scale Real-world Indoor Scenes* (TexIR, CVPR 2023), on CPUs, with Embree for every ray.
 
+pub mod bench;
 pub mod brdf;
 pub mod cli;
 pub mod error;

@@ -98,6 +98,12 @@ pub enum Verb {
         #[command(flatten)]
         load: LoadOptions,
     },
+    /// Measure: speed and accuracy of the light, the trade of the presets, the time beside published ones.
+    Bench {
+        /// What to measure.
+        #[command(subcommand)]
+        what: super::BenchVerb,
+    },
 }
 
 impl Cli {
@@ -111,7 +117,7 @@ impl Cli {
             Some(Verb::Check { load, .. }) => config.scene = load.clone(),
             Some(Verb::Solve { options, load, .. }) => (config.solve, config.scene) = (options.clone(), load.clone()),
             Some(Verb::Eval { options, load, .. }) => (config.eval, config.scene) = (options.clone(), load.clone()),
-            None => {}
+            Some(Verb::Bench { .. }) | None => {}
         }
         config
     }

@@ -4,11 +4,13 @@
 //! 1 failed, 2 wrong usage or unusable input. A reader that closes the pipe early is not a failure.
 
 mod args;
+mod bench;
 mod config;
 mod progress;
 mod verbs;
 
 pub use args::{Cli, Global, Verb};
+pub use bench::BenchVerb;
 pub use config::Config;
 pub use progress::{Bars, LogLines, Tee};
 
@@ -49,6 +51,7 @@ impl Context {
 /// Runs the program with the given arguments (the first is its name) and returns its exit code.
 #[must_use]
 pub fn run(arguments: Vec<OsString>) -> ExitCode {
+    let arguments = bench::with_json_file(arguments);
     let command: Vec<String> = arguments.iter().skip(1).map(|a| a.to_string_lossy().into_owned()).collect();
     let matches = match Cli::command().try_get_matches_from(arguments) {
         Ok(matches) => matches,

@@ -20,6 +20,7 @@ pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
         Verb::Check { scene, .. } => return check_scene(required(scene)?, context),
         Verb::Solve { scene, out, .. } => solve(required(scene)?, required(out)?, context),
         Verb::Eval { out, scene, .. } => eval(required(out)?, required(scene)?, context),
+        Verb::Bench { what } => super::bench::run(what, context),
     }?;
     Ok(0)
 }
@@ -56,7 +57,7 @@ fn required<T>(value: &Option<T>) -> Result<&T> {
     value.as_ref().ok_or_else(|| Error::Usage("an argument is missing; see --help".into()))
 }
 
-fn read_scene(path: &Path, context: &Context) -> Result<Scene> {
+pub(super) fn read_scene(path: &Path, context: &Context) -> Result<Scene> {
     let scene = context.progress.stage("reading the scene", 1, |_| Scene::load(path, &context.config.scene))?;
     for warning in &scene.warnings {
         context.progress.note(warning);

@@ -78,6 +78,22 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
         100.0 * unseen as f64 / observed.len().max(1) as f64
     ));
     let texels = Texels::rasterize(&scene.mesh, options.irradiance_size, options.irradiance_size);
+    let baked = bake_irradiance_texels(surface, &field, &emitters, &texels, options, progress);
+    rays += baked.rays;
+    let irradiance = texture_of(&texels, &baked.value);
+    Light { field, emitters, emissive, radiance, texels, irradiance, error: baked.error, rays }
+}
+
+/// The irradiance of `texels` as the options ask for it: the last and longest step of [`reconstruct_light`].
+#[must_use]
+pub fn bake_irradiance_texels(
+    surface: &Surface,
+    field: &LightField,
+    emitters: &Emitters,
+    texels: &Texels,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Irradiance {
     let full_options = IrtOptions {
         rays: options.irradiance_rays,
         emitter_samples: options.emitter_samples,
@@ -86,11 +102,7 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
         seed: options.seed,
         ..IrtOptions::default()
     };
-    let baked =
-        progress.stage("irradiance", texels.len() as u64, |p| bake(surface, &field, &emitters, &texels, &full_options, p));
-    rays += baked.rays;
-    let irradiance = texture_of(&texels, &baked.value);
-    Light { field, emitters, emissive, radiance, texels, irradiance, error: baked.error, rays }
+    progress.stage("irradiance", texels.len() as u64, |p| bake(surface, field, emitters, texels, &full_options, p))
 }
 
 /// Triangles whose class is known to emit.

@@ -5,7 +5,7 @@ mod options;
 mod solve;
 mod surface;
 
-pub use light::{Light, reconstruct_light};
+pub use light::{Light, bake_irradiance_texels, reconstruct_light};
 pub use options::{Quality, SolveOptions};
 pub use solve::{Solved, reconstruct};
 pub use surface::Surface;

@@ -1,0 +1,367 @@
+//! `unbake bench irt`: how fast irradiance is computed, and how accurate it is for its time.
+
+use super::irt_error::{ladders, pipeline_point, reference, seconds_to_reach};
+use super::plot::{Chart, Series, svg};
+use super::{ErrorPoint, Ground, Growth, Rates, Reference, growth, irt_rates, timed};
+use crate::Result;
+use crate::pipeline::SolveOptions;
+use crate::progress::Progress;
+use crate::report::{Machine, SceneSummary, Versions, machine, peak_bytes};
+use crate::scene::Scene;
+use serde::Serialize;
+use std::fmt::Write as _;
+
+/// Rays of the paper's irradiance texture: 1024² texels × 2048.
+const PAPER_RAYS: f64 = 1024.0 * 1024.0 * 2048.0;
+/// What the paper reports for it on its graphics card.
+const PAPER_SECONDS: f64 = 600.0;
+
+/// What `unbake bench irt` can be told.
+#[derive(clap::Args, Clone, Debug)]
+pub struct IrtBench {
+    /// Texels at which errors are taken.
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    pub reference_texels: usize,
+    /// Repetitions of each rate measurement; medians are reported.
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    pub repetitions: usize,
+    /// Longer ladders of sample counts, the pipeline at four sample counts, and meshes of up to 10 million triangles.
+    #[arg(long)]
+    pub full: bool,
+    /// Leave out growth with texels, triangles and threads.
+    #[arg(long)]
+    pub no_growth: bool,
+}
+
+/// Everything `unbake bench irt` measures.
+#[derive(Clone, Debug, Serialize)]
+pub struct IrtReport {
+    /// End-to-end closest-hit rays/s of the cosine estimator as a share of the bare Embree loop's over the same rays.
+    pub bare_ratio_closest: f64,
+    /// The same of a bake by emitter samples (almost only occlusion rays); absent without emitters.
+    pub bare_ratio_occlusion: Option<f64>,
+    /// How many times sooner than `uniform` at 2048 rays the best of our curves reaches that bake's error.
+    pub speedup_equal_rmse: Option<f64>,
+    /// The curve that does, `mis` or `pipeline`.
+    pub speedup_curve: Option<String>,
+    /// Seconds of the pipeline's irradiance at the default size, filter included.
+    pub seconds_1024: f64,
+    /// Its √(Σ‖E−E'‖²/Σ‖E'‖²).
+    pub relative_rmse_1024: f64,
+    /// Its median ‖E−E'‖/‖E'‖.
+    pub median_relative_error_1024: f64,
+    /// Its rays per covered texel.
+    pub rays_per_texel: f64,
+    /// Side of that texture.
+    pub irradiance_size: usize,
+    /// Its covered texels.
+    pub covered_texels: usize,
+    /// Error, seconds and rays of `uniform` at 2048.
+    pub uniform_2048: Option<ErrorPoint>,
+    /// Seconds the paper's 2.147 G rays would take at the uniform estimator's end-to-end rate.
+    pub paper_budget_seconds: f64,
+    /// Threads used.
+    pub threads: usize,
+    /// Embree's version.
+    pub embree: String,
+    /// Versions.
+    pub versions: Versions,
+    /// The machine.
+    pub machine: Machine,
+    /// The scene.
+    pub scene: SceneSummary,
+    /// Lamps found.
+    pub lamps: usize,
+    /// Rays per second.
+    pub rates: Rates,
+    /// The reference.
+    pub reference: Reference,
+    /// Error against time.
+    pub points: Vec<ErrorPoint>,
+    /// Growth with texels, triangles and threads.
+    pub growth: Growth,
+    /// Seconds of the whole benchmark.
+    pub seconds: f64,
+    /// Largest resident size of the process.
+    pub peak_bytes: u64,
+}
+
+/// Runs the benchmark.
+///
+/// # Errors
+/// An unusable scene, or no memory for a larger mesh.
+pub fn bench_irt(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &Progress) -> Result<IrtReport> {
+    let (report, seconds) = timed(|| measure(scene, bench, options, progress));
+    report.map(|r| IrtReport { seconds, peak_bytes: peak_bytes(), ..r })
+}
+
+fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &Progress) -> Result<IrtReport> {
+    let ground = Ground::prepare(scene, options, progress)?;
+    let texels = &ground.light.texels;
+    let rays = if bench.full { 2_000_000 } else { 500_000 };
+    let rates = progress.stage("rays per second", 4, |p| irt_rates::measure(&ground, texels, rays, bench.repetitions, p));
+    let reference =
+        progress.stage("reference", 2 * bench.reference_texels as u64, |p| reference(&ground, texels, bench.reference_texels, p));
+    let runs = if bench.full { 8192 } else { 4096 };
+    let mut points = progress.stage("error against time", 0, |p| ladders(&ground, texels, &reference, runs, bench.full, p));
+    let (r, e) = (ground.options.irradiance_rays, ground.options.emitter_samples);
+    let quarter = [(r / 4).max(2), (e / 4).max(1)];
+    let others: &[[u32; 2]] = if bench.full { &[quarter, [2 * r, 2 * e], [4 * r, 4 * e]] } else { &[quarter] };
+    let ours = pipeline_point(&ground, texels, &reference, [r, e], progress);
+    for &o in others {
+        points.push(pipeline_point(&ground, texels, &reference, o, progress));
+    }
+    points.push(ours.clone());
+    let growth = if bench.no_growth { Growth::default() } else { grow(&ground, bench, &ours, progress)? };
+    let uniform_2048 = points.iter().find(|p| p.curve == "uniform" && p.rays == 2048).cloned();
+    let best = uniform_2048.as_ref().and_then(|u| {
+        ["mis", "pipeline"]
+            .iter()
+            .filter_map(|&curve| {
+                let of: Vec<&ErrorPoint> = points.iter().filter(|p| p.curve == curve).collect();
+                Some((u.seconds / seconds_to_reach(&of, u.relative_rmse)?, curve.to_owned()))
+            })
+            .max_by(|a, b| a.0.total_cmp(&b.0))
+    });
+    Ok(IrtReport {
+        bare_ratio_closest: rates.closest,
+        bare_ratio_occlusion: rates.occlusion,
+        speedup_equal_rmse: best.as_ref().map(|b| b.0),
+        speedup_curve: best.map(|b| b.1),
+        seconds_1024: ours.seconds,
+        relative_rmse_1024: ours.relative_rmse,
+        median_relative_error_1024: ours.median_relative_error,
+        rays_per_texel: ours.rays_per_texel,
+        irradiance_size: options.irradiance_size,
+        covered_texels: texels.len(),
+        uniform_2048,
+        paper_budget_seconds: PAPER_RAYS / rates.estimators[0].rays_per_second,
+        threads: rayon::current_num_threads(),
+        embree: crate::trace::embree_version(),
+        versions: Versions::current(),
+        machine: machine(),
+        scene: SceneSummary::of(scene),
+        lamps: ground.light.emitters.lamp_count(),
+        rates,
+        reference,
+        points,
+        growth,
+        seconds: 0.0,
+        peak_bytes: 0,
+    })
+}
+
+fn grow(ground: &Ground, bench: &IrtBench, ours: &ErrorPoint, progress: &Progress) -> Result<Growth> {
+    let texels = &ground.light.texels;
+    let side = ground.options.irradiance_size;
+    let mut sizes = growth::with_texels(ground, &[side / 4, side / 2], progress);
+    sizes.push(super::TextureGrowth {
+        side,
+        texels: texels.len(),
+        rays: (ours.rays_per_texel * texels.len() as f64) as u64,
+        seconds: ours.seconds,
+        texels_per_second: texels.len() as f64 / ours.seconds,
+    });
+    let most = if bench.full { 11_000_000 } else { 2_500_000 };
+    let triangles = progress.stage("growth with triangles", 0, |p| growth::with_triangles(ground, texels, most, p))?;
+    let threads = progress.stage("growth with threads", 0, |_| growth::with_threads(ground, texels, bench.repetitions))?;
+    Ok(Growth { texels: sizes, triangles, threads })
+}
+
+impl IrtReport {
+    /// The table of the terminal.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut out = String::new();
+        // writing to a string cannot fail
+        let _ = self.write(&mut out);
+        out
+    }
+
+    fn write(&self, out: &mut String) -> std::fmt::Result {
+        writeln!(
+            out,
+            "{}: {} triangles, {} lamps, {} of {}² texels covered; {} threads of {}; Embree {}",
+            self.scene.name,
+            self.scene.triangles,
+            self.lamps,
+            self.covered_texels,
+            self.irradiance_size,
+            self.threads,
+            self.machine.cpu,
+            self.embree
+        )?;
+        writeln!(
+            out,
+            "\nRays per second, end to end, beside a bare Embree loop over the same rays (medians of {}):",
+            self.rates.repetitions
+        )?;
+        writeln!(out, "  {:28} {:>10} {:>10} {:>9} {:>9} {:>7}", "", "closest", "occlusion", "Mray/s", "bare", "share")?;
+        for r in &self.rates.estimators {
+            let total = (r.closest_rays + r.occlusion_rays) as f64;
+            writeln!(
+                out,
+                "  {:28} {:>10} {:>10} {:>9.2} {:>9.2} {:>6.1}%",
+                r.name,
+                r.closest_rays,
+                r.occlusion_rays,
+                r.rays_per_second * 1e-6,
+                total / r.bare_seconds * 1e-6,
+                100.0 * r.bare_ratio
+            )?;
+        }
+        for b in &self.rates.batches {
+            writeln!(
+                out,
+                "  {:28} {:>21} {:>9.2} {:>9.2} {:>6.1}%",
+                format!("batch call, {}", b.name),
+                b.rays,
+                b.rays_per_second * 1e-6,
+                b.bare_rays_per_second * 1e-6,
+                100.0 * b.bare_ratio
+            )?;
+        }
+        writeln!(
+            out,
+            "  the paper's {:.3} G rays at the uniform rate: {:.0} s (paper: about {:.0} s)",
+            PAPER_RAYS * 1e-9,
+            self.paper_budget_seconds,
+            PAPER_SECONDS
+        )?;
+        let r = &self.reference;
+        writeln!(
+            out,
+            "\nError at {} seen texels against {} samples (a uniform bake of as many rays: {:.2} % apart, {:+.2} % in the mean):",
+            r.texels,
+            r.samples,
+            100.0 * r.uniform_relative_rmse,
+            100.0 * r.uniform_mean_difference
+        )?;
+        writeln!(
+            out,
+            "  {:10} {:>12} {:>11} {:>10} {:>10} {:>10}",
+            "", "rays + lamps", "rays/texel", "seconds", "rel. RMSE", "median"
+        )?;
+        for p in &self.points {
+            writeln!(
+                out,
+                "  {:10} {:>12} {:>11.0} {:>9.2}{} {:>9.2}% {:>9.2}%",
+                p.curve,
+                format!("{} + {}", p.rays, p.emitter_samples),
+                p.rays_per_texel,
+                p.seconds,
+                if p.measured_whole { " " } else { "~" },
+                100.0 * p.relative_rmse,
+                100.0 * p.median_relative_error
+            )?;
+        }
+        writeln!(out, "  seconds for the whole texture; ~ = scaled up from a part; the pipeline's include its filter")?;
+        if let (Some(s), Some(curve), Some(u)) = (self.speedup_equal_rmse, &self.speedup_curve, &self.uniform_2048) {
+            writeln!(
+                out,
+                "  {curve} reaches the error of uniform 2048 ({:.2} %, {:.0} s) {s:.0} times sooner",
+                100.0 * u.relative_rmse,
+                u.seconds
+            )?;
+        }
+        self.write_growth(out)?;
+        writeln!(out, "\nwhole benchmark: {:.0} s, {:.2} GiB at most", self.seconds, self.peak_bytes as f64 / (1u64 << 30) as f64)
+    }
+
+    fn write_growth(&self, out: &mut String) -> std::fmt::Result {
+        let g = &self.growth;
+        if g.texels.is_empty() {
+            return Ok(());
+        }
+        writeln!(out, "\nGrowth of the pipeline's bake with the texture:")?;
+        for t in &g.texels {
+            writeln!(
+                out,
+                "  {:>5}²: {:>8} texels, {:>7.2} s, {:>9.0} texels/s, {:.1} M rays",
+                t.side,
+                t.texels,
+                t.seconds,
+                t.texels_per_second,
+                t.rays as f64 * 1e-6
+            )?;
+        }
+        writeln!(out, "Growth of tracing with the mesh (the same rays; Mray/s):")?;
+        for t in &g.triangles {
+            writeln!(
+                out,
+                "  {:>9} triangles: closest {:>6.2} (bare {:>6.2}), occlusion {:>6.2}; built in {:.2} s",
+                t.triangles,
+                t.closest_per_second * 1e-6,
+                t.bare_closest_per_second * 1e-6,
+                t.occluded_per_second * 1e-6,
+                t.build_seconds
+            )?;
+        }
+        writeln!(out, "Growth with threads (cosine bake, end to end):")?;
+        for t in &g.threads {
+            writeln!(out, "  {:>3}: {:>6.2} Mray/s, {:.2} times one", t.threads, t.rays_per_second * 1e-6, t.speedup)?;
+        }
+        Ok(())
+    }
+
+    /// Error against time, shares of the bare loop, and growth, as SVG.
+    ///
+    /// # Errors
+    /// The drawing library failing.
+    pub fn plot(&self) -> Result<String> {
+        let curve = |name: &str| Series {
+            name: name.to_owned(),
+            points: self.points.iter().filter(|p| p.curve == name).map(|p| (p.seconds, 100.0 * p.relative_rmse)).collect(),
+            line: true,
+        };
+        let mut names: Vec<&str> = self.points.iter().map(|p| p.curve.as_str()).collect();
+        names.dedup();
+        let mut seen = Vec::new();
+        names.retain(|n| {
+            !seen.contains(n) && {
+                seen.push(*n);
+                true
+            }
+        });
+        let line = |name: &str, points: Vec<(f64, f64)>| Series { name: name.to_owned(), points, line: true };
+        let chart = |title: &str, x: &str, y: &str, series| Chart {
+            title: title.to_owned(),
+            x: x.to_owned(),
+            y: y.to_owned(),
+            log_x: true,
+            log_y: true,
+            series,
+        };
+        let mut charts = vec![chart(
+            &format!("{}: irradiance {}², {} threads", self.scene.name, self.irradiance_size, self.threads),
+            "seconds for the whole texture",
+            "relative RMSE, %",
+            names.iter().map(|n| curve(n)).collect(),
+        )];
+        let g = &self.growth;
+        if !g.texels.is_empty() {
+            let of =
+                |f: fn(&super::TriangleGrowth) -> f64| g.triangles.iter().map(|t| (t.triangles as f64, f(t) * 1e-6)).collect();
+            charts.push(chart(
+                "Growth with triangles: the same rays",
+                "triangles",
+                "Mray/s",
+                vec![
+                    line("closest hit", of(|t| t.closest_per_second)),
+                    line("bare closest hit", of(|t| t.bare_closest_per_second)),
+                    line("occlusion", of(|t| t.occluded_per_second)),
+                ],
+            ));
+            let texels = g.texels.iter().map(|t| (t.texels as f64, t.seconds)).collect();
+            charts.push(chart(
+                "Growth with texels: the pipeline's bake",
+                "covered texels",
+                "seconds",
+                vec![line("bake", texels)],
+            ));
+            let threads = g.threads.iter().map(|t| (t.threads as f64, t.rays_per_second * 1e-6)).collect();
+            charts.push(chart("Growth with threads: cosine bake", "threads", "Mray/s", vec![line("cosine", threads)]));
+        }
+        svg(&charts)
+    }
+}

@@ -1,0 +1,198 @@
+//! Rays per second of each estimator, end to end, beside a bare Embree loop over the very same rays.
+//!
+//! A tracer that remembers what it is asked collects the rays of a bake of some runs of texels; the bare C++ loops then trace the
+//! same rays in the same batches on the same threads. The ratio says what ray generation, texture lookups and accumulation cost.
+
+use super::{Ground, interleaved};
+use crate::lighting::{Estimator, IrtOptions};
+use crate::progress::Progress;
+use crate::texture::Texels;
+use crate::trace::{BATCH, EmbreeTracer, Hit, Ray, Tracer};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::hint::black_box;
+use std::sync::Mutex;
+
+/// One estimator against the bare loop.
+#[derive(Clone, Debug, Serialize)]
+pub struct EstimatorRate {
+    /// What was run.
+    pub name: String,
+    /// Closest-hit rays of the sample.
+    pub closest_rays: usize,
+    /// Occlusion rays of the sample.
+    pub occlusion_rays: usize,
+    /// Seconds of the estimator, median.
+    pub seconds: f64,
+    /// Seconds of the bare loops over the same rays, median.
+    pub bare_seconds: f64,
+    /// Rays per second end to end.
+    pub rays_per_second: f64,
+    /// Rays per second as a share of the bare loop's.
+    pub bare_ratio: f64,
+}
+
+/// The batch queries alone against the bare loop, without generating or using rays.
+#[derive(Clone, Debug, Serialize)]
+pub struct BatchRate {
+    /// Query.
+    pub name: String,
+    /// Rays.
+    pub rays: usize,
+    /// Rays per second through the batch interface.
+    pub rays_per_second: f64,
+    /// Rays per second of the bare loop.
+    pub bare_rays_per_second: f64,
+    /// Their ratio.
+    pub bare_ratio: f64,
+}
+
+/// Everything about rays per second.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Rates {
+    /// Estimators end to end.
+    pub estimators: Vec<EstimatorRate>,
+    /// Batch queries alone.
+    pub batches: Vec<BatchRate>,
+    /// Cosine estimator's ratio: closest hits end to end.
+    pub closest: f64,
+    /// Ratio of a bake by emitter samples (two hemisphere rays per texel beside them); absent without emitters.
+    pub occlusion: Option<f64>,
+    /// Texels of the sample.
+    pub texels: usize,
+    /// Repetitions of each measurement.
+    pub repetitions: usize,
+}
+
+/// Passes queries on and keeps their rays.
+struct Recording<'a> {
+    inner: &'a EmbreeTracer,
+    closest: Mutex<Vec<Ray>>,
+    occluded: Mutex<Vec<Ray>>,
+}
+
+impl Tracer for Recording<'_> {
+    fn closest(&self, rays: &[Ray], hits: &mut [Hit]) {
+        keep(&self.closest, rays);
+        self.inner.closest(rays, hits);
+    }
+
+    fn occluded(&self, rays: &[Ray], occluded: &mut [u8]) {
+        keep(&self.occluded, rays);
+        self.inner.occluded(rays, occluded);
+    }
+}
+
+fn keep(into: &Mutex<Vec<Ray>>, rays: &[Ray]) {
+    into.lock().unwrap_or_else(std::sync::PoisonError::into_inner).extend_from_slice(rays);
+}
+
+fn taken(rays: Mutex<Vec<Ray>>) -> Vec<Ray> {
+    let mut rays = rays.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    // the bare loop asks for finite rays
+    rays.retain(Ray::is_usable);
+    rays
+}
+
+/// The rays that a bake of `ids` traces: closest hits and occlusion.
+pub(super) fn rays_of(ground: &Ground, texels: &Texels, ids: &[usize], options: &IrtOptions) -> (Vec<Ray>, Vec<Ray>) {
+    let recording = Recording { inner: &ground.surface.tracer, closest: Mutex::default(), occluded: Mutex::default() };
+    let receiver = |k: usize| ground.receiver(texels, ids[k]);
+    let _ = crate::lighting::bake_irradiance(&ground.bake(&recording), ids.len(), receiver, options, &Progress::silent());
+    (taken(recording.closest), taken(recording.occluded))
+}
+
+/// The bare loops on all threads, in the batches of the tracer.
+pub(super) fn bare_closest(tracer: &EmbreeTracer, rays: &[Ray]) -> usize {
+    rays.par_chunks(BATCH).map(|r| tracer.scene().bare_closest(r)).sum()
+}
+
+fn bare_occluded(tracer: &EmbreeTracer, rays: &[Ray]) -> usize {
+    rays.par_chunks(BATCH).map(|r| tracer.scene().bare_occluded(r)).sum()
+}
+
+/// What is compared: the three estimators, the pipeline's mixture, and emitter samples (almost) alone.
+fn candidates(ground: &Ground) -> Vec<(String, IrtOptions)> {
+    let base = IrtOptions { max_rounds: 1, seed: ground.options.seed, ..IrtOptions::default() };
+    let o = &ground.options;
+    let mut all = vec![
+        (
+            "uniform, 512 rays".to_owned(),
+            IrtOptions { estimator: Estimator::Uniform, rays: 512, emitter_samples: 0, ..base.clone() },
+        ),
+        (
+            "cosine, 512 rays".to_owned(),
+            IrtOptions { estimator: Estimator::Cosine, rays: 512, emitter_samples: 0, ..base.clone() },
+        ),
+        (
+            format!("mis, {} + {} rays", o.irradiance_rays, o.emitter_samples),
+            IrtOptions { rays: o.irradiance_rays, emitter_samples: o.emitter_samples, ..base.clone() },
+        ),
+    ];
+    if !ground.light.emitters.is_empty() {
+        all.push(("emitters, 2 + 512 rays".to_owned(), IrtOptions { rays: 2, emitter_samples: 512, ..base }));
+    }
+    all
+}
+
+/// Measures every candidate on runs of texels holding about `rays` rays each.
+#[must_use]
+pub(super) fn measure(ground: &Ground, texels: &Texels, rays: usize, repetitions: usize, progress: &Progress) -> Rates {
+    let tracer = &ground.surface.tracer;
+    let candidates = candidates(ground);
+    let mut out = Rates { repetitions, ..Rates::default() };
+    for (k, (name, options)) in candidates.iter().enumerate() {
+        let per_texel = (options.rays + if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 }) as usize;
+        let ids = ground.runs(texels, rays / per_texel);
+        let (closest, occluded) = rays_of(ground, texels, &ids, options);
+        let mut flags = vec![0u8; occluded.len()];
+        let mut hits = vec![Hit::miss(); closest.len()];
+        let mut tasks: Vec<Box<dyn FnMut()>> = vec![
+            Box::new(|| {
+                black_box(ground.bake_some(texels, &ids, options, &Progress::silent()).rays);
+            }),
+            Box::new(|| {
+                black_box(bare_closest(tracer, &closest));
+            }),
+            Box::new(|| {
+                black_box(bare_occluded(tracer, &occluded));
+            }),
+            Box::new(|| tracer.closest(&closest, &mut hits)),
+            Box::new(|| tracer.occluded(&occluded, &mut flags)),
+        ];
+        let seconds = interleaved(repetitions, &mut tasks);
+        drop(tasks);
+        let total = closest.len() + occluded.len();
+        let bare = seconds[1] + if occluded.is_empty() { 0.0 } else { seconds[2] };
+        out.estimators.push(EstimatorRate {
+            name: name.clone(),
+            closest_rays: closest.len(),
+            occlusion_rays: occluded.len(),
+            seconds: seconds[0],
+            bare_seconds: bare,
+            rays_per_second: total as f64 / seconds[0],
+            bare_ratio: bare / seconds[0],
+        });
+        let batch = |name: &str, rays: usize, ours: f64, bare: f64| BatchRate {
+            name: name.to_owned(),
+            rays,
+            rays_per_second: rays as f64 / ours,
+            bare_rays_per_second: rays as f64 / bare,
+            bare_ratio: bare / ours,
+        };
+        match k {
+            1 => {
+                out.closest = bare / seconds[0];
+                out.texels = ids.len();
+                out.batches.push(batch("closest hit", closest.len(), seconds[3], seconds[1]));
+            }
+            3 => {
+                out.occlusion = Some(bare / seconds[0]);
+                out.batches.push(batch("occlusion", occluded.len(), seconds[4], seconds[2]));
+            }
+            _ => {}
+        }
+        progress.advance(1);
+    }
+    out
+}
