@@ -29,18 +29,36 @@ const fn directions(degree: usize, a: u32, m: [u32; 3]) -> [u32; 32] {
     v
 }
 
-fn sobol(index: u32, dimension: usize) -> u32 {
-    let mut x = 0;
-    let mut i = index;
-    let mut bit = 0;
-    while i != 0 {
-        if i & 1 == 1 {
-            x ^= DIRECTIONS[dimension][bit];
+/// Columns summed for every value of each byte of the index: the shuffled indices below have all their bits in use, and a loop
+/// over bits would mispredict half of its branches.
+static BYTES: [[[u32; 256]; 4]; 4] = byte_tables();
+
+const fn byte_tables() -> [[[u32; 256]; 4]; 4] {
+    let mut tables = [[[0u32; 256]; 4]; 4];
+    let mut dimension = 0;
+    while dimension < 4 {
+        let mut byte = 0;
+        while byte < 4 {
+            let mut value = 1;
+            while value < 256usize {
+                // the value without its lowest bit, and the column of that bit
+                let bit = value.trailing_zeros() as usize;
+                tables[dimension][byte][value] =
+                    tables[dimension][byte][value & (value - 1)] ^ DIRECTIONS[dimension][8 * byte + bit];
+                value += 1;
+            }
+            byte += 1;
         }
-        i >>= 1;
-        bit += 1;
+        dimension += 1;
     }
-    x
+    tables
+}
+
+#[inline]
+fn sobol(index: u32, dimension: usize) -> u32 {
+    let t = &BYTES[dimension];
+    let [a, b, c, d] = index.to_le_bytes().map(usize::from);
+    t[0][a] ^ t[1][b] ^ t[2][c] ^ t[3][d]
 }
 
 /// Laine–Karras permutation with the constants of Burley's listing 3.
@@ -121,6 +139,16 @@ mod tests {
     use super::*;
 
     /// Every elementary interval of a (0, m, 2)-net in base 2 holds one point, scrambled or not.
+    #[test]
+    fn byte_tables_equal_the_sum_of_columns() {
+        for index in [0, 1, 2, 0x80, 0x1234_5678, 0xdead_beef, u32::MAX] {
+            for (dimension, columns) in DIRECTIONS.iter().enumerate() {
+                let sum = (0..32).filter(|b| index >> b & 1 == 1).fold(0, |x, b| x ^ columns[b]);
+                assert_eq!(sobol(index, dimension), sum);
+            }
+        }
+    }
+
     #[test]
     fn first_two_dimensions_are_a_net() {
         for key in 0..8 {
