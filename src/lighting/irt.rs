@@ -133,7 +133,9 @@ fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irra
     let (mut first_ray, mut first_light) = (0u32, 0u32);
     let (mut rays, mut lights) =
         (options.rays.max(2), if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 });
-    for round in 0..options.max_rounds.max(1) {
+    // a Hammersley set cannot be extended: its points depend on their number
+    let max_rounds = if options.estimator == Estimator::Uniform { 1 } else { options.max_rounds.max(1) };
+    for round in 0..max_rounds {
         if round > 0 {
             // sample counts double: what is summed so far counts half
             for &i in &pending {
@@ -147,7 +149,7 @@ fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irra
             out.rays +=
                 scratch.run(bake, receivers, group, options, [first_ray, total_rays], [first_light, total_lights], &mut halves);
         }
-        let last = round + 1 == options.max_rounds.max(1);
+        let last = round + 1 == max_rounds;
         pending.retain(|&i| {
             let h = halves[i as usize];
             let e = h.sum[0] + h.sum[1];
@@ -164,6 +166,15 @@ fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irra
         (rays, lights) = (total_rays, total_lights);
     }
     out
+}
+
+/// The half that sample `s` of a round belongs to. Halves of a Sobol' block are nets of their own, so that their difference tells of
+/// the whole's error; the halves of a Hammersley set would be half hemispheres, hence a coin per sample there.
+fn half_of(s: u32, [begin, end]: [u32; 2], estimator: Estimator) -> u8 {
+    match estimator {
+        Estimator::Uniform => (s.wrapping_mul(0x9E37_79B9) >> 31) as u8,
+        Estimator::Cosine | Estimator::Mis => u8::from(s - begin >= (end - begin) / 2),
+    }
 }
 
 #[derive(Default)]
@@ -231,7 +242,7 @@ impl Scratch {
                 continue;
             }
             self.rays.push(Ray::new(origin, direction, f32::INFINITY));
-            self.tags.push((local.z, i, (s & 1) as u8));
+            self.tags.push((local.z, i, half_of(s, [begin, end], options.estimator)));
         }
     }
 
@@ -249,7 +260,7 @@ impl Scratch {
             // balance heuristic with n_e light samples and n_r rays
             let value = e.radiance * (cosine / (end as f32 * e.pdf + n_rays as f32 * cosine * FRAC_1_PI));
             self.shadow.push(e.ray);
-            self.pending.push((value, i, (s & 1) as u8));
+            self.pending.push((value, i, half_of(s, [begin, end], options.estimator)));
         }
     }
 

@@ -140,8 +140,9 @@ fn light_field(
     let probes: Vec<(Vec3, Vec3)> = (0..receivers.len())
         .map(|i| {
             let p = receivers.point[i];
-            let (n, _) = surface.normals(p.triangle as usize, p.u, p.v);
-            (receivers.position(mesh, i), n)
+            let (u, v) = receivers.ray_point(i);
+            let (n, _) = surface.normals(p.triangle as usize, u, v);
+            (mesh.position(p.triangle as usize, u, v), n)
         })
         .collect();
     let emitters = Emitters::new(mesh, &field, &surface.tracer, &probes);
@@ -159,8 +160,10 @@ fn bake(
     let bake = Bake { mesh: &surface.scene.mesh, tracer: &surface.tracer, field, emitters, offset: surface.offset };
     let receiver = |i: usize| {
         let p = texels.point[i];
-        let (normal, face_normal) = surface.normals(p.triangle as usize, p.u, p.v);
-        Receiver { position: texels.position(&surface.scene.mesh, i), normal, face_normal, key: u64::from(texels.cell[i]) }
+        let (u, v) = texels.ray_point(i);
+        let (normal, face_normal) = surface.normals(p.triangle as usize, u, v);
+        let position = surface.scene.mesh.position(p.triangle as usize, u, v);
+        Receiver { position, normal, face_normal, key: u64::from(texels.cell[i]) }
     };
     bake_irradiance(&bake, texels.len(), receiver, options, progress)
 }

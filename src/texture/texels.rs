@@ -98,6 +98,17 @@ impl Texels {
         mesh.position(p.triangle as usize, p.u, p.v)
     }
 
+    /// Barycentrics (u, v) of texel `i` for rays that start there: a thousandth of the triangle off its border. A point exactly on
+    /// the edge between floor and wall lies in the wall's plane, and half of its rays would leave the room.
+    #[must_use]
+    pub fn ray_point(&self, i: usize) -> (f32, f32) {
+        const INSIDE: f32 = 1e-3;
+        let p = self.point[i];
+        let w = [1.0 - p.u - p.v, p.u, p.v].map(|b| b.max(INSIDE));
+        let sum = w[0] + w[1] + w[2];
+        (w[1] / sum, w[2] / sum)
+    }
+
     /// Spreads one value per covered texel over a texture; uncovered texels get `empty`.
     #[must_use]
     pub fn scatter<T: Copy>(&self, values: &[T], empty: T) -> Plane<T> {

@@ -1,6 +1,8 @@
 //! Small scenes for tests, written to a temporary folder.
 #![allow(dead_code)] // every test binary uses its own part of this
 
+pub mod lit;
+
 use glam::Vec3;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
