@@ -1,8 +1,10 @@
 //! What can be typed.
 
 use super::config::Config;
+use super::pictures::Places;
 use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveOptions;
+use crate::render::{RelightOptions, RenderOptions};
 use crate::scene::LoadOptions;
 use crate::synth::SynthOptions;
 use clap::{Args, Parser, Subcommand};
@@ -104,6 +106,42 @@ pub enum Verb {
         #[command(subcommand)]
         what: super::BenchVerb,
     },
+    /// Novel views of a reconstruction: panoramas or pinhole frames from cameras, views of a scene or along a smooth path.
+    Render {
+        /// Output folder of `unbake solve`.
+        #[arg(required_unless_present = "print_config", value_name = "OUT")]
+        out: Option<PathBuf>,
+        /// Cameras and destination.
+        #[command(flatten)]
+        places: Places,
+        /// The renderer's options.
+        #[command(flatten)]
+        options: RenderOptions,
+        /// How the scene is read.
+        #[command(flatten)]
+        load: LoadOptions,
+    },
+    /// Pictures of a reconstruction under changed light: lamps off, scaled, coloured, moved or added, another environment.
+    Relight {
+        /// Output folder of `unbake solve`.
+        #[arg(required_unless_present = "print_config", value_name = "OUT")]
+        out: Option<PathBuf>,
+        /// Cameras and destination.
+        #[command(flatten)]
+        places: Places,
+        /// Changes of the light: a TOML file with [[lamp]], [[add]] and [environment].
+        #[arg(long, value_name = "FILE")]
+        lights: Option<PathBuf>,
+        /// List the lamps with number, place and power, and stop.
+        #[arg(long)]
+        list_lamps: bool,
+        /// The renderer's options.
+        #[command(flatten)]
+        options: RelightOptions,
+        /// How the scene is read.
+        #[command(flatten)]
+        load: LoadOptions,
+    },
 }
 
 impl Cli {
@@ -117,6 +155,8 @@ impl Cli {
             Some(Verb::Check { load, .. }) => config.scene = load.clone(),
             Some(Verb::Solve { options, load, .. }) => (config.solve, config.scene) = (options.clone(), load.clone()),
             Some(Verb::Eval { options, load, .. }) => (config.eval, config.scene) = (options.clone(), load.clone()),
+            Some(Verb::Render { options, load, .. }) => (config.render, config.scene) = (options.clone(), load.clone()),
+            Some(Verb::Relight { options, load, .. }) => (config.relight, config.scene) = (options.clone(), load.clone()),
             Some(Verb::Bench { .. }) | None => {}
         }
         config

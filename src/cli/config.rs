@@ -6,6 +6,7 @@
 use crate::error::{Error, Result};
 use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveOptions;
+use crate::render::{RelightOptions, RenderOptions};
 use crate::scene::LoadOptions;
 use crate::synth::SynthOptions;
 use clap::ArgMatches;
@@ -34,6 +35,10 @@ pub struct Config {
     pub solve: SolveOptions,
     /// Options of `unbake eval`.
     pub eval: EvalOptions,
+    /// Options of `unbake render`.
+    pub render: RenderOptions,
+    /// Options of `unbake relight`.
+    pub relight: RelightOptions,
 }
 
 impl Config {
@@ -115,6 +120,8 @@ pub fn tables_of(verb: &str) -> &'static [&'static str] {
         "check" => &["scene"],
         "solve" => &["solve", "scene"],
         "eval" => &["eval", "scene"],
+        "render" => &["render", "scene"],
+        "relight" => &["relight", "scene"],
         _ => &[],
     }
 }

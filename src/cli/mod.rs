@@ -6,12 +6,14 @@
 mod args;
 mod bench;
 mod config;
+mod pictures;
 mod progress;
 mod verbs;
 
 pub use args::{Cli, Global, Verb};
 pub use bench::BenchVerb;
 pub use config::Config;
+pub use pictures::Places;
 pub use progress::{Bars, LogLines, Tee};
 
 use crate::error::{Error, Result};

@@ -1,6 +1,6 @@
 //! The verbs: each reads its input, calls the library and prints the result.
 
-use super::{Context, Verb};
+use super::{Context, Verb, pictures};
 use crate::error::{Error, Result};
 use crate::evaluate::{evaluate, terminal_table};
 use crate::pipeline::{SolveOptions, reconstruct};
@@ -19,6 +19,10 @@ pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
         Verb::Synth { out, .. } => synthesise(required(out)?, context),
         Verb::Check { scene, .. } => return check_scene(required(scene)?, context),
         Verb::Solve { scene, out, .. } => solve(required(scene)?, required(out)?, context),
+        Verb::Render { out, places, .. } => pictures::render(required(out)?, places, context),
+        Verb::Relight { out, places, lights, list_lamps, .. } => {
+            pictures::relight(required(out)?, places, lights.as_deref(), *list_lamps, context)
+        }
         Verb::Eval { out, scene, .. } => eval(required(out)?, required(scene)?, context),
         Verb::Bench { what } => super::bench::run(what, context),
     }?;

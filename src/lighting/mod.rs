@@ -10,6 +10,7 @@ mod tbl;
 
 pub use emitters::{EmissionEvidence, EmitterSample, Emitters, detect_emissive};
 pub use environment::Environment;
+pub(crate) use hull::Hull;
 pub use irt::{Bake, Estimator, Irradiance, IrtOptions, Receiver, bake_irradiance};
 pub use light_field::LightField;
 pub use reflection::{Gaze, Levels, Reflector};

@@ -5,12 +5,28 @@
 //! * the hybrid renderer: irradiance texture plus traced specular reflection;
 //! * [`denoise`]: variance-guided filtering of what it renders.
 
+mod cameras;
 pub mod denoise;
 mod hybrid;
+mod lamps;
+mod lighting_change;
+mod options;
 pub mod path_tracer;
 pub mod path_tracer_lights;
+mod portals;
+mod relight;
+mod tone;
+mod world;
 
+pub use cameras::{FileCameras, NamedCamera, cameras_of_scene, read_cameras, smooth_path};
 pub use hybrid::{HybridOptions, HybridRenderer, RenderedView, ViewRenderer};
+pub use lamps::{LampGroup, lamp_groups};
+pub use lighting_change::{EnvironmentChange, LampChange, Lighting, daylight, mean_luminance};
+pub use options::{FrameOptions, RenderOptions, Renderer, Video, Views};
 pub use path_tracer::{
-    BlackEnvironment, Environment, Frame, IndirectCache, IrradiancePoint, PathTracer, PathTracerOptions, Surface, SurfaceModel,
+    Adaptive, BlackEnvironment, Environment, Frame, IndirectCache, IrradiancePoint, PathTracer, PathTracerOptions, PointLight,
+    Surface, SurfaceModel,
 };
+pub use relight::{RelightOptions, Stage, TraceSettings};
+pub use tone::{Exposure, tone_map};
+pub use world::{Added, World};

@@ -40,6 +40,10 @@ pub trait SurfaceModel: Sync {
     fn mean_emission(&self, triangle: usize) -> Vec3;
     /// Class id of a triangle; 0 = unlabelled.
     fn label(&self, triangle: usize) -> u16;
+    /// Whether triangles emit only towards the side their winding faces (false: towards both).
+    fn emits_forward_only(&self) -> bool {
+        false
+    }
 }
 
 /// Light from directions without geometry.
@@ -79,13 +83,15 @@ pub struct PathTracerOptions {
     pub seed: u64,
     /// Leave out the specular lobe (tests, furnace).
     pub lambertian: bool,
+    /// Shade with the triangles' own normals (comparison with renderers that treat smooth normals otherwise).
+    pub flat: bool,
     /// Largest luminance a single indirect contribution may have; biased, off by default.
     pub clamp: Option<f32>,
 }
 
 impl Default for PathTracerOptions {
     fn default() -> Self {
-        Self { samples: 64, max_bounces: 64, roulette_from: 3, seed: 0, lambertian: false, clamp: None }
+        Self { samples: 64, max_bounces: 64, roulette_from: 3, seed: 0, lambertian: false, flat: false, clamp: None }
     }
 }
 
@@ -126,6 +132,46 @@ impl Frame {
     }
 }
 
+/// A light without extent: a bulb, or a spot with a soft cone.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PointLight {
+    /// Where it is.
+    pub position: Vec3,
+    /// Radiant intensity on its axis, per steradian.
+    pub intensity: Vec3,
+    /// Unit axis of the cone.
+    pub axis: Vec3,
+    /// Cosines of the angles to the axis at which the light begins to fall and at which it has ended; -1, -1 for a bulb.
+    pub cosines: [f32; 2],
+}
+
+impl PointLight {
+    /// Intensity towards the unit direction `d` (away from the light).
+    #[must_use]
+    pub fn towards(&self, d: Vec3) -> Vec3 {
+        let [inner, outer] = self.cosines;
+        if outer <= -1.0 {
+            return self.intensity;
+        }
+        let t = ((self.axis.dot(d) - outer) / (inner - outer).max(1e-6)).clamp(0.0, 1.0);
+        self.intensity * (t * t * (3.0 - 2.0 * t))
+    }
+}
+
+/// When [`PathTracer::render_adaptive`] is content.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Adaptive {
+    /// Samples every pixel gets at least.
+    pub first: u32,
+    /// Samples no pixel exceeds.
+    pub most: u32,
+    /// Standard error, relative to the local brightness, at which a block of pixels is done.
+    pub error: f32,
+}
+
+/// Side of the blocks that adaptive sampling decides about.
+const BLOCK: usize = 8;
+
 /// A point whose irradiance is wanted.
 #[derive(Clone, Copy, Debug)]
 pub struct IrradiancePoint {
@@ -144,6 +190,7 @@ pub struct PathTracer<'a> {
     surfaces: &'a dyn SurfaceModel,
     environment: &'a dyn Environment,
     lights: Lights,
+    points: Vec<PointLight>,
     options: PathTracerOptions,
     /// Offset of ray origins relative to the largest coordinate involved.
     offset_floor: f32,
@@ -251,7 +298,14 @@ impl<'a> PathTracer<'a> {
         let lights = Lights::new(mesh, surfaces, environment, tracer, options.seed);
         let (low, high) = mesh.bounds();
         let offset_floor = 0.01 * (high - low).max_element();
-        Self { mesh, tracer, surfaces, environment, lights, options, offset_floor }
+        Self { mesh, tracer, surfaces, environment, lights, points: Vec::new(), options, offset_floor }
+    }
+
+    /// Adds lights without extent.
+    #[must_use]
+    pub fn with_points(mut self, points: Vec<PointLight>) -> Self {
+        self.points = points;
+        self
     }
 
     /// Sets the samples per pixel.
@@ -270,53 +324,90 @@ impl<'a> PathTracer<'a> {
     pub fn render_with(&self, camera: &Camera, key: u64, cache: Option<&dyn IndirectCache>, progress: &Progress) -> Frame {
         let (w, h) = (camera.width, camera.height);
         let samples = self.options.samples.max(1) as usize;
+        let all: Vec<usize> = (0..w * h).collect();
         let pixels_per_task = (WAVEFRONT / samples).max(1);
         let tiles = map_chunks(w * h, pixels_per_task, |range| {
-            let out = self.render_run(camera, key, cache, range.clone());
-            progress.advance(range.len() as u64);
-            out
+            let pixels = &all[range];
+            let mut out = self.begin_pixels(camera, pixels);
+            self.sample_pixels(camera, key, cache, pixels, [0, samples as u32], &mut out);
+            progress.advance(pixels.len() as u64);
+            out.iter().map(PixelAccumulator::finish).collect::<Vec<_>>()
         });
-        let pixels: Vec<PixelResult> = tiles.into_iter().flatten().collect();
-        let plane = |f: fn(&PixelResult) -> Vec3| Plane { width: w, height: h, data: pixels.iter().map(f).collect() };
-        Frame {
-            emission: plane(|p| p.emission),
-            diffuse: plane(|p| p.diffuse),
-            specular: plane(|p| p.specular),
-            variance: Plane { width: w, height: h, data: pixels.iter().map(|p| p.variance).collect() },
-            albedo: plane(|p| p.albedo),
-            normal: plane(|p| p.normal),
-            depth: Plane { width: w, height: h, data: pixels.iter().map(|p| p.depth).collect() },
-            label: Plane { width: w, height: h, data: pixels.iter().map(|p| p.label).collect() },
-            class_albedo: plane(|p| p.class_albedo),
-            class_roughness: Plane { width: w, height: h, data: pixels.iter().map(|p| p.class_roughness).collect() },
-        }
+        assemble(w, h, &tiles.into_iter().flatten().collect::<Vec<_>>())
     }
 
-    fn render_run(
+    /// Renders a camera in passes: after `first` samples everywhere, each pass doubles the samples of the blocks whose error is
+    /// still above the target. `refined` sees the image after every pass. Advances `progress` by one per pixel and pass.
+    pub fn render_adaptive(
+        &self,
+        camera: &Camera,
+        key: u64,
+        goal: &Adaptive,
+        progress: &Progress,
+        mut refined: impl FnMut(u32, &Frame) -> crate::Result<()>,
+    ) -> crate::Result<Frame> {
+        let (w, h) = (camera.width, camera.height);
+        let mut pending: Vec<usize> = (0..w * h).collect();
+        let mut states: Vec<Option<PixelAccumulator>> = vec![None; w * h];
+        let (mut done, mut next) = (0u32, goal.first.max(2));
+        for pass in 0.. {
+            let per_task = (WAVEFRONT / (next - done) as usize).max(1);
+            let parts = map_chunks(pending.len(), per_task, |range| {
+                let pixels = &pending[range];
+                let mut out: Vec<PixelAccumulator> = if done == 0 {
+                    self.begin_pixels(camera, pixels)
+                } else {
+                    pixels.iter().filter_map(|&p| states[p].clone()).collect()
+                };
+                self.sample_pixels(camera, key, None, pixels, [done, next], &mut out);
+                progress.advance(pixels.len() as u64);
+                out
+            });
+            for (&p, state) in pending.iter().zip(parts.into_iter().flatten()) {
+                states[p] = Some(state);
+            }
+            let results: Vec<PixelResult> = states.iter().flatten().map(PixelAccumulator::finish).collect();
+            let frame = assemble(w, h, &results);
+            refined(pass, &frame)?;
+            (done, next) = (next, next.saturating_mul(2).min(goal.most));
+            pending = noisy_pixels(&frame, &pending, goal.error);
+            if next <= done || pending.is_empty() {
+                return Ok(frame);
+            }
+        }
+        unreachable!("the passes end by return")
+    }
+
+    fn begin_pixels(&self, camera: &Camera, pixels: &[usize]) -> Vec<PixelAccumulator> {
+        let centre = |p: usize| Vec2::new((p % camera.width) as f32 + 0.5, (p / camera.width) as f32 + 0.5);
+        // the class at the centre decides which samples count for the filtered materials
+        let rays: Vec<Ray> =
+            pixels.iter().map(|&p| Ray::new(camera.position, camera.direction(centre(p)), f32::INFINITY)).collect();
+        let mut hits = vec![Hit::miss(); rays.len()];
+        self.tracer.closest(&rays, &mut hits);
+        hits.iter().map(|h| PixelAccumulator::new(self.class_at(h))).collect()
+    }
+
+    /// Adds the samples `begin..end` of some pixels to their sums.
+    fn sample_pixels(
         &self,
         camera: &Camera,
         view_key: u64,
         cache: Option<&dyn IndirectCache>,
-        pixels: std::ops::Range<usize>,
-    ) -> Vec<PixelResult> {
-        let samples = self.options.samples.max(1);
-        let centre = |p: usize| Vec2::new((p % camera.width) as f32 + 0.5, (p / camera.width) as f32 + 0.5);
+        pixels: &[usize],
+        [begin, end]: [u32; 2],
+        results: &mut [PixelAccumulator],
+    ) {
         let mut wave = Wave::default();
-        // the class at the centre decides which samples count for the filtered materials
-        wave.rays.extend(pixels.clone().map(|p| Ray::new(camera.position, camera.direction(centre(p)), f32::INFINITY)));
-        wave.hits.resize(wave.rays.len(), Hit::miss());
-        self.tracer.closest(&wave.rays, &mut wave.hits);
-        let centres: Vec<Option<(u16, Material)>> = wave.hits.iter().map(|h| self.class_at(h)).collect();
-        let mut results: Vec<PixelAccumulator> = centres.iter().map(|c| PixelAccumulator::new(*c)).collect();
         // many samples per pixel are done in several waves of whole pixels
-        let per_wave = samples.min(WAVEFRONT as u32);
-        let mut first_sample = 0;
-        while first_sample < samples {
-            let count = per_wave.min(samples - first_sample);
+        let per_wave = (end - begin).min(WAVEFRONT as u32).max(1);
+        let mut first_sample = begin;
+        while first_sample < end {
+            let count = per_wave.min(end - first_sample);
             wave.paths.clear();
             wave.rays.clear();
             let mut keys = Vec::with_capacity(pixels.len() * count as usize);
-            for p in pixels.clone() {
+            for &p in pixels {
                 let key = hash_u64(hash_u64(self.options.seed, view_key), p as u64);
                 let jitter = SobolSequence::new(key, 0);
                 for s in first_sample..first_sample + count {
@@ -337,7 +428,6 @@ impl<'a> PathTracer<'a> {
             }
             first_sample += count;
         }
-        results.iter().map(|r| r.finish(samples)).collect()
     }
 
     fn class_at(&self, hit: &Hit) -> Option<(u16, Material)> {
@@ -433,7 +523,7 @@ impl<'a> PathTracer<'a> {
                 }
                 let triangle = hit.triangle as usize;
                 let surface = self.surfaces.surface(triangle, hit.u, hit.v);
-                if surface.emission != Vec3::ZERO {
+                if surface.emission != Vec3::ZERO && self.emits_towards(triangle, direction) {
                     if bounce == 0 {
                         sums[slot].emission += surface.emission;
                     } else {
@@ -472,6 +562,11 @@ impl<'a> PathTracer<'a> {
         }
     }
 
+    /// Whether a triangle's light leaves on the side that a ray along `direction` meets.
+    fn emits_towards(&self, triangle: usize, direction: Vec3) -> bool {
+        !self.surfaces.emits_forward_only() || self.mesh.face_normal(triangle).dot(direction) < 0.0
+    }
+
     /// Adds radiance arriving along a path to the lobes of its first vertex.
     fn deposit(&self, sums: &mut Sums, path: &Path, radiance: Vec3, bounce: u32) {
         let mut light = path.beta * radiance;
@@ -496,7 +591,7 @@ impl<'a> PathTracer<'a> {
             normal = -normal;
         }
         // a smooth normal that turns away from the viewer at a silhouette would be black
-        if normal.dot(view) < 1e-3 {
+        if self.options.flat || normal.dot(view) < 1e-3 {
             normal = face_normal;
         }
         let lobes = if self.options.lambertian { Lobes::Diffuse } else { Lobes::Both };
@@ -542,6 +637,7 @@ impl<'a> PathTracer<'a> {
             let pdf = m.pdf_with_share(n, v, s.direction, share);
             let weight = power_heuristic(s.pdf, pdf);
             let radiance = match s.hit {
+                Some((t, _, _)) if !self.emits_towards(t as usize, s.direction) => Vec3::ZERO,
                 Some((t, b1, b2)) => self.surfaces.surface(t as usize, b1, b2).emission,
                 None => self.environment.radiance(s.direction),
             };
@@ -562,6 +658,20 @@ impl<'a> PathTracer<'a> {
                 };
                 wave.shadow.push(ShadowRay { slot: path.slot, diffuse: light.diffuse / keep, specular: light.specular / keep });
                 wave.shadow_rays.push(Ray::new(origin, direction, t_far.max(0.0)));
+            }
+        }
+        if let Some((light, share)) = self.choose_point(&vertex.position, key, bounce) {
+            let d = light.position - origin;
+            let distance = d.length();
+            let l = d / distance.max(1e-9);
+            if above(l) {
+                let radiance = light.towards(-l) / (distance * distance).max(1e-12);
+                let mut sums = Sums::default();
+                self.deposit(&mut sums, &advance(lobes(l, share)), radiance, bounce + 1);
+                if sums.diffuse + sums.specular != Vec3::ZERO {
+                    wave.shadow.push(ShadowRay { slot: path.slot, diffuse: sums.diffuse, specular: sums.specular });
+                    wave.shadow_rays.push(Ray::new(origin, l, (distance * (1.0 - 1e-4)).max(0.0)));
+                }
             }
         }
         // the first number also chooses the lobe and is stretched back to [0, 1)
@@ -596,6 +706,32 @@ impl<'a> PathTracer<'a> {
         wave.next_rays.push(Ray::new(origin, l, f32::INFINITY));
     }
 
+    /// One of the lights without extent, chosen by what it could send to `p`, with its probability.
+    fn choose_point(&self, p: &Vec3, key: PathKey, bounce: u32) -> Option<(&PointLight, f32)> {
+        let worth = |l: &PointLight| {
+            let d = *p - l.position;
+            luminance(l.towards(d.normalize_or_zero())) / d.length_squared().max(1e-6)
+        };
+        let total: f32 = self.points.iter().map(worth).sum();
+        if !(total > 0.0 && total.is_finite()) {
+            return None;
+        }
+        let mut rng = KeyedRng::new(key.key ^ 0x90_1e75, (u64::from(bounce) << 32) | u64::from(key.sample));
+        let mut rest = rng.next_f32() * total;
+        let mut chosen = None;
+        for l in &self.points {
+            let w = worth(l);
+            if w > 0.0 {
+                chosen = Some((l, w / total));
+                rest -= w;
+                if rest < 0.0 {
+                    break;
+                }
+            }
+        }
+        chosen
+    }
+
     fn resolve_shadows(&self, wave: &mut Wave, sums: &mut [Sums]) {
         wave.occluded.clear();
         wave.occluded.resize(wave.shadow_rays.len(), 0);
@@ -623,8 +759,49 @@ struct PixelResult {
     class_roughness: f32,
 }
 
+/// The planes of an image from its pixels.
+fn assemble(w: usize, h: usize, pixels: &[PixelResult]) -> Frame {
+    let plane = |f: fn(&PixelResult) -> Vec3| Plane { width: w, height: h, data: pixels.iter().map(f).collect() };
+    Frame {
+        emission: plane(|p| p.emission),
+        diffuse: plane(|p| p.diffuse),
+        specular: plane(|p| p.specular),
+        variance: Plane { width: w, height: h, data: pixels.iter().map(|p| p.variance).collect() },
+        albedo: plane(|p| p.albedo),
+        normal: plane(|p| p.normal),
+        depth: Plane { width: w, height: h, data: pixels.iter().map(|p| p.depth).collect() },
+        label: Plane { width: w, height: h, data: pixels.iter().map(|p| p.label).collect() },
+        class_albedo: plane(|p| p.class_albedo),
+        class_roughness: Plane { width: w, height: h, data: pixels.iter().map(|p| p.class_roughness).collect() },
+    }
+}
+
+/// The pixels of `among` whose block has a relative standard error above the target.
+fn noisy_pixels(frame: &Frame, among: &[usize], target: f32) -> Vec<usize> {
+    let (w, h) = (frame.emission.width, frame.emission.height);
+    let columns = w.div_ceil(BLOCK);
+    let mut blocks = vec![(0.0f64, 0.0f64, 0u32); columns * h.div_ceil(BLOCK)];
+    let block_of = |p: usize| (p / w / BLOCK) * columns + p % w / BLOCK;
+    let mut mean = 0.0;
+    for p in 0..w * h {
+        let reflected = luminance(frame.diffuse.data[p] + frame.specular.data[p]);
+        let b = &mut blocks[block_of(p)];
+        *b = (b.0 + f64::from(reflected), b.1 + f64::from(frame.variance.data[p][0] + frame.variance.data[p][1]), b.2 + 1);
+        mean += f64::from(reflected) / (w * h) as f64;
+    }
+    // what is much darker than the picture as a whole need not be as exact as itself asks
+    let noisy = |b: &(f64, f64, u32)| {
+        let n = f64::from(b.2.max(1));
+        (b.1 / n).sqrt() > f64::from(target) * (b.0 / n + 0.1 * mean)
+    };
+    let noisy: Vec<bool> = blocks.iter().map(noisy).collect();
+    among.iter().copied().filter(|&p| noisy[block_of(p)]).collect()
+}
+
 /// Sums over a pixel's samples, in f64 where differences of squares are taken.
+#[derive(Clone)]
 struct PixelAccumulator {
+    samples: u32,
     centre: Option<(u16, Material)>,
     sums: Sums,
     moments: [[f64; 2]; 2],
@@ -640,6 +817,7 @@ struct PixelAccumulator {
 impl PixelAccumulator {
     fn new(centre: Option<(u16, Material)>) -> Self {
         Self {
+            samples: 0,
             centre,
             sums: Sums::default(),
             moments: [[0.0; 2]; 2],
@@ -654,6 +832,7 @@ impl PixelAccumulator {
     }
 
     fn add(&mut self, s: &Sums, feature: Option<&Feature>) {
+        self.samples += 1;
         self.sums.emission += s.emission;
         self.sums.diffuse += s.diffuse;
         self.sums.specular += s.specular;
@@ -674,7 +853,8 @@ impl PixelAccumulator {
         }
     }
 
-    fn finish(&self, samples: u32) -> PixelResult {
+    fn finish(&self) -> PixelResult {
+        let samples = self.samples.max(1);
         let n = f64::from(samples);
         let scale = 1.0 / samples as f32;
         let variance = self.moments.map(|[sum, square]| {

@@ -135,9 +135,10 @@ impl Lights {
                 let first = &self.lights[g.start];
                 let ratio = (light.power / light.area) / (first.power / first.area);
                 let reach = 0.5 + first.area.sqrt();
+                // portals are pairs of triangles, and each may be seen from where its neighbour is not
                 (ratio - 1.0).abs() < 0.01
                     && light.triangle.is_some() == first.triangle.is_some()
-                    && (light.corner - first.corner).length() < reach
+                    && if light.triangle.is_some() { (light.corner - first.corner).length() < reach } else { g.len() < 2 }
             });
             match self.groups.last_mut().filter(|_| joins) {
                 Some(g) => g.end = i + 1,

@@ -1,0 +1,254 @@
+//! The verbs that make pictures of a solution: render and relight.
+
+use super::Context;
+use super::verbs::read_scene;
+use crate::error::{Error, Result};
+use crate::export::FrameWriter;
+use crate::geometry::Camera;
+use crate::progress::Progress;
+use crate::render::{
+    Adaptive, FrameOptions, HybridOptions, HybridRenderer, LampChange, LampGroup, Lighting, NamedCamera, PathTracerOptions,
+    Renderer, Stage, TraceSettings, ViewRenderer, World, cameras_of_scene, daylight, lamp_groups, mean_luminance, read_cameras,
+};
+use crate::solution::Solution;
+use glam::Vec3;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Where cameras come from and where frames go.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct Places {
+    /// Cameras to render from: a JSON file like a scene's transforms.json.
+    #[arg(long, value_name = "FILE")]
+    pub cameras: Option<PathBuf>,
+    /// Scene whose views to render, or to take a path's cameras from.
+    #[arg(long, value_name = "SCENE", conflicts_with = "cameras")]
+    pub scene: Option<PathBuf>,
+    /// Folder for the frames [default: a folder in OUT named after the verb].
+    #[arg(long, value_name = "FOLDER")]
+    pub to: Option<PathBuf>,
+}
+
+impl Places {
+    fn frames(&self, options: &FrameOptions, solution: &Solution, context: &Context) -> Result<Vec<NamedCamera>> {
+        let given = match (&self.cameras, &self.scene) {
+            (Some(file), _) => {
+                let size = (options.width > 0).then(|| [options.width, (options.width / 2).max(1)]);
+                read_cameras(file, solution.origin, size)?.cameras
+            }
+            (None, Some(scene)) => {
+                let scene = read_scene(scene, context)?;
+                cameras_of_scene(&scene, options.split.split(), solution.origin)
+            }
+            (None, None) => return Err(Error::Usage("which cameras? Give --cameras FILE or --scene SCENE".into())),
+        };
+        options.frames(given)
+    }
+}
+
+/// A solution with its edits applied, if it has any.
+pub fn read_solution(out: &Path, progress: &Progress) -> Result<Solution> {
+    progress.stage("reading the solution", 1, |_| Solution::load(out))
+}
+
+fn traced(cameras: &[NamedCamera]) -> Vec<(String, Camera)> {
+    cameras.iter().map(|c| (c.name.clone(), c.camera)).collect()
+}
+
+/// `unbake render`.
+pub fn render(out: &Path, places: &Places, context: &Context) -> Result<()> {
+    let options = context.config.render.clone();
+    let progress = &context.progress;
+    if options.supersampling == 0 || options.supersampling > 16 || options.samples == 0 {
+        return Err(Error::Usage("--supersampling must be from 1 to 16, and --samples at least 1".into()));
+    }
+    let solution = read_solution(out, progress)?;
+    let cameras = places.frames(&options.frames, &solution, context)?;
+    let folder = places.to.clone().unwrap_or_else(|| out.join("render"));
+    let mut writer = FrameWriter::new(&folder, options.frames.exposure, !options.frames.no_exr)?;
+    let mut seconds = Vec::new();
+    let mut clock = Instant::now();
+    match options.renderer {
+        Renderer::Hybrid => {
+            let hybrid = HybridOptions { supersampling: options.supersampling, seed: context.seed(), ..HybridOptions::default() };
+            let renderer = progress.stage("preparing", 1, |_| HybridRenderer::new(&solution, hybrid))?;
+            progress.stage("rendering", cameras.len() as u64, |p| -> Result<()> {
+                for c in &cameras {
+                    clock = Instant::now();
+                    let view = renderer.render(&c.camera)?;
+                    seconds.push(clock.elapsed().as_secs_f64());
+                    writer.write(&c.name, &view.radiance)?;
+                    p.advance(1);
+                }
+                Ok(())
+            })?;
+        }
+        Renderer::Path => {
+            let mut world = World::new(&solution);
+            let stage = progress.stage("preparing", 1, |_| Stage::new(&mut world))?;
+            let tracer = PathTracerOptions {
+                seed: context.seed(),
+                lambertian: options.diffuse_only,
+                flat: options.flat,
+                ..PathTracerOptions::default()
+            };
+            let goal = Adaptive { first: options.samples, most: options.samples, error: 0.0 };
+            let settings = TraceSettings { tracer, goal, denoise: !options.no_denoise };
+            clock = Instant::now();
+            stage.render(
+                &traced(&cameras),
+                &settings,
+                progress,
+                |_, _| Ok(()),
+                |i, image| {
+                    seconds.push(clock.elapsed().as_secs_f64());
+                    writer.write(&cameras[i].name, image)?;
+                    clock = Instant::now();
+                    Ok(())
+                },
+            )?;
+        }
+    }
+    report(&writer, &options.frames, &folder, &seconds, context)
+}
+
+/// `unbake relight`.
+pub fn relight(out: &Path, places: &Places, lights: Option<&Path>, list: bool, context: &Context) -> Result<()> {
+    let options = context.config.relight.clone();
+    let progress = &context.progress;
+    if options.samples < 2 || options.max_samples < options.samples || !(options.error >= 0.0) {
+        return Err(Error::Usage("--samples must be at least 2, --max-samples not less, --error not negative".into()));
+    }
+    let solution = read_solution(out, progress)?;
+    let groups = lamp_groups(&World::new(&solution), solution.origin);
+    if list {
+        return list_lamps(&groups, context);
+    }
+    let lighting = changed_light(&groups, lights, context)?;
+    let cameras = places.frames(&options.frames, &solution, context)?;
+    let folder = places.to.clone().unwrap_or_else(|| out.join("relight"));
+    let mut writer = FrameWriter::new(&folder, options.frames.exposure, !options.frames.no_exr)?;
+    let settings = TraceSettings {
+        tracer: PathTracerOptions { seed: context.seed(), ..PathTracerOptions::default() },
+        goal: Adaptive { first: options.samples, most: options.max_samples, error: options.error },
+        denoise: !options.no_denoise,
+    };
+    let mut seconds = Vec::new();
+    if options.day > 0 {
+        let level = match mean_luminance(&solution.environment) {
+            l if l > 0.0 => l,
+            _ => 1.0,
+        };
+        let camera = &cameras[0];
+        // noon decides the exposure: the sweep shows how dark the night is
+        let order = |i: usize| (i + options.day / 2) % options.day;
+        for i in (0..options.day).map(order) {
+            let (sky, lamps) = daylight(24.0 * i as f32 / options.day as f32, level);
+            let mut world = World::new(&solution);
+            lighting.apply(&mut world, &groups)?;
+            world.set_environment(sky);
+            let all: Vec<u32> = groups.iter().flat_map(|g| g.triangles.clone()).collect();
+            world.scale_emission(&all, Vec3::splat(lamps));
+            let stage = Stage::new(&mut world)?;
+            let clock = Instant::now();
+            let name = format!("{i:04}");
+            stage.render(
+                &[(name.clone(), camera.camera)],
+                &settings,
+                progress,
+                |_, _| Ok(()),
+                |_, image| {
+                    seconds.push(clock.elapsed().as_secs_f64());
+                    writer.write(&name, image)
+                },
+            )?;
+        }
+        writer.sort();
+    } else {
+        let mut world = World::new(&solution);
+        lighting.apply(&mut world, &groups)?;
+        let stage = progress.stage("preparing", 1, |_| Stage::new(&mut world))?;
+        let mut clock = Instant::now();
+        let shared = std::cell::RefCell::new(&mut writer);
+        stage.render(
+            &traced(&cameras),
+            &settings,
+            progress,
+            |i, image| shared.borrow_mut().preview(&cameras[i].name, image),
+            |i, image| {
+                seconds.push(clock.elapsed().as_secs_f64());
+                shared.borrow_mut().write(&cameras[i].name, image)?;
+                clock = Instant::now();
+                Ok(())
+            },
+        )?;
+    }
+    report(&writer, &options.frames, &folder, &seconds, context)
+}
+
+/// The lighting file with the flags' changes after it.
+fn changed_light(groups: &[LampGroup], lights: Option<&Path>, context: &Context) -> Result<Lighting> {
+    let options = &context.config.relight;
+    let mut lighting = lights.map_or_else(|| Ok(Lighting::default()), Lighting::read)?;
+    if !(options.lamps.is_finite() && options.lamps >= 0.0) {
+        return Err(Error::Usage(format!("--lamps {}: light is finite and not negative", options.lamps)));
+    }
+    lighting.lamps.push(LampChange { scale: Some(options.lamps), ..LampChange::default() });
+    for name in options.off.split(',').map(str::trim).filter(|n| !n.is_empty()) {
+        let group = match name {
+            "all" => None,
+            n => match n.parse::<usize>() {
+                Ok(id) if groups.iter().any(|g| g.id == id) => Some(id),
+                _ => {
+                    let message = format!("--off {n}: expected \"all\" or numbers from 1 to {}; see --list-lamps", groups.len());
+                    return Err(Error::Usage(message));
+                }
+            },
+        };
+        lighting.lamps.push(LampChange { group, off: true, ..LampChange::default() });
+    }
+    match options.environment.as_str() {
+        "keep" => {}
+        "off" => lighting.environment.off = true,
+        text => {
+            let numbers: Vec<f32> = text.split(',').filter_map(|x| x.trim().parse().ok()).collect();
+            match numbers.as_slice() {
+                [r, g, b] if numbers.iter().all(|v| v.is_finite() && *v >= 0.0) => {
+                    lighting.environment.constant = Some([*r, *g, *b]);
+                    lighting.environment.file = None;
+                }
+                _ => lighting.environment.file = Some(PathBuf::from(text)),
+            }
+        }
+    }
+    Ok(lighting)
+}
+
+fn list_lamps(groups: &[LampGroup], context: &Context) -> Result<()> {
+    let mut text = String::from("lamp     x       y       z  metres   area m²      power   radiance (r g b)\n");
+    for g in groups {
+        let [x, y, z] = g.position;
+        let [r, gr, b] = g.radiance;
+        text.push_str(&format!("{:4} {x:7.2} {y:7.2} {z:7.2} {:9.4} {:10.4}   {r:.3} {gr:.3} {b:.3}\n", g.id, g.area, g.power));
+    }
+    if groups.is_empty() {
+        text = "no lamp: nothing in this solution emits\n".into();
+    }
+    context.result(&text, &json!({"lamps": groups}))
+}
+
+fn report(writer: &FrameWriter, options: &FrameOptions, folder: &Path, seconds: &[f64], context: &Context) -> Result<()> {
+    let film = writer.film(options.video, options.fps)?;
+    let total: f64 = seconds.iter().sum();
+    let mean = total / seconds.len().max(1) as f64;
+    let stops = writer.stops().unwrap_or(0.0);
+    let film_text = film.as_ref().map_or(String::new(), |f| format!("film: {}\n", f.display()));
+    let text = format!(
+        "{} frames in {:.2} s ({mean:.2} s each), pictures at {stops:+.2} stops\n{}\n{film_text}",
+        seconds.len(),
+        total,
+        folder.display()
+    );
+    context.result(&text, &json!({"folder": folder, "seconds": seconds, "stops": stops, "film": film}))
+}

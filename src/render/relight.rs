@@ -1,0 +1,117 @@
+//! Path-traced frames of a world: the same for `render --renderer path` and `relight`.
+
+use super::path_tracer::Frame;
+use super::{Adaptive, FrameOptions, PathTracer, PathTracerOptions, World, denoise};
+use crate::Result;
+use crate::geometry::Camera;
+use crate::image::RgbPlane;
+use crate::progress::Progress;
+use crate::trace::EmbreeTracer;
+use serde::{Deserialize, Serialize};
+
+/// Options of `unbake relight`.
+#[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct RelightOptions {
+    /// Paths that every pixel gets at least.
+    #[arg(long, value_name = "N", default_value_t = Self::default().samples)]
+    pub samples: u32,
+    /// Paths that no pixel exceeds.
+    #[arg(long, value_name = "N", default_value_t = Self::default().max_samples)]
+    pub max_samples: u32,
+    /// Relative standard error, before denoising, at which a part of the picture is done.
+    #[arg(long, value_name = "RATIO", default_value_t = Self::default().error)]
+    pub error: f32,
+    /// Leave the noise as it is.
+    #[arg(long)]
+    pub no_denoise: bool,
+    /// Lamps to switch off, as numbers of --list-lamps: "1,3" or "all".
+    #[arg(long, value_name = "LIST", default_value_t = Self::default().off)]
+    pub off: String,
+    /// Factor on every lamp.
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().lamps)]
+    pub lamps: f32,
+    /// Light from outside: "keep", "off", a constant "R,G,B", or a panorama file (EXR, HDR).
+    #[arg(long, value_name = "LIGHT", default_value_t = Self::default().environment)]
+    pub environment: String,
+    /// Frames of a day from midnight to midnight, from the first camera: sun and sky outside, lamps after dark; 0 = no sweep.
+    #[arg(long, value_name = "FRAMES", default_value_t = Self::default().day)]
+    pub day: usize,
+    /// Frames.
+    #[command(flatten)]
+    pub frames: FrameOptions,
+}
+
+impl Default for RelightOptions {
+    fn default() -> Self {
+        Self {
+            samples: 32,
+            max_samples: 256,
+            error: 0.1,
+            no_denoise: false,
+            off: String::new(),
+            lamps: 1.0,
+            environment: "keep".into(),
+            day: 0,
+            frames: FrameOptions::default(),
+        }
+    }
+}
+
+/// How a world is traced.
+#[derive(Clone, Copy, Debug)]
+pub struct TraceSettings {
+    /// Path tracer.
+    pub tracer: PathTracerOptions,
+    /// Samples.
+    pub goal: Adaptive,
+    /// Whether to filter the noise.
+    pub denoise: bool,
+}
+
+/// A world with its ray structure, ready for any number of frames.
+pub struct Stage<'w, 's> {
+    world: &'w World<'s>,
+    embree: EmbreeTracer,
+}
+
+impl<'w, 's> Stage<'w, 's> {
+    /// Builds the ray structure and looks for windows.
+    ///
+    /// # Errors
+    /// Embree cannot be used.
+    pub fn new(world: &'w mut World<'s>) -> Result<Self> {
+        let embree = EmbreeTracer::new(world.mesh())?;
+        world.open_portals(&embree);
+        Ok(Self { world, embree })
+    }
+
+    /// Renders frames one after another. `refined(i, image)` sees each after every pass, `done(i, image)` when it is finished.
+    ///
+    /// # Errors
+    /// What the callbacks return.
+    pub fn render(
+        &self,
+        cameras: &[(String, Camera)],
+        settings: &TraceSettings,
+        progress: &Progress,
+        mut refined: impl FnMut(usize, &RgbPlane) -> Result<()>,
+        mut done: impl FnMut(usize, &RgbPlane) -> Result<()>,
+    ) -> Result<()> {
+        let renderer = PathTracer::new(self.world.mesh(), &self.embree, self.world, self.world, settings.tracer)
+            .with_points(self.world.points().to_vec());
+        let finish = |frame: &Frame, camera: &Camera| {
+            if settings.denoise { denoise::denoise(frame, camera) } else { frame.radiance() }
+        };
+        for (i, (name, camera)) in cameras.iter().enumerate() {
+            let pixels = (camera.width * camera.height) as u64;
+            let frame = progress.stage(&format!("tracing {name}"), pixels, |p| {
+                renderer.render_adaptive(camera, i as u64, &settings.goal, p, |pass, frame| {
+                    if pass > 0 { Ok(()) } else { refined(i, &finish(frame, camera)) }
+                })
+            })?;
+            done(i, &finish(&frame, camera))?;
+        }
+        Ok(())
+    }
+}
