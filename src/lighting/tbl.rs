@@ -27,6 +27,9 @@ pub struct Fusion {
     pub label: Vec<u16>,
     /// Smallest luminance over the clean views: light that cannot be a highlight.
     pub floor: Vec<f32>,
+    /// Brightest look at the texel that carries its own label, clean or not: for a lamp smaller than a pixel's neighbourhood, whose
+    /// pixels are all mixtures, the best there is.
+    pub brightest: Vec<Vec3>,
 }
 
 /// Fuses the observations of every texel.
@@ -40,6 +43,10 @@ pub fn fuse_radiance(observer: &Observer, orientation: &Orientation, texels: &Te
             let n = observer.mesh.face_normal(t) * orientation.sign(t);
             observer.observe(texels.position(observer.mesh, i), n, &mut seen);
             out.label.push(vote_label(&seen));
+            let own = out.label.last().copied();
+            let looks = seen.iter().filter(|o| Some(o.label) == own).map(|o| o.radiance);
+            let brighter = |a: Vec3, b: Vec3| if crate::math::luminance(b) > crate::math::luminance(a) { b } else { a };
+            out.brightest.push(looks.fold(Vec3::ZERO, brighter));
             // next to an edge a pixel mixes two surfaces, and beside a lamp the mixture is a false light: such texels count as unseen
             seen.retain(|o| o.clean);
             out.radiance.push(robust_mean(&seen));
@@ -55,6 +62,7 @@ pub fn fuse_radiance(observer: &Observer, orientation: &Orientation, texels: &Te
         all.views.extend(p.views);
         all.label.extend(p.label);
         all.floor.extend(p.floor);
+        all.brightest.extend(p.brightest);
     }
     all
 }

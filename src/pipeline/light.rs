@@ -44,8 +44,8 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let scene = surface.scene;
     let environment = Environment::observe(&surface.views);
     let known = known_lights(surface);
-    let observed: Vec<bool> = surface.fusion.views.iter().map(|v| *v > 0).collect();
-    let mut radiance = filled_radiance(surface, &surface.fusion.radiance, &observed);
+    let (fused, observed) = with_small_lamps(surface, &known);
+    let mut radiance = filled_radiance(surface, &fused, &observed);
     let coarse = Texels::rasterize(&scene.mesh, options.irradiance_size / COARSE, options.irradiance_size / COARSE);
     let coarse_options =
         IrtOptions { rays: 64, emitter_samples: 16, max_rounds: 1, seed: options.seed ^ 1, ..IrtOptions::default() };
@@ -62,7 +62,7 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     // surfaces nobody sees send out their class's albedo times their irradiance
     let unseen = observed.iter().filter(|o| !**o).count();
     if unseen > 0 {
-        let predicted = predict_unseen(surface, &coarse_irradiance, &observed, &emissive);
+        let predicted = predict_unseen(surface, &fused, &coarse_irradiance, &observed, &emissive);
         radiance = filled_radiance(surface, &predicted, &vec![true; observed.len()]);
     }
     let (field, emitters) = light_field(surface, &radiance, &emissive, environment, &coarse);
@@ -114,6 +114,38 @@ fn known_lights(surface: &Surface) -> Vec<bool> {
         v.0 += u32::from(surface.scene.classes.iter().any(|c| c.is_light && c.id == label));
     }
     votes.iter().map(|v| v.0 > 0 && 2 * v.0 >= v.1).collect()
+}
+
+/// The fused radiance and which texels it is known for. Where a known lamp has no clean look, its brightest mixed one serves, and
+/// the median of its class where no view sees it: a lamp of few pixels must not count as dark, for all albedos hang on its light.
+fn with_small_lamps(surface: &Surface, known: &[bool]) -> (Vec<Vec3>, Vec<bool>) {
+    let fusion = &surface.fusion;
+    let mut radiance = fusion.radiance.clone();
+    let mut observed: Vec<bool> = fusion.views.iter().map(|v| *v > 0).collect();
+    let lamps: Vec<usize> =
+        (0..radiance.len()).filter(|&i| known[surface.texels.point[i].triangle as usize] && !observed[i]).collect();
+    for &i in &lamps {
+        if fusion.brightest[i] != Vec3::ZERO {
+            radiance[i] = fusion.brightest[i];
+            observed[i] = true;
+        }
+    }
+    let mut seen: BTreeMap<u16, Vec<Vec3>> = BTreeMap::new();
+    for i in (0..radiance.len()).filter(|&i| observed[i] && known[surface.texels.point[i].triangle as usize]) {
+        seen.entry(surface.labels[i]).or_default().push(radiance[i]);
+    }
+    let mut median = BTreeMap::new();
+    for (label, mut values) in seen {
+        values.sort_by(|a, b| luminance(*a).total_cmp(&luminance(*b)));
+        median.insert(label, values[values.len() / 2]);
+    }
+    for i in lamps {
+        if let Some(m) = median.get(&surface.labels[i]).filter(|_| !observed[i]) {
+            radiance[i] = *m;
+            observed[i] = true;
+        }
+    }
+    (radiance, observed)
 }
 
 fn filled_radiance(surface: &Surface, values: &[Vec3], observed: &[bool]) -> RgbPlane {
@@ -189,13 +221,13 @@ fn irradiance_at(surface: &Surface, irradiance: &RgbPlane, i: usize) -> Vec3 {
 }
 
 /// Radiance of every texel: as observed, or the median albedo of its class times its irradiance where nobody sees it.
-fn predict_unseen(surface: &Surface, irradiance: &RgbPlane, observed: &[bool], emissive: &[bool]) -> Vec<Vec3> {
+fn predict_unseen(surface: &Surface, fused: &[Vec3], irradiance: &RgbPlane, observed: &[bool], emissive: &[bool]) -> Vec<Vec3> {
     let mut samples: BTreeMap<u16, [Vec<f32>; 3]> = BTreeMap::new();
     let stride = (surface.texels.len() / 400_000).max(1);
     for i in (0..surface.texels.len()).step_by(stride) {
         if observed[i] && !emissive[surface.texels.point[i].triangle as usize] {
             let e = irradiance_at(surface, irradiance, i);
-            let a = surface.fusion.radiance[i] * PI / e.max(Vec3::splat(1e-12));
+            let a = fused[i] * PI / e.max(Vec3::splat(1e-12));
             let s = samples.entry(surface.labels[i]).or_default();
             for c in 0..3 {
                 s[c].push(a[c].min(1.0));
@@ -211,7 +243,7 @@ fn predict_unseen(surface: &Surface, irradiance: &RgbPlane, observed: &[bool], e
     (0..surface.texels.len())
         .map(|i| {
             if observed[i] {
-                surface.fusion.radiance[i]
+                fused[i]
             } else {
                 let a = albedo.get(&surface.labels[i]).copied().unwrap_or(Vec3::splat(0.5));
                 a * irradiance_at(surface, irradiance, i) * FRAC_1_PI
