@@ -4,18 +4,26 @@
 //! medians; whatever is computed instead of measured (a long run scaled up from a part of it) says so in its own field. Nothing
 //! here is asserted by a test: a test machine is never quiet.
 
+mod child;
 mod ground;
 mod growth;
 mod irt;
 mod irt_error;
 mod irt_rates;
+mod kernel;
 mod plot;
+mod tradeoff;
+mod tsdr;
 
+pub use child::{Outcome, Runner};
 pub use ground::Ground;
 pub use growth::{Growth, TextureGrowth, ThreadGrowth, TriangleGrowth};
 pub use irt::{IrtBench, IrtReport, bench_irt};
 pub use irt_error::{ErrorPoint, Reference};
 pub use irt_rates::{BatchRate, EstimatorRate, Rates};
+pub use kernel::{KernelBench, KernelRates, KernelReport, bench_kernel};
+pub use tradeoff::{KNOBS, PRESETS, TradePoint, TradeoffBench, TradeoffReport, bench_tradeoff};
+pub use tsdr::{TsdrBench, TsdrReport, bench_tsdr};
 
 use std::time::Instant;
 

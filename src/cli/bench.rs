@@ -1,15 +1,17 @@
 //! `unbake bench`: what can be measured, and where the figures go.
 
-use super::Context;
 use super::verbs::read_scene;
-use crate::bench::{IrtBench, bench_irt};
+use super::{Config, Context};
+use crate::bench::{
+    IrtBench, KernelBench, Runner, TradeoffBench, TsdrBench, bench_irt, bench_kernel, bench_tradeoff, bench_tsdr,
+};
 use crate::error::{Error, Result};
 use crate::formats::{Aside, atomic_write};
 use crate::pipeline::SolveOptions;
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The measurements.
 #[derive(Subcommand, Clone, Debug)]
@@ -26,6 +28,62 @@ pub enum BenchVerb {
         #[command(flatten)]
         outputs: Outputs,
     },
+    /// Accuracy against time and memory over presets and knobs, each point a reconstruction of its own.
+    Tradeoff {
+        /// Scene folder (or its transforms.json), with ground truth.
+        #[arg(value_name = "SCENE")]
+        scene: PathBuf,
+        /// What is measured.
+        #[command(flatten)]
+        bench: TradeoffBench,
+        /// Where reconstructions go.
+        #[command(flatten)]
+        work: Work,
+        /// Where the figures go.
+        #[command(flatten)]
+        outputs: Outputs,
+    },
+    /// The whole reconstruction at the paper's resolutions beside the times published for TSDR and the paper.
+    Tsdr {
+        /// Scene folder (or its transforms.json).
+        #[arg(value_name = "SCENE")]
+        scene: PathBuf,
+        /// What is measured.
+        #[command(flatten)]
+        bench: TsdrBench,
+        /// Where the reconstruction goes.
+        #[command(flatten)]
+        work: Work,
+        /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
+        #[arg(long, value_name = "FILE")]
+        json_file: Option<PathBuf>,
+    },
+    /// Evaluations per second of the reflection kernel beside the scalar reference and the machine's limits.
+    Kernel {
+        /// What is measured.
+        #[command(flatten)]
+        bench: KernelBench,
+        /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
+        #[arg(long, value_name = "FILE")]
+        json_file: Option<PathBuf>,
+    },
+}
+
+/// Where the reconstructions of a benchmark go.
+#[derive(Args, Clone, Debug, Default)]
+pub struct Work {
+    /// Keep the reconstructions in a new folder instead of removing each after it is scored.
+    #[arg(long, value_name = "FOLDER")]
+    pub keep: Option<PathBuf>,
+}
+
+impl Work {
+    fn runner(&self, scene: &Path, context: &Context) -> Result<Runner> {
+        let config = Config { quiet: true, json: false, ..context.config.clone() };
+        let config = toml::to_string(&config).map_err(|e| Error::Failed(format!("options: {e}")))?;
+        let work = self.keep.clone().unwrap_or_else(|| std::env::temp_dir().join(format!("unbake-bench-{}", std::process::id())));
+        Runner::new(scene, &work, self.keep.is_some(), &config)
+    }
 }
 
 /// Where the figures go besides the terminal.
@@ -48,7 +106,7 @@ impl Outputs {
         Ok(())
     }
 
-    fn write(&self, context: &Context, text: &str, report: &impl Serialize, plot: impl FnOnce() -> Result<String>) -> Result<()> {
+    fn write_files(&self, report: &impl Serialize, plot: impl FnOnce() -> Result<String>) -> Result<serde_json::Value> {
         let json = serde_json::to_value(report).map_err(|e| Error::Failed(format!("figures: {e}")))?;
         if let Some(path) = &self.json_file {
             atomic_write(path, format!("{json:#}\n").as_bytes())?;
@@ -56,6 +114,11 @@ impl Outputs {
         if let Some(path) = &self.plot {
             atomic_write(path, plot()?.as_bytes())?;
         }
+        Ok(json)
+    }
+
+    fn write(&self, context: &Context, text: &str, report: &impl Serialize, plot: impl FnOnce() -> Result<String>) -> Result<()> {
+        let json = self.write_files(report, plot)?;
         context.result(text, &json)
     }
 }
@@ -67,6 +130,29 @@ pub(super) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
             outputs.check()?;
             let report = bench_irt(&read_scene(scene, context)?, bench, &solve_options(context), &context.progress)?;
             outputs.write(context, &report.text(), &report, || report.plot())
+        }
+        BenchVerb::Tradeoff { scene: path, bench, work, outputs } => {
+            outputs.check()?;
+            let scene = read_scene(path, context)?;
+            let runner = work.runner(path, context)?;
+            let options = solve_options(context);
+            let report = bench_tradeoff(&scene, &runner, bench, &options, &context.progress, &mut |so_far| {
+                outputs.write_files(so_far, || so_far.plot()).map(drop)
+            })?;
+            outputs.write(context, &report.text(), &report, || report.plot())
+        }
+        BenchVerb::Tsdr { scene: path, bench, work, json_file } => {
+            let outputs = Outputs { json_file: json_file.clone(), plot: None };
+            outputs.check()?;
+            let scene = read_scene(path, context)?;
+            let report = bench_tsdr(&scene, &work.runner(path, context)?, bench, &context.progress)?;
+            outputs.write(context, &report.text(), &report, || Ok(String::new()))
+        }
+        BenchVerb::Kernel { bench, json_file } => {
+            let outputs = Outputs { json_file: json_file.clone(), plot: None };
+            outputs.check()?;
+            let report = bench_kernel(bench)?;
+            outputs.write(context, &report.text(), &report, || Ok(String::new()))
         }
     }
 }
@@ -100,6 +186,23 @@ mod tests {
     fn rewritten(line: &str) -> String {
         let arguments = line.split(' ').map(OsString::from).collect();
         with_json_file(arguments).iter().map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
+    }
+
+    #[test]
+    fn every_knob_of_the_trade_is_a_flag_of_solve() {
+        use clap::CommandFactory;
+        let command = super::super::Cli::command();
+        let solve = command.find_subcommand("solve").expect("verb");
+        for (knob, values) in crate::bench::KNOBS {
+            for value in *values {
+                let line = ["unbake", "solve", "S", "-o", "O", &format!("--{knob}"), value];
+                assert!(command.clone().try_get_matches_from(line).is_ok(), "--{knob} {value}");
+            }
+        }
+        let quality = solve.get_arguments().find(|a| a.get_long() == Some("quality")).expect("flag");
+        for preset in crate::bench::PRESETS {
+            assert!(quality.get_possible_values().iter().any(|v| v.get_name() == preset));
+        }
     }
 
     #[test]

@@ -1,0 +1,335 @@
+//! `unbake bench tradeoff`: what accuracy costs, preset by preset and knob by knob.
+//!
+//! Every point is a reconstruction in a process of its own, scored against ground truth. From the preset `standard` one knob at a
+//! time is turned; the knobs that save most time for the least loss are then turned together, one after another: the best path.
+//! A point is marked as Pareto-optimal if no faster one has as high a mean of the three PSNRs (albedo, roughness, novel views).
+
+use super::child::{Outcome, Runner};
+use super::ground::relative_errors;
+use super::irt_error::reference;
+use super::plot::{Chart, Series, svg};
+use super::{Ground, Reference};
+use crate::Result;
+use crate::formats::read_rgb;
+use crate::image::Wrap;
+use crate::pipeline::SolveOptions;
+use crate::progress::Progress;
+use crate::report::{Machine, SceneSummary, Versions, machine};
+use crate::scene::Scene;
+use crate::texture::Texels;
+use glam::{Vec2, Vec3};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// Presets, fastest first.
+pub const PRESETS: [&str; 3] = ["draft", "standard", "high"];
+
+/// Flags of `unbake solve` that trade time for accuracy, each with the values tried besides the preset's own.
+pub const KNOBS: &[(&str, &[&str])] = &[
+    ("irradiance-rays", &["16", "32", "128"]),
+    ("emitter-samples", &["4", "8", "32"]),
+    ("irradiance-error", &["0.05", "0.02", "0.005"]),
+    ("irradiance-size", &["256", "512", "2048"]),
+    ("albedo-size", &["512", "1024", "4096"]),
+    ("roughness-size", &["1024", "2048"]),
+];
+
+/// The values of a quick run: one cheaper value for each of the knobs that matter most.
+const QUICK: &[(&str, &[&str])] = &[("irradiance-rays", &["16"]), ("irradiance-size", &["512"]), ("albedo-size", &["1024"])];
+
+/// What `unbake bench tradeoff` can be told.
+#[derive(clap::Args, Clone, Debug)]
+pub struct TradeoffBench {
+    /// Only the presets, three knobs and the path through them.
+    #[arg(long)]
+    pub quick: bool,
+    /// Texels at which irradiance is compared with a reference.
+    #[arg(long, value_name = "N", default_value_t = 500)]
+    pub reference_texels: usize,
+}
+
+/// One reconstruction.
+#[derive(Clone, Debug, Serialize)]
+pub struct TradePoint {
+    /// Preset.
+    pub preset: String,
+    /// Flags turned besides it.
+    pub knobs: BTreeMap<String, String>,
+    /// `preset`, `knob` or `path`.
+    pub kind: String,
+    /// Cost and quality.
+    #[serde(flatten)]
+    pub outcome: Outcome,
+    /// √(Σ‖E−E'‖²/Σ‖E'‖²) of the irradiance texture, looked up at the reference's texels.
+    pub irradiance_rmse: f64,
+    /// Whether no faster point has as high a mean PSNR.
+    pub pareto: bool,
+}
+
+/// Everything `unbake bench tradeoff` measures.
+#[derive(Clone, Debug, Serialize)]
+pub struct TradeoffReport {
+    /// The points in the order they were run.
+    pub points: Vec<TradePoint>,
+    /// What `pareto` compares.
+    pub pareto_measure: String,
+    /// The irradiance reference.
+    pub reference: Reference,
+    /// Versions.
+    pub versions: Versions,
+    /// The machine.
+    pub machine: Machine,
+    /// The scene.
+    pub scene: SceneSummary,
+}
+
+/// Runs the sweep; `each` sees the report after every point, so that a later failure loses nothing.
+///
+/// # Errors
+/// An unusable scene or a reconstruction that fails.
+pub fn bench_tradeoff(
+    scene: &Scene,
+    runner: &Runner,
+    bench: &TradeoffBench,
+    options: &SolveOptions,
+    progress: &Progress,
+    each: &mut dyn FnMut(&TradeoffReport) -> Result<()>,
+) -> Result<TradeoffReport> {
+    let (reference, places) = irradiance_reference(scene, bench, options, progress)?;
+    let mut report = TradeoffReport {
+        points: Vec::new(),
+        pareto_measure: "seconds against the mean of albedo, roughness (FIPT protocol) and novel-view PSNR".to_owned(),
+        reference,
+        versions: Versions::current(),
+        machine: machine(),
+        scene: SceneSummary::of(scene),
+    };
+    let knobs = if bench.quick { QUICK } else { KNOBS };
+    let turned: usize = knobs.iter().map(|k| k.1.len()).sum();
+    let steps = PRESETS.len() + turned + knobs.len();
+    progress.stage("reconstructions", steps as u64, |p| {
+        let mut run = |report: &mut TradeoffReport, kind: &str, preset: &str, knobs: BTreeMap<String, String>| -> Result<()> {
+            let mut flags = vec!["--quality".to_owned(), preset.to_owned()];
+            flags.extend(knobs.iter().flat_map(|(k, v)| [format!("--{k}"), v.clone()]));
+            let name = format!("point-{:03}", report.points.len());
+            let (outcome, irradiance_rmse) =
+                runner.run(&name, &flags, |out| irradiance_error(out, &places, &report.reference.value))?;
+            let point =
+                TradePoint { preset: preset.to_owned(), knobs, kind: kind.to_owned(), outcome, irradiance_rmse, pareto: false };
+            p.note(point.line());
+            report.points.push(point);
+            mark_pareto(&mut report.points);
+            p.advance(1);
+            each(report)
+        };
+        for preset in PRESETS {
+            run(&mut report, "preset", preset, BTreeMap::new())?;
+        }
+        for (knob, values) in knobs {
+            for value in *values {
+                run(&mut report, "knob", "standard", [((*knob).to_owned(), (*value).to_owned())].into())?;
+            }
+        }
+        // two changes at least: one alone has been measured
+        for n in 2..=knobs.len() {
+            let path = best_path(&report.points);
+            if path.len() < n {
+                break;
+            }
+            run(&mut report, "path", "standard", path[..n].iter().cloned().collect())?;
+        }
+        Ok::<(), crate::Error>(())
+    })?;
+    Ok(report)
+}
+
+/// The reference irradiance and the atlas coordinates of its texels.
+fn irradiance_reference(
+    scene: &Scene,
+    bench: &TradeoffBench,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<(Reference, Vec<Vec2>)> {
+    let ground = Ground::prepare(scene, options, progress)?;
+    let texels = &ground.light.texels;
+    let reference =
+        progress.stage("reference", 2 * bench.reference_texels as u64, |p| reference(&ground, texels, bench.reference_texels, p));
+    let places = reference.ids.iter().map(|&i| centre(texels, i)).collect();
+    Ok((reference, places))
+}
+
+fn centre(texels: &Texels, i: usize) -> Vec2 {
+    let c = texels.cell[i] as usize;
+    Vec2::new((c % texels.width) as f32 + 0.5, (c / texels.width) as f32 + 0.5)
+        / Vec2::new(texels.width as f32, texels.height as f32)
+}
+
+fn irradiance_error(out: &Path, places: &[Vec2], reference: &[Vec3]) -> Result<f64> {
+    let plane = read_rgb(&out.join("irradiance.exr"))?;
+    let size = Vec2::new(plane.width as f32, plane.height as f32);
+    let value: Vec<Vec3> = places.iter().map(|&uv| plane.bilinear(uv * size, Wrap::Clamp)).collect();
+    Ok(relative_errors(&value, reference).0)
+}
+
+impl TradePoint {
+    /// Mean of the PSNRs there are.
+    fn quality(&self) -> f64 {
+        let o = &self.outcome;
+        let all: Vec<f64> = [o.albedo_psnr, o.roughness_psnr, o.novel_psnr].into_iter().flatten().collect();
+        if all.is_empty() { 0.0 } else { all.iter().sum::<f64>() / all.len() as f64 }
+    }
+
+    fn name(&self) -> String {
+        let knobs: Vec<String> = self.knobs.iter().map(|(k, v)| format!("{k} {v}")).collect();
+        if knobs.is_empty() { self.preset.clone() } else { format!("{}, {}", self.preset, knobs.join(", ")) }
+    }
+
+    fn line(&self) -> String {
+        let o = &self.outcome;
+        let db = |v: Option<f64>| v.map_or("   --".to_owned(), |v| format!("{v:5.2}"));
+        format!(
+            "{}{:44} {:7.1} s {:5.2} GiB  albedo {}  roughness {}  novel {} dB  irradiance {:5.2} %",
+            if self.pareto { "*" } else { " " },
+            self.name(),
+            o.seconds,
+            o.peak_bytes as f64 / (1u64 << 30) as f64,
+            db(o.albedo_psnr),
+            db(o.roughness_psnr),
+            db(o.novel_psnr),
+            100.0 * self.irradiance_rmse
+        )
+    }
+}
+
+fn mark_pareto(points: &mut [TradePoint]) {
+    let all: Vec<(f64, f64)> = points.iter().map(|p| (p.outcome.seconds, p.quality())).collect();
+    for (i, p) in points.iter_mut().enumerate() {
+        let (s, q) = all[i];
+        p.pareto = !all.iter().enumerate().any(|(j, &(t, r))| j != i && t <= s && r >= q && (t < s || r > q));
+    }
+}
+
+/// Changes that save time, the one with the least loss of quality per second saved first; one value per knob.
+fn best_path(points: &[TradePoint]) -> Vec<(String, String)> {
+    let Some(base) = points.iter().find(|p| p.kind == "preset" && p.preset == "standard") else { return Vec::new() };
+    let mut changes: Vec<(f64, &TradePoint)> = points
+        .iter()
+        .filter(|p| p.kind == "knob" && p.outcome.seconds < base.outcome.seconds)
+        .map(|p| ((base.quality() - p.quality()) / (base.outcome.seconds - p.outcome.seconds), p))
+        .collect();
+    changes.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut path: Vec<(String, String)> = Vec::new();
+    for (_, p) in changes {
+        for (k, v) in &p.knobs {
+            if !path.iter().any(|(known, _)| known == k) {
+                path.push((k.clone(), v.clone()));
+            }
+        }
+    }
+    path
+}
+
+impl TradeoffReport {
+    /// The table of the terminal.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut out = String::new();
+        let m = &self.machine;
+        // writing to a string cannot fail
+        let _ = writeln!(
+            out,
+            "{}: {} views, {} threads of {}; irradiance against {} samples at {} texels; * = Pareto-optimal ({})",
+            self.scene.name,
+            self.scene.training_views,
+            m.threads,
+            m.cpu,
+            self.reference.samples,
+            self.reference.texels,
+            self.pareto_measure
+        );
+        for p in &self.points {
+            let _ = writeln!(out, "{}", p.line());
+        }
+        out
+    }
+
+    /// Every quality and memory against time, with the Pareto front as a line.
+    ///
+    /// # Errors
+    /// The drawing library failing.
+    pub fn plot(&self) -> Result<String> {
+        type Value = fn(&TradePoint) -> f64;
+        let quantities: [(&str, Value, bool); 6] = [
+            ("albedo PSNR, dB", |p| p.outcome.albedo_psnr.unwrap_or(f64::NAN), false),
+            ("roughness PSNR (FIPT), dB", |p| p.outcome.roughness_psnr.unwrap_or(f64::NAN), false),
+            ("novel-view PSNR, dB", |p| p.outcome.novel_psnr.unwrap_or(f64::NAN), false),
+            ("irradiance relative RMSE, %", |p| 100.0 * p.irradiance_rmse, true),
+            ("mean PSNR, dB", TradePoint::quality, false),
+            ("peak memory, GiB", |p| p.outcome.peak_bytes as f64 / (1u64 << 30) as f64, false),
+        ];
+        let charts: Vec<Chart> = quantities
+            .iter()
+            .map(|&(name, value, log_y)| {
+                let of = |keep: &dyn Fn(&TradePoint) -> bool| {
+                    let mut points: Vec<_> =
+                        self.points.iter().filter(|p| keep(p)).map(|p| (p.outcome.seconds, value(p))).collect();
+                    points.sort_by(|a, b| a.0.total_cmp(&b.0));
+                    points
+                };
+                let series = |name: &str, line, points| Series { name: name.to_owned(), points, line };
+                Chart {
+                    title: format!("{}: {name}", self.scene.name),
+                    x: "seconds".to_owned(),
+                    y: name.to_owned(),
+                    log_x: true,
+                    log_y,
+                    series: vec![
+                        series("presets", false, of(&|p| p.kind == "preset")),
+                        series("one knob", false, of(&|p| p.kind == "knob")),
+                        series("best path", false, of(&|p| p.kind == "path")),
+                        series("Pareto front", true, of(&|p| p.pareto)),
+                    ],
+                }
+            })
+            .collect();
+        svg(&charts)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(kind: &str, knob: Option<(&str, &str)>, seconds: f64, psnr: f64) -> TradePoint {
+        TradePoint {
+            preset: "standard".into(),
+            knobs: knob.into_iter().map(|(k, v)| (k.to_owned(), v.to_owned())).collect(),
+            kind: kind.into(),
+            outcome: Outcome { seconds, novel_psnr: Some(psnr), ..Outcome::default() },
+            irradiance_rmse: 0.01,
+            pareto: false,
+        }
+    }
+
+    #[test]
+    fn only_points_that_nothing_beats_are_pareto_optimal() {
+        let mut points = vec![point("knob", None, 1.0, 20.0), point("knob", None, 2.0, 19.0), point("knob", None, 3.0, 30.0)];
+        mark_pareto(&mut points);
+        assert_eq!(points.iter().map(|p| p.pareto).collect::<Vec<_>>(), [true, false, true]);
+    }
+
+    #[test]
+    fn the_best_path_begins_with_the_cheapest_saving_and_takes_one_value_per_knob() {
+        let points = [
+            point("preset", None, 100.0, 30.0),
+            point("knob", Some(("a", "1")), 50.0, 29.0),
+            point("knob", Some(("b", "1")), 90.0, 29.9),
+            point("knob", Some(("b", "2")), 80.0, 29.9),
+            point("knob", Some(("c", "1")), 120.0, 31.0),
+        ];
+        let path = best_path(&points);
+        assert_eq!(path, [("b".to_owned(), "2".to_owned()), ("a".to_owned(), "1".to_owned())]);
+    }
+}
