@@ -7,6 +7,7 @@
 pub mod bench;
 pub mod brdf;
 pub mod cli;
+pub mod edit;
 pub mod error;
 pub mod evaluate;
 pub mod export;

@@ -1,7 +1,7 @@
 //! What can be typed.
 
 use super::config::Config;
-use super::pictures::Places;
+use super::pictures::{ExportVerb, Places};
 use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveOptions;
 use crate::render::{RelightOptions, RenderOptions};
@@ -121,6 +121,39 @@ pub enum Verb {
         #[command(flatten)]
         load: LoadOptions,
     },
+    /// Edit materials of a reconstruction without touching it: the list lies in OUT/edits.toml, the result in OUT/edited.
+    Edit {
+        /// Output folder of `unbake solve`.
+        #[arg(required_unless_present = "print_config", value_name = "OUT")]
+        out: Option<PathBuf>,
+        /// List of edits to take over; without it OUT/edits.toml is applied again.
+        #[arg(long, value_name = "FILE")]
+        edits: Option<PathBuf>,
+        /// Scene whose class names the list uses.
+        #[arg(long, value_name = "SCENE")]
+        scene: Option<PathBuf>,
+        /// Remove the edits.
+        #[arg(long)]
+        clear: bool,
+        /// How the scene is read.
+        #[command(flatten)]
+        load: LoadOptions,
+    },
+    /// Files for other programs: glTF, USD, Mitsuba 3.
+    Export {
+        /// Output folder of `unbake solve`.
+        #[arg(required_unless_present = "print_config", value_name = "OUT")]
+        out: Option<PathBuf>,
+        /// Cameras and destination.
+        #[command(flatten)]
+        places: Places,
+        /// What to write.
+        #[command(flatten)]
+        options: ExportVerb,
+        /// How the scene is read.
+        #[command(flatten)]
+        load: LoadOptions,
+    },
     /// Pictures of a reconstruction under changed light: lamps off, scaled, coloured, moved or added, another environment.
     Relight {
         /// Output folder of `unbake solve`.
@@ -156,6 +189,8 @@ impl Cli {
             Some(Verb::Solve { options, load, .. }) => (config.solve, config.scene) = (options.clone(), load.clone()),
             Some(Verb::Eval { options, load, .. }) => (config.eval, config.scene) = (options.clone(), load.clone()),
             Some(Verb::Render { options, load, .. }) => (config.render, config.scene) = (options.clone(), load.clone()),
+            Some(Verb::Edit { load, .. }) => config.scene = load.clone(),
+            Some(Verb::Export { options, load, .. }) => (config.export, config.scene) = (options.clone(), load.clone()),
             Some(Verb::Relight { options, load, .. }) => (config.relight, config.scene) = (options.clone(), load.clone()),
             Some(Verb::Bench { .. }) | None => {}
         }

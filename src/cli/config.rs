@@ -3,6 +3,7 @@
 //! Options live with the modules that use them (`clap::Args` + `serde`); this file only merges values: the file is read into
 //! the same structures, and each flag that was really typed replaces its key. Nothing is merged as text.
 
+use super::pictures::ExportVerb;
 use crate::error::{Error, Result};
 use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveOptions;
@@ -39,6 +40,8 @@ pub struct Config {
     pub render: RenderOptions,
     /// Options of `unbake relight`.
     pub relight: RelightOptions,
+    /// Options of `unbake export`.
+    pub export: ExportVerb,
 }
 
 impl Config {
@@ -121,6 +124,8 @@ pub fn tables_of(verb: &str) -> &'static [&'static str] {
         "solve" => &["solve", "scene"],
         "eval" => &["eval", "scene"],
         "render" => &["render", "scene"],
+        "edit" => &["scene"],
+        "export" => &["export", "scene"],
         "relight" => &["relight", "scene"],
         _ => &[],
     }

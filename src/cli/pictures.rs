@@ -2,16 +2,20 @@
 
 use super::Context;
 use super::verbs::read_scene;
+use crate::edit::{EDITED, EDITS, EditList, apply_to_folder, load_edited};
 use crate::error::{Error, Result};
-use crate::export::FrameWriter;
+use crate::export::{ExportOptions, FrameWriter};
 use crate::geometry::Camera;
 use crate::progress::Progress;
 use crate::render::{
     Adaptive, FrameOptions, HybridOptions, HybridRenderer, LampChange, LampGroup, Lighting, NamedCamera, PathTracerOptions,
     Renderer, Stage, TraceSettings, ViewRenderer, World, cameras_of_scene, daylight, lamp_groups, mean_luminance, read_cameras,
+    viewpoints,
 };
 use crate::solution::Solution;
+use crate::trace::EmbreeTracer;
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -30,6 +34,18 @@ pub struct Places {
     pub to: Option<PathBuf>,
 }
 
+/// Options of `unbake export`: the formats, and the cameras that go with them.
+#[derive(clap::Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct ExportVerb {
+    /// Formats.
+    #[command(flatten)]
+    pub formats: ExportOptions,
+    /// Cameras.
+    #[command(flatten)]
+    pub frames: FrameOptions,
+}
+
 impl Places {
     fn frames(&self, options: &FrameOptions, solution: &Solution, context: &Context) -> Result<Vec<NamedCamera>> {
         let given = match (&self.cameras, &self.scene) {
@@ -41,7 +57,12 @@ impl Places {
                 let scene = read_scene(scene, context)?;
                 cameras_of_scene(&scene, options.split.split(), solution.origin)
             }
-            (None, None) => return Err(Error::Usage("which cameras? Give --cameras FILE or --scene SCENE".into())),
+            (None, None) => {
+                context.progress.note("no --cameras and no --scene: two views that show much of the scene are chosen");
+                let (w, h) = (if options.width > 0 { options.width } else { 960 }, options.height);
+                let h = if h > 0 { h } else { (w * 9 / 16).max(1) };
+                viewpoints(&solution.mesh, &EmbreeTracer::new(&solution.mesh)?, 2, w, h)
+            }
         };
         options.frames(given)
     }
@@ -49,7 +70,8 @@ impl Places {
 
 /// A solution with its edits applied, if it has any.
 pub fn read_solution(out: &Path, progress: &Progress) -> Result<Solution> {
-    progress.stage("reading the solution", 1, |_| Solution::load(out))
+    progress.note(format!("reading {}", out.display()));
+    load_edited(out, progress)
 }
 
 fn traced(cameras: &[NamedCamera]) -> Vec<(String, Camera)> {
@@ -78,7 +100,7 @@ pub fn render(out: &Path, places: &Places, context: &Context) -> Result<()> {
                     clock = Instant::now();
                     let view = renderer.render(&c.camera)?;
                     seconds.push(clock.elapsed().as_secs_f64());
-                    writer.write(&c.name, &view.radiance)?;
+                    writer.write(&c.name, &options.show.of(view))?;
                     p.advance(1);
                 }
                 Ok(())
@@ -111,6 +133,67 @@ pub fn render(out: &Path, places: &Places, context: &Context) -> Result<()> {
         }
     }
     report(&writer, &options.frames, &folder, &seconds, context)
+}
+
+/// `unbake edit`.
+pub fn edit(out: &Path, edits: Option<&Path>, scene: Option<&Path>, clear: bool, context: &Context) -> Result<()> {
+    let list = out.join(EDITS);
+    if clear {
+        for (path, removed) in
+            [(&list, std::fs::remove_file(&list)), (&out.join(EDITED), std::fs::remove_dir_all(out.join(EDITED)))]
+        {
+            if let Err(e) = removed
+                && e.kind() != std::io::ErrorKind::NotFound
+            {
+                return Err(Error::io(path, e));
+            }
+        }
+        return context.result(&format!("{}: no edits any more\n", out.display()), &json!({"out": out, "edits": 0}));
+    }
+    if let Some(file) = edits {
+        EditList::read(file)?;
+        let text = std::fs::read(file).map_err(|e| Error::io(file, e))?;
+        crate::formats::atomic_write(&list, &text)?;
+    } else if !list.is_file() {
+        return Err(Error::Usage(format!("{} does not exist: give the edits with --edits FILE", list.display())));
+    }
+    let classes = match scene {
+        Some(path) => read_scene(path, context)?.classes.into_iter().map(|c| (c.id, c.name)).collect(),
+        None => Vec::new(),
+    };
+    // names are turned into ids once, so that the list can be applied where the scene is not at hand
+    let mut resolved = EditList::read(&list)?;
+    if resolved.name_classes(&classes) {
+        let text = toml::to_string(&resolved).map_err(|e| Error::Failed(format!("{}: {e}", list.display())))?;
+        crate::formats::atomic_write(&list, text.as_bytes())?;
+    }
+    let clock = Instant::now();
+    let edited = apply_to_folder(out, &classes, context.seed(), &context.progress)?;
+    let mut text = String::new();
+    for (i, n) in edited.texels.iter().enumerate() {
+        text.push_str(&format!("edit {i}: {n} texels\n"));
+    }
+    let bounces: Vec<String> = edited.bounces.iter().map(|b| format!("{:.2} %", 100.0 * b)).collect();
+    text.push_str(&format!(
+        "light followed over {} bounces (change of irradiance {}), {:.1} s\n{}\n",
+        bounces.len(),
+        bounces.join(", "),
+        clock.elapsed().as_secs_f64(),
+        out.join(EDITED).display()
+    ));
+    context.result(&text, &json!({"out": out, "texels": edited.texels, "bounces": edited.bounces}))
+}
+
+/// `unbake export`.
+pub fn export(out: &Path, places: &Places, context: &Context) -> Result<()> {
+    let options = &context.config.export;
+    let solution = read_solution(out, &context.progress)?;
+    let cameras = places.frames(&options.frames, &solution, context)?;
+    let folder = places.to.clone().unwrap_or_else(|| out.join("export"));
+    let files =
+        context.progress.stage("exporting", 1, |_| crate::export::export(&folder, &solution, &cameras, &options.formats))?;
+    let text = format!("{}: {}\n", folder.display(), files.join(" "));
+    context.result(&text, &json!({"folder": folder, "files": files}))
 }
 
 /// `unbake relight`.

@@ -38,8 +38,21 @@ fn every_option_has_a_help_sentence_of_its_own() {
 }
 
 /// Arguments that say what to work on or how to run rather than how to compute: the only ones without a key.
-const WITHOUT_KEY: [&str; 11] =
-    ["config", "print_config", "version", "out", "scene", "help", "folder", "to", "cameras", "lights", "list_lamps"];
+const WITHOUT_KEY: [&str; 13] = [
+    "config",
+    "print_config",
+    "version",
+    "out",
+    "scene",
+    "help",
+    "folder",
+    "to",
+    "cameras",
+    "lights",
+    "list_lamps",
+    "edits",
+    "clear",
+];
 
 #[test]
 fn every_flag_is_a_key_and_every_key_is_a_flag() {

@@ -20,6 +20,10 @@ pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
         Verb::Check { scene, .. } => return check_scene(required(scene)?, context),
         Verb::Solve { scene, out, .. } => solve(required(scene)?, required(out)?, context),
         Verb::Render { out, places, .. } => pictures::render(required(out)?, places, context),
+        Verb::Edit { out, edits, scene, clear, .. } => {
+            pictures::edit(required(out)?, edits.as_deref(), scene.as_deref(), *clear, context)
+        }
+        Verb::Export { out, places, .. } => pictures::export(required(out)?, places, context),
         Verb::Relight { out, places, lights, list_lamps, .. } => {
             pictures::relight(required(out)?, places, lights.as_deref(), *list_lamps, context)
         }

@@ -9,6 +9,7 @@ use super::{encode_rgb8, srgb8_from_linear};
 use crate::error::{Error, Result};
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
+use crate::render::{LampGroup, World, lamp_groups};
 use crate::solution::Solution;
 use glam::{DVec3, Vec2, Vec3};
 use serde_json::{Value, json};
@@ -20,11 +21,15 @@ use std::path::Path;
 pub struct GlbOptions {
     /// Largest side of an embedded texture in pixels; larger ones are halved until they fit.
     pub max_texture: usize,
+    /// Lamps as `KHR_lights_punctual` as well: for engines that do not light by emissive surfaces.
+    pub punctual_lights: bool,
+    /// Irradiance as a lightmap on the second texture set.
+    pub lightmap: bool,
 }
 
 impl Default for GlbOptions {
     fn default() -> Self {
-        Self { max_texture: 4096 }
+        Self { max_texture: 4096, punctual_lights: false, lightmap: false }
     }
 }
 
@@ -76,6 +81,10 @@ pub fn scene_glb(solution: &Solution, options: GlbOptions) -> Result<Vec<u8>> {
 
     let mut pictures = vec![("base colour", base), ("occlusion roughness metallic", orm)];
     pictures.extend(emissive.map(|e| ("emissive", e)));
+    let lightmap_peak = peak(&solution.irradiance).filter(|_| options.lightmap);
+    if let Some(peak) = lightmap_peak {
+        pictures.push(("lightmap", emissive_png(&solution.irradiance, peak, options.max_texture)?));
+    }
     let images: Vec<Value> = pictures
         .iter()
         .map(|(name, png)| json!({"name": name, "mimeType": "image/png", "bufferView": binary.view(png, None)}))
@@ -108,14 +117,56 @@ pub fn scene_glb(solution: &Solution, options: GlbOptions) -> Result<Vec<u8>> {
         "textures": textures,
         "samplers": [{"magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR, "wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE}],
     });
+    if let Some(peak) = lightmap_peak {
+        // glTF has no lightmap of its own: irradiance = linear texel · intensity
+        let extras = json!({"index": images.len() - 1, "texCoord": 1, "intensity": peak, "quantity": "irradiance"});
+        material["extras"] = json!({"lightmapTexture": extras});
+        root["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_1"] = json!(uv);
+    }
+    let mut extensions: Vec<&str> = Vec::new();
     if let Some(strength) = strength {
+        extensions.push("KHR_materials_emissive_strength");
         material["emissiveTexture"] = json!({"index": 2});
         material["emissiveFactor"] = json!([1.0, 1.0, 1.0]);
         material["extensions"] = json!({"KHR_materials_emissive_strength": {"emissiveStrength": f64::from(strength)}});
-        root["extensionsUsed"] = json!(["KHR_materials_emissive_strength"]);
+    }
+    let lights = if options.punctual_lights { punctual_lights(solution) } else { Vec::new() };
+    if !lights.is_empty() {
+        extensions.push("KHR_lights_punctual");
+        for (i, (_, position)) in lights.iter().enumerate() {
+            root["scenes"][0]["nodes"].as_array_mut().into_iter().for_each(|n| n.push(json!(i + 1)));
+            let node = json!({
+                "name": format!("lamp {}", i + 1),
+                "translation": position,
+                "extensions": {"KHR_lights_punctual": {"light": i}},
+            });
+            root["nodes"].as_array_mut().into_iter().for_each(|n| n.push(node.clone()));
+        }
+        let list: Vec<Value> = lights.into_iter().map(|l| l.0).collect();
+        root["extensions"] = json!({"KHR_lights_punctual": {"lights": list}});
+    }
+    if !extensions.is_empty() {
+        root["extensionsUsed"] = json!(extensions);
     }
     root["materials"] = json!([material]);
     container(&root, &binary.bytes)
+}
+
+/// A point light per lamp that sends out as much light, with its place in file coordinates.
+fn punctual_lights(solution: &Solution) -> Vec<(Value, [f64; 3])> {
+    let world = World::new(solution);
+    let light = |g: &LampGroup| {
+        let brightest = g.radiance.iter().copied().fold(0.0, f32::max).max(f32::MIN_POSITIVE);
+        let colour = g.radiance.map(|c| f64::from((c / brightest).clamp(0.0, 1.0)));
+        // a flat lamp hangs on something: its light starts a little in front of it
+        let normal: Vec3 = g.triangles.iter().map(|&t| solution.mesh.double_area_normal(t as usize)).sum();
+        let front = (normal / (2.0 * g.area.max(f32::MIN_POSITIVE))).as_dvec3() * 0.05;
+        let position = DVec3::from_array(g.position) + front;
+        // π · L · area over the full sphere
+        let intensity = f64::from(0.25 * brightest * g.area);
+        (json!({"type": "point", "name": format!("lamp {}", g.id), "color": colour, "intensity": intensity}), position.to_array())
+    };
+    lamp_groups(&world, solution.origin).iter().map(light).collect()
 }
 
 fn node(origin: DVec3) -> Value {
@@ -325,7 +376,7 @@ mod tests {
     #[test]
     fn large_textures_are_halved_to_the_cap() {
         let solution = small_solution();
-        let bytes = scene_glb(&solution, GlbOptions { max_texture: 4 }).expect("writes");
+        let bytes = scene_glb(&solution, GlbOptions { max_texture: 4, ..GlbOptions::default() }).expect("writes");
         let gltf = gltf::Gltf::from_slice(&bytes).expect("valid");
         for image in gltf.images() {
             let (w, h, _) = decoded(image_bytes(&gltf, &image));

@@ -16,17 +16,19 @@ pub mod path_tracer_lights;
 mod portals;
 mod relight;
 mod tone;
+mod viewpoints;
 mod world;
 
 pub use cameras::{FileCameras, NamedCamera, cameras_of_scene, read_cameras, smooth_path};
 pub use hybrid::{HybridOptions, HybridRenderer, RenderedView, ViewRenderer};
 pub use lamps::{LampGroup, lamp_groups};
 pub use lighting_change::{EnvironmentChange, LampChange, Lighting, daylight, mean_luminance};
-pub use options::{FrameOptions, RenderOptions, Renderer, Video, Views};
+pub use options::{FrameOptions, RenderOptions, Renderer, Show, Video, Views};
 pub use path_tracer::{
     Adaptive, BlackEnvironment, Environment, Frame, IndirectCache, IrradiancePoint, PathTracer, PathTracerOptions, PointLight,
     Surface, SurfaceModel,
 };
 pub use relight::{RelightOptions, Stage, TraceSettings};
 pub use tone::{Exposure, tone_map};
+pub use viewpoints::viewpoints;
 pub use world::{Added, World};

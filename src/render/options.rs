@@ -15,6 +15,31 @@ pub enum Renderer {
     Path,
 }
 
+/// What a frame shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Show {
+    /// The lit scene.
+    #[default]
+    Light,
+    /// The surfaces' albedo.
+    Albedo,
+    /// The surfaces' roughness, as grey.
+    Roughness,
+}
+
+impl Show {
+    /// The wanted picture of a view.
+    #[must_use]
+    pub fn of(self, view: super::RenderedView) -> crate::image::RgbPlane {
+        match self {
+            Self::Light => view.radiance,
+            Self::Albedo => view.albedo,
+            Self::Roughness => view.roughness.map(|r| glam::Vec3::splat(*r)),
+        }
+    }
+}
+
 /// Which of a scene's views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
@@ -145,6 +170,9 @@ pub struct RenderOptions {
     /// How light is computed.
     #[arg(long, value_enum, default_value = "hybrid")]
     pub renderer: Renderer,
+    /// What the frames show (hybrid renderer).
+    #[arg(long, value_enum, default_value = "light")]
+    pub show: Show,
     /// Primary rays per pixel along each axis, and four times as many specular rays (hybrid renderer); 1 is the fast setting.
     #[arg(long, value_name = "N", default_value_t = Self::default().supersampling)]
     pub supersampling: u32,
@@ -169,6 +197,7 @@ impl Default for RenderOptions {
     fn default() -> Self {
         Self {
             renderer: Renderer::Hybrid,
+            show: Show::Light,
             supersampling: 1,
             samples: 64,
             no_denoise: false,

@@ -1,0 +1,88 @@
+"""Compares what other programs made of an export with our own pictures; prints one line per check, exit code 1 if any fails.
+
+compare.py albedo OUT NAME...   our albedo against three.js and Blender (PSNR of sRGB values, at least 30 dB away from edges)
+compare.py light OUT NAME...    Mitsuba against our path tracer: Welch's t per block of pixels, and the mean over all
+"""
+import sys
+from pathlib import Path
+import numpy as np
+import mitsuba as mi
+
+mi.set_variant("scalar_rgb")
+kind, out, names = sys.argv[1], Path(sys.argv[2]), sys.argv[3:]
+failed = False
+
+
+def exr(path):
+    return np.array(mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, srgb_gamma=False))
+
+
+def srgb(x):
+    x = np.clip(x, 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def png(path, image):
+    mi.Bitmap((np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)).write(str(path))
+
+
+def check(text, fine):
+    global failed
+    failed |= not fine
+    print("ok    " if fine else "FAILED", text)
+
+
+def inner(image):
+    """Pixels whose neighbourhood is smooth: at edges the programs filter differently."""
+    y = image.mean(axis=2)
+    pad = np.pad(y, 1, mode="edge")
+    h, w = y.shape
+    around = np.stack([pad[i : i + h, j : j + w] for i in range(3) for j in range(3)])
+    return around.max(0) - around.min(0) < 0.1
+
+
+if kind == "albedo":
+    for name in names:
+        ours = srgb(exr(out / f"ours_albedo/{name}.exr"))
+        keep = inner(ours)
+        for program in ["three_albedo", "blender_albedo", "blender_usd_albedo"]:
+            if (out / f"{program}_{name}.exr").exists():
+                theirs = srgb(exr(out / f"{program}_{name}.exr"))
+            elif (out / f"{program}_{name}.png").exists():
+                b = mi.Bitmap(str(out / f"{program}_{name}.png")).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, srgb_gamma=True)
+                theirs = np.array(b).astype(np.float64) / 255
+            else:
+                continue
+            error = ((ours - theirs) ** 2).mean(axis=2)
+            psnr = -10 * np.log10(max(error[keep].mean(), 1e-12))
+            png(out / f"compare_{program}_{name}.png", np.concatenate([ours, theirs, 4 * np.abs(ours - theirs)], axis=1))
+            check(f"{program} {name}: {psnr:.1f} dB over {100 * keep.mean():.0f} % of the pixels (at least 30)", psnr >= 30)
+else:
+    for name in names:
+        theirs = np.load(out / f"mitsuba_{name}.npy").astype(np.float64)
+        ours = np.stack([exr(p / f"{name}.exr") for p in sorted(out.glob("ours_light_*"))]).astype(np.float64)
+        block = 8
+        h, w = (theirs.shape[1] // block) * block, (theirs.shape[2] // block) * block
+
+        def blocks(x):
+            # lamps seen directly are the same numbers in both; what is compared is the light they send
+            y = np.minimum(x[:, :h, :w].mean(axis=3), cap)
+            return y.reshape(len(x), h // block, block, w // block, block).mean(axis=(2, 4))
+
+        cap = np.inf
+        a, b = blocks(ours), blocks(theirs)
+        va, vb = a.var(axis=0, ddof=1) / len(a), b.var(axis=0, ddof=1) / len(b)
+        # single blocks have few runs to tell their variance from: the neighbourhood's helps
+        pooled = lambda v: np.maximum(v, 0.5 * np.median(v))
+        t = (a.mean(0) - b.mean(0)) / np.sqrt(pooled(va) + pooled(vb) + 1e-30)
+        outside = float((np.abs(t) > 3).mean())
+        bulk = np.median(np.abs(t)) / 0.6745
+        total = a.mean(axis=(1, 2)), b.mean(axis=(1, 2))
+        z = (total[0].mean() - total[1].mean()) / np.sqrt(total[0].var(ddof=1) / len(a) + total[1].var(ddof=1) / len(b))
+        relative = total[0].mean() / total[1].mean() - 1
+        scale = 0.8 / np.quantile(b.mean(0), 0.9)
+        both = np.concatenate([ours.mean(0), theirs.mean(0), 8 * np.abs(ours.mean(0) - theirs.mean(0))], axis=1)
+        png(out / f"compare_mitsuba_{name}.png", srgb(both * scale))
+        print(f"       mitsuba {name}: spread of t {bulk:.2f}, {100 * outside:.2f} % of {t.size} blocks beyond 3, mean {100 * relative:+.3f} % (z {z:+.2f})")
+        check(f"mitsuba {name}: within noise", outside < 0.03 and bulk < 1.4 and (abs(z) < 3.5 or abs(relative) < 0.002))
+sys.exit(failed)
