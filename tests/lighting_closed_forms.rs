@@ -438,3 +438,25 @@ fn a_dark_lamp_is_harmless() {
     let lit = Lit::new(&quads, Environment::black());
     assert!(bake(&lit, &receivers, &IrtOptions::default()).value.iter().all(|e| *e == Vec3::ZERO));
 }
+
+/// Millimetres or kilometres: powers of two scale every length exactly, so the same samples find the same light.
+#[test]
+fn scale_of_the_scene_changes_no_sample() {
+    let build = |scale: f32| {
+        let (mut quads, _) = window_room();
+        quads.push(quad([0.5, 2.7, 0.5], [0.6, 0.0, 0.0], [0.0, 0.0, 0.6], 15.0, true));
+        quads.push(quad([2.5, 1.0, 4.0], [0.3, 0.0, 0.0], [0.0, 0.3, 0.0], 30.0, true).flipped());
+        for q in &mut quads {
+            (q.corner, q.edge_u, q.edge_v) = (q.corner * scale, q.edge_u * scale, q.edge_v * scale);
+        }
+        let receivers: Vec<Receiver> = [0, 1, 2, 3].iter().flat_map(|&q| receivers_on(&quads[q], 12)).collect();
+        let lit = Lit::new(&quads, sky().0);
+        bake(&lit, &receivers, &IrtOptions::default()).value
+    };
+    let one = build(1.0);
+    for exponent in [-10, 13] {
+        let scaled = build(2f32.powi(exponent));
+        let off = one.iter().zip(&scaled).filter(|(a, b)| (**a - **b).abs().max_element() > 1e-5 * a.max_element()).count();
+        assert!(off <= one.len() / 100, "2^{exponent}: {off} of {} receivers differ", one.len());
+    }
+}

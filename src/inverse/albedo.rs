@@ -100,8 +100,16 @@ pub fn estimate_albedo(
                 let w = (1.0 / (o.footprint * o.footprint)).powi(2) * o.n_v / (1.0 + (share / 0.15).powi(2));
                 looks.push((o.radiance - s, w));
             }
-            let e = irradiance.bilinear(mesh.uv(t, p.u, p.v) * size, crate::image::Wrap::Clamp).max(Vec3::splat(1e-12));
+            let lit = irradiance.bilinear(mesh.uv(t, p.u, p.v) * size, crate::image::Wrap::Clamp);
+            // a channel without light keeps a finite albedo whatever the exposure
+            let e = lit.max(Vec3::splat(luminance(lit) * 1e-6));
             let (diffuse, spread) = robust_diffuse(&looks);
+            // without light nothing is known of what would reflect it
+            if luminance(lit) <= 0.0 {
+                out.value.push(Vec3::ZERO);
+                out.error.push(f32::INFINITY);
+                continue;
+            }
             out.value.push(diffuse * std::f32::consts::PI / e);
             out.error.push(spread * std::f32::consts::PI / luminance(e));
         }

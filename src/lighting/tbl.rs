@@ -14,7 +14,7 @@ use glam::Vec3;
 const CHUNK: usize = 2048;
 
 /// The label of a texel that no view sees.
-pub const UNSEEN: u16 = u16::MAX;
+pub const UNSEEN: u32 = u32::MAX;
 
 /// Fused radiance per covered texel.
 #[derive(Clone, Debug, Default)]
@@ -24,7 +24,7 @@ pub struct Fusion {
     /// Number of views used.
     pub views: Vec<u8>,
     /// Class id by vote of the observing views, 0 = unlabelled, [`UNSEEN`] where no view sees the texel.
-    pub label: Vec<u16>,
+    pub label: Vec<u32>,
     /// Smallest luminance over the clean views: light that cannot be a highlight.
     pub floor: Vec<f32>,
     /// Brightest look at the texel that carries its own label, clean or not: for a lamp smaller than a pixel's neighbourhood, whose
@@ -44,7 +44,7 @@ pub fn fuse_radiance(observer: &Observer, orientation: &Orientation, texels: &Te
             observer.observe(texels.position(observer.mesh, i), n, &mut seen);
             out.label.push(vote_label(&seen));
             let own = out.label.last().copied();
-            let looks = seen.iter().filter(|o| Some(o.label) == own).map(|o| o.radiance);
+            let looks = seen.iter().filter(|o| Some(u32::from(o.label)) == own).map(|o| o.radiance);
             let brighter = |a: Vec3, b: Vec3| if crate::math::luminance(b) > crate::math::luminance(a) { b } else { a };
             out.brightest.push(looks.fold(Vec3::ZERO, brighter));
             // next to an edge a pixel mixes two surfaces, and beside a lamp the mixture is a false light: such texels count as unseen
@@ -80,13 +80,13 @@ pub(crate) fn sharpness(o: &Observation) -> f32 {
 }
 
 /// The label most observing views agree on, weighted by sharpness; ties go to the smaller id.
-fn vote_label(seen: &[Observation]) -> u16 {
-    let mut ballot: Vec<(u16, f32)> = Vec::new();
+fn vote_label(seen: &[Observation]) -> u32 {
+    let mut ballot: Vec<(u32, f32)> = Vec::new();
     for o in seen {
         let w = o.n_v * if o.clean { 1.0 } else { 0.1 };
-        match ballot.iter_mut().find(|b| b.0 == o.label) {
+        match ballot.iter_mut().find(|b| b.0 == u32::from(o.label)) {
             Some(b) => b.1 += w,
-            None => ballot.push((o.label, w)),
+            None => ballot.push((o.label.into(), w)),
         }
     }
     ballot.sort_by_key(|b| b.0);

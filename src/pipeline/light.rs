@@ -46,7 +46,8 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let known = known_lights(surface);
     let (fused, observed) = with_small_lamps(surface, &known);
     let mut radiance = filled_radiance(surface, &fused, &observed);
-    let coarse = Texels::rasterize(&scene.mesh, options.irradiance_size / COARSE, options.irradiance_size / COARSE);
+    let side = (options.irradiance_size / COARSE).max(1);
+    let coarse = Texels::rasterize(&scene.mesh, side, side);
     let coarse_options =
         IrtOptions { rays: 64, emitter_samples: 16, max_rounds: 1, seed: options.seed ^ 1, ..IrtOptions::default() };
     let mut rays = 0;

@@ -1,5 +1,6 @@
 //! Options of `unbake solve`.
 
+use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 
 /// A preset of samples, resolutions and refinement.
@@ -57,5 +58,31 @@ impl Default for SolveOptions {
             irradiance_error: 0.01,
             seed: 0,
         }
+    }
+}
+
+impl SolveOptions {
+    /// Refuses what cannot be computed before anything is read.
+    ///
+    /// # Errors
+    /// An option out of its range, named with the range.
+    pub fn validate(&self) -> Result<()> {
+        let wrong = |message: String| Err(Error::Usage(format!("solve: {message}")));
+        for (name, side) in
+            [("albedo", self.albedo_size), ("roughness", self.roughness_size), ("irradiance", self.irradiance_size)]
+        {
+            if !(1..=16_384).contains(&side) {
+                return wrong(format!("--{name}-size {side}: must be from 1 to 16384"));
+            }
+        }
+        for (flag, samples) in [("irradiance-rays", self.irradiance_rays), ("emitter-samples", self.emitter_samples)] {
+            if samples > 1 << 20 {
+                return wrong(format!("--{flag} {samples}: must be at most 1048576"));
+            }
+        }
+        if !(self.irradiance_error >= 0.0) {
+            return wrong(format!("--irradiance-error {}: must be 0 or more", self.irradiance_error));
+        }
+        Ok(())
     }
 }

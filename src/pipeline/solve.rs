@@ -30,8 +30,9 @@ pub struct Solved {
 /// Reconstructs materials and light of a scene.
 ///
 /// # Errors
-/// Unreadable or unusable images and labels.
+/// Unusable options, unreadable or unusable images and labels.
 pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -> Result<Solved> {
+    options.validate()?;
     let surface = Surface::observe(scene, options, progress)?;
     let light = reconstruct_light(&surface, options, progress);
     let bake = Bake {

@@ -130,7 +130,7 @@ impl<'a> Surface<'a> {
 
 /// Texels without a vote take their triangle's majority, then the nearest labelled texel of the atlas.
 fn complete_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> {
-    let mut ballot: Vec<Vec<(u16, u32)>> = vec![Vec::new(); scene.mesh.triangles.len()];
+    let mut ballot: Vec<Vec<(u32, u32)>> = vec![Vec::new(); scene.mesh.triangles.len()];
     for i in 0..texels.len() {
         let l = fusion.label[i];
         if l != UNSEEN {
@@ -142,16 +142,17 @@ fn complete_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> 
         }
     }
     // triangles without any vote take that of a neighbour sharing a vertex position, ring by ring
-    let mut of_triangle: Vec<u16> =
+    let mut of_triangle: Vec<u32> =
         ballot.iter().map(|b| b.iter().fold((UNSEEN, 0u32), |best, v| if v.1 > best.1 { *v } else { best }).0).collect();
     spread_over_neighbours(scene, &mut of_triangle);
-    let known = |l: u16| if l == UNSEEN { 0 } else { l };
+    // every other vote came from a 16-bit label
+    let known = |l: u32| u16::try_from(l).unwrap_or(0);
     (0..texels.len())
         .map(|i| known(if fusion.label[i] != UNSEEN { fusion.label[i] } else { of_triangle[texels.point[i].triangle as usize] }))
         .collect()
 }
 
-fn spread_over_neighbours(scene: &Scene, labels: &mut [u16]) {
+fn spread_over_neighbours(scene: &Scene, labels: &mut [u32]) {
     let mesh = &scene.mesh;
     let mut vertex_of = std::collections::HashMap::new();
     let welded: Vec<u32> = mesh

@@ -1,0 +1,387 @@
+//! The whole reconstruction on a small synthetic apartment, as it is and bent out of shape.
+
+mod common;
+
+use glam::{DVec3, Vec3};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+use tempfile::TempDir;
+use unbake::Error;
+use unbake::formats;
+use unbake::image::Plane;
+use unbake::pipeline::{SolveOptions, Solved, reconstruct};
+use unbake::progress::Progress;
+use unbake::scene::{LoadOptions, Scene, Split};
+use unbake::solution::{SaveOptions, Solution};
+use unbake::synth::{SynthOptions, generate};
+
+const SIDE: usize = 256;
+
+/// The apartment, made once per run of this file's tests.
+fn apartment() -> &'static Path {
+    static SCENE: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
+    &SCENE
+        .get_or_init(|| {
+            let dir = tempfile::tempdir().expect("temporary folder");
+            let folder = dir.path().join("scene");
+            let options =
+                SynthOptions { rooms: 1, views: 6, test_views: 1, width: 192, spp: 6, texture: SIDE, ..SynthOptions::default() };
+            generate(&options, &folder, &Progress::silent()).expect("generates");
+            (dir, folder)
+        })
+        .1
+}
+
+fn load() -> Scene {
+    Scene::load(apartment(), &LoadOptions::default()).expect("usable")
+}
+
+fn options() -> SolveOptions {
+    SolveOptions { albedo_size: SIDE, roughness_size: SIDE, irradiance_size: 128, ..SolveOptions::default() }
+}
+
+/// Reconstructs and checks what must hold whatever the scene is.
+fn solve(scene: &Scene) -> Solved {
+    let solved = reconstruct(scene, &options(), &Progress::silent()).expect("reconstructs");
+    sane(&solved.solution);
+    solved
+}
+
+fn sane(s: &Solution) {
+    for (name, plane) in [
+        ("albedo", &s.albedo),
+        ("irradiance", &s.irradiance),
+        ("radiance", &s.radiance),
+        ("emission", &s.emission),
+        ("environment", &s.environment),
+    ] {
+        assert!(plane.data.iter().all(|v| v.is_finite() && v.min_element() >= 0.0), "{name} is finite and not negative");
+    }
+    assert!(s.albedo.data.iter().all(|v| v.max_element() <= 1.0), "albedo above 1");
+    assert!(s.roughness.data.iter().all(|r| (0.01..=1.0).contains(r)), "roughness in its range");
+    assert!(s.confidence.data.iter().all(|c| c.is_finite() && c.min_element() >= 0.0));
+    let dir = tempfile::tempdir().expect("temporary folder");
+    s.save(dir.path(), &SaveOptions::default()).expect("can be written");
+}
+
+fn on_threads<T: Send>(threads: usize, f: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool").install(f)
+}
+
+/// The reconstruction of the apartment as it is.
+fn reference() -> &'static Solved {
+    static SOLVED: OnceLock<Solved> = OnceLock::new();
+    SOLVED.get_or_init(|| on_threads(3, || solve(&load())))
+}
+
+/// Median of |a − b| over observed texels, and the share of texels off by more than 0.02.
+fn albedo_difference(a: &Solution, b: &Solution) -> (f32, f32) {
+    let mut d: Vec<f32> = (0..a.albedo.data.len())
+        .filter(|&i| a.confidence.data[i].x < 1e3 && b.confidence.data[i].x < 1e3)
+        .map(|i| (a.albedo.data[i] - b.albedo.data[i]).abs().max_element())
+        .collect();
+    assert!(d.len() > 5_000, "{} texels observed in both", d.len());
+    d.sort_by(f32::total_cmp);
+    (d[d.len() / 2], d.iter().filter(|x| **x > 0.02).count() as f32 / d.len() as f32)
+}
+
+fn roughness_difference(a: &Solution, b: &Solution) -> f32 {
+    let d: f32 = a.roughness.data.iter().zip(&b.roughness.data).map(|(x, y)| (x - y).abs()).sum();
+    d / a.roughness.data.len() as f32
+}
+
+#[test]
+fn materials_are_near_the_truth() {
+    let s = &reference().solution;
+    let truth = formats::read_rgb(apartment().join("gt/albedo_texture.exr")).expect("truth");
+    let mut errors: Vec<f32> = (0..truth.data.len())
+        .filter(|&i| s.confidence.data[i].x < 0.05 && s.emission.data[i] == Vec3::ZERO && truth.data[i] != Vec3::ZERO)
+        .map(|i| (s.albedo.data[i] - truth.data[i]).abs().max_element())
+        .collect();
+    errors.sort_by(f32::total_cmp);
+    let (median, tail) = (errors[errors.len() / 2], errors[errors.len() * 9 / 10]);
+    println!("{} texels, median {median:.3}, 90 % {tail:.3}", errors.len());
+    assert!(errors.len() > 8_000, "{} texels are certain", errors.len());
+    // at 6 cm per texel most texels near edges mix two paints
+    assert!(median < 0.18 && tail < 0.5, "median error {median:.3}, 90 % below {tail:.3}");
+    // the floor shows highlights, the wall hardly any: true values 0.28 and 0.75
+    for (label, truth, bound) in [(3u16, 0.28f32, 0.12f32), (1, 0.75, 0.35)] {
+        let r: Vec<f32> =
+            s.labels.data.iter().enumerate().filter(|(_, l)| **l == label).map(|(i, _)| s.roughness.data[i]).collect();
+        let mean = r.iter().sum::<f32>() / r.len() as f32;
+        println!("class {label}: {mean:.3}");
+        assert!((mean - truth).abs() < bound, "class {label}: roughness {mean:.3} against {truth}");
+    }
+    assert!(s.emission.data.iter().any(|e| e.x > 20.0), "the lamps of radiance 48 are found");
+}
+
+#[test]
+fn bits_do_not_depend_on_the_number_of_threads() {
+    let (a, b) = (&reference().solution, on_threads(1, || solve(&load())).solution);
+    let same = |x: &Plane<Vec3>, y: &Plane<Vec3>, name: &str| {
+        let differ = x.data.iter().zip(&y.data).filter(|(p, q)| p.to_array().map(f32::to_bits) != q.to_array().map(f32::to_bits));
+        assert_eq!(differ.count(), 0, "{name} differs");
+    };
+    same(&a.radiance, &b.radiance, "radiance");
+    same(&a.irradiance, &b.irradiance, "irradiance");
+    same(&a.emission, &b.emission, "emission");
+    same(&a.environment, &b.environment, "environment");
+    same(&a.albedo, &b.albedo, "albedo");
+    assert_eq!(a.roughness, b.roughness);
+    assert_eq!(a.confidence, b.confidence);
+    assert_eq!((&a.labels, &a.rooms), (&b.labels, &b.rooms));
+    assert_eq!(a.mesh, b.mesh);
+}
+
+/// A million times darker or brighter photographs of the same room: the materials are the same to the last bit, because powers of
+/// two scale floating-point numbers exactly and no threshold is absolute.
+#[test]
+fn exposure_does_not_change_materials() {
+    let a = &reference().solution;
+    for ev in [-20.0f32, 20.0] {
+        let mut scene = load();
+        scene.views.iter_mut().for_each(|v| v.exposure_ev = ev);
+        let b = solve(&scene).solution;
+        let differ = a.albedo.data.iter().zip(&b.albedo.data).filter(|(x, y)| x != y).count();
+        let (median, share) = albedo_difference(a, &b);
+        let roughness = roughness_difference(a, &b);
+        println!("2^{ev}: {differ} albedos differ, median {median}, share {share}; roughness {roughness}");
+        assert_eq!((differ, roughness), (0, 0.0), "2^{ev}");
+        let gain = ev.exp2();
+        assert!(a.irradiance.data.iter().zip(&b.irradiance.data).all(|(x, y)| *x * gain == *y), "irradiance scales");
+    }
+}
+
+/// The apartment with its mesh as text in f64 and its cameras, scaled and then moved; images and labels as they were.
+fn rewritten(scale: f64, shift: DVec3) -> TempDir {
+    let (from, dir) = (apartment(), tempfile::tempdir().expect("temporary folder"));
+    let scene = load();
+    let mut text = String::new();
+    let world = |p: Vec3| (p.as_dvec3() + scene.origin) * scale + shift;
+    for p in &scene.mesh.positions {
+        let p = world(*p);
+        writeln!(text, "v {} {} {}", p.x, p.y, p.z).expect("text");
+    }
+    for t in &scene.mesh.uvs {
+        writeln!(text, "vt {} {}", t.x, 1.0 - f64::from(t.y)).expect("text");
+    }
+    for n in &scene.mesh.normals {
+        writeln!(text, "vn {} {} {}", n.x, n.y, n.z).expect("text");
+    }
+    for t in &scene.mesh.triangles {
+        let c = t.map(|i| format!("{0}/{0}/{0}", i + 1));
+        writeln!(text, "f {} {} {}", c[0], c[1], c[2]).expect("text");
+    }
+    std::fs::write(dir.path().join("mesh.obj"), text).expect("mesh");
+    let mut json: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(from.join("transforms.json")).expect("file")).expect("JSON");
+    json["mesh_path"] = "mesh.obj".into();
+    json.as_object_mut().expect("object").remove("rooms_path");
+    for frame in json["frames"].as_array_mut().expect("frames") {
+        for (row, s) in shift.to_array().into_iter().enumerate() {
+            let x = frame["transform_matrix"][row][3].as_f64().expect("number");
+            frame["transform_matrix"][row][3] = (x * scale + s).into();
+        }
+    }
+    std::fs::write(dir.path().join("transforms.json"), json.to_string()).expect("file");
+    for name in ["images", "labels"] {
+        std::os::unix::fs::symlink(from.join(name), dir.path().join(name)).expect("link");
+    }
+    dir
+}
+
+/// A place 10 km away changes no bit. Another scale changes roundings, hence which of two coincident edges a ray meets, hence single
+/// samples: the materials move by a fraction of what another seed moves them.
+#[test]
+fn scale_and_place_do_not_change_materials() {
+    let solve_at = |scale: f64, shift: DVec3, seed: u64| {
+        let dir = rewritten(scale, shift);
+        let scene = Scene::load(dir.path(), &LoadOptions::default()).expect("usable");
+        let o = SolveOptions { irradiance_rays: 256, emitter_samples: 256, irradiance_size: 64, seed, ..options() };
+        let solution = reconstruct(&scene, &o, &Progress::silent()).expect("reconstructs").solution;
+        sane(&solution);
+        solution
+    };
+    let a = solve_at(1.0, DVec3::ZERO, 0);
+    let far = solve_at(1.0, DVec3::new(10_000.0, -3_000.0, 7_000.0), 0);
+    assert_eq!((&a.albedo, &a.roughness), (&far.albedo, &far.roughness), "10 km away");
+    let (noise, noise_share) = albedo_difference(&a, &solve_at(1.0, DVec3::ZERO, 5));
+    println!("another seed: median {noise}, {noise_share} beyond 0.02");
+    // whether a class of dim corners counts as emitting may turn on a rounding; noise beside lamps is large: the middle of all ratios tells whether light is lost or gained
+    let light = |s: &Solution| {
+        let ratios = a.irradiance.data.iter().zip(&s.irradiance.data).filter(|(x, _)| x.y > 0.0);
+        let mut ratios: Vec<f32> = ratios.map(|(x, y)| y.y / x.y).collect();
+        ratios.sort_by(f32::total_cmp);
+        ratios[ratios.len() / 2]
+    };
+    for scale in [1e-3, 1e4] {
+        let b = solve_at(scale, DVec3::new(scale, 0.0, 0.0), 0);
+        let (median, share) = albedo_difference(&a, &b);
+        let drift = light(&b) - 1.0;
+        let roughness = roughness_difference(&a, &b);
+        println!("×{scale}: median {median}, {share} beyond 0.02, drift {drift}; roughness {roughness}");
+        assert!(median < noise && share < noise_share, "×{scale}: more than another seed changes");
+        assert!(drift.abs() < 0.03, "×{scale}: light drifts by {drift}");
+    }
+}
+
+#[test]
+fn one_view_gives_what_it_saw() {
+    let mut scene = load();
+    let first = scene.views.iter().position(|v| v.split == Split::Train).expect("one");
+    scene.views = vec![scene.views[first].clone()];
+    let solved = solve(&scene);
+    let certain = solved.solution.confidence.data.iter().filter(|c| c.x < 1e3).count();
+    assert!(certain > 3_000, "{certain}");
+    assert!(solved.solution.confidence.data.iter().any(|c| c.x >= 1e3), "what no view sees is marked");
+    // no point is seen twice: the roughness is the prior's, and is said to be
+    assert!(solved.fits.iter().all(|f| f.points == 0));
+}
+
+/// Two photographs from the same place say no more than one: the answer must not pretend otherwise, and must be finite.
+#[test]
+fn two_coincident_views() {
+    let mut scene = load();
+    let mut first = scene.views.iter().find(|v| v.split == Split::Train).expect("one").clone();
+    let mut views = vec![first.clone()];
+    first.stem = "again".into();
+    views.push(first);
+    scene.views = views;
+    let twice = solve(&scene).solution;
+    scene.views.pop();
+    let once = solve(&scene).solution;
+    let (median, _) = albedo_difference(&once, &twice);
+    assert!(median < 0.05, "median {median}");
+}
+
+#[test]
+fn without_labels_and_with_one_class() {
+    let mut scene = load();
+    scene.views.iter_mut().for_each(|v| v.label_path = None);
+    scene.classes.clear();
+    scene.classes_declared = false;
+    let bare = solve(&scene).solution;
+    assert!(bare.labels.data.iter().all(|l| *l == 0));
+    let truth = formats::read_rgb(apartment().join("gt/albedo_texture.exr")).expect("truth");
+    let error = |s: &Solution| {
+        let mut e: Vec<f32> = (0..truth.data.len())
+            .filter(|&i| s.confidence.data[i].x < 0.05 && truth.data[i] != Vec3::ZERO)
+            .map(|i| (s.albedo.data[i] - truth.data[i]).abs().max_element())
+            .collect();
+        e.sort_by(f32::total_cmp);
+        e[e.len() / 2]
+    };
+    println!("median albedo error without labels {:.3}", error(&bare));
+    assert!(error(&bare) < 0.3);
+    // one class for everything
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let path = dir.path().join("one.png");
+    formats::write_png16(&path, &Plane::filled(192, 96, 65_535u16)).expect("labels");
+    scene.views.iter_mut().for_each(|v| v.label_path = Some(path.clone()));
+    let one = solve(&scene).solution;
+    let named = one.labels.data.iter().filter(|l| **l == 65_535).count();
+    assert!(named > one.labels.data.len() / 4, "{named} texels carry the only class there is");
+}
+
+#[test]
+fn black_photographs_are_no_evidence() {
+    let mut scene = load();
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let path = dir.path().join("black.exr");
+    formats::write_rgb_float(&path, &Plane::filled(192, 96, Vec3::ZERO)).expect("image");
+    scene.views.iter_mut().for_each(|v| v.image_path = path.clone());
+    let s = solve(&scene).solution;
+    assert!(s.irradiance.data.iter().chain(&s.emission.data).all(|v| *v == Vec3::ZERO));
+    let certain = s.confidence.data.iter().filter(|c| c.x < 1.0).count();
+    assert_eq!(certain, 0, "albedo without any light is unknown, not certain");
+}
+
+#[test]
+fn a_pixel_that_is_no_number_is_refused_or_ignored_on_request() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let path = dir.path().join("nan.exr");
+    let mut scene = load();
+    let image = formats::read_rgb(&scene.views[0].image_path).expect("image");
+    let value = |x: u32, y: u32| if (x, y) == (100, 40) { f32::NAN } else { image[(x as usize, y as usize)].x };
+    std::fs::write(&path, common::raw_exr(192, 96, value)).expect("image");
+    let view = scene.views.iter_mut().find(|v| v.split == Split::Train).expect("one");
+    view.image_path = path.clone();
+    let error = match reconstruct(&scene, &options(), &Progress::silent()) {
+        Err(e) => e,
+        Ok(_) => panic!("accepted NaN"),
+    };
+    let text = error.to_string();
+    assert_eq!(error.exit_code(), 2);
+    assert!(text.contains("nan.exr") && text.contains("column 100, row 40") && text.contains("--clamp-nan"), "{text}");
+    scene.options.clamp_nan = true;
+    solve(&scene);
+}
+
+/// Sizes that make no sense are refused before anything is computed; the smallest that does works.
+#[test]
+fn texture_sizes_from_nothing_to_one() {
+    let scene = load();
+    for change in [
+        |o: &mut SolveOptions| o.albedo_size = 0,
+        |o: &mut SolveOptions| o.roughness_size = 0,
+        |o: &mut SolveOptions| o.irradiance_size = 0,
+        |o: &mut SolveOptions| o.albedo_size = 1 << 20,
+        |o: &mut SolveOptions| o.irradiance_error = f32::NAN,
+        |o: &mut SolveOptions| o.irradiance_rays = u32::MAX,
+    ] {
+        let mut o = options();
+        change(&mut o);
+        let refused = reconstruct(&scene, &o, &Progress::silent());
+        assert!(matches!(refused, Err(Error::Usage(_))), "{o:?}");
+    }
+    let one = SolveOptions { albedo_size: 1, roughness_size: 1, irradiance_size: 1, ..options() };
+    sane(&reconstruct(&scene, &one, &Progress::silent()).expect("solves").solution);
+    let odd = SolveOptions { albedo_size: 61, roughness_size: 7, irradiance_size: 3, ..options() };
+    sane(&reconstruct(&scene, &odd, &Progress::silent()).expect("solves").solution);
+}
+
+/// On the command line: damaged inputs are exit code 2 and leave nothing behind.
+#[test]
+fn damaged_inputs_leave_nothing_half_written() {
+    let unbake = |scene: &Path, out: &Path| {
+        std::process::Command::new(env!("CARGO_BIN_EXE_unbake"))
+            .args(["solve", "--quiet", "--albedo-size", "64", "--roughness-size", "64", "--irradiance-size", "32"])
+            .arg(scene)
+            .arg("-o")
+            .arg(out)
+            .output()
+            .expect("the program starts")
+    };
+    let damage: [(&str, fn(&common::SceneDir)); 6] = [
+        ("a.exr", |s| s.write("a.exr", b"no image")),
+        ("a.exr", |s| s.write("a.exr", &common::raw_exr(32, 16, |x, y| if x == y { f32::INFINITY } else { 1.0 }))),
+        ("a.png", |s| s.write("a.png", &[0x89, b'P', b'N', b'G'])),
+        ("a.png", |s| formats::write_png16(s.path("a.png"), &Plane::filled(32, 16, 9u16)).expect("labels")),
+        ("mesh.obj", |s| s.write("mesh.obj", b"v 0 0 0\nf 1 2 3\n")),
+        ("transforms.json", |s| s.write("transforms.json", b"{\"frames\": 3}")),
+    ];
+    for (i, (file, spoil)) in damage.iter().enumerate() {
+        let scene = common::SceneDir::box_room();
+        spoil(&scene);
+        let out_dir = tempfile::tempdir().expect("temporary folder");
+        let out = out_dir.path().join("out");
+        let run = unbake(scene.folder(), &out);
+        let message = String::from_utf8_lossy(&run.stderr).into_owned();
+        assert_eq!(run.status.code(), Some(2), "{i} {file}: {message}");
+        assert!(message.contains(file), "{i}: {message} does not name {file}");
+        let left =
+            std::fs::read_dir(&out).map(|d| d.map(|e| e.expect("entry").file_name()).collect::<Vec<_>>()).unwrap_or_default();
+        assert!(left.is_empty(), "{i} {file}: {left:?} remains");
+    }
+    // the intact scene: whole, and an older solution survives a failed run
+    let scene = common::SceneDir::box_room();
+    let out_dir = tempfile::tempdir().expect("temporary folder");
+    let run = unbake(scene.folder(), out_dir.path());
+    assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+    let before = std::fs::read(out_dir.path().join("albedo.exr")).expect("albedo");
+    scene.write("a.exr", b"no image");
+    assert_eq!(unbake(scene.folder(), out_dir.path()).status.code(), Some(2));
+    assert_eq!(std::fs::read(out_dir.path().join("albedo.exr")).expect("albedo"), before);
+    assert!(Solution::load(out_dir.path()).is_ok());
+}
