@@ -2,7 +2,7 @@
 
 use super::irt_error::{ladders, pipeline_point, reference, seconds_to_reach};
 use super::plot::{Chart, Series, svg};
-use super::{ErrorPoint, Ground, Growth, Rates, Reference, growth, irt_rates, timed};
+use super::{ErrorPoint, Ground, Growth, NirfReport, Rates, Reference, growth, irt_nirf, irt_rates, timed};
 use crate::Result;
 use crate::pipeline::SolveOptions;
 use crate::progress::Progress;
@@ -31,6 +31,9 @@ pub struct IrtBench {
     /// Leave out growth with texels, triangles and threads.
     #[arg(long)]
     pub no_growth: bool,
+    /// Train the paper's neural irradiance field for so many epochs (the paper: 2000) and add its error and time.
+    #[arg(long, value_name = "EPOCHS", num_args = 0..=1, default_missing_value = "40", require_equals = true)]
+    pub nirf: Option<u32>,
 }
 
 /// Everything `unbake bench irt` measures.
@@ -78,6 +81,8 @@ pub struct IrtReport {
     pub reference: Reference,
     /// Error against time.
     pub points: Vec<ErrorPoint>,
+    /// The neural irradiance field, where it was asked for.
+    pub nirf: Option<NirfReport>,
     /// Growth with texels, triangles and threads.
     pub growth: Growth,
     /// Seconds of the whole benchmark.
@@ -112,6 +117,11 @@ fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &P
         points.push(pipeline_point(&ground, texels, &reference, o, progress));
     }
     points.push(ours.clone());
+    let nirf = bench.nirf.map(|epochs| {
+        progress
+            .stage("neural irradiance field", u64::from(epochs), |p| irt_nirf::measure(&ground, texels, &reference, epochs, p))
+    });
+    points.extend(nirf.iter().flat_map(|n| n.checkpoints.iter().cloned()));
     let growth = if bench.no_growth { Growth::default() } else { grow(&ground, bench, &ours, progress)? };
     let uniform_2048 = points.iter().find(|p| p.curve == "uniform" && p.rays == 2048).cloned();
     let best = uniform_2048.as_ref().and_then(|u| {
@@ -145,6 +155,7 @@ fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &P
         rates,
         reference,
         points,
+        nirf,
         growth,
         seconds: 0.0,
         peak_bytes: 0,
@@ -262,6 +273,18 @@ impl IrtReport {
                 "  {curve} reaches the error of uniform 2048 ({:.2} %, {:.0} s) {s:.0} times sooner",
                 100.0 * u.relative_rmse,
                 u.seconds
+            )?;
+        }
+        if let Some(n) = &self.nirf {
+            writeln!(
+                out,
+                "  nirf: {} epochs in {:.0} s ({:.0} s of them rays); the paper's 2000 would take {:.0} s (scaled up); whole texture \
+                 read out in {:.0} s (scaled up)",
+                n.epochs,
+                n.ray_seconds + n.step_seconds,
+                n.ray_seconds,
+                n.seconds_2000,
+                n.readout_seconds
             )?;
         }
         self.write_growth(out)?;

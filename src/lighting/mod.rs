@@ -5,6 +5,7 @@ mod environment;
 mod hull;
 mod irt;
 mod light_field;
+mod nirf;
 mod reflection;
 mod tbl;
 
@@ -13,6 +14,7 @@ pub use environment::Environment;
 pub(crate) use hull::Hull;
 pub use irt::{Bake, Estimator, Irradiance, IrtOptions, Receiver, bake_irradiance};
 pub use light_field::LightField;
+pub use nirf::{Nirf, NirfCost, NirfOptions, train_nirf};
 pub use reflection::{Gaze, Levels, Reflector};
 pub(crate) use tbl::prefer_clean;
 pub use tbl::{Fusion, UNSEEN, fuse_radiance};
