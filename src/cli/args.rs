@@ -165,6 +165,9 @@ pub enum Verb {
         /// Changes of the light: a TOML file with [[lamp]], [[add]] and [environment].
         #[arg(long, value_name = "FILE")]
         lights: Option<PathBuf>,
+        /// Another solution of the same scene, such as the truth of a synthetic one: relight both alike and print the PSNR.
+        #[arg(long, value_name = "TRUTH")]
+        against: Option<PathBuf>,
         /// List the lamps with number, place and power, and stop.
         #[arg(long)]
         list_lamps: bool,

@@ -6,11 +6,12 @@ use crate::edit::{EDITED, EDITS, EditList, apply_to_folder, load_edited};
 use crate::error::{Error, Result};
 use crate::export::{ExportOptions, FrameWriter};
 use crate::geometry::Camera;
+use crate::image::RgbPlane;
 use crate::progress::Progress;
 use crate::render::{
-    Adaptive, FrameOptions, HybridOptions, HybridRenderer, LampChange, LampGroup, Lighting, NamedCamera, PathTracerOptions,
-    Renderer, Stage, TraceSettings, ViewRenderer, World, cameras_of_scene, daylight, lamp_groups, mean_luminance, read_cameras,
-    viewpoints,
+    Adaptive, Exposure, FrameOptions, HybridOptions, HybridRenderer, LampChange, LampGroup, Lighting, NamedCamera,
+    PathTracerOptions, Renderer, Stage, TraceSettings, ViewRenderer, World, cameras_of_scene, daylight, lamp_groups,
+    mean_luminance, read_cameras, viewpoints,
 };
 use crate::solution::Solution;
 use crate::trace::EmbreeTracer;
@@ -197,10 +198,17 @@ pub fn export(out: &Path, places: &Places, context: &Context) -> Result<()> {
 }
 
 /// `unbake relight`.
-pub fn relight(out: &Path, places: &Places, lights: Option<&Path>, list: bool, context: &Context) -> Result<()> {
+pub fn relight(
+    out: &Path,
+    places: &Places,
+    lights: Option<&Path>,
+    against: Option<&Path>,
+    list: bool,
+    context: &Context,
+) -> Result<()> {
     let options = context.config.relight.clone();
     let progress = &context.progress;
-    if options.samples < 2 || options.max_samples < options.samples || !(options.error >= 0.0) {
+    if options.samples < 2 || options.max_samples < options.samples || options.error.is_nan() || options.error < 0.0 {
         return Err(Error::Usage("--samples must be at least 2, --max-samples not less, --error not negative".into()));
     }
     let solution = read_solution(out, progress)?;
@@ -211,6 +219,10 @@ pub fn relight(out: &Path, places: &Places, lights: Option<&Path>, list: bool, c
     let lighting = changed_light(&groups, lights, context)?;
     let cameras = places.frames(&options.frames, &solution, context)?;
     let folder = places.to.clone().unwrap_or_else(|| out.join("relight"));
+    if let Some(truth) = against {
+        let truth = read_solution(truth, progress)?;
+        return compare_relit([&solution, &truth], &cameras, &lighting, &folder, context);
+    }
     let mut writer = FrameWriter::new(&folder, options.frames.exposure, !options.frames.no_exr)?;
     let settings = TraceSettings {
         tracer: PathTracerOptions { seed: context.seed(), ..PathTracerOptions::default() },
@@ -268,6 +280,80 @@ pub fn relight(out: &Path, places: &Places, lights: Option<&Path>, list: bool, c
         )?;
     }
     report(&writer, &options.frames, &folder, &seconds, context)
+}
+
+/// Relights a solution and the truth in the same way and scores the one against the other.
+fn compare_relit(
+    solutions: [&Solution; 2],
+    cameras: &[NamedCamera],
+    lighting: &Lighting,
+    folder: &Path,
+    context: &Context,
+) -> Result<()> {
+    let options = &context.config.relight;
+    let own = lamp_groups(&World::new(solutions[0]), solutions[0].origin);
+    let mut images: [Vec<RgbPlane>; 2] = [Vec::new(), Vec::new()];
+    for (k, solution) in solutions.iter().enumerate() {
+        let groups = lamp_groups(&World::new(solution), solution.origin);
+        let mut lighting = lighting.clone();
+        if k == 1 {
+            lighting.by_place(&own);
+        }
+        let mut world = World::new(solution);
+        lighting.apply(&mut world, &groups)?;
+        let stage = Stage::new(&mut world)?;
+        let settings = TraceSettings {
+            tracer: PathTracerOptions { seed: context.seed() + k as u64, ..PathTracerOptions::default() },
+            goal: Adaptive { first: options.samples, most: options.max_samples, error: options.error },
+            denoise: !options.no_denoise,
+        };
+        let shift = (solutions[0].origin - solution.origin).as_vec3();
+        let placed: Vec<(String, Camera)> =
+            cameras.iter().map(|c| (c.name.clone(), Camera { position: c.camera.position + shift, ..c.camera })).collect();
+        let list = &mut images[k];
+        stage.render(
+            &placed,
+            &settings,
+            &context.progress,
+            |_, _| Ok(()),
+            |_, image| {
+                list.push(image.clone());
+                Ok(())
+            },
+        )?;
+    }
+    let [ours, truth] = images;
+    let factor = match truth.first() {
+        Some(first) => options.frames.exposure.factor(first),
+        None => 1.0,
+    };
+    let mut scores = Vec::new();
+    for (name, stops) in [("ours", &ours), ("truth", &truth)] {
+        let mut writer = FrameWriter::new(&folder.join(name), Exposure::Stops(factor.log2()), !options.frames.no_exr)?;
+        for (c, image) in cameras.iter().zip(stops) {
+            writer.write(&c.name, image)?;
+        }
+    }
+    let mut text = String::new();
+    for ((c, a), b) in cameras.iter().zip(&ours).zip(&truth) {
+        let psnr = display_psnr(a, b, factor);
+        text.push_str(&format!("{:24} {psnr:6.2} dB\n", c.name));
+        scores.push(json!({"camera": c.name, "psnr": psnr}));
+    }
+    let mean = scores.iter().filter_map(|s| s["psnr"].as_f64()).sum::<f64>() / scores.len().max(1) as f64;
+    text.push_str(&format!(
+        "mean {mean:.2} dB of clamp(x · 2^{:.2})^(1/2.2) against the truth, in {}\n",
+        factor.log2(),
+        folder.display()
+    ));
+    context.result(&text, &json!({"folder": folder, "scores": scores, "psnr": mean}))
+}
+
+/// PSNR of clamp(x · factor)^(1/2.2), peak 1.
+fn display_psnr(a: &RgbPlane, b: &RgbPlane, factor: f32) -> f64 {
+    let shown = |c: &Vec3| (*c * factor).clamp(Vec3::ZERO, Vec3::ONE).powf(1.0 / 2.2).as_dvec3();
+    let sum: f64 = a.data.iter().zip(&b.data).map(|(a, b)| (shown(a) - shown(b)).length_squared()).sum();
+    -10.0 * (sum / (3 * a.data.len().max(1)) as f64).max(1e-12).log10()
 }
 
 /// The lighting file with the flags' changes after it.

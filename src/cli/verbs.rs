@@ -24,8 +24,8 @@ pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
             pictures::edit(required(out)?, edits.as_deref(), scene.as_deref(), *clear, context)
         }
         Verb::Export { out, places, .. } => pictures::export(required(out)?, places, context),
-        Verb::Relight { out, places, lights, list_lamps, .. } => {
-            pictures::relight(required(out)?, places, lights.as_deref(), *list_lamps, context)
+        Verb::Relight { out, places, lights, against, list_lamps, .. } => {
+            pictures::relight(required(out)?, places, lights.as_deref(), against.as_deref(), *list_lamps, context)
         }
         Verb::Eval { out, scene, .. } => eval(required(out)?, required(scene)?, context),
         Verb::Bench { what } => super::bench::run(what, context),

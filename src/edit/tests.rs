@@ -137,6 +137,6 @@ fn a_folder_keeps_its_solution_and_knows_when_its_edits_are_stale() {
     assert!((load_edited(folder.path(), &quiet).expect("stale").albedo.data[0].x - 0.75).abs() < 1e-3);
     assert!((Solution::load(folder.path()).expect("untouched").albedo.data[0].x - 0.5).abs() < 1e-3);
     std::fs::write(folder.path().join(EDITS), "[[edit]]\nset = {albedo = [2, 0, 0]}\n").expect("writes");
-    let e = load_edited(folder.path(), &quiet).err().expect("out of range");
+    let e = load_edited(folder.path(), &quiet).expect_err("out of range");
     assert!(e.exit_code() == 2 && e.to_string().contains("edit[0].set.albedo"), "{e}");
 }

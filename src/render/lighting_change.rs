@@ -104,6 +104,16 @@ impl Lighting {
         light(&self.environment.colour.map_or(vec![], |s| s.to_vec()), "environment.colour")
     }
 
+    /// Names lamps by their places instead of their numbers, for another solution of the same scene.
+    pub fn by_place(&mut self, groups: &[LampGroup]) {
+        for change in &mut self.lamps {
+            if let Some(group) = change.group.and_then(|id| groups.iter().find(|g| g.id == id)) {
+                change.near = Some(group.position);
+                change.group = None;
+            }
+        }
+    }
+
     /// Brings the changes into a world. `groups` are its lamps, `origin` its solution's origin.
     ///
     /// # Errors

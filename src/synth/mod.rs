@@ -14,9 +14,11 @@ mod glb;
 mod model;
 mod output;
 mod pattern;
+mod truth;
 mod views;
 
 pub use model::{Sky, Textured, VertexIrradiance};
+pub use truth::true_solution;
 
 use crate::error::{Error, Result};
 use crate::progress::Progress;
@@ -58,6 +60,9 @@ pub struct SynthOptions {
     /// Follow every path to its end instead of taking indirect light from irradiance cached at vertices: slower, unbiased.
     #[arg(long, help_heading = "Synthetic scene")]
     pub full_paths: bool,
+    /// Also write the truth as a solution, gt/solution, for `unbake relight OUT --against`.
+    #[arg(long, help_heading = "Synthetic scene")]
+    pub truth: bool,
 }
 
 impl Default for SynthOptions {
@@ -72,6 +77,7 @@ impl Default for SynthOptions {
             texture: 2048,
             no_denoise: false,
             full_paths: false,
+            truth: false,
         }
     }
 }
@@ -126,19 +132,30 @@ pub struct SynthSummary {
     pub median_radiance: f32,
 }
 
+fn does_not_fit(apartment: &apartment::Apartment, options: &SynthOptions) -> Error {
+    Error::Usage(format!(
+        "synth: {} surfaces do not fit a texture of {}; pass a larger --texture",
+        apartment.charts.len(),
+        options.texture
+    ))
+}
+
+/// The sky above every apartment.
+fn sky(apartment: &apartment::Apartment) -> Sky {
+    Sky {
+        horizon: Vec3::new(4.6, 4.9, 5.2),
+        zenith: Vec3::new(5.6, 6.6, 8.4),
+        ground: Vec3::new(1.3, 1.4, 1.0),
+        portals: apartment.portals.clone(),
+    }
+}
+
 /// Makes an apartment and writes its scene folder (design §1.1), whole or not at all.
 pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) -> Result<SynthSummary> {
     options.validate()?;
     let writer = output::FolderWriter::new(out_folder)?;
     let apartment = apartment::Apartment::new(options.seed, options.rooms);
-    let Some(atlas) = atlas::Atlas::pack(&apartment.charts, options.texture) else {
-        let message = format!(
-            "synth: {} surfaces do not fit a texture of {}; pass a larger --texture",
-            apartment.charts.len(),
-            options.texture
-        );
-        return Err(Error::Usage(message));
-    };
+    let atlas = atlas::Atlas::pack(&apartment.charts, options.texture).ok_or_else(|| does_not_fit(&apartment, options))?;
     let mesh = atlas.mesh(&apartment.charts);
     let texture = progress.stage("painting textures", 1, |_| atlas.paint(&apartment.charts, &apartment.paints));
     let views = views::place(&apartment, options)?;
@@ -151,12 +168,7 @@ pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) 
     ));
     let tracer = EmbreeTracer::new(&mesh)?;
     let surfaces = Textured::new(&mesh, &apartment.charts, &texture);
-    let sky = Sky {
-        horizon: Vec3::new(4.6, 4.9, 5.2),
-        zenith: Vec3::new(5.6, 6.6, 8.4),
-        ground: Vec3::new(1.3, 1.4, 1.0),
-        portals: apartment.portals.clone(),
-    };
+    let sky = sky(&apartment);
     let settings = PathTracerOptions { samples: options.spp, seed: options.seed, ..PathTracerOptions::default() };
     let renderer = PathTracer::new(&mesh, &tracer, &surfaces, &sky, settings);
     // the cache is worth as much care as the pixels, up to what its vertices can resolve
@@ -181,6 +193,9 @@ pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) 
     })?;
     luminances.sort_by(f32::total_cmp);
     writer.scene(&output::Described { options, apartment: &apartment, mesh: &mesh, texture: &texture, views: &views })?;
+    if options.truth {
+        true_solution(options)?.save(&writer.path("gt/solution"), &crate::solution::SaveOptions::default())?;
+    }
     let summary = SynthSummary {
         triangles: mesh.triangles.len(),
         charts: apartment.charts.len(),

@@ -58,7 +58,8 @@ impl FolderWriter {
         Ok(writer)
     }
 
-    fn path(&self, name: impl AsRef<Path>) -> PathBuf {
+    /// A place in the folder under construction.
+    pub fn path(&self, name: impl AsRef<Path>) -> PathBuf {
         self.temporary.join(name)
     }
 
