@@ -151,6 +151,7 @@ pub fn edit(out: &Path, edits: Option<&Path>, scene: Option<&Path>, clear: bool,
         }
         return context.result(&format!("{}: no edits any more\n", out.display()), &json!({"out": out, "edits": 0}));
     }
+    let before = std::fs::read(&list).ok();
     if let Some(file) = edits {
         EditList::read(file)?;
         let text = std::fs::read(file).map_err(|e| Error::io(file, e))?;
@@ -158,15 +159,27 @@ pub fn edit(out: &Path, edits: Option<&Path>, scene: Option<&Path>, clear: bool,
     } else if !list.is_file() {
         return Err(Error::Usage(format!("{} does not exist: give the edits with --edits FILE", list.display())));
     }
-    let classes = match scene {
+    let done = apply_list(out, &list, scene, context);
+    if done.is_err() && edits.is_some() {
+        // a list that cannot be applied must not stand in the way of the next `render`
+        match before {
+            Some(bytes) => crate::formats::atomic_write(&list, &bytes)?,
+            None => std::fs::remove_file(&list).map_err(|e| Error::io(&list, e))?,
+        }
+    }
+    done
+}
+
+fn apply_list(out: &Path, list: &Path, scene: Option<&Path>, context: &Context) -> Result<()> {
+    let classes: Vec<(u16, String)> = match scene {
         Some(path) => read_scene(path, context)?.classes.into_iter().map(|c| (c.id, c.name)).collect(),
         None => Vec::new(),
     };
     // names are turned into ids once, so that the list can be applied where the scene is not at hand
-    let mut resolved = EditList::read(&list)?;
+    let mut resolved = EditList::read(list)?;
     if resolved.name_classes(&classes) {
         let text = toml::to_string(&resolved).map_err(|e| Error::Failed(format!("{}: {e}", list.display())))?;
-        crate::formats::atomic_write(&list, text.as_bytes())?;
+        crate::formats::atomic_write(list, text.as_bytes())?;
     }
     let clock = Instant::now();
     let edited = apply_to_folder(out, &classes, context.seed(), &context.progress)?;

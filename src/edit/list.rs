@@ -123,7 +123,7 @@ impl EditList {
     pub fn name_classes(&mut self, classes: &[(u16, String)]) -> bool {
         let mut any = false;
         for class in self.edits.iter_mut().filter_map(|e| e.class.as_mut()) {
-            if let Some((id, _)) = classes.iter().find(|c| c.1 == *class) {
+            if let Some((id, _)) = classes.iter().find(|c| c.1.eq_ignore_ascii_case(class)) {
                 *class = id.to_string();
                 any = true;
             }

@@ -22,9 +22,9 @@ const MOST: usize = 8;
 /// reflect half of the light, what is left out then is as much again.
 const DONE: f64 = 0.005;
 /// Largest side of the texture on which changes are gathered: they are smooth.
-const SIDE: usize = 512;
+const SIDE: usize = 1024;
 /// Rays per texel of the first bounce; later ones carry less.
-const RAYS: u32 = 128;
+const RAYS: u32 = 64;
 
 /// What [`follow_light`] did.
 #[derive(Clone, Debug, Default)]

@@ -75,7 +75,7 @@ impl<'a> Selector<'a> {
             return Err(format!("class: \"{name}\" is a name, and the class names are not known here; give the id or --scene"));
         }
         let known = || self.classes.iter().map(|c| c.1.as_str()).collect::<Vec<_>>().join(", ");
-        let found = self.classes.iter().find(|c| c.1 == name);
+        let found = self.classes.iter().find(|c| c.1.eq_ignore_ascii_case(name));
         found.map(|c| c.0).ok_or_else(|| format!("class: there is no \"{name}\"; the scene has {}", known()))
     }
 }
