@@ -33,5 +33,6 @@ pub mod solution;
 pub mod synth;
 pub mod texture;
 pub mod trace;
+pub mod view;
 
 pub use error::{Error, Result};

@@ -7,6 +7,7 @@ use crate::pipeline::SolveOptions;
 use crate::render::{RelightOptions, RenderOptions};
 use crate::scene::LoadOptions;
 use crate::synth::SynthOptions;
+use crate::view::ViewOptions;
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
@@ -178,6 +179,21 @@ pub enum Verb {
         #[command(flatten)]
         load: LoadOptions,
     },
+    /// Walk through a reconstruction in the browser: a page served by this program, to this machine alone.
+    View {
+        /// Output folder of `unbake solve`.
+        #[arg(required_unless_present = "print_config", value_name = "OUT")]
+        out: Option<PathBuf>,
+        /// Scene folder (or its transforms.json): adds its cameras, photographs and class names.
+        #[arg(long, value_name = "SCENE")]
+        scene: Option<PathBuf>,
+        /// The page's options.
+        #[command(flatten)]
+        options: ViewOptions,
+        /// How the scene is read.
+        #[command(flatten)]
+        load: LoadOptions,
+    },
 }
 
 impl Cli {
@@ -196,6 +212,7 @@ impl Cli {
             Some(Verb::Export { options, load, .. }) => (config.export, config.scene) = (options.clone(), load.clone()),
             Some(Verb::Relight { options, load, .. }) => (config.relight, config.scene) = (options.clone(), load.clone()),
             Some(Verb::Bench { .. }) | None => {}
+            Some(Verb::View { options, load, .. }) => (config.view, config.scene) = (options.clone(), load.clone()),
         }
         config
     }

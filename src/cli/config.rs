@@ -10,6 +10,7 @@ use crate::pipeline::SolveOptions;
 use crate::render::{RelightOptions, RenderOptions};
 use crate::scene::LoadOptions;
 use crate::synth::SynthOptions;
+use crate::view::ViewOptions;
 use clap::ArgMatches;
 use clap::parser::ValueSource;
 use serde::{Deserialize, Serialize};
@@ -42,6 +43,8 @@ pub struct Config {
     pub relight: RelightOptions,
     /// Options of `unbake export`.
     pub export: ExportVerb,
+    /// Options of `unbake view`.
+    pub view: ViewOptions,
 }
 
 impl Config {
@@ -127,6 +130,7 @@ pub fn tables_of(verb: &str) -> &'static [&'static str] {
         "edit" => &["scene"],
         "export" => &["export", "scene"],
         "relight" => &["relight", "scene"],
+        "view" => &["view", "scene"],
         _ => &[],
     }
 }

@@ -9,6 +9,7 @@ use crate::report::{self, Photographer, RunRecord, SceneSummary, Versions, hash_
 use crate::scene::{Scene, check};
 use crate::solution::{AsideFolder, SaveOptions, Solution};
 use crate::synth::generate;
+use crate::view;
 use serde_json::json;
 use std::path::Path;
 use std::time::Duration;
@@ -29,6 +30,7 @@ pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
         }
         Verb::Eval { out, scene, .. } => eval(required(out)?, required(scene)?, context),
         Verb::Bench { what } => super::bench::run(what, context),
+        Verb::View { out, scene, .. } => view_in_browser(required(out)?, scene.as_deref(), context),
     }?;
     Ok(0)
 }
@@ -160,4 +162,30 @@ fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<()> {
         .stage("report", 1, |_| write_report(out, &scene, &solution, &renderer, &record, Some(&evaluation), pictures))?;
     let json = serde_json::to_value(&evaluation).map_err(|e| Error::Failed(format!("scores: {e}")))?;
     context.result(&terminal_table(&evaluation), &json)
+}
+
+fn view_in_browser(out: &Path, scene_path: Option<&Path>, context: &Context) -> Result<()> {
+    let solution = context.progress.stage("reading the solution", 1, |_| Solution::load(out))?;
+    let scene = scene_path.map(|path| read_scene(path, context)).transpose()?;
+    let manifest = RunRecord::read_manifest(out);
+    let content = context.progress.stage("preparing the page", 1, |_| view::Content::new(solution, scene, manifest.as_ref()))?;
+    let options = &context.config.view;
+    let server = view::server(content, options)?;
+    if !options.bind.is_loopback() {
+        context.progress.note(format!("listening on {}: other machines can read this scene", options.bind));
+    }
+    let (url, stopper) = (server.url(), server.stopper());
+    ctrlc::set_handler(move || {
+        // asked twice: do not wait for what is still running
+        if stopper.stop() {
+            std::process::exit(130);
+        }
+    })
+    .map_err(|e| Error::Failed(format!("cannot listen for Ctrl-C: {e}")))?;
+    context.result(&format!("{url}\nCtrl-C ends it.\n"), &json!({"url": url}))?;
+    if !options.no_open {
+        view::open_in_browser(&url);
+    }
+    server.run();
+    Ok(())
 }

@@ -1,0 +1,186 @@
+// Drawing: holds the textures and programs, draws a frame when asked, and answers what lies under a pixel.
+
+import * as g from './gl.js';
+import { bytes, textureCap } from './load.js';
+import { MODES, MAX_LAMPS, MAX_PROBES, backgroundFragment, backgroundVertex, pickFragment, surfaceFragment, surfaceVertex } from './shaders.js';
+
+const ALWAYS = ['albedo', 'roughness', 'irradiance', 'emission', 'ids'];
+const UNITS = ['albedo', 'roughness', 'irradiance', 'radiance', 'emission', 'confidence', 'ids', 'edits', 'light', 'photo', 'environment', 'probe_radiance', 'probe_distance'];
+
+export class Renderer {
+  constructor(canvas, scene) {
+    this.canvas = canvas;
+    this.scene = scene;
+    const gl = (this.gl = g.context(canvas));
+    this.surface = g.program(gl, surfaceVertex, surfaceFragment);
+    this.background = g.program(gl, backgroundVertex, backgroundFragment);
+    this.picking = g.program(gl, surfaceVertex, pickFragment);
+    this.pickTarget = g.pickTarget(gl);
+    this.empty = gl.createVertexArray();
+    this.cap = textureCap(gl, scene.caps);
+    this.textures = new Map();
+    this.photos = new Map();
+    this.pending = new Map();
+    // stand-ins until the real textures arrive: no unit may be without one of its kind
+    const black = g.writtenTexture(gl, 'srgb8', 1, 1, new Uint8Array([0, 0, 0, 255]));
+    for (const name of ['radiance', 'confidence', 'photo']) this.textures.set(name, black.texture);
+    this.edits = g.writtenTexture(gl, 'float4', 256, 1, new Float32Array(1024).fill(1).map((v, i) => (i % 4 === 3 ? 0 : v)));
+    this.textures.set('edits', this.edits.texture);
+    this.light = g.writtenTexture(gl, 'srgb8', 1, 1, new Uint8Array([137, 137, 137, 255]));
+    this.textures.set('light', this.light.texture);
+    this.probes = 0;
+  }
+
+  // Everything the first frame needs; `step` is told how far it is.
+  async loadScene(step) {
+    const { gl, scene } = this;
+    let done = 0;
+    const counted = async (work) => {
+      const result = await work;
+      step(++done, ALWAYS.length + 3);
+      return result;
+    };
+    const jobs = ALWAYS.map((name) => counted(this.loadTexture(name)));
+    const mesh = counted(bytes('/data/mesh.bin')).then((b) => (this.mesh = g.meshFromBlock(gl, b, scene.vertices, scene.triangles)));
+    const sky = counted(bytes('/data/environment.bin')).then((b) => {
+      this.textures.set('environment', g.textureFromBlock(gl, b, { wrapX: 'repeat' }).texture);
+    });
+    const places = scene.probes.places.slice(0, MAX_PROBES);
+    const probes = counted(bytes('/data/probes.bin')).then((b) => {
+      const made = g.probeTextures(gl, b, scene.probes.places.length, scene.probes.levels);
+      this.textures.set('probe_radiance', made.radiance).set('probe_distance', made.distance);
+      this.probes = places.length;
+      this.probePlaces = new Float32Array(places.flatMap((p) => [...p.position, p.room]));
+    });
+    await Promise.all([...jobs, mesh, sky, probes]);
+  }
+
+  // Loads a layer's texture once.
+  loadTexture(name) {
+    if (!this.pending.has(name)) {
+      const cap = name === 'ids' || name === 'confidence' ? Math.min(this.cap, 2048) : this.cap;
+      const loaded = bytes(`/data/${name}-${cap}.bin`).then((b) => {
+        this.textures.set(name, g.textureFromBlock(this.gl, b).texture);
+      });
+      loaded.catch(() => this.pending.delete(name));
+      this.pending.set(name, loaded);
+    }
+    return this.pending.get(name);
+  }
+
+  // The photograph of a camera; the last few stay on the card.
+  async photo(index) {
+    if (!this.photos.has(index)) {
+      const buffer = await bytes(`/data/photo-${index}-${this.cap}.bin`);
+      this.photos.set(index, g.textureFromBlock(this.gl, buffer, { wrapX: 'repeat' }).texture);
+      if (this.photos.size > 6) {
+        const [oldest] = this.photos.keys();
+        this.gl.deleteTexture(this.photos.get(oldest));
+        this.photos.delete(oldest);
+      }
+    }
+    return this.photos.get(index);
+  }
+
+  setEdits(edits) {
+    Object.assign(this.edits, { width: 256, height: edits.rows });
+    g.rewrite(this.gl, this.edits, edits.table());
+  }
+
+  setLight({ width, height, texels }) {
+    Object.assign(this.light, { width, height });
+    g.rewrite(this.gl, this.light, texels);
+  }
+
+  resize() {
+    const { canvas } = this;
+    const scale = Math.min(devicePixelRatio || 1, 2);
+    const [w, h] = [Math.max(Math.round(canvas.clientWidth * scale), 1), Math.max(Math.round(canvas.clientHeight * scale), 1)];
+    if (canvas.width !== w || canvas.height !== h) [canvas.width, canvas.height] = [w, h];
+    return w / h;
+  }
+
+  bind(uniforms) {
+    const { gl } = this;
+    UNITS.forEach((name, unit) => {
+      const location = uniforms['u_' + name];
+      if (!location) return;
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(name.startsWith('probe_') ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_2D, this.textures.get(name));
+      gl.uniform1i(location, unit);
+    });
+    gl.activeTexture(gl.TEXTURE0 + UNITS.length);
+  }
+
+  // view: { layer, ev, soft, marked, photo: {index, position, world_from_camera} | null, split (0..1), backdrop, lamps, outside }
+  draw(camera, view) {
+    const { gl, canvas } = this;
+    if (!this.mesh || gl.isContextLost()) return;
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.clear(gl.DEPTH_BUFFER_BIT);
+    const photo = view.photo && this.photos.get(view.photo.index);
+    if (photo) this.textures.set('photo', photo);
+    const common = ({ program, uniforms: u }) => {
+      gl.useProgram(program);
+      gl.uniform1i(u.u_mode, MODES.indexOf(view.layer));
+      gl.uniform1f(u.u_exposure, 2 ** view.ev);
+      gl.uniform1i(u.u_soft, view.soft ? 1 : 0);
+      gl.uniform3fv(u.u_eye, camera.position);
+      gl.uniform1i(u.u_has_photo, photo ? 1 : 0);
+      gl.uniform1f(u.u_split, view.split * canvas.width);
+      if (photo) {
+        gl.uniform3fv(u.u_photo_eye, view.photo.position);
+        // columns of world_from_camera are the rows of its inverse
+        gl.uniformMatrix3fv(u.u_camera_from_world, true, view.photo.world_from_camera);
+      }
+      this.bind(u);
+      return u;
+    };
+    let u = common(this.background);
+    gl.disable(gl.DEPTH_TEST);
+    gl.uniformMatrix4fv(u.u_world_from_clip, false, camera.worldFromClip());
+    gl.uniform1f(u.u_outside, view.outside);
+    gl.uniform3fv(u.u_backdrop, view.backdrop);
+    gl.bindVertexArray(this.empty);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+
+    u = common(this.surface);
+    gl.enable(gl.DEPTH_TEST);
+    gl.uniformMatrix4fv(u.u_clip_from_world, false, camera.clipFromWorld());
+    gl.uniform1i(u.u_marked, view.marked ?? -1);
+    gl.uniform1i(u.u_probe_count, this.probes);
+    if (this.probes) gl.uniform4fv(u.u_probes, this.probePlaces);
+    gl.uniform1f(u.u_probe_levels, this.scene.probes.levels);
+    const gains = new Float32Array(MAX_LAMPS).fill(1);
+    view.lamps.forEach((gain, i) => (gains[i + 1] = gain));
+    gl.uniform1fv(u.u_lamp_gain, gains);
+    gl.bindVertexArray(this.mesh.vao);
+    gl.drawElements(gl.TRIANGLES, this.mesh.count, gl.UNSIGNED_INT, 0);
+    gl.bindVertexArray(null);
+  }
+
+  // Atlas coordinate and world point under a place of the window in [-1, 1], or null.
+  pick(camera, x, y) {
+    const { gl, canvas } = this;
+    if (!this.mesh) return null;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.pickTarget);
+    gl.viewport(0, 0, 1, 1);
+    gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
+    gl.clearBufferfv(gl.DEPTH, 0, [1]);
+    gl.enable(gl.DEPTH_TEST);
+    const { program, uniforms: u } = this.picking;
+    gl.useProgram(program);
+    gl.uniformMatrix4fv(u.u_clip_from_world, false, camera.clipFromWorld([x, y, canvas.width, canvas.height]));
+    gl.uniform3fv(u.u_eye, camera.position);
+    gl.bindVertexArray(this.mesh.vao);
+    gl.drawElements(gl.TRIANGLES, this.mesh.count, gl.UNSIGNED_INT, 0);
+    gl.bindVertexArray(null);
+    const words = new Uint32Array(4);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    if (words[3] === 0) return null;
+    const [u0, v0, distance] = new Float32Array(words.buffer);
+    const ray = camera.ray(x, y);
+    return { uv: [u0, v0], distance, lamp: words[3] - 1, point: camera.position.map((p, i) => p + ray[i] * distance) };
+  }
+}
