@@ -132,8 +132,8 @@ fn connected(mesh: &Mesh, triangles: &[u32]) -> Vec<Vec<u32>> {
         }
     }
     let mut groups: BTreeMap<usize, Vec<u32>> = BTreeMap::new();
-    for i in 0..triangles.len() {
-        groups.entry(root(&mut parent, i)).or_default().push(triangles[i]);
+    for (i, &t) in triangles.iter().enumerate() {
+        groups.entry(root(&mut parent, i)).or_default().push(t);
     }
     groups.into_values().collect()
 }
