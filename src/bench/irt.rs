@@ -31,6 +31,12 @@ pub struct IrtBench {
     /// Leave out growth with texels, triangles and threads.
     #[arg(long)]
     pub no_growth: bool,
+    /// Stop after the rays per second.
+    #[arg(long)]
+    pub rates_only: bool,
+    /// Write the mesh and the rays of the closest-hit measurement to a folder as raw arrays, for comparison with other programs.
+    #[arg(long, value_name = "FOLDER")]
+    pub export_rays: Option<std::path::PathBuf>,
     /// Train the paper's neural irradiance field for so many epochs (the paper: 2000) and add its error and time.
     #[arg(long, value_name = "EPOCHS", num_args = 0..=1, default_missing_value = "40", require_equals = true)]
     pub nirf: Option<u32>,
@@ -48,13 +54,13 @@ pub struct IrtReport {
     /// The curve that does, `mis` or `pipeline`.
     pub speedup_curve: Option<String>,
     /// Seconds of the pipeline's irradiance at the default size, filter included.
-    pub seconds_1024: f64,
+    pub seconds_1024: Option<f64>,
     /// Its √(Σ‖E−E'‖²/Σ‖E'‖²).
-    pub relative_rmse_1024: f64,
+    pub relative_rmse_1024: Option<f64>,
     /// Its median ‖E−E'‖/‖E'‖.
-    pub median_relative_error_1024: f64,
+    pub median_relative_error_1024: Option<f64>,
     /// Its rays per covered texel.
-    pub rays_per_texel: f64,
+    pub rays_per_texel: Option<f64>,
     /// Side of that texture.
     pub irradiance_size: usize,
     /// Its covered texels.
@@ -78,7 +84,7 @@ pub struct IrtReport {
     /// Rays per second.
     pub rates: Rates,
     /// The reference.
-    pub reference: Reference,
+    pub reference: Option<Reference>,
     /// Error against time.
     pub points: Vec<ErrorPoint>,
     /// The neural irradiance field, where it was asked for.
@@ -104,7 +110,12 @@ fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &P
     let ground = Ground::prepare(scene, options, progress)?;
     let texels = &ground.light.texels;
     let rays = if bench.full { 2_000_000 } else { 500_000 };
-    let rates = progress.stage("rays per second", 4, |p| irt_rates::measure(&ground, texels, rays, bench.repetitions, p));
+    let rates = progress.stage("rays per second", 4, |p| {
+        irt_rates::measure(&ground, texels, rays, bench.repetitions, bench.export_rays.as_deref(), p)
+    })?;
+    if bench.rates_only {
+        return Ok(rates_alone(scene, &ground, options, rates));
+    }
     let reference =
         progress.stage("reference", 2 * bench.reference_texels as u64, |p| reference(&ground, texels, bench.reference_texels, p));
     let runs = if bench.full { 8192 } else { 4096 };
@@ -134,17 +145,35 @@ fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &P
             .max_by(|a, b| a.0.total_cmp(&b.0))
     });
     Ok(IrtReport {
-        bare_ratio_closest: rates.closest,
-        bare_ratio_occlusion: rates.occlusion,
         speedup_equal_rmse: best.as_ref().map(|b| b.0),
         speedup_curve: best.map(|b| b.1),
-        seconds_1024: ours.seconds,
-        relative_rmse_1024: ours.relative_rmse,
-        median_relative_error_1024: ours.median_relative_error,
-        rays_per_texel: ours.rays_per_texel,
-        irradiance_size: options.irradiance_size,
-        covered_texels: texels.len(),
+        seconds_1024: Some(ours.seconds),
+        relative_rmse_1024: Some(ours.relative_rmse),
+        median_relative_error_1024: Some(ours.median_relative_error),
+        rays_per_texel: Some(ours.rays_per_texel),
         uniform_2048,
+        reference: Some(reference),
+        points,
+        nirf,
+        growth,
+        ..rates_alone(scene, &ground, options, rates)
+    })
+}
+
+/// The report with nothing but rays per second.
+fn rates_alone(scene: &Scene, ground: &Ground, options: &SolveOptions, rates: Rates) -> IrtReport {
+    IrtReport {
+        bare_ratio_closest: rates.closest,
+        bare_ratio_occlusion: rates.occlusion,
+        speedup_equal_rmse: None,
+        speedup_curve: None,
+        seconds_1024: None,
+        relative_rmse_1024: None,
+        median_relative_error_1024: None,
+        rays_per_texel: None,
+        irradiance_size: options.irradiance_size,
+        covered_texels: ground.light.texels.len(),
+        uniform_2048: None,
         paper_budget_seconds: PAPER_RAYS / rates.estimators[0].rays_per_second,
         threads: rayon::current_num_threads(),
         embree: crate::trace::embree_version(),
@@ -153,13 +182,13 @@ fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &P
         scene: SceneSummary::of(scene),
         lamps: ground.light.emitters.lamp_count(),
         rates,
-        reference,
-        points,
-        nirf,
-        growth,
+        reference: None,
+        points: Vec::new(),
+        nirf: None,
+        growth: Growth::default(),
         seconds: 0.0,
         peak_bytes: 0,
-    })
+    }
 }
 
 fn grow(ground: &Ground, bench: &IrtBench, ours: &ErrorPoint, progress: &Progress) -> Result<Growth> {
@@ -239,7 +268,14 @@ impl IrtReport {
             self.paper_budget_seconds,
             PAPER_SECONDS
         )?;
-        let r = &self.reference;
+        if let Some(reference) = &self.reference {
+            self.write_errors(out, reference)?;
+        }
+        self.write_growth(out)?;
+        writeln!(out, "\nwhole benchmark: {:.0} s, {:.2} GiB at most", self.seconds, self.peak_bytes as f64 / (1u64 << 30) as f64)
+    }
+
+    fn write_errors(&self, out: &mut String, r: &Reference) -> std::fmt::Result {
         writeln!(
             out,
             "\nError at {} seen texels against {} samples (a uniform bake of as many rays: {:.2} % apart, {:+.2} % in the mean):",
@@ -287,8 +323,7 @@ impl IrtReport {
                 n.readout_seconds
             )?;
         }
-        self.write_growth(out)?;
-        writeln!(out, "\nwhole benchmark: {:.0} s, {:.2} GiB at most", self.seconds, self.peak_bytes as f64 / (1u64 << 30) as f64)
+        Ok(())
     }
 
     fn write_growth(&self, out: &mut String) -> std::fmt::Result {

@@ -4,6 +4,9 @@
 //! same rays in the same batches on the same threads. The ratio says what ray generation, texture lookups and accumulation cost.
 
 use super::{Ground, interleaved};
+use crate::error::{Error, Result};
+use crate::formats::atomic_write;
+use crate::geometry::Mesh;
 use crate::lighting::{Estimator, IrtOptions};
 use crate::progress::Progress;
 use crate::texture::Texels;
@@ -11,6 +14,7 @@ use crate::trace::{BATCH, EmbreeTracer, Hit, Ray, Tracer};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::hint::black_box;
+use std::path::Path;
 use std::sync::Mutex;
 
 /// One estimator against the bare loop.
@@ -137,7 +141,14 @@ fn candidates(ground: &Ground) -> Vec<(String, IrtOptions)> {
 
 /// Measures every candidate on runs of texels holding about `rays` rays each.
 #[must_use]
-pub(super) fn measure(ground: &Ground, texels: &Texels, rays: usize, repetitions: usize, progress: &Progress) -> Rates {
+pub(super) fn measure(
+    ground: &Ground,
+    texels: &Texels,
+    rays: usize,
+    repetitions: usize,
+    export: Option<&Path>,
+    progress: &Progress,
+) -> Result<Rates> {
     let tracer = &ground.surface.tracer;
     let candidates = candidates(ground);
     let mut out = Rates { repetitions, ..Rates::default() };
@@ -160,6 +171,12 @@ pub(super) fn measure(ground: &Ground, texels: &Texels, rays: usize, repetitions
             Box::new(|| tracer.closest(&closest, &mut hits)),
             Box::new(|| tracer.occluded(&occluded, &mut flags)),
         ];
+        let mut hidden = vec![0u8; closest.len()];
+        // the same rays asked for any hit: what other programs can be compared with
+        tasks.push(Box::new(|| tracer.occluded(&closest, &mut hidden)));
+        tasks.push(Box::new(|| {
+            black_box(bare_occluded(tracer, &closest));
+        }));
         let seconds = interleaved(repetitions, &mut tasks);
         drop(tasks);
         let total = closest.len() + occluded.len();
@@ -185,6 +202,10 @@ pub(super) fn measure(ground: &Ground, texels: &Texels, rays: usize, repetitions
                 out.closest = bare / seconds[0];
                 out.texels = ids.len();
                 out.batches.push(batch("closest hit", closest.len(), seconds[3], seconds[1]));
+                out.batches.push(batch("any hit, same rays", closest.len(), seconds[5], seconds[6]));
+                if let Some(folder) = export {
+                    export_rays(folder, &ground.surface.scene.mesh, &closest)?;
+                }
             }
             3 => {
                 out.occlusion = Some(bare / seconds[0]);
@@ -194,5 +215,17 @@ pub(super) fn measure(ground: &Ground, texels: &Texels, rays: usize, repetitions
         }
         progress.advance(1);
     }
-    out
+    Ok(out)
+}
+
+/// Writes the mesh and rays as raw little-endian arrays for other programs: `positions.f32` (n × 3), `triangles.u32` (n × 3) and
+/// `rays.f32` (n × 6: origin, direction).
+fn export_rays(folder: &Path, mesh: &Mesh, rays: &[Ray]) -> Result<()> {
+    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
+    let flat: Vec<[f32; 6]> =
+        rays.iter().map(|r| std::array::from_fn(|i| if i < 3 { r.origin[i] } else { r.direction[i - 3] })).collect();
+    let positions: Vec<[f32; 3]> = mesh.positions.iter().map(|p| p.to_array()).collect();
+    atomic_write(folder.join("positions.f32"), bytemuck::cast_slice(&positions))?;
+    atomic_write(folder.join("triangles.u32"), bytemuck::cast_slice(&mesh.triangles))?;
+    atomic_write(folder.join("rays.f32"), bytemuck::cast_slice(&flat))
 }
