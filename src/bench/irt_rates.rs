@@ -158,6 +158,7 @@ pub(super) fn measure(
         let (closest, occluded) = rays_of(ground, texels, &ids, options);
         let mut flags = vec![0u8; occluded.len()];
         let mut hits = vec![Hit::miss(); closest.len()];
+        let mut hidden = vec![0u8; closest.len()];
         let mut tasks: Vec<Box<dyn FnMut()>> = vec![
             Box::new(|| {
                 black_box(ground.bake_some(texels, &ids, options, &Progress::silent()).rays);
@@ -171,7 +172,6 @@ pub(super) fn measure(
             Box::new(|| tracer.closest(&closest, &mut hits)),
             Box::new(|| tracer.occluded(&occluded, &mut flags)),
         ];
-        let mut hidden = vec![0u8; closest.len()];
         // the same rays asked for any hit: what other programs can be compared with
         tasks.push(Box::new(|| tracer.occluded(&closest, &mut hidden)));
         tasks.push(Box::new(|| {
