@@ -1,0 +1,221 @@
+//! The module table of the design, checked against the code: who may use whom, where `unsafe` lives, how long a file gets.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// What may be used by all of the story: types, filters, formats, rays.
+const VOCABULARY: [&str; 14] = [
+    "brdf", "texture", "trace", "optim", "metrics", "image", "geometry", "formats", "sampling", "math", "parallel", "progress",
+    "error", "ffi",
+];
+
+/// Module, and what it may use beyond `error`; "vocabulary" stands for all of [`VOCABULARY`].
+const TABLE: &[(&str, &[&str])] = &[
+    ("cli", &["pipeline", "story", "vocabulary"]),
+    ("bench", &["pipeline", "story", "vocabulary"]),
+    ("view", &["pipeline", "story", "vocabulary"]),
+    ("pipeline", &["scene", "lighting", "gbuffer", "highlight", "inverse", "solution", "vocabulary"]),
+    ("report", &["scene", "evaluate", "export", "render", "solution", "vocabulary"]),
+    ("export", &["scene", "evaluate", "render", "solution", "vocabulary"]),
+    ("evaluate", &["render", "scene", "solution", "vocabulary"]),
+    ("edit", &["scene", "lighting", "gbuffer", "render", "solution", "vocabulary"]),
+    ("synth", &["scene", "render", "vocabulary"]),
+    ("render", &["scene", "lighting", "gbuffer", "solution", "vocabulary"]),
+    ("inverse", &["scene", "lighting", "gbuffer", "highlight", "vocabulary"]),
+    ("highlight", &["scene", "lighting", "gbuffer", "vocabulary"]),
+    ("lighting", &["scene", "gbuffer", "vocabulary"]),
+    ("gbuffer", &["scene", "vocabulary"]),
+    ("solution", &["vocabulary"]),
+    ("scene", &["vocabulary"]),
+    ("brdf", &["math", "sampling", "ffi"]),
+    ("texture", &["image", "geometry", "math", "parallel"]),
+    ("trace", &["geometry", "ffi"]),
+    ("optim", &["image", "math", "parallel"]),
+    ("metrics", &["image", "math", "parallel"]),
+    ("formats", &["image", "geometry", "math", "ffi"]),
+    ("image", &["math"]),
+    ("geometry", &["math"]),
+    ("sampling", &["math"]),
+    ("math", &[]),
+    ("parallel", &[]),
+    ("progress", &[]),
+    ("error", &[]),
+    ("ffi", &[]),
+];
+
+/// Edges that break the table today. Each must still exist: whoever mends one takes it off the list.
+const DEBTS: [(&str, &str); 1] = [
+    // a solution on disk holds a scene.glb, which `export` writes from a solution
+    ("solution", "export"),
+];
+
+/// Files beyond the limit today, and how far they may go.
+const LONG_FILES: [(&str, usize); 1] = [("src/render/path_tracer.rs", 950)];
+
+const MOST_LINES: usize = 700;
+
+fn sources() -> Vec<(PathBuf, String)> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut folders = vec![root.join("src")];
+    let mut found = Vec::new();
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).expect("src can be listed") {
+            let path = entry.expect("entry").path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|e| e == "rs") {
+                let text = std::fs::read_to_string(&path).expect("source");
+                found.push((path.strip_prefix(root).expect("below the root").to_path_buf(), text));
+            }
+        }
+    }
+    found.sort();
+    assert!(found.len() > 50);
+    found
+}
+
+/// The code a build has: no comments, no test modules (they stand last in a file), no files of tests.
+fn code(path: &Path, text: &str) -> Option<String> {
+    if path.file_name().is_some_and(|n| n.to_string_lossy().contains("tests")) {
+        return None;
+    }
+    let end = text.find("#[cfg(test)]\nmod tests {").or_else(|| text.find("#[cfg(test)]\npub(crate) mod tests {"));
+    let lines = text[..end.unwrap_or(text.len())].lines().filter(|l| !l.trim_start().starts_with("//"));
+    Some(lines.collect::<Vec<_>>().join("\n"))
+}
+
+fn module_of(path: &Path) -> Option<String> {
+    let name = path.components().nth(1)?.as_os_str().to_string_lossy().trim_end_matches(".rs").to_owned();
+    (name != "lib" && name != "main").then_some(name)
+}
+
+/// First path segments after every `crate::` of a text, groups in braces included.
+fn uses(code: &str) -> BTreeSet<String> {
+    let word = |s: &str| s.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect::<String>();
+    let mut out = BTreeSet::new();
+    for (at, _) in code.match_indices("crate::") {
+        let rest = &code[at + 7..];
+        if let Some(group) = rest.strip_prefix('{') {
+            let (mut depth, mut start) = (0, true);
+            for (i, c) in group.char_indices() {
+                match c {
+                    '{' => depth += 1,
+                    '}' if depth == 0 => break,
+                    '}' => depth -= 1,
+                    ',' if depth == 0 => start = true,
+                    c if c.is_whitespace() => {}
+                    _ if start => {
+                        out.insert(word(&group[i..]));
+                        start = false;
+                    }
+                    _ => {}
+                }
+            }
+        } else {
+            out.insert(word(rest));
+        }
+    }
+    out.into_iter().map(|u| if u == "Error" || u == "Result" { "error".into() } else { u }).collect()
+}
+
+fn graph() -> BTreeMap<String, BTreeMap<String, PathBuf>> {
+    let mut graph: BTreeMap<String, BTreeMap<String, PathBuf>> = BTreeMap::new();
+    for (path, text) in sources() {
+        if let (Some(module), Some(code)) = (module_of(&path), code(&path, &text)) {
+            let edges = graph.entry(module.clone()).or_default();
+            for used in uses(&code).into_iter().filter(|u| *u != module) {
+                edges.entry(used).or_insert_with(|| path.clone());
+            }
+        }
+    }
+    graph
+}
+
+#[test]
+fn modules_use_what_the_table_allows() {
+    let allowed: BTreeMap<&str, &[&str]> = TABLE.iter().copied().collect();
+    let story: Vec<&str> = TABLE.iter().map(|t| t.0).filter(|m| !VOCABULARY.contains(m) && *m != "cli" && *m != "pipeline").collect();
+    let mut wrong = Vec::new();
+    for (module, edges) in graph() {
+        let Some(may) = allowed.get(module.as_str()) else {
+            wrong.push(format!("module {module} is not in the table"));
+            continue;
+        };
+        for (used, path) in edges {
+            let u = used.as_str();
+            let fine = u == "error"
+                || may.contains(&u)
+                || (may.contains(&"vocabulary") && VOCABULARY.contains(&u))
+                || (may.contains(&"story") && story.contains(&u))
+                || DEBTS.contains(&(module.as_str(), u));
+            if !fine {
+                wrong.push(format!("{module} may not use {used} ({})", path.display()));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn there_are_no_cycles() {
+    let mut left = graph();
+    for (from, to) in DEBTS {
+        let removed = left.get_mut(from).and_then(|e| e.remove(to));
+        assert!(removed.is_some(), "{from} uses {to} no longer: take the pair off the list of debts");
+    }
+    loop {
+        let free: Vec<String> = left.iter().filter(|(_, e)| e.keys().all(|u| !left.contains_key(u))).map(|(m, _)| m.clone()).collect();
+        if free.is_empty() {
+            break;
+        }
+        left.retain(|m, _| !free.contains(m));
+    }
+    assert!(left.is_empty(), "cycle among {:?}", left.keys().collect::<Vec<_>>());
+}
+
+#[test]
+fn unsafe_lives_at_the_border_and_explains_itself() {
+    for (path, text) in sources() {
+        let lines: Vec<&str> = text.lines().collect();
+        for (i, line) in lines.iter().enumerate() {
+            let statement = line.split("//").next().unwrap_or_default();
+            let words: Vec<&str> = statement.split(|c: char| !c.is_alphanumeric() && c != '_').collect();
+            if !words.contains(&"unsafe") {
+                continue;
+            }
+            assert!(path.starts_with("src/ffi"), "{}:{}: unsafe outside src/ffi", path.display(), i + 1);
+            if statement.contains("unsafe {") || statement.contains("unsafe impl") {
+                let near = &lines[i.saturating_sub(8)..=i];
+                assert!(near.iter().any(|l| l.contains("SAFETY")), "{}:{}: no SAFETY comment", path.display(), i + 1);
+            }
+        }
+    }
+}
+
+#[test]
+fn files_stay_readable() {
+    for (path, text) in sources() {
+        let (name, lines) = (path.display().to_string(), text.lines().count());
+        match LONG_FILES.iter().find(|f| f.0 == name) {
+            Some((_, most)) => {
+                assert!(lines > MOST_LINES, "{name} is short again: take it off the list");
+                assert!(lines <= *most, "{name} has {lines} lines and grows; split it");
+            }
+            None => assert!(lines <= MOST_LINES, "{name} has {lines} lines; split it"),
+        }
+        assert!(text.starts_with("//!"), "{name} does not say what it is for");
+    }
+}
+
+/// The solver must never look at the ground truth.
+#[test]
+fn only_evaluation_and_synthesis_know_of_ground_truth() {
+    for (path, text) in sources() {
+        let module = module_of(&path).unwrap_or_default();
+        if ["pipeline", "inverse", "highlight", "lighting", "gbuffer", "texture"].contains(&module.as_str()) {
+            if let Some(code) = code(&path, &text) {
+                assert!(!code.contains("\"gt") && !code.contains("gt/"), "{} names the ground truth", path.display());
+            }
+        }
+    }
+}
