@@ -134,7 +134,8 @@ fn graph() -> BTreeMap<String, BTreeMap<String, PathBuf>> {
 #[test]
 fn modules_use_what_the_table_allows() {
     let allowed: BTreeMap<&str, &[&str]> = TABLE.iter().copied().collect();
-    let story: Vec<&str> = TABLE.iter().map(|t| t.0).filter(|m| !VOCABULARY.contains(m) && *m != "cli" && *m != "pipeline").collect();
+    let story: Vec<&str> =
+        TABLE.iter().map(|t| t.0).filter(|m| !VOCABULARY.contains(m) && *m != "cli" && *m != "pipeline").collect();
     let mut wrong = Vec::new();
     for (module, edges) in graph() {
         let Some(may) = allowed.get(module.as_str()) else {
@@ -164,7 +165,8 @@ fn there_are_no_cycles() {
         assert!(removed.is_some(), "{from} uses {to} no longer: take the pair off the list of debts");
     }
     loop {
-        let free: Vec<String> = left.iter().filter(|(_, e)| e.keys().all(|u| !left.contains_key(u))).map(|(m, _)| m.clone()).collect();
+        let free: Vec<String> =
+            left.iter().filter(|(_, e)| e.keys().all(|u| !left.contains_key(u))).map(|(m, _)| m.clone()).collect();
         if free.is_empty() {
             break;
         }

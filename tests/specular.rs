@@ -124,7 +124,10 @@ fn differences_of_the_table_are_the_kernels_derivative() {
             let (mean, error) = mean_and_error(&slopes);
             let (value, expected) = quadrature(&all[0], r, 800);
             println!("target {target} R {r}: slope {mean:.5} ± {error:.5} against {expected:.5}");
-            assert!((mean - expected).abs() < 4.5 * error + 5e-3 * (expected.abs() + value / f64::from(r)), "R {r}: {mean} ± {error}, {expected}");
+            assert!(
+                (mean - expected).abs() < 4.5 * error + 5e-3 * (expected.abs() + value / f64::from(r)),
+                "R {r}: {mean} ± {error}, {expected}"
+            );
         }
     }
 }

@@ -5,7 +5,7 @@
 //! ray stands for.
 
 use super::irt::Bake;
-use crate::brdf::{sample_vndf, specular, vndf_reflection_pdf};
+use crate::brdf::{MIN_ROUGHNESS, sample_vndf, specular, vndf_reflection_pdf};
 use crate::math::Frame;
 use crate::sampling::{Discrete, SobolSequence};
 use crate::trace::{Hit, Ray};
@@ -127,7 +127,7 @@ impl Reflector<'_> {
 
     /// Expected number of samples per steradian of the whole mixture.
     fn density(&self, half: &HalfVector, lobes: &[f32], emitter_pdf: f32) -> f32 {
-        let lobe_sum: f32 = lobes.iter().map(|r| vndf_reflection_pdf(half.n_v, half.sin2_nh, r * r)).sum();
+        let lobe_sum: f32 = lobes.iter().map(|r| vndf_reflection_pdf(half.n_v, half.sin2_nh, alpha(*r))).sum();
         self.rays_per_lobe as f32 * lobe_sum + self.emitter_samples as f32 * emitter_pdf
     }
 
@@ -140,7 +140,7 @@ impl Reflector<'_> {
         for (k, &roughness) in lobes.iter().enumerate() {
             let sequence = SobolSequence::new(self.seed.wrapping_add(k as u64), g.key);
             for j in 0..self.rays_per_lobe {
-                let h = sample_vndf(view, roughness * roughness, sequence.point2(j));
+                let h = sample_vndf(view, alpha(roughness), sequence.point2(j));
                 let l_local = h * (2.0 * view.dot(h)) - view;
                 let l = frame.world_from_local(l_local);
                 if l_local.z > 0.0 && l.dot(g.face_normal) > 0.0 {
@@ -169,6 +169,12 @@ impl Reflector<'_> {
 
 /// Below this cosine the view counts as grazing: the model's terms stay finite.
 const MIN_COSINE: f32 = 1e-3;
+
+/// α of a roughness from a texture, which may hold a mirror's 0.
+fn alpha(roughness: f32) -> f32 {
+    let r = roughness.max(MIN_ROUGHNESS);
+    r * r
+}
 
 struct HalfVector {
     n_l: f32,
@@ -204,11 +210,11 @@ fn accumulate(half: &HalfVector, weighted: Vec3, levels: &Levels, i: usize, out:
         Levels::Shared { evaluate, .. } => {
             let row = &mut out[i * evaluate.len()..(i + 1) * evaluate.len()];
             for (value, &r) in row.iter_mut().zip(*evaluate) {
-                *value += weighted * (specular(half.n_l, half.n_v, half.sin2_nh, half.v_h, r) * half.n_l);
+                *value += weighted * (specular(half.n_l, half.n_v, half.sin2_nh, half.v_h, r.max(MIN_ROUGHNESS)) * half.n_l);
             }
         }
         Levels::Own(values) => {
-            out[i] += weighted * (specular(half.n_l, half.n_v, half.sin2_nh, half.v_h, values[i]) * half.n_l);
+            out[i] += weighted * (specular(half.n_l, half.n_v, half.sin2_nh, half.v_h, values[i].max(MIN_ROUGHNESS)) * half.n_l);
         }
     }
 }

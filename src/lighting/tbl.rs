@@ -101,6 +101,11 @@ fn robust_mean(seen: &[Observation]) -> Vec3 {
         _ => {}
     }
     let mut order: Vec<(f32, f32)> = seen.iter().map(|o| (crate::math::luminance(o.radiance), sharpness(o).sqrt())).collect();
+    // no single view, however sharp, may outvote the others: a highlight is often seen from nearby
+    let mut weights: Vec<f32> = order.iter().map(|o| o.1).collect();
+    weights.sort_by(f32::total_cmp);
+    let most = weights[weights.len() / 2];
+    order.iter_mut().for_each(|o| o.1 = o.1.min(most));
     order.sort_by(|a, b| a.0.total_cmp(&b.0));
     let half = 0.5 * order.iter().map(|o| o.1).sum::<f32>();
     let mut acc = 0.0;
