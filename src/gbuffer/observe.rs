@@ -111,7 +111,7 @@ impl Observer<'_> {
         let to_camera = camera.position - position;
         let distance = to_camera.length();
         let n_v = face_normal.dot(to_camera) / distance;
-        if !(n_v > 0.02) {
+        if n_v.is_nan() || n_v <= 0.02 {
             return None;
         }
         let pixel = camera.project(position)?;

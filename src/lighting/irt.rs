@@ -191,6 +191,7 @@ struct Scratch {
 
 impl Scratch {
     /// Traces the samples `rays` and `lights` of every receiver in `group`; returns the number of rays.
+    #[allow(clippy::too_many_arguments)] // buffers apart from what they are filled with
     fn run(
         &mut self,
         bake: &Bake,

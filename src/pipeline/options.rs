@@ -80,7 +80,7 @@ impl SolveOptions {
                 return wrong(format!("--{flag} {samples}: must be at most 1048576"));
             }
         }
-        if !(self.irradiance_error >= 0.0) {
+        if self.irradiance_error.is_nan() || self.irradiance_error < 0.0 {
             return wrong(format!("--irradiance-error {}: must be 0 or more", self.irradiance_error));
         }
         Ok(())

@@ -178,11 +178,11 @@ fn spread_over_neighbours(scene: &Scene, labels: &mut [u32]) {
             }
         }
         for (t, corners) in mesh.triangles.iter().enumerate() {
-            if labels[t] == UNSEEN {
-                if let Some(l) = corners.iter().map(|&c| at_vertex[welded[c as usize] as usize]).find(|l| *l != UNSEEN) {
-                    labels[t] = l;
-                    changed = true;
-                }
+            if labels[t] == UNSEEN
+                && let Some(l) = corners.iter().map(|&c| at_vertex[welded[c as usize] as usize]).find(|l| *l != UNSEEN)
+            {
+                labels[t] = l;
+                changed = true;
             }
         }
         if !changed {
