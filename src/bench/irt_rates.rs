@@ -140,7 +140,9 @@ fn candidates(ground: &Ground) -> Vec<(String, IrtOptions)> {
 }
 
 /// Measures every candidate on runs of texels holding about `rays` rays each.
-#[must_use]
+///
+/// # Errors
+/// Rays that cannot be written.
 pub(super) fn measure(
     ground: &Ground,
     texels: &Texels,

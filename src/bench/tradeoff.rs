@@ -167,7 +167,7 @@ fn centre(texels: &Texels, i: usize) -> Vec2 {
 }
 
 fn irradiance_error(out: &Path, places: &[Vec2], reference: &[Vec3]) -> Result<f64> {
-    let plane = read_rgb(&out.join("irradiance.exr"))?;
+    let plane = read_rgb(out.join("irradiance.exr"))?;
     let size = Vec2::new(plane.width as f32, plane.height as f32);
     let value: Vec<Vec3> = places.iter().map(|&uv| plane.bilinear(uv * size, Wrap::Clamp)).collect();
     Ok(relative_errors(&value, reference).0)
