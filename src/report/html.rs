@@ -173,6 +173,7 @@ fn summary(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
 
 fn evaluation_section(out: &mut String, evaluation: &Evaluation) -> std::fmt::Result {
     out.push_str("<section id=\"evaluation\">\n<h2>Evaluation</h2>\n");
+    command(out, "unbake eval OUT --scene SCENE")?;
     for (title, kind, split) in
         [("Held-out views", "novel views", &evaluation.test), ("Training views", "re-rendering", &evaluation.train)]
     {
@@ -186,6 +187,11 @@ fn evaluation_section(out: &mut String, evaluation: &Evaluation) -> std::fmt::Re
     }
     out.push_str("</ul></details>\n</section>\n");
     Ok(())
+}
+
+/// The command whose result a section shows.
+fn command(out: &mut String, text: &str) -> std::fmt::Result {
+    writeln!(out, "<p class=\"command\">from <code>{}</code></p>", escaped(text))
 }
 
 fn split_tables(out: &mut String, title: &str, kind: &str, split: &SplitScores) -> std::fmt::Result {
@@ -379,7 +385,9 @@ fn stages_section(out: &mut String, stages: &[StageRecord]) -> std::fmt::Result 
         return Ok(());
     }
     let longest = stages.iter().map(|s| s.wall_seconds).fold(1e-9, f64::max);
-    out.push_str("<section id=\"stages\">\n<h2>Stages</h2>\n<div class=\"wrap\"><table><thead><tr><th>stage</th><th>wall</th>");
+    out.push_str("<section id=\"stages\">\n<h2>Stages</h2>\n");
+    command(out, "unbake solve SCENE -o OUT")?;
+    out.push_str("<div class=\"wrap\"><table><thead><tr><th>stage</th><th>wall</th>");
     out.push_str("<th>processor</th><th>cores busy</th><th>rays</th><th>rays/s</th><th></th></tr></thead><tbody>\n");
     for s in stages {
         let rays = if s.rays > 0 { short(s.rays) } else { "–".into() };
