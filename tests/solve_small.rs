@@ -353,7 +353,8 @@ fn damaged_inputs_leave_nothing_half_written() {
             .output()
             .expect("the program starts")
     };
-    let damage: [(&str, fn(&common::SceneDir)); 6] = [
+    type Spoil = fn(&common::SceneDir);
+    let damage: [(&str, Spoil); 6] = [
         ("a.exr", |s| s.write("a.exr", b"no image")),
         ("a.exr", |s| s.write("a.exr", &common::raw_exr(32, 16, |x, y| if x == y { f32::INFINITY } else { 1.0 }))),
         ("a.png", |s| s.write("a.png", &[0x89, b'P', b'N', b'G'])),
