@@ -4,6 +4,7 @@
 //! all views, so whatever differs between them must be the specular part.
 
 use super::{Candidate, LEVELS, LOBES};
+use crate::brdf::Reflectance;
 use crate::gbuffer::{Observation, Observer};
 use crate::lighting::{Bake, Gaze, Levels, Reflector};
 use crate::parallel;
@@ -47,19 +48,23 @@ pub struct Evidence {
     pub points: Vec<EvidencePoint>,
     /// Sights of all points, point by point.
     pub sights: Vec<Sight>,
-    /// `sights.len() × LEVELS.len()` specular radiances.
+    /// `sights.len() × MODELS.len() × LEVELS.len()` specular radiances.
     pub specular: Vec<Vec3>,
     /// Rays traced.
     pub rays: u64,
 }
 
 impl Evidence {
-    /// Specular radiance of sight `s` at all levels.
+    /// Specular radiance of sight `s` at all levels under [`MODELS`]`[m]`.
     #[must_use]
-    pub fn response(&self, s: usize) -> &[Vec3] {
-        &self.specular[s * LEVELS.len()..(s + 1) * LEVELS.len()]
+    pub fn response(&self, s: usize, m: usize) -> &[Vec3] {
+        let first = (s * MODELS.len() + m) * LEVELS.len();
+        &self.specular[first..first + LEVELS.len()]
     }
 }
+
+/// Specular models tabulated: the masking terms to choose from. Diffuse parts need no rays.
+pub const MODELS: [Reflectance; 2] = [Reflectance::Paper, Reflectance::Smith];
 
 /// Observes every candidate in all views and traces its specular response; candidates with fewer than two clean sights are
 /// dropped.
@@ -74,7 +79,7 @@ pub fn gather_evidence(
 ) -> Evidence {
     const CHUNK: usize = 64;
     let rays = AtomicU64::new(0);
-    let reflector = Reflector { bake, rays_per_lobe: 10, emitter_samples: 16, seed };
+    let reflector = Reflector { bake, rays_per_lobe: 10, emitter_samples: 24, model: Reflectance::Paper, seed };
     let parts = parallel::map_chunks(candidates.len(), CHUNK, |range| {
         let mut out = Evidence::default();
         let mut gazes = Vec::new();
@@ -108,8 +113,8 @@ pub fn gather_evidence(
                 count: seen.len() as u32,
             });
         }
-        out.specular = vec![Vec3::ZERO; out.sights.len() * LEVELS.len()];
-        let traced = reflector.reflect(&gazes, Levels::Shared { lobes: &LOBES, evaluate: &LEVELS }, &mut out.specular);
+        out.specular = vec![Vec3::ZERO; out.sights.len() * MODELS.len() * LEVELS.len()];
+        let traced = reflector.reflect(&gazes, Levels::Shared { lobes: &LOBES, evaluate: &LEVELS, models: &MODELS }, &mut out.specular);
         rays.fetch_add(traced, Ordering::Relaxed);
         progress.advance(range.len() as u64);
         out

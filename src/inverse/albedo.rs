@@ -1,6 +1,7 @@
 //! Stage I in closed form: a texel's albedo is π/E times its diffuse radiance, the robust mean over views of the observed radiance
 //! less the specular part.
 
+use crate::brdf::Reflectance;
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::image::{Plane, RgbPlane};
 use crate::lighting::{Gaze, Levels, Reflector};
@@ -64,7 +65,8 @@ pub fn specular_image(
     (image, rays.into_inner())
 }
 
-/// Estimates albedo from views whose specular part is `specular[v]` (same size as view v's image).
+/// Estimates albedo from views whose specular part is `specular[v]` (same size as view v's image); `surface(i)` is the roughness of
+/// texel i.
 #[must_use]
 pub fn estimate_albedo(
     observer: &Observer,
@@ -72,6 +74,8 @@ pub fn estimate_albedo(
     orientation: &Orientation,
     texels: &Texels,
     irradiance: &RgbPlane,
+    surface: &(dyn Fn(usize) -> f32 + Sync),
+    model: Reflectance,
     progress: &Progress,
 ) -> AlbedoEstimate {
     const CHUNK: usize = 2048;
@@ -98,7 +102,8 @@ pub fn estimate_albedo(
                 // where the specular part is a large share, its own error is too
                 let share = luminance(s) / luminance(o.radiance).max(1e-12);
                 let w = (1.0 / (o.footprint * o.footprint)).powi(2) * o.n_v / (1.0 + (share / 0.15).powi(2));
-                looks.push((o.radiance - s, w));
+                let factor = model.diffuse_factor(o.n_v, surface(i));
+                looks.push(((o.radiance - s) / factor, w));
             }
             let lit = irradiance.bilinear(mesh.uv(t, p.u, p.v) * size, crate::image::Wrap::Clamp);
             // a channel without light keeps a finite albedo whatever the exposure

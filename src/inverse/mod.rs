@@ -4,4 +4,4 @@ mod albedo;
 mod roughness;
 
 pub use albedo::{AlbedoEstimate, estimate_albedo, specular_image};
-pub use roughness::{GroupFit, fit_groups};
+pub use roughness::{GroupFit, choose_model, fit_groups};

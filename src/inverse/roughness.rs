@@ -4,7 +4,8 @@
 //! summed over the points of a group, is tabulated at all levels; its global minimum is the answer and its depth the confidence
 //! (method §12.3 point 7; variable projection, Golub & Pereyra 1973: the diffuse radiance is eliminated in closed form).
 
-use crate::highlight::{Evidence, LEVELS};
+use crate::brdf::Reflectance;
+use crate::highlight::{Evidence, LEVELS, MODELS};
 use crate::math::luminance;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -28,18 +29,40 @@ pub struct GroupFit {
     pub points: usize,
 }
 
-/// Fits every group of the evidence.
+/// A more elaborate model must explain the views better by this share of the disagreement.
+const MODEL_GAIN: f64 = 0.01;
+
+/// Fits every group of the evidence under one reflection model.
 #[must_use]
-pub fn fit_groups(evidence: &Evidence) -> Vec<GroupFit> {
+pub fn fit_groups(evidence: &Evidence, model: Reflectance) -> Vec<GroupFit> {
     let mut groups: BTreeMap<(u16, u16), Vec<usize>> = BTreeMap::new();
     for (i, p) in evidence.points.iter().enumerate() {
         groups.entry(p.group).or_default().push(i);
     }
-    groups.into_iter().map(|(group, points)| fit_group(evidence, group, &points)).collect()
+    groups.into_iter().map(|(group, points)| fit_group(evidence, model, group, &points)).collect()
 }
 
-fn fit_group(evidence: &Evidence, group: (u16, u16), points: &[usize]) -> GroupFit {
-    let rows: Vec<[f64; LEVELS.len()]> = points.par_iter().map(|&i| disagreement(evidence, i)).collect();
+/// Fits all groups under every model and keeps the simplest that explains the views; also returns the mean disagreement per model.
+#[must_use]
+pub fn choose_model(evidence: &Evidence) -> (Reflectance, Vec<GroupFit>, Vec<(Reflectance, f64)>) {
+    let mut best: Option<(Reflectance, Vec<GroupFit>, f64)> = None;
+    let mut scores = Vec::new();
+    for model in Reflectance::ALL {
+        let fits = fit_groups(evidence, model);
+        let points: usize = fits.iter().map(|f| f.points).sum();
+        let total: f64 = fits.iter().map(|f| f.points as f64 * f.objective.iter().copied().fold(f64::INFINITY, f64::min)).sum();
+        let score = total / points.max(1) as f64;
+        scores.push((model, score));
+        if best.as_ref().is_none_or(|b| score < b.2 * (1.0 - MODEL_GAIN)) {
+            best = Some((model, fits, score));
+        }
+    }
+    let (model, fits, _) = best.unwrap_or((Reflectance::Paper, Vec::new(), 0.0));
+    (model, fits, scores)
+}
+
+fn fit_group(evidence: &Evidence, model: Reflectance, group: (u16, u16), points: &[usize]) -> GroupFit {
+    let rows: Vec<[f64; LEVELS.len()]> = points.par_iter().map(|&i| disagreement(evidence, model, i)).collect();
     let n = rows.len().max(1) as f64;
     let objective: Vec<f64> = (0..LEVELS.len()).map(|k| rows.iter().map(|r| r[k]).sum::<f64>() / n).collect();
     let best = (0..LEVELS.len()).min_by(|&a, &b| objective[a].total_cmp(&objective[b])).unwrap_or(0);
@@ -55,17 +78,19 @@ fn fit_group(evidence: &Evidence, group: (u16, u16), points: &[usize]) -> GroupF
 }
 
 /// Robust relative disagreement of a point's views per level.
-fn disagreement(evidence: &Evidence, i: usize) -> [f64; LEVELS.len()] {
+fn disagreement(evidence: &Evidence, model: Reflectance, i: usize) -> [f64; LEVELS.len()] {
     let p = &evidence.points[i];
     let range = p.first as usize..(p.first + p.count) as usize;
     let sights = &evidence.sights[range.clone()];
     let mut by_luminance: Vec<f32> = sights.iter().map(|s| luminance(s.radiance)).collect();
     by_luminance.sort_by(f32::total_cmp);
     let scale = by_luminance[by_luminance.len() / 2].max(1e-9);
+    let m = MODELS.iter().position(|m| (*m == Reflectance::Paper) == (model == Reflectance::Paper)).unwrap_or(0);
     let mut diffuse = vec![(Vec3::ZERO, 0.0f32); sights.len()];
     std::array::from_fn(|k| {
         for (d, (s, j)) in diffuse.iter_mut().zip(sights.iter().zip(range.clone())) {
-            *d = (s.radiance - evidence.response(j)[k], s.weight);
+            let factor = model.diffuse_factor(s.n_v, LEVELS[k]);
+            *d = ((s.radiance - evidence.response(j, m)[k]) / factor, s.weight * factor);
         }
         let centre = robust_centre(&diffuse, scale);
         let mut sum = 0.0;

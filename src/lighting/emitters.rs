@@ -18,7 +18,9 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// At most this many lamps; more are merged with their neighbours in space.
-const MAX_LAMPS: usize = 256;
+const MAX_LAMPS: usize = 128;
+/// Reflecting triangles this many times brighter than the mean are sampled like lamps.
+const BRIGHT: f64 = 2.5;
 /// At most this many portals.
 const MAX_PORTALS: usize = 64;
 /// Receivers and rays per receiver that look for openings.
@@ -27,7 +29,7 @@ const PORTAL_RAYS: u32 = 32;
 /// Cells along the longest side of the scene: about one metre in a flat.
 const CELLS_LONGEST: f32 = 20.0;
 /// Receivers per cell used to find which lamps reach it.
-const PROBES: usize = 24;
+const PROBES: usize = 16;
 /// Share of samples spread over all lamps by unoccluded irradiance.
 const DEFENSIVE: f64 = 0.15;
 
@@ -115,8 +117,8 @@ enum LampKind {
 /// Samples emissive triangles and portals.
 pub struct Emitters {
     lamps: Vec<Lamp>,
-    /// Per emissive triangle: lamp and density per m² within the lamp.
-    triangle_slot: BTreeMap<u32, (u32, f32)>,
+    /// Per triangle: lamp and density per m² within the lamp; density 0 where the triangle is not sampled.
+    triangle_slot: Vec<(u32, f32)>,
     /// Per portal cell: lamp and density per m² within the lamp.
     portal_slot: BTreeMap<u32, (u32, f32)>,
     hull: Hull,
@@ -130,13 +132,11 @@ impl Emitters {
     /// `receivers` (position, normal).
     #[must_use]
     pub fn new(mesh: &Mesh, field: &LightField, tracer: &dyn Tracer, receivers: &[(Vec3, Vec3)]) -> Self {
-        let emissive: Vec<u32> =
-            (0..mesh.triangles.len()).filter(|&t| field.is_emissive(t) && mesh.area(t) > 0.0).map(|t| t as u32).collect();
         let (lo, hi) = mesh.bounds();
         let cell_size = ((hi - lo).max_element() / CELLS_LONGEST).max(f32::MIN_POSITIVE);
         let mut out = Self {
             lamps: Vec::new(),
-            triangle_slot: BTreeMap::new(),
+            triangle_slot: vec![(0, 0.0); mesh.triangles.len()],
             portal_slot: BTreeMap::new(),
             hull: Hull::around(lo, hi),
             everywhere: None,
@@ -145,12 +145,12 @@ impl Emitters {
         };
         let small = 0.02 * (hi - lo).length();
         let centre = |t: u32| mesh.position(t as usize, 1.0 / 3.0, 1.0 / 3.0);
-        for group in split_into_lamps(&centre, small, MAX_LAMPS, emissive) {
-            let items = group
-                .iter()
-                .map(|&t| (centre(t), mesh.area(t as usize), triangle_power(mesh, field, t as usize)))
-                .collect::<Vec<_>>();
-            out.add_lamp(LampKind::Triangles(group), &items);
+        let power: Vec<f64> = (0..mesh.triangles.len()).into_par_iter().map(|t| triangle_power(mesh, field, t)).collect();
+        for set in bright_sets(mesh, field, &power) {
+            for group in split_into_lamps(&centre, small, MAX_LAMPS, set) {
+                let items = group.iter().map(|&t| (centre(t), mesh.area(t as usize), power[t as usize])).collect::<Vec<_>>();
+                out.add_lamp(LampKind::Triangles(group), &items);
+            }
         }
         if !field.environment.is_black() {
             out.add_portals(field, tracer, receivers);
@@ -168,12 +168,14 @@ impl Emitters {
         let area: f32 = items.iter().map(|i| i.1).sum();
         let centre = items.iter().map(|i| i.0 * i.1).sum::<Vec3>() / area;
         let lamp = self.lamps.len() as u32;
-        let (slots, ids) = match &kind {
-            LampKind::Triangles(ids) => (&mut self.triangle_slot, ids),
-            LampKind::Portal(ids) => (&mut self.portal_slot, ids),
-        };
-        for (i, id) in ids.iter().enumerate() {
-            slots.insert(*id, (lamp, table.pmf(i) / items[i].1));
+        for (i, item) in items.iter().enumerate() {
+            let slot = (lamp, table.pmf(i) / item.1);
+            match &kind {
+                LampKind::Triangles(ids) => self.triangle_slot[ids[i] as usize] = slot,
+                LampKind::Portal(ids) => {
+                    self.portal_slot.insert(ids[i], slot);
+                }
+            }
         }
         self.lamps.push(Lamp { kind, table, centre, power: items.iter().map(|i| i.2).sum() });
     }
@@ -240,20 +242,25 @@ impl Emitters {
                     0x1a3b,
                     crate::sampling::hash_u64(cell[0] as u64, crate::sampling::hash_u64(cell[1] as u64, cell[2] as u64)),
                 );
+                let (mut rays, mut owners) = (Vec::new(), Vec::new());
                 for (probe, &i) in ids.iter().step_by(stride).take(PROBES).enumerate() {
                     let (p, n) = receivers[i];
+                    let origin = p + n * (1e-4 * self.cell_size);
                     for (k, lamp) in self.lamps.iter().enumerate() {
                         let u = sequence.point3((probe * self.lamps.len() + k) as u32);
-                        let origin = p + n * (1e-4 * self.cell_size);
                         let Some(s) = self.towards(mesh, field, lamp, origin, u) else { continue };
                         let cosine = n.dot(Vec3::from_array(s.ray.direction)).max(0.05);
                         let light = f64::from((luminance(s.radiance) * cosine / s.pdf).max(0.0));
                         possible[k] += light;
-                        let mut hidden = [0u8];
-                        tracer.occluded(&[s.ray], &mut hidden);
-                        if hidden[0] == 0 {
-                            reached[k] += light;
-                        }
+                        rays.push(s.ray);
+                        owners.push((k, light));
+                    }
+                }
+                let mut hidden = vec![0u8; rays.len()];
+                tracer.occluded(&rays, &mut hidden);
+                for ((k, light), h) in owners.into_iter().zip(hidden) {
+                    if h == 0 {
+                        reached[k] += light;
                     }
                 }
                 let (r, p): (f64, f64) = (reached.iter().sum(), possible.iter().sum());
@@ -308,14 +315,12 @@ impl Emitters {
     #[must_use]
     pub fn pdf(&self, field: &LightField, choice: &Discrete, origin: Vec3, direction: Vec3, hit: &Hit) -> f32 {
         if hit.is_hit() {
-            if !field.is_emissive(hit.triangle as usize) {
+            let (lamp, pdf) = self.triangle_slot[hit.triangle as usize];
+            if pdf <= 0.0 {
                 return 0.0;
             }
             let cosine = -field.outward_normal(hit.triangle as usize).dot(direction);
-            match self.triangle_slot.get(&hit.triangle) {
-                Some((lamp, pdf)) if cosine > 0.0 => choice.pmf(*lamp as usize) * pdf * hit.t * hit.t / cosine,
-                _ => 0.0,
-            }
+            if cosine > 1e-6 { choice.pmf(lamp as usize) * pdf * hit.t * hit.t / cosine } else { 0.0 }
         } else {
             let Some((cell, t, cosine)) = self.hull.exit(origin, direction).filter(|_| !self.portal_slot.is_empty()) else {
                 return 0.0;
@@ -360,6 +365,18 @@ pub(crate) fn segment(from: Vec3, to: Vec3) -> Ray {
     let d = to - from;
     let length = d.length();
     Ray::new(from, d / length.max(f32::MIN_POSITIVE), length * (1.0 - 1e-3))
+}
+
+/// Triangles worth sampling: the emissive ones, and those that reflect much more light than the average surface (a window sill in the
+/// sun). Sampling the latter changes no estimate, only its noise.
+fn bright_sets(mesh: &Mesh, field: &LightField, power: &[f64]) -> [Vec<u32>; 2] {
+    let area: Vec<f64> = (0..mesh.triangles.len()).map(|t| f64::from(mesh.area(t))).collect();
+    let reflecting = |t: usize| !field.is_emissive(t) && area[t] > 0.0;
+    let (sum, total) = (0..area.len()).filter(|&t| reflecting(t)).fold((0.0, 0.0), |s, t| (s.0 + power[t], s.1 + area[t]));
+    let threshold = BRIGHT * sum / f64::max(total, 1e-12);
+    let emissive = (0..area.len()).filter(|&t| field.is_emissive(t) && area[t] > 0.0).map(|t| t as u32).collect();
+    let bright = (0..area.len()).filter(|&t| reflecting(t) && power[t] > threshold * area[t]).map(|t| t as u32).collect();
+    [emissive, bright]
 }
 
 /// Luminance × area, from a few points; a floor keeps dim corners possible.

@@ -59,6 +59,8 @@ impl Default for IrtOptions {
 pub struct Irradiance {
     /// E per point.
     pub value: Vec<Vec3>,
+    /// Two independent estimates of E per point, from the even and the odd samples; their mean is `value`.
+    pub halves: Vec<[Vec3; 2]>,
     /// Estimated standard error of E's luminance, relative.
     pub error: Vec<f32>,
     /// Rays traced in all.
@@ -111,9 +113,11 @@ pub fn bake_irradiance(
     });
     let mut all = Irradiance { rays: rays.into_inner(), ..Irradiance::default() };
     all.value.reserve_exact(count);
+    all.halves.reserve_exact(count);
     all.error.reserve_exact(count);
     for p in parts {
         all.value.extend(p.value);
+        all.halves.extend(p.halves);
         all.error.extend(p.error);
     }
     all
@@ -126,7 +130,8 @@ struct Halves {
 }
 
 fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irradiance {
-    let mut out = Irradiance { value: vec![Vec3::ZERO; receivers.len()], error: vec![0.0; receivers.len()], rays: 0 };
+    let n = receivers.len();
+    let mut out = Irradiance { value: vec![Vec3::ZERO; n], halves: vec![[Vec3::ZERO; 2]; n], error: vec![0.0; n], rays: 0 };
     let mut pending: Vec<u32> = (0..receivers.len() as u32).collect();
     let mut halves = vec![Halves::default(); receivers.len()];
     let mut scratch = Scratch::default();
@@ -154,6 +159,7 @@ fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irra
             let h = halves[i as usize];
             let e = h.sum[0] + h.sum[1];
             out.value[i as usize] = e;
+            out.halves[i as usize] = h.sum.map(|s| s * 2.0);
             let (a, b) = (crate::math::luminance(h.sum[0]), crate::math::luminance(h.sum[1]));
             let error = if a + b > 0.0 { (a - b).abs() / (a + b) } else { 0.0 };
             out.error[i as usize] = error;

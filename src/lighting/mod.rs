@@ -2,6 +2,7 @@
 
 mod emitters;
 mod environment;
+mod filter;
 mod hull;
 mod irt;
 mod light_field;
@@ -11,6 +12,7 @@ mod tbl;
 
 pub use emitters::{EmissionEvidence, EmitterSample, Emitters, detect_emissive};
 pub use environment::Environment;
+pub use filter::filter_irradiance;
 pub(crate) use hull::Hull;
 pub use irt::{Bake, Estimator, Irradiance, IrtOptions, Receiver, bake_irradiance};
 pub use light_field::LightField;

@@ -5,7 +5,7 @@
 //! ray stands for.
 
 use super::irt::Bake;
-use crate::brdf::{MIN_ROUGHNESS, sample_vndf, specular, vndf_reflection_pdf};
+use crate::brdf::{MIN_ROUGHNESS, Reflectance, sample_vndf, vndf_reflection_pdf};
 use crate::math::Frame;
 use crate::sampling::{Discrete, SobolSequence};
 use crate::trace::{Hit, Ray};
@@ -30,7 +30,7 @@ pub struct Gaze {
     pub key: u64,
 }
 
-/// The roughness values rays are drawn for and responses evaluated at.
+/// The roughness values (and models) rays are drawn for and responses evaluated at.
 #[derive(Clone, Copy, Debug)]
 pub enum Levels<'a> {
     /// All gazes share the lobes and the evaluated roughness levels.
@@ -39,6 +39,8 @@ pub enum Levels<'a> {
         lobes: &'a [f32],
         /// Roughness levels evaluated.
         evaluate: &'a [f32],
+        /// Reflection models evaluated: the output of a gaze is models × levels.
+        models: &'a [Reflectance],
     },
     /// Gaze i has its own roughness `values[i]`, sampled and evaluated.
     Own(&'a [f32]),
@@ -52,6 +54,8 @@ pub struct Reflector<'a> {
     pub rays_per_lobe: u32,
     /// Emitter samples per gaze.
     pub emitter_samples: u32,
+    /// Reflection model.
+    pub model: Reflectance,
     /// Seed of the sample points.
     pub seed: u64,
 }
@@ -70,7 +74,7 @@ impl Reflector<'_> {
     /// Adds to `out[i · K + k]` the specular radiance of gaze i at its k-th evaluated level (K levels). Returns the rays traced.
     pub fn reflect(&self, gazes: &[Gaze], levels: Levels, out: &mut [Vec3]) -> u64 {
         let k = match levels {
-            Levels::Shared { evaluate, .. } => evaluate.len(),
+            Levels::Shared { evaluate, models, .. } => evaluate.len() * models.len(),
             Levels::Own(_) => 1,
         };
         let mut scratch = Scratch::default();
@@ -112,14 +116,14 @@ impl Reflector<'_> {
             let density = self.density(&half, lobes(&levels, i), emitter_pdf);
             let spread = 2.0 * (FRAC_1_PI / density.max(0.3)).sqrt();
             let radiance = self.bake.field.arriving(hit, l, spread);
-            accumulate(&half, radiance / density, &levels, i, out);
+            accumulate(self.model, &half, radiance / density, &levels, i, out);
         }
         for (k, &(i, radiance, pdf)) in s.light.iter().enumerate() {
             if s.hidden[k] == 0 {
                 let i = i as usize;
                 let half = HalfVector::new(&gazes[i], Vec3::from_array(s.shadow[k].direction));
                 let density = self.density(&half, lobes(&levels, i), pdf);
-                accumulate(&half, radiance / density, &levels, i, out);
+                accumulate(self.model, &half, radiance / density, &levels, i, out);
             }
         }
         (s.rays.len() + s.shadow.len()) as u64
@@ -202,19 +206,21 @@ fn lobes<'a>(levels: &Levels<'a>, i: usize) -> &'a [f32] {
     }
 }
 
-fn accumulate(half: &HalfVector, weighted: Vec3, levels: &Levels, i: usize, out: &mut [Vec3]) {
+fn accumulate(model: Reflectance, half: &HalfVector, weighted: Vec3, levels: &Levels, i: usize, out: &mut [Vec3]) {
     if half.n_l <= 0.0 || weighted == Vec3::ZERO {
         return;
     }
+    let term = |m: Reflectance, r: f32| weighted * (m.specular(half.n_l, half.n_v, half.sin2_nh, half.v_h, r.max(MIN_ROUGHNESS)) * half.n_l);
     match levels {
-        Levels::Shared { evaluate, .. } => {
-            let row = &mut out[i * evaluate.len()..(i + 1) * evaluate.len()];
-            for (value, &r) in row.iter_mut().zip(*evaluate) {
-                *value += weighted * (specular(half.n_l, half.n_v, half.sin2_nh, half.v_h, r.max(MIN_ROUGHNESS)) * half.n_l);
+        Levels::Shared { evaluate, models, .. } => {
+            let k = evaluate.len();
+            let row = &mut out[i * k * models.len()..(i + 1) * k * models.len()];
+            for (part, &m) in row.chunks_mut(k).zip(*models) {
+                for (value, &r) in part.iter_mut().zip(*evaluate) {
+                    *value += term(m, r);
+                }
             }
         }
-        Levels::Own(values) => {
-            out[i] += weighted * (specular(half.n_l, half.n_v, half.sin2_nh, half.v_h, values[i].max(MIN_ROUGHNESS)) * half.n_l);
-        }
+        Levels::Own(values) => out[i] += term(model, values[i]),
     }
 }

@@ -6,7 +6,8 @@
 use super::{SolveOptions, Surface, surface::coverage};
 use crate::image::{Plane, RgbPlane};
 use crate::lighting::{
-    Bake, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField, Receiver, bake_irradiance, detect_emissive,
+    Bake, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField, Receiver, bake_irradiance,
+    detect_emissive, filter_irradiance,
 };
 use crate::math::luminance;
 use crate::progress::Progress;
@@ -17,6 +18,10 @@ use std::f32::consts::{FRAC_1_PI, PI};
 
 /// Side of the coarse irradiance texture relative to the full one.
 const COARSE: usize = 4;
+
+/// Relative disagreement of a texel's two halves above which it gets a second round of samples: what the filter over the surface
+/// cannot be trusted to remove.
+const REFINE_ABOVE: f32 = 0.08;
 
 /// The reconstructed light of a scene.
 pub struct Light {
@@ -99,11 +104,20 @@ pub fn bake_irradiance_texels(
         rays: options.irradiance_rays,
         emitter_samples: options.emitter_samples,
         max_rounds: 2,
-        target: options.irradiance_error,
+        target: REFINE_ABOVE,
         seed: options.seed,
         ..IrtOptions::default()
     };
-    progress.stage("irradiance", texels.len() as u64, |p| bake(surface, field, emitters, texels, &full_options, p))
+    let mut baked =
+        progress.stage("irradiance", texels.len() as u64, |p| bake(surface, field, emitters, texels, &full_options, p));
+    progress.stage("irradiance filter", 1, |_| {
+        let normal = |i: usize| {
+            let p = texels.point[i];
+            surface.normals(p.triangle as usize, p.u, p.v).0
+        };
+        filter_irradiance(&mut baked, &surface.scene.mesh, texels, normal, options.irradiance_error);
+    });
+    baked
 }
 
 /// Triangles whose class is known to emit.

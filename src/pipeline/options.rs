@@ -1,5 +1,6 @@
 //! Options of `unbake solve`.
 
+use crate::brdf::Reflectance;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 
@@ -40,6 +41,9 @@ pub struct SolveOptions {
     /// Relative standard error of irradiance at which a texel is done.
     #[arg(long, value_name = "RATIO", default_value_t = Self::default().irradiance_error)]
     pub irradiance_error: f32,
+    /// Reflection model: the paper's, or one of the common alternatives; chosen from the evidence if not given.
+    #[arg(long, value_enum, value_name = "MODEL")]
+    pub reflectance: Option<Reflectance>,
     /// Seed of all random numbers: the command line's global `--seed`.
     #[arg(skip)]
     #[serde(skip)]
@@ -54,8 +58,9 @@ impl Default for SolveOptions {
             roughness_size: 4096,
             irradiance_size: 1024,
             irradiance_rays: 64,
-            emitter_samples: 16,
+            emitter_samples: 64,
             irradiance_error: 0.01,
+            reflectance: None,
             seed: 0,
         }
     }

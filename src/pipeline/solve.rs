@@ -5,7 +5,7 @@ use super::{Light, SolveOptions, Surface, reconstruct_light};
 use crate::Result;
 use crate::highlight::{SelectOptions, gather_evidence, select_points};
 use crate::image::Plane;
-use crate::inverse::{GroupFit, estimate_albedo, fit_groups, specular_image};
+use crate::inverse::{GroupFit, choose_model, estimate_albedo, fit_groups, specular_image};
 use crate::lighting::{Bake, Reflector};
 use crate::progress::Progress;
 use crate::scene::Scene;
@@ -57,11 +57,18 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     let evidence = progress.stage("specular samples", evidence.len() as u64, |p| {
         gather_evidence(&bake, &surface.observer(), &evidence, &normals, options.seed, p)
     });
-    let fits = progress.stage("roughness", 1, |_| fit_groups(&evidence));
+    let (model, fits, scores) = progress.stage("roughness", 1, |_| match options.reflectance {
+        Some(model) => (model, fit_groups(&evidence, model), Vec::new()),
+        None => choose_model(&evidence),
+    });
+    if !scores.is_empty() {
+        let list: Vec<String> = scores.iter().map(|(m, s)| format!("{m:?} {:.3} %", 100.0 * s)).collect();
+        progress.note(format!("reflection model {model:?}: disagreement between views {}", list.join(", ")));
+    }
     let roughness_of: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.roughness)).collect();
     let roughness_at = |t: u32, p: Vec3| roughness_of.get(&label_at(t, p)).copied().unwrap_or(ROUGHNESS_PRIOR);
 
-    let reflector = Reflector { bake: &bake, rays_per_lobe: 4, emitter_samples: 2, seed: options.seed ^ 0x51ec };
+    let reflector = Reflector { bake: &bake, rays_per_lobe: 4, emitter_samples: 2, model, seed: options.seed ^ 0x51ec };
     let mut rays = light.rays + evidence.rays;
     let specular: Vec<_> = progress.stage("specular images", surface.views.len() as u64, |p| {
         surface

@@ -147,6 +147,7 @@ impl<'a> HybridRenderer<'a> {
             bake: &bake,
             rays_per_lobe: self.options.specular_rays,
             emitter_samples: self.options.emitter_samples,
+            model: self.solution.reflectance,
             seed: self.options.seed,
         };
         reflector.reflect(&gazes, Levels::Own(&levels), &mut specular);
@@ -177,7 +178,7 @@ impl<'a> HybridRenderer<'a> {
         if face_normal.dot(direction) > 0.0 {
             (normal, face_normal) = (-normal, -face_normal);
         }
-        Point { radiance: albedo * irradiance * FRAC_1_PI, albedo, roughness, label, normals: Some((normal, face_normal)) }
+        Point { radiance: albedo * irradiance * (FRAC_1_PI * s.reflectance.diffuse_factor(-normal.dot(direction), roughness)), albedo, roughness, label, normals: Some((normal, face_normal)) }
     }
 }
 

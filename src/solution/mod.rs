@@ -4,6 +4,7 @@ mod store;
 
 pub use store::{AsideFolder, FILES, SaveOptions};
 
+use crate::brdf::Reflectance;
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
 use glam::{DVec3, Vec2};
@@ -34,6 +35,8 @@ pub struct Solution {
     pub rooms: Plane<u16>,
     /// Radiance from directions without geometry: an equirectangular map in world axes (design §1.1 with the identity pose).
     pub environment: RgbPlane,
+    /// The reflection model that albedo and roughness belong to.
+    pub reflectance: Reflectance,
 }
 
 #[cfg(test)]
@@ -73,6 +76,7 @@ pub(crate) mod tests {
             labels: Plane { width: 16, height: 16, data: (0..256).map(|i| (i % 7) as u16 * 9000).collect() },
             rooms: Plane::filled(16, 16, 1),
             environment: ramp(8, 4, 3.0),
+            reflectance: Reflectance::Burley,
         }
     }
 }
