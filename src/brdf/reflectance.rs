@@ -92,7 +92,10 @@ mod tests {
     #[test]
     fn exact_masking_is_brighter_than_the_papers_for_smooth_surfaces_and_equal_at_normal_incidence() {
         let args = (0.5f32, 0.5f32, 0.0f32, 0.5f32, 0.2f32);
-        let (paper, smith) = (Reflectance::Paper.specular(args.0, args.1, args.2, args.3, args.4), Reflectance::Smith.specular(args.0, args.1, args.2, args.3, args.4));
+        let (paper, smith) = (
+            Reflectance::Paper.specular(args.0, args.1, args.2, args.3, args.4),
+            Reflectance::Smith.specular(args.0, args.1, args.2, args.3, args.4),
+        );
         // G1 = x/(x(1−k)+k) with k = 0.18 is 0.847 at x = 0.5; exact Smith is 0.998
         assert!((smith / paper - (0.9988f32 / 0.847_457_6).powi(2)).abs() < 0.01, "{}", smith / paper);
         let head_on = |m: Reflectance| m.specular(1.0, 1.0, 0.0, 1.0, 0.4);

@@ -48,6 +48,7 @@ fn furnace(albedo: f32, radiance: f32) -> Solution {
         labels,
         rooms: Plane::filled(48, 48, 1),
         environment: Plane::filled(4, 2, Vec3::ZERO),
+        reflectance: crate::brdf::Reflectance::Paper,
     }
 }
 

@@ -6,6 +6,7 @@
 //! be loaded back from this file without loss.
 
 use super::{encode_rgb8, srgb8_from_linear};
+use crate::brdf::Reflectance;
 use crate::error::{Error, Result};
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
@@ -104,7 +105,7 @@ pub fn scene_glb(solution: &Solution, options: GlbOptions) -> Result<Vec<u8>> {
         "asset": {"version": "2.0", "generator": concat!("unbake ", env!("CARGO_PKG_VERSION"))},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [node(solution.origin)],
+        "nodes": [node(solution.origin, solution.reflectance)],
         "meshes": [{"name": "scene", "primitives": [{
             "attributes": {"POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv},
             "indices": indices,
@@ -169,8 +170,8 @@ fn punctual_lights(solution: &Solution) -> Vec<(Value, [f64; 3])> {
     lamp_groups(&world, solution.origin).iter().map(light).collect()
 }
 
-fn node(origin: DVec3) -> Value {
-    let mut node = json!({"name": "scene", "mesh": 0, "extras": {"origin": origin.to_array()}});
+fn node(origin: DVec3, reflectance: Reflectance) -> Value {
+    let mut node = json!({"name": "scene", "mesh": 0, "extras": {"origin": origin.to_array(), "reflectance": reflectance}});
     if origin != DVec3::ZERO {
         node["translation"] = json!(origin.to_array());
     }
@@ -271,8 +272,8 @@ where
     out
 }
 
-/// Mesh and origin of a file that [`scene_glb`] wrote; positions come back bit for bit.
-pub fn read_glb_mesh(path: &Path) -> Result<(Mesh, DVec3)> {
+/// Mesh, origin and reflection model of a file that [`scene_glb`] wrote; positions come back bit for bit.
+pub fn read_glb_mesh(path: &Path) -> Result<(Mesh, DVec3, Reflectance)> {
     let foreign =
         |what: &str| Error::input(path, format!("{what}; expected the scene.glb that `unbake solve` wrote: run it again"));
     let bytes = std::fs::read(path).map_err(|e| Error::input(path, format!("cannot be read ({e}); run `unbake solve` first")))?;
@@ -294,17 +295,19 @@ pub fn read_glb_mesh(path: &Path) -> Result<(Mesh, DVec3)> {
         return Err(foreign("has a triangle that names a vertex beyond the last"));
     }
     let triangles = indices.as_chunks::<3>().0.to_vec();
-    let origin = origin_of(&bytes).unwrap_or_else(|| DVec3::from_array(node.transform().decomposed().0.map(f64::from)));
-    Ok((Mesh { positions, normals, uvs, triangles }, origin))
+    let extras = extras_of(&bytes).unwrap_or_default();
+    let origin = serde_json::from_value::<[f64; 3]>(extras["origin"].clone())
+        .map_or_else(|_| DVec3::from_array(node.transform().decomposed().0.map(f64::from)), DVec3::from_array);
+    let reflectance = serde_json::from_value(extras["reflectance"].clone()).unwrap_or_default();
+    Ok((Mesh { positions, normals, uvs, triangles }, origin, reflectance))
 }
 
-/// The f64 origin in the extras of the first node with a mesh.
-fn origin_of(bytes: &[u8]) -> Option<DVec3> {
+/// The extras of the first node with a mesh.
+fn extras_of(bytes: &[u8]) -> Option<Value> {
     let glb = gltf::binary::Glb::from_slice(bytes).ok()?;
     let root: Value = serde_json::from_slice(&glb.json).ok()?;
     let node = root["nodes"].as_array()?.iter().find(|n| n.get("mesh").is_some())?;
-    let origin: [f64; 3] = serde_json::from_value(node["extras"]["origin"].clone()).ok()?;
-    Some(DVec3::from_array(origin))
+    Some(node["extras"].clone())
 }
 
 #[cfg(test)]

@@ -114,7 +114,8 @@ pub fn gather_evidence(
             });
         }
         out.specular = vec![Vec3::ZERO; out.sights.len() * MODELS.len() * LEVELS.len()];
-        let traced = reflector.reflect(&gazes, Levels::Shared { lobes: &LOBES, evaluate: &LEVELS, models: &MODELS }, &mut out.specular);
+        let traced =
+            reflector.reflect(&gazes, Levels::Shared { lobes: &LOBES, evaluate: &LEVELS, models: &MODELS }, &mut out.specular);
         rays.fetch_add(traced, Ordering::Relaxed);
         progress.advance(range.len() as u64);
         out

@@ -5,6 +5,7 @@
 //! one-step Huber mean around it uses all consistent views.
 
 use crate::gbuffer::{Observation, Observer, Orientation};
+use crate::math::luminance;
 use crate::parallel;
 use crate::progress::Progress;
 use crate::texture::Texels;
@@ -21,15 +22,17 @@ pub const UNSEEN: u32 = u32::MAX;
 pub struct Fusion {
     /// Radiance sent out, zero where unobserved.
     pub radiance: Vec<Vec3>,
+    /// Whether a view sees the texel in pixels free of edges. Without one, `radiance` is a mixture with a neighbouring surface, which
+    /// beside a lamp is a false light.
+    pub clean: Vec<bool>,
+    /// Radiance of the brightest view: for lamps smaller than a pixel, which mixing only darkens.
+    pub peak: Vec<Vec3>,
     /// Number of views used.
     pub views: Vec<u8>,
     /// Class id by vote of the observing views, 0 = unlabelled, [`UNSEEN`] where no view sees the texel.
     pub label: Vec<u32>,
     /// Smallest luminance over the clean views: light that cannot be a highlight.
     pub floor: Vec<f32>,
-    /// Brightest look at the texel that carries its own label, clean or not: for a lamp smaller than a pixel's neighbourhood, whose
-    /// pixels are all mixtures, the best there is.
-    pub brightest: Vec<Vec3>,
 }
 
 /// Fuses the observations of every texel.
@@ -43,15 +46,13 @@ pub fn fuse_radiance(observer: &Observer, orientation: &Orientation, texels: &Te
             let n = observer.mesh.face_normal(t) * orientation.sign(t);
             observer.observe(texels.position(observer.mesh, i), n, &mut seen);
             out.label.push(vote_label(&seen));
-            let own = out.label.last().copied();
-            let looks = seen.iter().filter(|o| Some(u32::from(o.label)) == own).map(|o| o.radiance);
-            let brighter = |a: Vec3, b: Vec3| if crate::math::luminance(b) > crate::math::luminance(a) { b } else { a };
-            out.brightest.push(looks.fold(Vec3::ZERO, brighter));
-            // next to an edge a pixel mixes two surfaces, and beside a lamp the mixture is a false light: such texels count as unseen
-            seen.retain(|o| o.clean);
+            let peak = seen.iter().map(|o| o.radiance).max_by(|a, b| luminance(*a).total_cmp(&luminance(*b)));
+            out.peak.push(peak.unwrap_or(Vec3::ZERO));
+            out.clean.push(seen.iter().any(|o| o.clean));
+            prefer_clean(&mut seen);
             out.radiance.push(robust_mean(&seen));
             out.views.push(seen.len().min(255) as u8);
-            out.floor.push(seen.iter().map(|o| crate::math::luminance(o.radiance)).fold(f32::INFINITY, f32::min));
+            out.floor.push(seen.iter().map(|o| luminance(o.radiance)).fold(f32::INFINITY, f32::min));
         }
         progress.advance(range.len() as u64);
         out
@@ -59,10 +60,11 @@ pub fn fuse_radiance(observer: &Observer, orientation: &Orientation, texels: &Te
     let mut all = Fusion::default();
     for p in parts {
         all.radiance.extend(p.radiance);
+        all.clean.extend(p.clean);
+        all.peak.extend(p.peak);
         all.views.extend(p.views);
         all.label.extend(p.label);
         all.floor.extend(p.floor);
-        all.brightest.extend(p.brightest);
     }
     all
 }
@@ -100,7 +102,7 @@ fn robust_mean(seen: &[Observation]) -> Vec3 {
         [one] => return one.radiance,
         _ => {}
     }
-    let mut order: Vec<(f32, f32)> = seen.iter().map(|o| (crate::math::luminance(o.radiance), sharpness(o).sqrt())).collect();
+    let mut order: Vec<(f32, f32)> = seen.iter().map(|o| (luminance(o.radiance), sharpness(o).sqrt())).collect();
     // no single view, however sharp, may outvote the others: a highlight is often seen from nearby
     let mut weights: Vec<f32> = order.iter().map(|o| o.1).collect();
     weights.sort_by(f32::total_cmp);
@@ -122,7 +124,7 @@ fn robust_mean(seen: &[Observation]) -> Vec3 {
     let scale = 1.5 * spread[spread.len() / 2] + 0.02 * median + f32::MIN_POSITIVE;
     let (mut sum, mut total) = (Vec3::ZERO, 0.0);
     for o in seen {
-        let distance = (crate::math::luminance(o.radiance) - median).abs() / scale;
+        let distance = (luminance(o.radiance) - median).abs() / scale;
         let w = sharpness(o).sqrt() / distance.max(1.0);
         sum += o.radiance * w;
         total += w;

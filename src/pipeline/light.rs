@@ -23,6 +23,9 @@ const COARSE: usize = 4;
 /// cannot be trusted to remove.
 const REFINE_ABOVE: f32 = 0.08;
 
+/// How much brighter than expected a texel seen only at edges may be before its radiance counts as a mixture with a brighter surface.
+const MIXTURE_LIMIT: f32 = 1.5;
+
 /// The reconstructed light of a scene.
 pub struct Light {
     /// Radiance along rays.
@@ -49,8 +52,10 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let scene = surface.scene;
     let environment = Environment::observe(&surface.views);
     let known = known_lights(surface);
-    let (fused, observed) = with_small_lamps(surface, &known);
-    let mut radiance = filled_radiance(surface, &fused, &observed);
+    let observed: Vec<bool> = surface.fusion.views.iter().map(|v| *v > 0).collect();
+    let first_look = trusted_radiance(surface, &known);
+    let trusted: Vec<bool> = (0..observed.len()).map(|i| surface.fusion.clean[i] || lit(surface, &known, i)).collect();
+    let mut radiance = filled_radiance(surface, &first_look, &trusted);
     let side = (options.irradiance_size / COARSE).max(1);
     let coarse = Texels::rasterize(&scene.mesh, side, side);
     let coarse_options =
@@ -67,10 +72,8 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
 
     // surfaces nobody sees send out their class's albedo times their irradiance
     let unseen = observed.iter().filter(|o| !**o).count();
-    if unseen > 0 {
-        let predicted = predict_unseen(surface, &fused, &coarse_irradiance, &observed, &emissive);
-        radiance = filled_radiance(surface, &predicted, &vec![true; observed.len()]);
-    }
+    let predicted = complete_radiance(surface, &coarse_irradiance, &emissive);
+    radiance = filled_radiance(surface, &predicted, &vec![true; observed.len()]);
     let (field, emitters) = light_field(surface, &radiance, &emissive, environment, &coarse);
     progress.note(format!(
         "{} emitting triangles in {} lamps; environment {}; {:.1} % of texels unseen by any view",
@@ -129,38 +132,6 @@ fn known_lights(surface: &Surface) -> Vec<bool> {
         v.0 += u32::from(surface.scene.classes.iter().any(|c| c.is_light && c.id == label));
     }
     votes.iter().map(|v| v.0 > 0 && 2 * v.0 >= v.1).collect()
-}
-
-/// The fused radiance and which texels it is known for. Where a known lamp has no clean look, its brightest mixed one serves, and
-/// the median of its class where no view sees it: a lamp of few pixels must not count as dark, for all albedos hang on its light.
-fn with_small_lamps(surface: &Surface, known: &[bool]) -> (Vec<Vec3>, Vec<bool>) {
-    let fusion = &surface.fusion;
-    let mut radiance = fusion.radiance.clone();
-    let mut observed: Vec<bool> = fusion.views.iter().map(|v| *v > 0).collect();
-    let lamps: Vec<usize> =
-        (0..radiance.len()).filter(|&i| known[surface.texels.point[i].triangle as usize] && !observed[i]).collect();
-    for &i in &lamps {
-        if fusion.brightest[i] != Vec3::ZERO {
-            radiance[i] = fusion.brightest[i];
-            observed[i] = true;
-        }
-    }
-    let mut seen: BTreeMap<u16, Vec<Vec3>> = BTreeMap::new();
-    for i in (0..radiance.len()).filter(|&i| observed[i] && known[surface.texels.point[i].triangle as usize]) {
-        seen.entry(surface.labels[i]).or_default().push(radiance[i]);
-    }
-    let mut median = BTreeMap::new();
-    for (label, mut values) in seen {
-        values.sort_by(|a, b| luminance(*a).total_cmp(&luminance(*b)));
-        median.insert(label, values[values.len() / 2]);
-    }
-    for i in lamps {
-        if let Some(m) = median.get(&surface.labels[i]).filter(|_| !observed[i]) {
-            radiance[i] = *m;
-            observed[i] = true;
-        }
-    }
-    (radiance, observed)
 }
 
 fn filled_radiance(surface: &Surface, values: &[Vec3], observed: &[bool]) -> RgbPlane {
@@ -235,14 +206,45 @@ fn irradiance_at(surface: &Surface, irradiance: &RgbPlane, i: usize) -> Vec3 {
     irradiance.bilinear(uv * Vec2::new(irradiance.width as f32, irradiance.height as f32), crate::image::Wrap::Clamp)
 }
 
-/// Radiance of every texel: as observed, or the median albedo of its class times its irradiance where nobody sees it.
-fn predict_unseen(surface: &Surface, fused: &[Vec3], irradiance: &RgbPlane, observed: &[bool], emissive: &[bool]) -> Vec<Vec3> {
+/// Whether covered texel `i` lies on a triangle marked in `emissive`.
+fn lit(surface: &Surface, emissive: &[bool], i: usize) -> bool {
+    emissive[surface.texels.point[i].triangle as usize]
+}
+
+/// Observed radiance; on emitters without a clean pixel the brightest view, and the median of the emitter's class where no view sees
+/// it: a lamp of few pixels must not count as dark, for all albedos hang on its light.
+fn trusted_radiance(surface: &Surface, emissive: &[bool]) -> Vec<Vec3> {
+    let f = &surface.fusion;
+    let look = |i: usize| if lit(surface, emissive, i) && !f.clean[i] { f.peak[i] } else { f.radiance[i] };
+    let mut seen: BTreeMap<u16, Vec<Vec3>> = BTreeMap::new();
+    for i in (0..f.radiance.len()).filter(|&i| lit(surface, emissive, i) && f.views[i] > 0) {
+        seen.entry(surface.labels[i]).or_default().push(look(i));
+    }
+    let median: BTreeMap<u16, Vec3> = seen
+        .into_iter()
+        .map(|(label, mut values)| {
+            values.sort_by(|a, b| luminance(*a).total_cmp(&luminance(*b)));
+            (label, values[values.len() / 2])
+        })
+        .collect();
+    (0..f.radiance.len())
+        .map(|i| match median.get(&surface.labels[i]) {
+            Some(m) if f.views[i] == 0 && lit(surface, emissive, i) => *m,
+            _ => look(i),
+        })
+        .collect()
+}
+
+/// Radiance of every texel: as observed; the median albedo of its class times its irradiance where nobody sees it; and where only
+/// pixels at edges see it, no more than a little above that.
+fn complete_radiance(surface: &Surface, irradiance: &RgbPlane, emissive: &[bool]) -> Vec<Vec3> {
+    let trusted = trusted_radiance(surface, emissive);
     let mut samples: BTreeMap<u16, [Vec<f32>; 3]> = BTreeMap::new();
     let stride = (surface.texels.len() / 400_000).max(1);
     for i in (0..surface.texels.len()).step_by(stride) {
-        if observed[i] && !emissive[surface.texels.point[i].triangle as usize] {
+        if surface.fusion.clean[i] && !lit(surface, emissive, i) {
             let e = irradiance_at(surface, irradiance, i);
-            let a = fused[i] * PI / e.max(Vec3::splat(1e-12));
+            let a = surface.fusion.radiance[i] * PI / e.max(Vec3::splat(1e-12));
             let s = samples.entry(surface.labels[i]).or_default();
             for c in 0..3 {
                 s[c].push(a[c].min(1.0));
@@ -257,12 +259,14 @@ fn predict_unseen(surface: &Surface, fused: &[Vec3], irradiance: &RgbPlane, obse
         samples.iter_mut().map(|(k, v)| (*k, Vec3::new(median(&mut v[0]), median(&mut v[1]), median(&mut v[2])))).collect();
     (0..surface.texels.len())
         .map(|i| {
-            if observed[i] {
-                fused[i]
-            } else {
-                let a = albedo.get(&surface.labels[i]).copied().unwrap_or(Vec3::splat(0.5));
-                a * irradiance_at(surface, irradiance, i) * FRAC_1_PI
+            if surface.fusion.clean[i] || lit(surface, emissive, i) {
+                return trusted[i];
             }
+            let a = albedo.get(&surface.labels[i]).copied().unwrap_or(Vec3::splat(0.5));
+            let expected = a * irradiance_at(surface, irradiance, i) * FRAC_1_PI;
+            let seen = surface.fusion.radiance[i];
+            let usable = surface.fusion.views[i] > 0 && luminance(seen) < MIXTURE_LIMIT * luminance(expected);
+            if usable { seen } else { expected }
         })
         .collect()
 }

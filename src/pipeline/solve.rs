@@ -84,9 +84,12 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
             .collect()
     });
     let albedo = progress.stage("albedo", surface.texels.len() as u64, |p| {
-        estimate_albedo(&surface.observer(), &specular, &surface.orientation, &surface.texels, &light.irradiance, p)
+        let roughness = |i: usize| roughness_of.get(&surface.labels[i]).copied().unwrap_or(ROUGHNESS_PRIOR);
+        let (observer, orientation) = (surface.observer(), &surface.orientation);
+        estimate_albedo(&observer, &specular, orientation, &surface.texels, &light.irradiance, &roughness, model, p)
     });
-    let solution = assemble(&surface, &light, options, &albedo, &roughness_of, labels);
+    let mut solution = assemble(&surface, &light, options, &albedo, &roughness_of, labels);
+    solution.reflectance = model;
     Ok(Solved { solution, fits, rays })
 }
 
@@ -133,5 +136,6 @@ fn assemble(
         rooms: labels.map(|_| 0),
         labels,
         environment: light.field.environment.map().clone(),
+        reflectance: crate::brdf::Reflectance::Paper,
     }
 }

@@ -178,7 +178,13 @@ impl<'a> HybridRenderer<'a> {
         if face_normal.dot(direction) > 0.0 {
             (normal, face_normal) = (-normal, -face_normal);
         }
-        Point { radiance: albedo * irradiance * (FRAC_1_PI * s.reflectance.diffuse_factor(-normal.dot(direction), roughness)), albedo, roughness, label, normals: Some((normal, face_normal)) }
+        Point {
+            radiance: albedo * irradiance * (FRAC_1_PI * s.reflectance.diffuse_factor(-normal.dot(direction), roughness)),
+            albedo,
+            roughness,
+            label,
+            normals: Some((normal, face_normal)),
+        }
     }
 }
 

@@ -76,7 +76,7 @@ impl Solution {
         if !missing.is_empty() {
             return Err(Error::Inputs(missing));
         }
-        let (mesh, origin) = read_glb_mesh(&folder.join("scene.glb"))?;
+        let (mesh, origin, reflectance) = read_glb_mesh(&folder.join("scene.glb"))?;
         let rgb = |name: &str| read_rgb(folder.join(name));
         let solution = Self {
             mesh,
@@ -90,6 +90,7 @@ impl Solution {
             labels: read_labels(folder.join("labels.png"))?,
             rooms: read_labels(folder.join("rooms.png"))?,
             environment: rgb("environment.exr")?,
+            reflectance,
         };
         Ok(solution)
     }
