@@ -91,6 +91,7 @@ pub fn estimate_albedo(
             observer.observe(texels.position(mesh, i), mesh.face_normal(t) * orientation.sign(t), &mut seen);
             crate::lighting::prefer_clean(&mut seen);
             looks.clear();
+            let sharpest = seen.iter().map(|o| o.footprint).fold(f32::INFINITY, f32::min);
             for o in &seen {
                 let camera = &observer.views[o.view as usize].buffer.camera;
                 let wrap = if camera.projection == crate::geometry::Projection::Equirectangular {
@@ -101,7 +102,7 @@ pub fn estimate_albedo(
                 let s = specular[o.view as usize].bilinear(o.pixel, wrap);
                 // where the specular part is a large share, its own error is too
                 let share = luminance(s) / luminance(o.radiance).max(1e-12);
-                let w = (1.0 / (o.footprint * o.footprint)).powi(2) * o.n_v / (1.0 + (share / 0.15).powi(2));
+                let w = (sharpest / o.footprint).powi(4) * o.n_v / (1.0 + (share / 0.15).powi(2));
                 let factor = model.diffuse_factor(o.n_v, surface(i));
                 looks.push(((o.radiance - s) / factor, w));
             }

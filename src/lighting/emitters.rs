@@ -373,7 +373,7 @@ fn bright_sets(mesh: &Mesh, field: &LightField, power: &[f64]) -> [Vec<u32>; 2] 
     let area: Vec<f64> = (0..mesh.triangles.len()).map(|t| f64::from(mesh.area(t))).collect();
     let reflecting = |t: usize| !field.is_emissive(t) && area[t] > 0.0;
     let (sum, total) = (0..area.len()).filter(|&t| reflecting(t)).fold((0.0, 0.0), |s, t| (s.0 + power[t], s.1 + area[t]));
-    let threshold = BRIGHT * sum / f64::max(total, 1e-12);
+    let threshold = BRIGHT * sum / f64::max(total, f64::MIN_POSITIVE);
     let emissive = (0..area.len()).filter(|&t| field.is_emissive(t) && area[t] > 0.0).map(|t| t as u32).collect();
     let bright = (0..area.len()).filter(|&t| reflecting(t) && power[t] > threshold * area[t]).map(|t| t as u32).collect();
     [emissive, bright]
@@ -384,7 +384,7 @@ fn triangle_power(mesh: &Mesh, field: &LightField, t: usize) -> f64 {
     const POINTS: [(f32, f32); 4] = [(1.0 / 3.0, 1.0 / 3.0), (0.6, 0.2), (0.2, 0.6), (0.2, 0.2)];
     let lum: Vec<f32> = POINTS.iter().map(|&(u, v)| luminance(field.emitted(t, u, v)).max(0.0)).collect();
     let peak = lum.iter().copied().fold(0.0, f32::max);
-    f64::from((lum.iter().sum::<f32>() / 4.0).max(0.1 * peak).max(1e-12)) * f64::from(mesh.area(t))
+    f64::from((lum.iter().sum::<f32>() / 4.0).max(0.1 * peak)) * f64::from(mesh.area(t))
 }
 
 /// Splits items into at most `most` compact groups by cutting the largest group at its widest gap until groups are smaller than

@@ -121,7 +121,7 @@ fn patch_distance(grid: &Grid, nodes: &[Node], i: usize, j: usize, source: usize
         let (a, b) = (&nodes[p], &nodes[q]);
         let noise = a.variance + b.variance.min(a.variance);
         let difference = (a.half[source] - b.half[source]).powi(2) - noise;
-        sum += difference / (1e-12 + DAMPING * DAMPING * (a.variance + b.variance) + 1e-6 * a.half[source].powi(2));
+        sum += difference / (f32::MIN_POSITIVE + DAMPING * DAMPING * (a.variance + b.variance) + 1e-6 * a.half[source].powi(2));
         count += 1.0;
     }
     (sum / count).max(0.0)
@@ -132,7 +132,7 @@ fn same_plane(a: &Node, b: &Node, reach: f32) -> bool {
     let step = b.position - a.position;
     let limit = 1.6 * reach * a.size.max(b.size);
     let distance = step.length();
-    distance <= limit && a.normal.dot(b.normal) > 0.97 && a.normal.dot(step).abs() <= 0.12 * distance + 1e-6
+    distance <= limit && a.normal.dot(b.normal) > 0.97 && a.normal.dot(step).abs() <= 0.12 * distance
 }
 
 /// Texel lookups by grid offset.

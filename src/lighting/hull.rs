@@ -58,7 +58,7 @@ impl Hull {
             (x.max(0.0) as u32).min(self.count[a] - 1)
         };
         let face = 2 * axis as u32 + u32::from(direction[axis] > 0.0);
-        Some((self.number(face, index(b), index(c)), t.max(1e-6), direction[axis].abs()))
+        Some((self.number(face, index(b), index(c)), t.max(f32::MIN_POSITIVE), direction[axis].abs()))
     }
 
     fn number(&self, face: u32, i: u32, j: u32) -> u32 {
