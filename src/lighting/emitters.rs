@@ -55,8 +55,8 @@ pub struct EmissionEvidence {
 
 /// Finds emissive triangles: those of `known` emitters, and those that send out more than a white surface could reflect
 /// (method §12.3 point 3; scale-free, unlike the paper's absolute threshold). Because irradiance in dark corners is uncertain, the
-/// excess alone does not suffice: either most of a labelled class shows it, or the triangle outshines every reflecting surface of
-/// the scene.
+/// excess alone does not suffice: the surface must also be brighter than the brightest reflecting surfaces of the scene, by far where
+/// no label says that most of its class is.
 #[must_use]
 pub fn detect_emissive(triangles: usize, texels: &[EmissionEvidence], known: &[bool]) -> Vec<bool> {
     let exceeds = |e: &EmissionEvidence| e.observed && e.floor > MIN_EXCESS * e.white;
@@ -68,7 +68,7 @@ pub fn detect_emissive(triangles: usize, texels: &[EmissionEvidence], known: &[b
     for e in texels.iter().filter(|e| e.observed) {
         let class = classes.entry(e.label).or_default();
         class.1 += 1;
-        class.0 += u64::from(exceeds(e));
+        class.0 += u64::from(exceeds(e) && e.floor > brightest_reflection);
         let v = &mut votes[e.triangle as usize];
         v.2 += 1;
         v.0 += u32::from(exceeds(e));

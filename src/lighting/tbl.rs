@@ -78,7 +78,7 @@ pub(crate) fn prefer_clean(seen: &mut Vec<Observation>) {
 
 /// Sharpness weight of an observation: inverse footprint area.
 pub(crate) fn sharpness(o: &Observation) -> f32 {
-    1.0 / (o.footprint * o.footprint).max(1e-12)
+    1.0 / (o.footprint * o.footprint).max(f32::MIN_POSITIVE)
 }
 
 /// The label most observing views agree on, weighted by sharpness; ties go to the smaller id.
