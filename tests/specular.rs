@@ -68,7 +68,8 @@ const TARGETS: [Vec3; 3] = [Vec3::new(1.9, 2.9, 2.4), Vec3::new(1.2, 2.9, 2.0), 
 fn converged_reflection_is_the_quadrature_of_the_model() {
     let lit = scene();
     let bake = lit.bake();
-    let reflector = Reflector { bake: &bake, rays_per_lobe: 64, emitter_samples: 64, seed: 3 };
+    let reflector =
+        Reflector { bake: &bake, rays_per_lobe: 64, emitter_samples: 64, model: unbake::brdf::Reflectance::Paper, seed: 3 };
     for target in TARGETS {
         let all = gazes(target, 400);
         for r in ROUGHNESS {
@@ -88,11 +89,16 @@ fn converged_reflection_is_the_quadrature_of_the_model() {
 fn one_set_of_rays_serves_every_level() {
     let lit = scene();
     let bake = lit.bake();
-    let reflector = Reflector { bake: &bake, rays_per_lobe: 32, emitter_samples: 64, seed: 9 };
+    let reflector =
+        Reflector { bake: &bake, rays_per_lobe: 32, emitter_samples: 64, model: unbake::brdf::Reflectance::Paper, seed: 9 };
     for target in TARGETS {
         let all = gazes(target, 300);
         let mut table = vec![Vec3::ZERO; all.len() * LEVELS.len()];
-        reflector.reflect(&all, Levels::Shared { lobes: &LOBES, evaluate: &LEVELS }, &mut table);
+        reflector.reflect(
+            &all,
+            Levels::Shared { lobes: &LOBES, evaluate: &LEVELS, models: &[unbake::brdf::Reflectance::Paper] },
+            &mut table,
+        );
         for (k, r) in LEVELS.iter().enumerate() {
             let (mean, error) = mean_and_error(&column(&table, k, LEVELS.len()));
             let (expected, _) = quadrature(&all[0], *r, if *r < 0.1 { 1600 } else { 400 });
@@ -112,14 +118,19 @@ fn one_set_of_rays_serves_every_level() {
 fn differences_of_the_table_are_the_kernels_derivative() {
     let lit = scene();
     let bake = lit.bake();
-    let reflector = Reflector { bake: &bake, rays_per_lobe: 64, emitter_samples: 128, seed: 4 };
+    let reflector =
+        Reflector { bake: &bake, rays_per_lobe: 64, emitter_samples: 128, model: unbake::brdf::Reflectance::Paper, seed: 4 };
     for target in TARGETS {
         let all = gazes(target, 200);
         for r in [0.1f32, 0.2, 0.5, 0.8] {
             let h = 0.01 * r;
             let levels = [r - h, r, r + h];
             let mut table = vec![Vec3::ZERO; all.len() * 3];
-            reflector.reflect(&all, Levels::Shared { lobes: &LOBES, evaluate: &levels }, &mut table);
+            reflector.reflect(
+                &all,
+                Levels::Shared { lobes: &LOBES, evaluate: &levels, models: &[unbake::brdf::Reflectance::Paper] },
+                &mut table,
+            );
             let slopes: Vec<f32> = table.chunks(3).map(|row| (row[2].x - row[0].x) / (2.0 * h)).collect();
             let (mean, error) = mean_and_error(&slopes);
             let (value, expected) = quadrature(&all[0], r, 800);
@@ -136,7 +147,8 @@ fn differences_of_the_table_are_the_kernels_derivative() {
 fn extremes_of_roughness_and_view_stay_finite() {
     let lit = scene();
     let bake = lit.bake();
-    let reflector = Reflector { bake: &bake, rays_per_lobe: 8, emitter_samples: 8, seed: 1 };
+    let reflector =
+        Reflector { bake: &bake, rays_per_lobe: 8, emitter_samples: 8, model: unbake::brdf::Reflectance::Paper, seed: 1 };
     let mut all = gazes(TARGETS[0], 6);
     for (i, g) in all.iter_mut().enumerate() {
         let grazing = [1.0, 1e-2, 1e-4, 1e-5, 0.0, -1e-6][i];
@@ -147,7 +159,11 @@ fn extremes_of_roughness_and_view_stay_finite() {
         reflector.reflect(&all, Levels::Own(&vec![r; all.len()]), &mut out);
         assert!(out.iter().all(|v| v.is_finite() && v.min_element() >= 0.0), "R {r}: {out:?}");
         let mut table = vec![Vec3::ZERO; all.len() * 2];
-        reflector.reflect(&all, Levels::Shared { lobes: &[r, 1.0], evaluate: &[r, 0.5] }, &mut table);
+        reflector.reflect(
+            &all,
+            Levels::Shared { lobes: &[r, 1.0], evaluate: &[r, 0.5], models: &[unbake::brdf::Reflectance::Paper] },
+            &mut table,
+        );
         assert!(table.iter().all(|v| v.is_finite()), "R {r}: {table:?}");
     }
     assert_eq!(reflector.reflect(&[], Levels::Own(&[]), &mut []), 0);

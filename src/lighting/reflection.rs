@@ -210,7 +210,9 @@ fn accumulate(model: Reflectance, half: &HalfVector, weighted: Vec3, levels: &Le
     if half.n_l <= 0.0 || weighted == Vec3::ZERO {
         return;
     }
-    let term = |m: Reflectance, r: f32| weighted * (m.specular(half.n_l, half.n_v, half.sin2_nh, half.v_h, r.max(MIN_ROUGHNESS)) * half.n_l);
+    let term = |m: Reflectance, r: f32| {
+        weighted * (m.specular(half.n_l, half.n_v, half.sin2_nh, half.v_h, r.max(MIN_ROUGHNESS)) * half.n_l)
+    };
     match levels {
         Levels::Shared { evaluate, models, .. } => {
             let k = evaluate.len();

@@ -48,6 +48,7 @@ fn assemble(apartment: &Apartment, mesh: Mesh, texture: &Plane<Vec4>) -> Solutio
         confidence: Plane::filled(4, 4, Vec2::ZERO),
         labels: texels.scatter(&labels, 0),
         rooms: Plane::filled(4, 4, 0),
+        reflectance: crate::brdf::Reflectance::Paper,
         environment: panorama(&sky),
     }
 }

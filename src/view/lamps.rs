@@ -325,6 +325,7 @@ mod tests {
             confidence: Plane::filled(8, 8, Vec2::ZERO),
             labels: Plane::filled(8, 8, 3),
             rooms: Plane::filled(8, 8, 1),
+            reflectance: crate::brdf::Reflectance::Paper,
             environment: Plane::filled(8, 4, Vec3::ZERO),
         }
     }
