@@ -65,8 +65,15 @@ pub fn specular_image(
     (image, rays.into_inner())
 }
 
-/// Estimates albedo from views whose specular part is `specular[v]` (same size as view v's image); `surface(i)` is the roughness of
-/// texel i.
+/// How the diffuse part depends on the view.
+pub struct DiffuseShading<'a> {
+    /// Reflection model.
+    pub model: Reflectance,
+    /// Roughness of covered texel i.
+    pub roughness: &'a (dyn Fn(usize) -> f32 + Sync),
+}
+
+/// Estimates albedo from views whose specular part is `specular[v]` (same size as view v's image).
 #[must_use]
 pub fn estimate_albedo(
     observer: &Observer,
@@ -74,8 +81,7 @@ pub fn estimate_albedo(
     orientation: &Orientation,
     texels: &Texels,
     irradiance: &RgbPlane,
-    surface: &(dyn Fn(usize) -> f32 + Sync),
-    model: Reflectance,
+    shading: &DiffuseShading,
     progress: &Progress,
 ) -> AlbedoEstimate {
     const CHUNK: usize = 2048;
@@ -103,7 +109,7 @@ pub fn estimate_albedo(
                 // where the specular part is a large share, its own error is too
                 let share = luminance(s) / luminance(o.radiance).max(1e-12);
                 let w = (sharpest / o.footprint).powi(4) * o.n_v / (1.0 + (share / 0.15).powi(2));
-                let factor = model.diffuse_factor(o.n_v, surface(i));
+                let factor = shading.model.diffuse_factor(o.n_v, (shading.roughness)(i));
                 looks.push(((o.radiance - s) / factor, w));
             }
             let lit = irradiance.bilinear(mesh.uv(t, p.u, p.v) * size, crate::image::Wrap::Clamp);

@@ -3,5 +3,5 @@
 mod albedo;
 mod roughness;
 
-pub use albedo::{AlbedoEstimate, estimate_albedo, specular_image};
+pub use albedo::{AlbedoEstimate, DiffuseShading, estimate_albedo, specular_image};
 pub use roughness::{GroupFit, choose_model, fit_groups};

@@ -5,7 +5,7 @@ use super::{Light, SolveOptions, Surface, reconstruct_light};
 use crate::Result;
 use crate::highlight::{SelectOptions, gather_evidence, select_points};
 use crate::image::Plane;
-use crate::inverse::{GroupFit, choose_model, estimate_albedo, fit_groups, specular_image};
+use crate::inverse::{DiffuseShading, GroupFit, choose_model, estimate_albedo, fit_groups, specular_image};
 use crate::lighting::{Bake, Reflector};
 use crate::progress::Progress;
 use crate::scene::Scene;
@@ -85,8 +85,9 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     });
     let albedo = progress.stage("albedo", surface.texels.len() as u64, |p| {
         let roughness = |i: usize| roughness_of.get(&surface.labels[i]).copied().unwrap_or(ROUGHNESS_PRIOR);
+        let shading = DiffuseShading { model, roughness: &roughness };
         let (observer, orientation) = (surface.observer(), &surface.orientation);
-        estimate_albedo(&observer, &specular, orientation, &surface.texels, &light.irradiance, &roughness, model, p)
+        estimate_albedo(&observer, &specular, orientation, &surface.texels, &light.irradiance, &shading, p)
     });
     let mut solution = assemble(&surface, &light, options, &albedo, &roughness_of, labels);
     solution.reflectance = model;
