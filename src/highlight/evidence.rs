@@ -79,7 +79,7 @@ pub fn gather_evidence(
 ) -> Evidence {
     const CHUNK: usize = 64;
     let rays = AtomicU64::new(0);
-    let reflector = Reflector { bake, rays_per_lobe: 10, emitter_samples: 24, model: Reflectance::Paper, seed };
+    let reflector = Reflector { bake, rays_per_lobe: 20, emitter_samples: 48, model: Reflectance::Paper, seed };
     let parts = parallel::map_chunks(candidates.len(), CHUNK, |range| {
         let mut out = Evidence::default();
         let mut gazes = Vec::new();

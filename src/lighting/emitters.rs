@@ -29,9 +29,11 @@ const PORTAL_RAYS: u32 = 32;
 /// Cells along the longest side of the scene: about one metre in a flat.
 const CELLS_LONGEST: f32 = 20.0;
 /// Receivers per cell used to find which lamps reach it.
-const PROBES: usize = 16;
+const PROBES: usize = 32;
 /// Share of samples spread over all lamps by unoccluded irradiance.
-const DEFENSIVE: f64 = 0.15;
+const DEFENSIVE: f64 = 0.3;
+/// Share of samples spread as the neighbouring cells found.
+const NEIGHBOURS: f64 = 0.3;
 
 /// A texel emits if its least bright clean view exceeds this multiple of what a white surface could reflect there.
 const MIN_EXCESS: f32 = 2.0;
@@ -232,9 +234,9 @@ impl Emitters {
         for (i, (p, _)) in receivers.iter().enumerate() {
             members.entry(self.cell(*p)).or_default().push(i);
         }
-        let tables: Vec<_> = members
+        let learned: BTreeMap<[i32; 3], (Vec<f64>, Vec<f64>)> = members
             .par_iter()
-            .filter_map(|(cell, ids)| {
+            .map(|(cell, ids)| {
                 let mut reached = vec![0.0f64; self.lamps.len()];
                 let mut possible = vec![0.0f64; self.lamps.len()];
                 let stride = (ids.len() / PROBES).max(1);
@@ -263,21 +265,23 @@ impl Emitters {
                         reached[k] += light;
                     }
                 }
-                let (r, p): (f64, f64) = (reached.iter().sum(), possible.iter().sum());
-                let weights: Vec<f64> =
-                    (0..self.lamps.len())
-                        .map(|k| {
-                            if r > 0.0 {
-                                (1.0 - DEFENSIVE) * reached[k] / r + DEFENSIVE * possible[k] / p
-                            } else {
-                                possible[k] / p
-                            }
-                        })
-                        .collect();
+                (*cell, (shares(reached), shares(possible)))
+            })
+            .collect();
+        // a few probes may miss a lamp that the cell does see: its neighbours' findings count too
+        self.cells = learned
+            .iter()
+            .filter_map(|(cell, (reached, possible))| {
+                let around = neighbours(*cell).filter_map(|c| learned.get(&c)).map(|l| &l.0);
+                let mut near = vec![0.0; self.lamps.len()];
+                around.for_each(|l| near.iter_mut().zip(l).for_each(|(n, x)| *n += x));
+                let near = shares(near);
+                let weights: Vec<f64> = (0..self.lamps.len())
+                    .map(|k| (1.0 - DEFENSIVE - NEIGHBOURS) * reached[k] + NEIGHBOURS * near[k] + DEFENSIVE * possible[k])
+                    .collect();
                 Discrete::new(&weights).map(|t| (*cell, t))
             })
             .collect();
-        self.cells = tables.into_iter().collect();
     }
 
     fn cell(&self, p: Vec3) -> [i32; 3] {
@@ -358,6 +362,20 @@ impl Emitters {
             }
         }
     }
+}
+
+/// Weights as shares of their sum; all zero if nothing is positive.
+fn shares(mut weights: Vec<f64>) -> Vec<f64> {
+    let sum: f64 = weights.iter().sum();
+    if sum > 0.0 {
+        weights.iter_mut().for_each(|w| *w /= sum);
+    }
+    weights
+}
+
+/// The 26 cells around one.
+fn neighbours(cell: [i32; 3]) -> impl Iterator<Item = [i32; 3]> {
+    (0..27).filter(|i| *i != 13).map(move |i| [cell[0] + i % 3 - 1, cell[1] + i / 3 % 3 - 1, cell[2] + i / 9 - 1])
 }
 
 /// A ray from `from` that ends just short of `to`.
