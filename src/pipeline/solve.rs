@@ -89,7 +89,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         let (observer, orientation) = (surface.observer(), &surface.orientation);
         estimate_albedo(&observer, &specular, orientation, &surface.texels, &light.irradiance, &shading, p)
     });
-    let mut solution = assemble(&surface, &light, options, &albedo, &roughness_of, labels);
+    let mut solution = assemble(&surface, &light, options, &albedo, &fits, labels);
     solution.reflectance = model;
     Ok(Solved { solution, fits, rays })
 }
@@ -99,14 +99,18 @@ fn assemble(
     light: &Light,
     options: &SolveOptions,
     albedo: &crate::inverse::AlbedoEstimate,
-    roughness_of: &BTreeMap<u16, f32>,
+    fits: &[GroupFit],
     labels: Plane<u16>,
 ) -> Solution {
+    let roughness_of: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.roughness)).collect();
+    let roughness_error: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.error)).collect();
     let texels = &surface.texels;
     let observed: Vec<bool> = albedo.error.iter().map(|e| e.is_finite()).collect();
     let value: Vec<Vec3> = albedo.value.iter().map(|a| a.clamp(Vec3::ZERO, Vec3::ONE)).collect();
     let albedo_plane = fill_uncovered(&texels.scatter(&value, Vec3::ZERO), &texels.scatter(&observed, false));
-    let confidence: Vec<Vec2> = albedo.error.iter().map(|e| Vec2::new(e.min(1e4), 1e4)).collect();
+    let confidence: Vec<Vec2> = albedo.error.iter().map(|e| Vec2::ZERO.with_x(e.min(1e4))).collect::<Vec<_>>();
+    let confidence: Vec<Vec2> =
+        confidence.iter().zip(&surface.labels).map(|(c, l)| c.with_y(roughness_error.get(l).copied().unwrap_or(1e4))).collect();
     let emission: Vec<Vec3> = (0..texels.len())
         .map(|i| {
             if light.emissive[texels.point[i].triangle as usize] {
@@ -134,9 +138,23 @@ fn assemble(
         radiance: light.radiance.clone(),
         emission: texels.scatter(&emission, Vec3::ZERO),
         confidence: texels.scatter(&confidence, Vec2::splat(1e4)),
-        rooms: labels.map(|_| 0),
+        rooms: rooms_of(surface),
         labels,
         environment: light.field.environment.map().clone(),
         reflectance: crate::brdf::Reflectance::Paper,
     }
+}
+
+/// Room ids per texel: the scene's own grid, or the rooms found in the mesh.
+fn rooms_of(surface: &Surface) -> Plane<u16> {
+    let scene = surface.scene;
+    let grid = scene.rooms.clone().unwrap_or_else(|| crate::scene::find_rooms(scene, &surface.tracer));
+    let rooms: Vec<u16> = (0..surface.texels.len())
+        .map(|i| {
+            let p = surface.texels.point[i];
+            let (_, face_normal) = surface.normals(p.triangle as usize, p.u, p.v);
+            grid.room_of_surface(surface.texels.position(&scene.mesh, i), face_normal)
+        })
+        .collect();
+    surface.texels.scatter(&rooms, 0)
 }
