@@ -1,7 +1,29 @@
 //! Progress as events: the core says what happens, the command line draws it.
 
+use serde::{Deserialize, Serialize};
+use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+
+/// A choice that the program made.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Decision {
+    /// What there was to choose.
+    pub what: String,
+    /// What was chosen.
+    pub decided: String,
+    /// The evidence, or the option that forced it.
+    pub why: String,
+    /// Whether an option forced it.
+    pub forced: bool,
+}
+
+impl fmt::Display for Decision {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {} ({}{})", self.what, self.decided, if self.forced { "forced: " } else { "" }, self.why)
+    }
+}
 
 /// Receives what a long computation reports. Implementations must be cheap and thread-safe.
 pub trait Observer: Send + Sync {
@@ -11,8 +33,12 @@ pub trait Observer: Send + Sync {
     fn stage_advanced(&self, done: u64);
     /// The current stage ended.
     fn stage_finished(&self);
-    /// A sentence the user should read: a decision and its reason, or a warning.
+    /// A sentence the user should read: something found, or a warning.
     fn note(&self, message: &str);
+    /// A choice and its reason.
+    fn decided(&self, decision: &Decision) {
+        self.note(&decision.to_string());
+    }
 }
 
 /// A handle on an observer, passed down to everything that takes long.
@@ -58,8 +84,13 @@ impl Progress {
         self.observer.stage_advanced(done);
     }
 
-    /// A decision and its reason, or a warning.
+    /// Something the user should know, or a warning.
     pub fn note(&self, message: impl AsRef<str>) {
         self.observer.note(message.as_ref());
+    }
+
+    /// A choice and its reason.
+    pub fn decide(&self, what: &str, decided: impl Into<String>, why: impl Into<String>, forced: bool) {
+        self.observer.decided(&Decision { what: what.to_owned(), decided: decided.into(), why: why.into(), forced });
     }
 }

@@ -3,7 +3,7 @@
 use super::config::Config;
 use super::pictures::{ExportVerb, Places};
 use crate::evaluate::EvalOptions;
-use crate::pipeline::SolveOptions;
+use crate::pipeline::SolveRequest;
 use crate::render::{RelightOptions, RenderOptions};
 use crate::scene::LoadOptions;
 use crate::synth::SynthOptions;
@@ -81,7 +81,7 @@ pub enum Verb {
         out: Option<PathBuf>,
         /// The reconstruction's options.
         #[command(flatten)]
-        options: SolveOptions,
+        options: SolveRequest,
         /// How the scene is read.
         #[command(flatten)]
         load: LoadOptions,

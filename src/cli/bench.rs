@@ -159,7 +159,7 @@ pub(super) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
 
 /// The reconstruction's options: the configuration file's, or the defaults.
 fn solve_options(context: &Context) -> SolveOptions {
-    SolveOptions { seed: context.seed(), ..context.config.solve.clone() }
+    context.config.solve.options(context.seed())
 }
 
 /// After the verb `bench`, turns `--json FILE` into `--json-file FILE`: everywhere else `--json` is a switch that takes no value.

@@ -6,7 +6,7 @@
 use super::pictures::ExportVerb;
 use crate::error::{Error, Result};
 use crate::evaluate::EvalOptions;
-use crate::pipeline::SolveOptions;
+use crate::pipeline::SolveRequest;
 use crate::render::{RelightOptions, RenderOptions};
 use crate::scene::LoadOptions;
 use crate::synth::SynthOptions;
@@ -34,7 +34,7 @@ pub struct Config {
     /// Options of `unbake synth`.
     pub synth: SynthOptions,
     /// Options of `unbake solve`.
-    pub solve: SolveOptions,
+    pub solve: SolveRequest,
     /// Options of `unbake eval`.
     pub eval: EvalOptions,
     /// Options of `unbake render`.
@@ -97,6 +97,9 @@ impl Config {
         let mut table: Option<String> = None;
         for line in text.lines() {
             if let Some(header) = line.strip_prefix('[').and_then(|l| l.strip_suffix(']')) {
+                if wanted(verb, table.as_deref()) && table.as_deref() == Some("solve") {
+                    out.push_str(&self.left_to_the_preset(command)?);
+                }
                 table = header.split('.').next().map(str::to_owned);
                 if wanted(verb, table.as_deref()) {
                     out.push_str(&format!("\n[{header}]\n"));
@@ -113,6 +116,21 @@ impl Config {
             }
             out.push_str(line);
             out.push('\n');
+        }
+        Ok(out)
+    }
+}
+
+impl Config {
+    /// The reconstruction's numbers that the preset decides, as comments.
+    fn left_to_the_preset(&self, command: &clap::Command) -> Result<String> {
+        let failed = |e: toml::ser::Error| Error::Failed(format!("printing the configuration: {e}"));
+        let asked = Table::try_from(&self.solve).map_err(failed)?;
+        let effective = Table::try_from(self.solve.options(0)).map_err(failed)?;
+        let mut out = String::new();
+        for (key, value) in effective.iter().filter(|(key, _)| !asked.contains_key(*key)) {
+            let help = help_of(command, Some("solve"), key).unwrap_or_default();
+            out.push_str(&format!("# {help}\n# {key} = {value}\n"));
         }
         Ok(out)
     }

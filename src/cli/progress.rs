@@ -1,6 +1,6 @@
 //! Drawing progress: bars on a terminal, log lines in a pipe.
 
-use crate::progress::Observer;
+use crate::progress::{Decision, Observer};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::Write;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -21,6 +21,9 @@ impl Observer for Tee {
     }
     fn note(&self, message: &str) {
         self.0.iter().for_each(|o| o.note(message));
+    }
+    fn decided(&self, decision: &Decision) {
+        self.0.iter().for_each(|o| o.decided(decision));
     }
 }
 

@@ -3,7 +3,7 @@
 use super::{Context, Verb, pictures};
 use crate::error::{Error, Result};
 use crate::evaluate::{evaluate, terminal_table};
-use crate::pipeline::{SolveOptions, reconstruct};
+use crate::pipeline::reconstruct;
 use crate::render::{HybridOptions, HybridRenderer};
 use crate::report::{self, Photographer, RunRecord, SceneSummary, Versions, hash_inputs, write_report};
 use crate::scene::{Scene, check};
@@ -82,7 +82,7 @@ fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
     let scene = read_scene(scene_path, context)?;
     // before the long run: is there a place for the result?
     drop(AsideFolder::new(out)?);
-    let options = SolveOptions { seed: context.seed(), ..context.config.solve.clone() };
+    let options = context.config.solve.options(context.seed());
     let progress = &context.progress;
     let solution = reconstruct(&scene, &options, progress)?.solution;
     progress.stage("writing the textures", 1, |_| solution.save(out, &SaveOptions::default()))?;
@@ -114,7 +114,8 @@ fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
 /// What has been measured so far, with what is known about the run besides.
 fn record(scene: &Scene, context: &Context) -> Result<RunRecord> {
     let config = serde_json::to_value(&context.config).map_err(|e| Error::Failed(format!("options: {e}")))?;
-    let options = json!({"scene": config["scene"], "solve": config["solve"]});
+    let options =
+        json!({"scene": config["scene"], "solve": config["solve"], "effective": context.config.solve.options(context.seed())});
     Ok(RunRecord {
         command: context.command.clone(),
         versions: Versions::current(),

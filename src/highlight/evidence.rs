@@ -66,7 +66,7 @@ impl Evidence {
 /// Specular models tabulated: the masking terms to choose from. Diffuse parts need no rays.
 pub const MODELS: [Reflectance; 2] = [Reflectance::Paper, Reflectance::Smith];
 
-/// Observes every candidate in all views and traces its specular response; candidates with fewer than two clean sights are
+/// Observes every candidate in all views and traces its specular response with `rays_per_lobe` rays for each of [`LOBES`]; candidates with fewer than two clean sights are
 /// dropped.
 #[must_use]
 pub fn gather_evidence(
@@ -74,12 +74,13 @@ pub fn gather_evidence(
     observer: &Observer,
     candidates: &[Candidate],
     normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
+    rays_per_lobe: u32,
     seed: u64,
     progress: &Progress,
 ) -> Evidence {
     const CHUNK: usize = 64;
     let rays = AtomicU64::new(0);
-    let reflector = Reflector { bake, rays_per_lobe: 20, emitter_samples: 48, model: Reflectance::Paper, seed };
+    let reflector = Reflector { bake, rays_per_lobe, emitter_samples: rays_per_lobe * 12 / 5, model: Reflectance::Paper, seed };
     let parts = parallel::map_chunks(candidates.len(), CHUNK, |range| {
         let mut out = Evidence::default();
         let mut gazes = Vec::new();

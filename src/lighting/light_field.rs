@@ -37,6 +37,8 @@ pub struct LightField {
     back: Vec<Vec3>,
     /// Directions without geometry.
     pub environment: Environment,
+    /// Whether cones look up prefiltered radiance; a single texel otherwise.
+    pub prefilter: bool,
 }
 
 impl LightField {
@@ -72,7 +74,7 @@ impl LightField {
         let reflected =
             if emissive.data.iter().any(|e| *e) { crate::texture::fill_uncovered(&radiance, &keep) } else { radiance.clone() };
         let back = if back.len() == mesh.triangles.len() { back } else { vec![Vec3::ZERO; mesh.triangles.len()] };
-        Self { lookups, reflected: MipChain::new(reflected, MIP_LEVELS), full: radiance, back, environment }
+        Self { lookups, reflected: MipChain::new(reflected, MIP_LEVELS), full: radiance, back, environment, prefilter: true }
     }
 
     /// Radiance arriving along `direction` from `hit`, averaged over a cone whose diameter at the hit is
@@ -93,7 +95,7 @@ impl LightField {
             let size = Vec2::new(self.full.width as f32, self.full.height as f32);
             return *self.full.nearest(uv * size);
         }
-        self.reflected.lookup(uv, spread * hit.t * l.density)
+        self.reflected.lookup(uv, if self.prefilter { spread * hit.t * l.density } else { 0.0 })
     }
 
     /// Radiance that an emissive triangle sends out at barycentrics (u, v).

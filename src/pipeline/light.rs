@@ -3,7 +3,8 @@
 //! Irradiance is baked twice. A coarse bake tells which texels send out more than they can reflect (emitters) and what surfaces no
 //! camera sees send out (the class's albedo times their irradiance); the full bake then uses both.
 
-use super::{SolveOptions, Surface, surface::coverage};
+use super::decisions::{choose_environment, report_emission};
+use super::{SolveOptions, Surface, Switch, surface::coverage};
 use crate::image::{Plane, RgbPlane};
 use crate::lighting::{
     Bake, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField, Receiver, bake_irradiance,
@@ -50,43 +51,41 @@ pub struct Light {
 #[must_use]
 pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &Progress) -> Light {
     let scene = surface.scene;
-    let environment = Environment::observe(&surface.views);
-    let known = known_lights(surface);
+    let environment = choose_environment(&surface.views, options, progress);
+    let known = known_lights(surface, options);
     let observed: Vec<bool> = surface.fusion.views.iter().map(|v| *v > 0).collect();
     let first_look = trusted_radiance(surface, &known);
     let trusted: Vec<bool> = (0..observed.len()).map(|i| surface.fusion.clean[i] || lit(surface, &known, i)).collect();
     let mut radiance = filled_radiance(surface, &first_look, &trusted);
-    let side = (options.irradiance_size / COARSE).max(1);
+    let side = (surface.sizes.irradiance / COARSE).max(1);
     let coarse = Texels::rasterize(&scene.mesh, side, side);
     let coarse_options =
         IrtOptions { rays: 64, emitter_samples: 16, max_rounds: 1, seed: options.seed ^ 1, ..IrtOptions::default() };
     let mut rays = 0;
 
     // light as observed, known lamps only
-    let (field, emitters) = light_field(surface, &radiance, &known, environment.clone(), &coarse);
+    let (field, emitters) = light_field(surface, &radiance, &known, environment.clone(), &coarse, options);
     let first =
         progress.stage("emitters", coarse.len() as u64, |p| bake(surface, &field, &emitters, &coarse, &coarse_options, p));
     rays += first.rays;
     let coarse_irradiance = texture_of(&coarse, &first.value);
-    let emissive = emitting_triangles(surface, &coarse_irradiance, &known);
+    let emissive = match options.emission {
+        Switch::Off => known.clone(),
+        Switch::Auto | Switch::On => emitting_triangles(surface, &coarse_irradiance, &known),
+    };
+    report_emission(&emissive, &known, options, progress);
 
     // surfaces nobody sees send out their class's albedo times their irradiance
     let unseen = observed.iter().filter(|o| !**o).count();
     let predicted = complete_radiance(surface, &coarse_irradiance, &emissive);
     radiance = filled_radiance(surface, &predicted, &vec![true; observed.len()]);
-    let (field, emitters) = light_field(surface, &radiance, &emissive, environment, &coarse);
+    let (field, emitters) = light_field(surface, &radiance, &emissive, environment, &coarse, options);
     progress.note(format!(
-        "{} emitting triangles in {} lamps; environment {}; {:.1} % of texels unseen by any view",
-        emissive.iter().filter(|e| **e).count(),
+        "{} lamps and portals to sample; {:.1} % of texels unseen by any view",
         emitters.lamp_count(),
-        if field.environment.is_black() {
-            "not needed: no ray escapes".to_owned()
-        } else {
-            format!("seen in {:.1} % of directions", 100.0 * field.environment.seen_share())
-        },
         100.0 * unseen as f64 / observed.len().max(1) as f64
     ));
-    let texels = Texels::rasterize(&scene.mesh, options.irradiance_size, options.irradiance_size);
+    let texels = Texels::rasterize(&scene.mesh, surface.sizes.irradiance, surface.sizes.irradiance);
     let baked = bake_irradiance_texels(surface, &field, &emitters, &texels, options, progress);
     rays += baked.rays;
     let irradiance = texture_of(&texels, &baked.value);
@@ -106,13 +105,16 @@ pub fn bake_irradiance_texels(
     let full_options = IrtOptions {
         rays: options.irradiance_rays,
         emitter_samples: options.emitter_samples,
-        max_rounds: 2,
+        max_rounds: options.irradiance_rounds,
         target: REFINE_ABOVE,
         seed: options.seed,
         ..IrtOptions::default()
     };
     let mut baked =
         progress.stage("irradiance", texels.len() as u64, |p| bake(surface, field, emitters, texels, &full_options, p));
+    if !options.irradiance_filter {
+        return baked;
+    }
     progress.stage("irradiance filter", 1, |_| {
         let normal = |i: usize| {
             let p = texels.point[i];
@@ -124,7 +126,10 @@ pub fn bake_irradiance_texels(
 }
 
 /// Triangles whose class is known to emit.
-fn known_lights(surface: &Surface) -> Vec<bool> {
+fn known_lights(surface: &Surface, options: &SolveOptions) -> Vec<bool> {
+    if options.emission == Switch::Off {
+        return vec![false; surface.scene.mesh.triangles.len()];
+    }
     let mut votes = vec![(0u32, 0u32); surface.scene.mesh.triangles.len()];
     for (p, &label) in surface.texels.point.iter().zip(&surface.labels) {
         let v = &mut votes[p.triangle as usize];
@@ -149,12 +154,14 @@ fn light_field(
     emissive: &[bool],
     environment: Environment,
     receivers: &Texels,
+    options: &SolveOptions,
 ) -> (LightField, Emitters) {
     let mesh = &surface.scene.mesh;
     let emitting: Vec<bool> = surface.texels.point.iter().map(|p| emissive[p.triangle as usize]).collect();
     let emitting: Plane<bool> = surface.texels.scatter(&emitting, false);
-    let field =
+    let mut field =
         LightField::new(mesh, &surface.orientation, radiance.clone(), &emitting, emissive, surface.back.clone(), environment);
+    field.prefilter = options.prefilter;
     let probes: Vec<(Vec3, Vec3)> = (0..receivers.len())
         .map(|i| {
             let p = receivers.point[i];

@@ -1,11 +1,15 @@
 //! The order of the stages, from a scene folder to a reconstruction.
 
+mod decisions;
 mod light;
 mod options;
+mod presets;
 mod solve;
 mod surface;
 
+pub use decisions::Sizes;
 pub use light::{Light, bake_irradiance_texels, reconstruct_light};
-pub use options::{Quality, SolveOptions};
+pub use options::{Fit, SolveOptions, Switch};
+pub use presets::{Quality, SolveRequest};
 pub use solve::{Solved, reconstruct};
 pub use surface::Surface;

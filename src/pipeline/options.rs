@@ -1,68 +1,88 @@
-//! Options of `unbake solve`.
+//! What a reconstruction computes with: every number in effect, after presets, measurements and the user's wishes are settled.
 
+use super::Quality;
 use crate::brdf::Reflectance;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 
-/// A preset of samples, resolutions and refinement.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+/// A choice that the program makes from the evidence unless it is forced.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
-pub enum Quality {
-    /// A quick look: half the texture resolution, a quarter of the samples.
-    Draft,
-    /// The default.
-    Standard,
-    /// More samples where they still pay.
-    High,
+pub enum Switch {
+    /// As the evidence (or the preset) says.
+    #[default]
+    Auto,
+    /// Always.
+    On,
+    /// Never.
+    Off,
 }
 
-/// Options of the reconstruction. Every field is a command-line flag and a key of the TOML configuration.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, clap::Args)]
-#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+/// Textures whose size is a bound that the photographs' resolution may lower; otherwise the size is exact.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Fit {
+    /// Albedo, radiance, emission, labels.
+    pub albedo: bool,
+    /// Roughness.
+    pub roughness: bool,
+    /// Irradiance.
+    pub irradiance: bool,
+}
+
+/// Numbers of a reconstruction. [`super::SolveRequest`] makes them from a preset and the user's flags of the same names.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub struct SolveOptions {
-    /// Preset of samples, resolutions and refinement.
-    #[arg(long, value_enum, default_value = "standard")]
+    /// The preset they come from.
     pub quality: Quality,
     /// Side of the albedo, radiance and label textures, texels.
-    #[arg(long, value_name = "TEXELS", default_value_t = Self::default().albedo_size)]
     pub albedo_size: usize,
     /// Side of the roughness texture, texels.
-    #[arg(long, value_name = "TEXELS", default_value_t = Self::default().roughness_size)]
     pub roughness_size: usize,
     /// Side of the irradiance texture, texels.
-    #[arg(long, value_name = "TEXELS", default_value_t = Self::default().irradiance_size)]
     pub irradiance_size: usize,
+    /// Which sizes are only upper bounds.
+    #[serde(skip)]
+    pub fit: Fit,
+    /// Photographs are reduced by this factor, 1 or more.
+    pub photo_reduction: usize,
     /// Hemisphere rays per irradiance texel in the first round.
-    #[arg(long, value_name = "N", default_value_t = Self::default().irradiance_rays)]
     pub irradiance_rays: u32,
     /// Emitter samples per irradiance texel in the first round.
-    #[arg(long, value_name = "N", default_value_t = Self::default().emitter_samples)]
     pub emitter_samples: u32,
+    /// Rounds at most; each doubles the samples of texels that are too noisy.
+    pub irradiance_rounds: u32,
     /// Relative standard error of irradiance at which a texel is done.
-    #[arg(long, value_name = "RATIO", default_value_t = Self::default().irradiance_error)]
     pub irradiance_error: f32,
-    /// Reflection model: the paper's, or one of the common alternatives; chosen from the evidence if not given.
-    #[arg(long, value_enum, value_name = "MODEL")]
+    /// Whether irradiance noise is filtered over the surface.
+    pub irradiance_filter: bool,
+    /// Whether a ray looks up the mean radiance of the cone it stands for instead of one texel.
+    pub prefilter: bool,
+    /// Points per class that are searched for roughness: as many evenly spread, as many on virtual highlights.
+    pub evidence_points: usize,
+    /// Rays per lobe and look at those points.
+    pub evidence_rays: u32,
+    /// Rays per pixel along the specular lobe of its roughness.
+    pub specular_rays: u32,
+    /// Whether lobes too wide to show anything are replaced by the mean light around: `Auto` = where the evidence says so.
+    pub matte: Switch,
+    /// Whether surfaces may emit.
+    pub emission: Switch,
+    /// Whether light may come from directions without geometry.
+    pub environment: Switch,
+    /// Whether the scene is divided into rooms.
+    pub rooms: Switch,
+    /// Reflection model; chosen from the evidence if `None`.
     pub reflectance: Option<Reflectance>,
-    /// Seed of all random numbers: the command line's global `--seed`.
-    #[arg(skip)]
+    /// Seed of all random numbers.
     #[serde(skip)]
     pub seed: u64,
 }
 
 impl Default for SolveOptions {
+    /// The preset `standard` with sizes taken at their word.
     fn default() -> Self {
-        Self {
-            quality: Quality::Standard,
-            albedo_size: 2048,
-            roughness_size: 4096,
-            irradiance_size: 1024,
-            irradiance_rays: 64,
-            emitter_samples: 64,
-            irradiance_error: 0.01,
-            reflectance: None,
-            seed: 0,
-        }
+        Self::preset(Quality::Standard)
     }
 }
 
@@ -80,10 +100,21 @@ impl SolveOptions {
                 return wrong(format!("--{name}-size {side}: must be from 1 to 16384"));
             }
         }
-        for (flag, samples) in [("irradiance-rays", self.irradiance_rays), ("emitter-samples", self.emitter_samples)] {
+        for (flag, samples) in [
+            ("irradiance-rays", self.irradiance_rays),
+            ("emitter-samples", self.emitter_samples),
+            ("evidence-rays", self.evidence_rays),
+            ("specular-rays", self.specular_rays),
+        ] {
             if samples > 1 << 20 {
                 return wrong(format!("--{flag} {samples}: must be at most 1048576"));
             }
+        }
+        if !(1..=16).contains(&self.irradiance_rounds) {
+            return wrong(format!("--irradiance-rounds {}: must be from 1 to 16", self.irradiance_rounds));
+        }
+        if !(1..=64).contains(&self.photo_reduction) {
+            return wrong(format!("--photo-reduction {}: must be from 1 to 64", self.photo_reduction));
         }
         if self.irradiance_error.is_nan() || self.irradiance_error < 0.0 {
             return wrong(format!("--irradiance-error {}: must be 0 or more", self.irradiance_error));

@@ -1,5 +1,6 @@
 //! The main job: light, then materials.
 
+use super::decisions::choose_rooms;
 use super::surface::coverage;
 use super::{Light, SolveOptions, Surface, reconstruct_light};
 use crate::Result;
@@ -51,24 +52,33 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     let group = |t: u32, p: Vec3| (!light.emissive[t as usize]).then(|| (label_at(t, p), 0u16));
 
     let evidence = progress.stage("highlights", 0, |_| {
-        let select = SelectOptions { stride: 3, even: 1200, highlights: 1200, seed: options.seed };
+        let select =
+            SelectOptions { stride: 3, even: options.evidence_points, highlights: options.evidence_points, seed: options.seed };
         select_points(&bake, &surface.views, &normals, &group, &select)
     });
     let evidence = progress.stage("specular samples", evidence.len() as u64, |p| {
-        gather_evidence(&bake, &surface.observer(), &evidence, &normals, options.seed, p)
+        gather_evidence(&bake, &surface.observer(), &evidence, &normals, options.evidence_rays, options.seed, p)
     });
     let (model, fits, scores) = progress.stage("roughness", 1, |_| match options.reflectance {
         Some(model) => (model, fit_groups(&evidence, model), Vec::new()),
         None => choose_model(&evidence),
     });
-    if !scores.is_empty() {
-        let list: Vec<String> = scores.iter().map(|(m, s)| format!("{m:?} {:.3} %", 100.0 * s)).collect();
-        progress.note(format!("reflection model {model:?}: disagreement between views {}", list.join(", ")));
-    }
+    let list: Vec<String> = scores.iter().map(|(m, s)| format!("{m:?} {:.3} %", 100.0 * s)).collect();
+    let why = match options.reflectance {
+        Some(_) => "--reflectance".to_owned(),
+        None => format!("the simplest of those that explain the views; disagreement {}", list.join(", ")),
+    };
+    progress.decide("reflection model", format!("{model:?}"), why, options.reflectance.is_some());
     let roughness_of: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.roughness)).collect();
     let roughness_at = |t: u32, p: Vec3| roughness_of.get(&label_at(t, p)).copied().unwrap_or(ROUGHNESS_PRIOR);
 
-    let reflector = Reflector { bake: &bake, rays_per_lobe: 4, emitter_samples: 2, model, seed: options.seed ^ 0x51ec };
+    let reflector = Reflector {
+        bake: &bake,
+        rays_per_lobe: options.specular_rays,
+        emitter_samples: options.specular_rays.div_ceil(2),
+        model,
+        seed: options.seed ^ 0x51ec,
+    };
     let mut rays = light.rays + evidence.rays;
     let specular: Vec<_> = progress.stage("specular images", surface.views.len() as u64, |p| {
         surface
@@ -89,7 +99,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         let (observer, orientation) = (surface.observer(), &surface.orientation);
         estimate_albedo(&observer, &specular, orientation, &surface.texels, &light.irradiance, &shading, p)
     });
-    let mut solution = assemble(&surface, &light, options, &albedo, &fits, labels);
+    let mut solution = assemble(&surface, &light, &albedo, &fits, labels, rooms_of(&surface, options, progress));
     solution.reflectance = model;
     Ok(Solved { solution, fits, rays })
 }
@@ -97,10 +107,10 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
 fn assemble(
     surface: &Surface,
     light: &Light,
-    options: &SolveOptions,
     albedo: &crate::inverse::AlbedoEstimate,
     fits: &[GroupFit],
     labels: Plane<u16>,
+    rooms: Plane<u16>,
 ) -> Solution {
     let roughness_of: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.roughness)).collect();
     let roughness_error: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.error)).collect();
@@ -120,7 +130,7 @@ fn assemble(
             }
         })
         .collect();
-    let size = options.roughness_size;
+    let size = surface.sizes.roughness;
     let covered = coverage(texels);
     let r: Vec<f32> = surface.labels.iter().map(|l| roughness_of.get(l).copied().unwrap_or(ROUGHNESS_PRIOR)).collect();
     let r = fill_uncovered(&texels.scatter(&r, 0.0), &covered);
@@ -138,7 +148,7 @@ fn assemble(
         radiance: light.radiance.clone(),
         emission: texels.scatter(&emission, Vec3::ZERO),
         confidence: texels.scatter(&confidence, Vec2::splat(1e4)),
-        rooms: rooms_of(surface),
+        rooms,
         labels,
         environment: light.field.environment.map().clone(),
         reflectance: crate::brdf::Reflectance::Paper,
@@ -146,9 +156,11 @@ fn assemble(
 }
 
 /// Room ids per texel: the scene's own grid, or the rooms found in the mesh.
-fn rooms_of(surface: &Surface) -> Plane<u16> {
+fn rooms_of(surface: &Surface, options: &SolveOptions, progress: &Progress) -> Plane<u16> {
     let scene = surface.scene;
-    let grid = scene.rooms.clone().unwrap_or_else(|| crate::scene::find_rooms(scene, &surface.tracer));
+    let Some(grid) = choose_rooms(scene, &surface.tracer, options, progress) else {
+        return surface.texels.scatter(&vec![1; surface.texels.len()], 0);
+    };
     let rooms: Vec<u16> = (0..surface.texels.len())
         .map(|i| {
             let p = surface.texels.point[i];

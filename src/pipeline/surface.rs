@@ -1,10 +1,11 @@
 //! Geometry with what the photographs see of it: the ground every later stage stands on.
 
 use super::SolveOptions;
+use super::decisions::{Sizes, choose_sizes};
 use crate::Result;
 use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
 use crate::geometry::Mesh;
-use crate::image::Plane;
+use crate::image::{Plane, RgbPlane};
 use crate::lighting::{Fusion, UNSEEN};
 use crate::progress::Progress;
 use crate::scene::{Scene, Split};
@@ -22,6 +23,8 @@ pub struct Surface<'a> {
     pub views: Vec<ObservedView>,
     /// Side of each triangle the cameras see.
     pub orientation: Orientation,
+    /// Sizes of the textures.
+    pub sizes: Sizes,
     /// Covered texels of the albedo atlas.
     pub texels: Texels,
     /// Fused radiance and label votes of `texels`.
@@ -46,9 +49,9 @@ impl<'a> Surface<'a> {
             train
                 .iter()
                 .map(|view| {
-                    let radiance = scene.load_radiance(view)?;
+                    let radiance = reduced(scene.load_radiance(view)?, options.photo_reduction);
                     let labels = scene.load_labels(view)?;
-                    let valid = scene.load_mask(view)?;
+                    let valid = scene.load_mask(view)?.map(|m| all_valid(m, options.photo_reduction));
                     let buffer = ViewBuffer::trace(&view.camera.resized(radiance.width, radiance.height), &tracer);
                     let clean = buffer.clean_pixels(&scene.mesh, labels.as_ref());
                     p.advance(1);
@@ -64,7 +67,8 @@ impl<'a> Surface<'a> {
                 scene.mesh.triangles.len()
             ));
         }
-        let texels = Texels::rasterize(&scene.mesh, options.albedo_size, options.albedo_size);
+        let sizes = choose_sizes(&Observer { mesh: &scene.mesh, views: &views }, &orientation, options, progress);
+        let texels = Texels::rasterize(&scene.mesh, sizes.albedo, sizes.albedo);
         let fusion = progress.stage("radiance", texels.len() as u64, |p| {
             crate::lighting::fuse_radiance(&Observer { mesh: &scene.mesh, views: &views }, &orientation, &texels, p)
         });
@@ -73,7 +77,7 @@ impl<'a> Surface<'a> {
         let (lo, hi) = scene.mesh.bounds();
         // a tenth of a millimetre in a ten-metre room, well above the rounding of positions
         let offset = (hi - lo).length() * 1e-5;
-        Ok(Self { scene, tracer, views, orientation, texels, fusion, labels, back, offset })
+        Ok(Self { scene, tracer, views, orientation, sizes, texels, fusion, labels, back, offset })
     }
 
     /// Finds the observations of surface points.
@@ -126,6 +130,28 @@ impl<'a> Surface<'a> {
         let sign = self.orientation.sign(triangle);
         (self.scene.mesh.shading_normal(triangle, u, v) * sign, self.scene.mesh.face_normal(triangle) * sign)
     }
+}
+
+/// A photograph at a `factor`-th of its size: means of blocks, those at the far edges cut off.
+fn reduced(image: RgbPlane, factor: usize) -> RgbPlane {
+    let gain = 1.0 / (factor * factor) as f32;
+    blocks(image, factor, |block| block.copied().sum::<Vec3>() * gain)
+}
+
+/// A mask at the size of [`reduced`]: a block may be used if all of it may.
+fn all_valid(mask: Plane<bool>, factor: usize) -> Plane<bool> {
+    blocks(mask, factor, |block| block.fold(true, |all, v| all && *v))
+}
+
+fn blocks<T>(image: Plane<T>, factor: usize, f: impl Fn(&mut dyn Iterator<Item = &T>) -> T) -> Plane<T> {
+    let factor = factor.min(image.width).min(image.height).max(1);
+    if factor == 1 {
+        return image;
+    }
+    let (width, height) = (image.width / factor, image.height / factor);
+    let at = |i: usize, k: usize| &image[(i % width * factor + k % factor, i / width * factor + k / factor)];
+    let data = (0..width * height).map(|i| f(&mut (0..factor * factor).map(|k| at(i, k)))).collect();
+    Plane { width, height, data }
 }
 
 /// Texels without a vote take their triangle's majority, then the nearest labelled texel of the atlas.

@@ -108,7 +108,7 @@ fn write_page(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
         ("evaluation", "Evaluation", p.evaluation.is_some()),
         ("views", "Views", !p.views.is_empty()),
         ("maps", "Maps", !p.atlas.is_empty()),
-        ("decisions", "Decisions", !r.notes.is_empty()),
+        ("decisions", "Decisions", !r.notes.is_empty() || !r.decisions.is_empty()),
         ("stages", "Stages", !r.stages.is_empty()),
         ("run", "Run", true),
     ];
@@ -369,10 +369,20 @@ fn scale_bar() -> String {
 }
 
 fn decisions_section(out: &mut String, r: &RunRecord) -> std::fmt::Result {
-    if r.notes.is_empty() {
+    if r.notes.is_empty() && r.decisions.is_empty() {
         return Ok(());
     }
-    out.push_str("<section id=\"decisions\">\n<h2>What the program decided and noticed</h2>\n<ul class=\"notes\">\n");
+    out.push_str("<section id=\"decisions\">\n<h2>What the program decided and noticed</h2>\n");
+    if !r.decisions.is_empty() {
+        out.push_str("<div class=\"wrap\"><table><thead><tr><th>what</th><th>decided</th><th>why</th></tr></thead><tbody>\n");
+        for d in &r.decisions {
+            let forced = if d.forced { "forced: " } else { "" };
+            let [what, decided, why] = [&d.what, &d.decided, &d.why].map(|s| escaped(s));
+            writeln!(out, "<tr><td>{what}</td><td>{decided}</td><td>{forced}{why}</td></tr>")?;
+        }
+        out.push_str("</tbody></table></div>\n");
+    }
+    out.push_str("<ul class=\"notes\">\n");
     for note in &r.notes {
         writeln!(out, "<li>{}</li>", escaped(note))?;
     }
@@ -491,8 +501,11 @@ mod tests {
         let mut record = RunRecord::default();
         record.scene.name = "<script>alert(1)</script>".into();
         record.notes.push("a < b & \"c\"".into());
+        let decided = |s: &str| s.to_owned();
+        record.decisions.push(crate::progress::Decision { what: decided("x<y"), why: decided("z<w"), ..Default::default() });
         let html = page(&Page { record: &record, evaluation: None, views: &[], atlas: &[], exposure: 0.0 });
         assert!(!html.contains("<script>alert") && html.contains("a &lt; b &amp; &quot;c&quot;"));
+        assert!(html.contains("x&lt;y") && html.contains("z&lt;w"));
         assert!(!html.contains("http://") && !html.contains("https://"), "nothing is fetched");
     }
 

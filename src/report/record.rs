@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::formats::atomic_write;
-use crate::progress::Observer;
+use crate::progress::{Decision, Observer};
 use crate::scene::{Scene, Split};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -104,7 +104,9 @@ pub struct RunRecord {
     pub rays: u64,
     /// The stages in order of their beginning.
     pub stages: Vec<StageRecord>,
-    /// Decisions with their reasons, and warnings, in order.
+    /// What the program chose and why, in order.
+    pub decisions: Vec<Decision>,
+    /// What it noticed, and warnings, in order.
     pub notes: Vec<String>,
     /// Every input file with its hash.
     pub inputs: Vec<InputFile>,
@@ -130,8 +132,8 @@ impl SceneSummary {
 impl RunRecord {
     /// Takes over what the recorder has measured by now.
     pub fn measure(&mut self, recorder: &Recorder) {
-        let RunRecord { stages, notes, wall_seconds, cpu_seconds, peak_bytes, rays, .. } = recorder.record();
-        (self.stages, self.notes) = (stages, notes);
+        let RunRecord { stages, decisions, notes, wall_seconds, cpu_seconds, peak_bytes, rays, .. } = recorder.record();
+        (self.stages, self.decisions, self.notes) = (stages, decisions, notes);
         (self.wall_seconds, self.cpu_seconds, self.peak_bytes, self.rays) = (wall_seconds, cpu_seconds, peak_bytes, rays);
     }
 
@@ -190,6 +192,7 @@ pub struct Recorder {
 struct State {
     stages: Vec<StageRecord>,
     running: Vec<(usize, Instant, f64, u64)>,
+    decisions: Vec<Decision>,
     notes: Vec<String>,
 }
 
@@ -210,6 +213,7 @@ impl Recorder {
         let state = self.state();
         RunRecord {
             stages: state.stages.clone(),
+            decisions: state.decisions.clone(),
             notes: state.notes.clone(),
             wall_seconds: self.start.elapsed().as_secs_f64(),
             cpu_seconds: cpu_seconds() - self.cpu_start,
@@ -246,6 +250,10 @@ impl Observer for Recorder {
 
     fn note(&self, message: &str) {
         self.state().notes.push(message.into());
+    }
+
+    fn decided(&self, decision: &Decision) {
+        self.state().decisions.push(decision.clone());
     }
 }
 
@@ -312,6 +320,7 @@ mod tests {
                 std::thread::sleep(std::time::Duration::from_millis(20));
             });
             p.note("because");
+            p.decide("light", "lamps", "they shine", false);
         });
         let record = recorder.record();
         let [outer, inner] = &record.stages[..] else { panic!("two stages") };
@@ -319,6 +328,7 @@ mod tests {
         assert_eq!((inner.name.as_str(), inner.depth, inner.rays), ("inner", 1, 7));
         assert!(inner.wall_seconds >= 0.02 && outer.wall_seconds >= inner.wall_seconds);
         assert_eq!(record.notes, ["because"]);
+        assert_eq!(record.decisions[0].to_string(), "light: lamps (they shine)");
         assert!(record.peak_bytes > 1 << 20 && record.machine.memory_bytes > 0);
     }
 

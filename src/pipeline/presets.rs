@@ -1,0 +1,226 @@
+//! Presets, and how the user's flags change them.
+//!
+//! The numbers are read off the curve that `unbake bench tradeoff` measures (docs/tradeoff.svg).
+
+use super::{Fit, SolveOptions, Switch};
+use crate::brdf::Reflectance;
+use serde::{Deserialize, Serialize};
+
+/// A preset of samples, resolutions and refinement.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Quality {
+    /// A quick look: half the texture resolution, a quarter of the samples.
+    Draft,
+    /// The default.
+    #[default]
+    Standard,
+    /// Four times the samples of the default.
+    High,
+}
+
+impl SolveOptions {
+    /// The numbers of a preset.
+    #[must_use]
+    pub fn preset(quality: Quality) -> Self {
+        let standard = Self {
+            quality,
+            albedo_size: 2048,
+            roughness_size: 4096,
+            irradiance_size: 1024,
+            fit: Fit::default(),
+            photo_reduction: 1,
+            irradiance_rays: 64,
+            emitter_samples: 64,
+            irradiance_rounds: 2,
+            irradiance_error: 0.01,
+            irradiance_filter: true,
+            prefilter: true,
+            evidence_points: 1200,
+            evidence_rays: 20,
+            specular_rays: 4,
+            matte: Switch::Auto,
+            emission: Switch::Auto,
+            environment: Switch::Auto,
+            rooms: Switch::Auto,
+            reflectance: None,
+            seed: 0,
+        };
+        match quality {
+            Quality::Draft => Self {
+                albedo_size: 1024,
+                roughness_size: 1024,
+                irradiance_size: 512,
+                irradiance_rays: 32,
+                emitter_samples: 32,
+                irradiance_rounds: 1,
+                evidence_points: 400,
+                evidence_rays: 10,
+                specular_rays: 2,
+                ..standard
+            },
+            Quality::Standard => standard,
+            Quality::High => Self {
+                albedo_size: 4096,
+                irradiance_rays: 256,
+                emitter_samples: 256,
+                evidence_points: 2400,
+                evidence_rays: 40,
+                specular_rays: 16,
+                ..standard
+            },
+        }
+    }
+}
+
+/// What the user asks for: a preset and whatever differs from it. Every field is a flag of `unbake solve` and a key of the TOML
+/// configuration; absent = as the preset says.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, clap::Args)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct SolveRequest {
+    /// Preset of samples, resolutions and refinement; every other option overrides it.
+    #[arg(long, value_enum, default_value = "standard")]
+    pub quality: Quality,
+    /// Side of the albedo, radiance and label textures, texels [default: what the photographs support, 2048 at most].
+    #[arg(long, value_name = "TEXELS")]
+    pub albedo_size: Option<usize>,
+    /// Side of the roughness texture, texels [default: what the photographs support, 4096 at most].
+    #[arg(long, value_name = "TEXELS")]
+    pub roughness_size: Option<usize>,
+    /// Side of the irradiance texture, texels [default: what the photographs support, 1024 at most].
+    #[arg(long, value_name = "TEXELS")]
+    pub irradiance_size: Option<usize>,
+    /// Lower texture sizes to what the photographs resolve: auto = those not given, on = all, off = none.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub fit_textures: Switch,
+    /// Reduce photographs by this factor before anything else [default: 1].
+    #[arg(long, value_name = "FACTOR")]
+    pub photo_reduction: Option<usize>,
+    /// Hemisphere rays per irradiance texel in the first round [default: 64].
+    #[arg(long, value_name = "N")]
+    pub irradiance_rays: Option<u32>,
+    /// Emitter samples per irradiance texel in the first round [default: 64].
+    #[arg(long, value_name = "N")]
+    pub emitter_samples: Option<u32>,
+    /// Rounds of irradiance at most; each doubles the samples of texels that are too noisy, 1 = never [default: 2].
+    #[arg(long, value_name = "N")]
+    pub irradiance_rounds: Option<u32>,
+    /// Relative standard error of irradiance at which a texel is done [default: 0.01].
+    #[arg(long, value_name = "RATIO")]
+    pub irradiance_error: Option<f32>,
+    /// Filter irradiance noise over the surface.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub irradiance_filter: Switch,
+    /// Let a ray look up the mean radiance of the cone it stands for instead of one texel.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub prefilter: Switch,
+    /// Points per class searched for roughness, evenly spread and as many again on virtual highlights [default: 1200].
+    #[arg(long, value_name = "N")]
+    pub evidence_points: Option<usize>,
+    /// Rays per lobe and look at those points [default: 20].
+    #[arg(long, value_name = "N")]
+    pub evidence_rays: Option<u32>,
+    /// Rays per pixel along the specular lobe of its roughness [default: 4].
+    #[arg(long, value_name = "N")]
+    pub specular_rays: Option<u32>,
+    /// Replace specular lobes too wide to show anything by the mean light around: on = all from R = 0.5, off = none.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub matte: Switch,
+    /// Let surfaces emit: auto = where more light leaves than can be reflected and classes of kind light, off = none.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub emission: Switch,
+    /// Let light come from directions without geometry: auto = if any view looks out, off = never.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub environment: Switch,
+    /// Divide the scene into rooms: auto = if there are several, off = one room.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub rooms: Switch,
+    /// Reflection model: the paper's, or one of the common alternatives; chosen from the evidence if not given.
+    #[arg(long, value_enum, value_name = "MODEL")]
+    pub reflectance: Option<Reflectance>,
+}
+
+impl SolveRequest {
+    /// The numbers in effect.
+    #[must_use]
+    pub fn options(&self, seed: u64) -> SolveOptions {
+        let preset = SolveOptions::preset(self.quality);
+        let fit = |given: bool| match self.fit_textures {
+            Switch::Auto => !given,
+            Switch::On => true,
+            Switch::Off => false,
+        };
+        let or = |switch: Switch, preset: bool| match switch {
+            Switch::Auto => preset,
+            Switch::On => true,
+            Switch::Off => false,
+        };
+        SolveOptions {
+            quality: self.quality,
+            albedo_size: self.albedo_size.unwrap_or(preset.albedo_size),
+            roughness_size: self.roughness_size.unwrap_or(preset.roughness_size),
+            irradiance_size: self.irradiance_size.unwrap_or(preset.irradiance_size),
+            fit: Fit {
+                albedo: fit(self.albedo_size.is_some()),
+                roughness: fit(self.roughness_size.is_some()),
+                irradiance: fit(self.irradiance_size.is_some()),
+            },
+            photo_reduction: self.photo_reduction.unwrap_or(preset.photo_reduction),
+            irradiance_rays: self.irradiance_rays.unwrap_or(preset.irradiance_rays),
+            emitter_samples: self.emitter_samples.unwrap_or(preset.emitter_samples),
+            irradiance_rounds: self.irradiance_rounds.unwrap_or(preset.irradiance_rounds),
+            irradiance_error: self.irradiance_error.unwrap_or(preset.irradiance_error),
+            irradiance_filter: or(self.irradiance_filter, preset.irradiance_filter),
+            prefilter: or(self.prefilter, preset.prefilter),
+            evidence_points: self.evidence_points.unwrap_or(preset.evidence_points),
+            evidence_rays: self.evidence_rays.unwrap_or(preset.evidence_rays),
+            specular_rays: self.specular_rays.unwrap_or(preset.specular_rays),
+            matte: self.matte,
+            emission: self.emission,
+            environment: self.environment,
+            rooms: self.rooms,
+            reflectance: self.reflectance,
+            seed,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn flags_override_the_preset_and_nothing_else_does() {
+        for quality in [Quality::Draft, Quality::Standard, Quality::High] {
+            let plain = SolveRequest { quality, ..SolveRequest::default() }.options(7);
+            let all = Fit { albedo: true, roughness: true, irradiance: true };
+            assert_eq!(plain, SolveOptions { seed: 7, fit: all, ..SolveOptions::preset(quality) });
+            plain.validate().expect("a preset is valid");
+            let asked = SolveRequest {
+                quality,
+                albedo_size: Some(77),
+                irradiance_rays: Some(5),
+                irradiance_filter: Switch::Off,
+                ..SolveRequest::default()
+            };
+            let o = asked.options(7);
+            assert_eq!((o.albedo_size, o.irradiance_rays, o.irradiance_filter), (77, 5, false));
+            assert_eq!(o.fit, Fit { albedo: false, ..all }, "a given size is exact");
+            assert_eq!(o.specular_rays, plain.specular_rays);
+        }
+    }
+
+    #[test]
+    fn presets_differ_in_the_order_of_their_names() {
+        let cost = |q: Quality| {
+            let o = SolveOptions::preset(q);
+            [
+                o.albedo_size.pow(2) as u64,
+                o.irradiance_size.pow(2) as u64 * u64::from(o.irradiance_rays),
+                o.evidence_points as u64,
+            ]
+        };
+        let (draft, standard, high) = (cost(Quality::Draft), cost(Quality::Standard), cost(Quality::High));
+        assert!((0..3).all(|i| draft[i] < standard[i] && standard[i] < high[i]));
+    }
+}
