@@ -34,7 +34,7 @@ pub(super) struct Chart {
 /// Size of one chart in pixels.
 const SIZE: (u32, u32) = (620, 430);
 /// Colour-blind-safe colours (Okabe & Ito 2008).
-const COLOURS: [RGBColor; 7] = [
+const COLOURS: [RGBColor; 9] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
@@ -42,6 +42,8 @@ const COLOURS: [RGBColor; 7] = [
     RGBColor(230, 159, 0),
     RGBColor(86, 180, 233),
     RGBColor(0, 0, 0),
+    RGBColor(120, 120, 120),
+    RGBColor(136, 84, 40),
 ];
 
 /// Draws the charts in rows of two.

@@ -1,7 +1,7 @@
 //! `unbake bench tradeoff`: what accuracy costs, preset by preset and knob by knob.
 //!
 //! Every point is a reconstruction in a process of its own, scored against ground truth. From the preset `standard` one knob at a
-//! time is turned; the knobs that save most time for the least loss are then turned together, one after another: the best path.
+//! time is turned and each approximation is left out; the knobs that save most time for the least loss are then turned together, one after another: the best path.
 //! A point is marked as Pareto-optimal if no faster one has as high a mean of the three PSNRs (albedo, roughness, novel views).
 
 use super::child::{Outcome, Runner};
@@ -28,23 +28,56 @@ pub const PRESETS: [&str; 3] = ["draft", "standard", "high"];
 
 /// Flags of `unbake solve` that trade time for accuracy, each with the values tried besides the preset's own.
 pub const KNOBS: &[(&str, &[&str])] = &[
-    ("irradiance-rays", &["16", "32", "128"]),
-    ("emitter-samples", &["4", "8", "32"]),
-    ("irradiance-error", &["0.05", "0.02", "0.005"]),
+    ("photo-reduction", &["2"]),
+    ("irradiance-rays", &["16", "32", "128", "256"]),
+    ("emitter-samples", &["16", "32", "128"]),
+    ("irradiance-error", &["0.05", "0.005"]),
     ("irradiance-size", &["256", "512", "2048"]),
     ("albedo-size", &["512", "1024", "4096"]),
-    ("roughness-size", &["1024", "2048"]),
+    ("evidence-points", &["300", "600", "2400"]),
+    ("evidence-rays", &["5", "10", "40"]),
+    ("specular-rays", &["1", "2", "8", "16"]),
 ];
 
-/// The values of a quick run: one cheaper value for each of the knobs that matter most.
-const QUICK: &[(&str, &[&str])] = &[("irradiance-rays", &["16"]), ("irradiance-size", &["512"]), ("albedo-size", &["1024"])];
+/// The values of a quick run: the cheaper half of the knobs that matter most.
+const QUICK: &[(&str, &[&str])] = &[
+    ("photo-reduction", &["2"]),
+    ("irradiance-rays", &["16"]),
+    ("irradiance-size", &["512"]),
+    ("albedo-size", &["1024"]),
+    ("evidence-points", &["300"]),
+    ("specular-rays", &["1"]),
+];
+
+/// Approximations and the flags that do without them: (name, flag, value).
+pub const APPROXIMATIONS: &[(&str, &str, &str)] = &[
+    ("adaptive stopping", "irradiance-rounds", "1"),
+    ("irradiance filter", "irradiance-filter", "off"),
+    ("prefiltered lookups", "prefilter", "off"),
+    ("even light for wide lobes", "matte", "off"),
+    ("textures fitted to the photographs", "fit-textures", "off"),
+];
+
+/// What counts as time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Clock {
+    /// Seconds on the wall.
+    #[default]
+    Wall,
+    /// Processor seconds over threads: for a machine with other work to do.
+    Processor,
+}
 
 /// What `unbake bench tradeoff` can be told.
 #[derive(clap::Args, Clone, Debug)]
 pub struct TradeoffBench {
-    /// Only the presets, three knobs and the path through them.
+    /// Only the presets, one value of the main knobs, the approximations and the path.
     #[arg(long)]
     pub quick: bool,
+    /// What counts as time in plot and ranking.
+    #[arg(long, value_enum, default_value = "wall")]
+    pub clock: Clock,
     /// Texels at which irradiance is compared with a reference.
     #[arg(long, value_name = "N", default_value_t = 500)]
     pub reference_texels: usize,
@@ -57,8 +90,10 @@ pub struct TradePoint {
     pub preset: String,
     /// Flags turned besides it.
     pub knobs: BTreeMap<String, String>,
-    /// `preset`, `knob` or `path`.
+    /// `preset`, `knob`, `without` (an approximation switched off) or `path`.
     pub kind: String,
+    /// The approximation that this point does without.
+    pub without: Option<String>,
     /// Cost and quality.
     #[serde(flatten)]
     pub outcome: Outcome,
@@ -73,6 +108,8 @@ pub struct TradePoint {
 pub struct TradeoffReport {
     /// The points in the order they were run.
     pub points: Vec<TradePoint>,
+    /// What counts as time.
+    pub clock: Clock,
     /// What `pareto` compares.
     pub pareto_measure: String,
     /// The irradiance reference.
@@ -100,7 +137,8 @@ pub fn bench_tradeoff(
     let (reference, places) = irradiance_reference(scene, bench, options, progress)?;
     let mut report = TradeoffReport {
         points: Vec::new(),
-        pareto_measure: "seconds against the mean of albedo, roughness (FIPT protocol) and novel-view PSNR".to_owned(),
+        clock: bench.clock,
+        pareto_measure: "time against the mean of albedo, roughness (FIPT protocol) and novel-view PSNR".to_owned(),
         reference,
         versions: Versions::current(),
         machine: machine(),
@@ -108,7 +146,7 @@ pub fn bench_tradeoff(
     };
     let knobs = if bench.quick { QUICK } else { KNOBS };
     let turned: usize = knobs.iter().map(|k| k.1.len()).sum();
-    let steps = PRESETS.len() + turned + knobs.len();
+    let steps = PRESETS.len() + turned + APPROXIMATIONS.len() + knobs.len();
     progress.stage("reconstructions", steps as u64, |p| {
         let mut run = |report: &mut TradeoffReport, kind: &str, preset: &str, knobs: BTreeMap<String, String>| -> Result<()> {
             let mut flags = vec!["--quality".to_owned(), preset.to_owned()];
@@ -116,11 +154,12 @@ pub fn bench_tradeoff(
             let name = format!("point-{:03}", report.points.len());
             let (outcome, irradiance_rmse) =
                 runner.run(&name, &flags, |out| irradiance_error(out, &places, &report.reference.value))?;
-            let point =
-                TradePoint { preset: preset.to_owned(), knobs, kind: kind.to_owned(), outcome, irradiance_rmse, pareto: false };
-            p.note(point.line());
+            let without = APPROXIMATIONS.iter().find(|a| kind == "without" && knobs.contains_key(a.1)).map(|a| a.0.to_owned());
+            let preset = preset.to_owned();
+            let point = TradePoint { preset, knobs, kind: kind.to_owned(), without, outcome, irradiance_rmse, pareto: false };
+            p.note(point.line(bench.clock));
             report.points.push(point);
-            mark_pareto(&mut report.points);
+            mark_pareto(&mut report.points, bench.clock);
             p.advance(1);
             each(report)
         };
@@ -132,9 +171,12 @@ pub fn bench_tradeoff(
                 run(&mut report, "knob", "standard", [((*knob).to_owned(), (*value).to_owned())].into())?;
             }
         }
+        for (_, flag, value) in APPROXIMATIONS {
+            run(&mut report, "without", "standard", [((*flag).to_owned(), (*value).to_owned())].into())?;
+        }
         // two changes at least: one alone has been measured
         for n in 2..=knobs.len() {
-            let path = best_path(&report.points);
+            let path = best_path(&report.points, bench.clock);
             if path.len() < n {
                 break;
             }
@@ -181,19 +223,30 @@ impl TradePoint {
         if all.is_empty() { 0.0 } else { all.iter().sum::<f64>() / all.len() as f64 }
     }
 
-    fn name(&self) -> String {
-        let knobs: Vec<String> = self.knobs.iter().map(|(k, v)| format!("{k} {v}")).collect();
-        if knobs.is_empty() { self.preset.clone() } else { format!("{}, {}", self.preset, knobs.join(", ")) }
+    fn time(&self, clock: Clock) -> f64 {
+        match clock {
+            Clock::Wall => self.outcome.seconds,
+            Clock::Processor => self.outcome.cpu_seconds / self.outcome.threads.max(1) as f64,
+        }
     }
 
-    fn line(&self) -> String {
+    fn name(&self) -> String {
+        let knobs: Vec<String> = self.knobs.iter().map(|(k, v)| format!("{k} {v}")).collect();
+        match &self.without {
+            Some(name) => format!("{}, without {name}", self.preset),
+            None if knobs.is_empty() => self.preset.clone(),
+            None => format!("{}, {}", self.preset, knobs.join(", ")),
+        }
+    }
+
+    fn line(&self, clock: Clock) -> String {
         let o = &self.outcome;
         let db = |v: Option<f64>| v.map_or("   --".to_owned(), |v| format!("{v:5.2}"));
         format!(
-            "{}{:44} {:7.1} s {:5.2} GiB  albedo {}  roughness {}  novel {} dB  irradiance {:5.2} %",
+            "{}{:52} {:7.1} s {:5.2} GiB  albedo {}  roughness {}  novel {} dB  irradiance {:5.2} %",
             if self.pareto { "*" } else { " " },
             self.name(),
-            o.seconds,
+            self.time(clock),
             o.peak_bytes as f64 / (1u64 << 30) as f64,
             db(o.albedo_psnr),
             db(o.roughness_psnr),
@@ -203,8 +256,8 @@ impl TradePoint {
     }
 }
 
-fn mark_pareto(points: &mut [TradePoint]) {
-    let all: Vec<(f64, f64)> = points.iter().map(|p| (p.outcome.seconds, p.quality())).collect();
+fn mark_pareto(points: &mut [TradePoint], clock: Clock) {
+    let all: Vec<(f64, f64)> = points.iter().map(|p| (p.time(clock), p.quality())).collect();
     for (i, p) in points.iter_mut().enumerate() {
         let (s, q) = all[i];
         p.pareto = !all.iter().enumerate().any(|(j, &(t, r))| j != i && t <= s && r >= q && (t < s || r > q));
@@ -212,12 +265,12 @@ fn mark_pareto(points: &mut [TradePoint]) {
 }
 
 /// Changes that save time, the one with the least loss of quality per second saved first; one value per knob.
-fn best_path(points: &[TradePoint]) -> Vec<(String, String)> {
+fn best_path(points: &[TradePoint], clock: Clock) -> Vec<(String, String)> {
     let Some(base) = points.iter().find(|p| p.kind == "preset" && p.preset == "standard") else { return Vec::new() };
     let mut changes: Vec<(f64, &TradePoint)> = points
         .iter()
-        .filter(|p| p.kind == "knob" && p.outcome.seconds < base.outcome.seconds)
-        .map(|p| ((base.quality() - p.quality()) / (base.outcome.seconds - p.outcome.seconds), p))
+        .filter(|p| p.kind == "knob" && p.time(clock) < base.time(clock))
+        .map(|p| ((base.quality() - p.quality()) / (base.time(clock) - p.time(clock)), p))
         .collect();
     changes.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut path: Vec<(String, String)> = Vec::new();
@@ -250,9 +303,26 @@ impl TradeoffReport {
             self.pareto_measure
         );
         for p in &self.points {
-            let _ = writeln!(out, "{}", p.line());
+            let _ = writeln!(out, "{}", p.line(self.clock));
+        }
+        let Some(base) = self.standard() else { return out };
+        for p in self.points.iter().filter(|p| p.kind == "without") {
+            let _ = writeln!(
+                out,
+                "  {:52} saves {:+.1} s, {:+.2} GiB; costs {:+.2} dB in the mean of the PSNRs, {:+.2} points of irradiance error",
+                p.without.as_deref().unwrap_or_default(),
+                p.time(self.clock) - base.time(self.clock),
+                (p.outcome.peak_bytes as f64 - base.outcome.peak_bytes as f64) / (1u64 << 30) as f64,
+                p.quality() - base.quality(),
+                100.0 * (base.irradiance_rmse - p.irradiance_rmse)
+            );
         }
         out
+    }
+
+    /// The point that everything is turned from.
+    fn standard(&self) -> Option<&TradePoint> {
+        self.points.iter().find(|p| p.kind == "preset" && p.preset == "standard")
     }
 
     /// Every quality and memory against time, with the Pareto front as a line.
@@ -274,24 +344,28 @@ impl TradeoffReport {
             .map(|&(name, value, log_y)| {
                 let of = |keep: &dyn Fn(&TradePoint) -> bool| {
                     let mut points: Vec<_> =
-                        self.points.iter().filter(|p| keep(p)).map(|p| (p.outcome.seconds, value(p))).collect();
+                        self.points.iter().filter(|p| keep(p)).map(|p| (p.time(self.clock), value(p))).collect();
                     points.sort_by(|a, b| a.0.total_cmp(&b.0));
                     points
                 };
                 let series = |name: &str, line, points| Series { name: name.to_owned(), points, line };
-                Chart {
-                    title: format!("{}: {name}", self.scene.name),
-                    x: "seconds".to_owned(),
-                    y: name.to_owned(),
-                    log_x: true,
-                    log_y,
-                    series: vec![
-                        series("presets", false, of(&|p| p.kind == "preset")),
-                        series("one knob", false, of(&|p| p.kind == "knob")),
-                        series("best path", false, of(&|p| p.kind == "path")),
-                        series("Pareto front", true, of(&|p| p.pareto)),
-                    ],
+                let mut all = vec![
+                    series("presets", false, of(&|p| p.kind == "preset")),
+                    series("one knob", false, of(&|p| p.kind == "knob")),
+                    series("best path", false, of(&|p| p.kind == "path")),
+                    series("Pareto front", true, of(&|p| p.pareto)),
+                ];
+                // each approximation's own line: from the preset with it to the same without it
+                for p in self.points.iter().filter(|p| p.kind == "without") {
+                    let ends = self.standard().into_iter().chain([p]).map(|p| (p.time(self.clock), value(p))).collect();
+                    all.push(series(&format!("without {}", p.without.as_deref().unwrap_or_default()), true, ends));
                 }
+                let x = match self.clock {
+                    Clock::Wall => "seconds",
+                    Clock::Processor => "processor seconds per thread",
+                };
+                let title = format!("{}: {name}", self.scene.name);
+                Chart { title, x: x.to_owned(), y: name.to_owned(), log_x: true, log_y, series: all }
             })
             .collect();
         svg(&charts)
@@ -307,6 +381,7 @@ mod tests {
             preset: "standard".into(),
             knobs: knob.into_iter().map(|(k, v)| (k.to_owned(), v.to_owned())).collect(),
             kind: kind.into(),
+            without: None,
             outcome: Outcome { seconds, novel_psnr: Some(psnr), ..Outcome::default() },
             irradiance_rmse: 0.01,
             pareto: false,
@@ -316,7 +391,7 @@ mod tests {
     #[test]
     fn only_points_that_nothing_beats_are_pareto_optimal() {
         let mut points = vec![point("knob", None, 1.0, 20.0), point("knob", None, 2.0, 19.0), point("knob", None, 3.0, 30.0)];
-        mark_pareto(&mut points);
+        mark_pareto(&mut points, Clock::Wall);
         assert_eq!(points.iter().map(|p| p.pareto).collect::<Vec<_>>(), [true, false, true]);
     }
 
@@ -329,7 +404,7 @@ mod tests {
             point("knob", Some(("b", "2")), 80.0, 29.9),
             point("knob", Some(("c", "1")), 120.0, 31.0),
         ];
-        let path = best_path(&points);
+        let path = best_path(&points, Clock::Wall);
         assert_eq!(path, [("b".to_owned(), "2".to_owned()), ("a".to_owned(), "1".to_owned())]);
     }
 }

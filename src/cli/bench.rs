@@ -159,7 +159,7 @@ pub(super) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
 
 /// The reconstruction's options: the configuration file's, or the defaults.
 fn solve_options(context: &Context) -> SolveOptions {
-    context.config.solve.options(context.seed())
+    context.config.solve.options(context.seed(), context.recorder.started())
 }
 
 /// After the verb `bench`, turns `--json FILE` into `--json-file FILE`: everywhere else `--json` is a switch that takes no value.
@@ -198,6 +198,10 @@ mod tests {
                 let line = ["unbake", "solve", "S", "-o", "O", &format!("--{knob}"), value];
                 assert!(command.clone().try_get_matches_from(line).is_ok(), "--{knob} {value}");
             }
+        }
+        for (_, flag, value) in crate::bench::APPROXIMATIONS {
+            let line = ["unbake", "solve", "S", "-o", "O", &format!("--{flag}"), value];
+            assert!(command.clone().try_get_matches_from(line).is_ok(), "--{flag} {value}");
         }
         let quality = solve.get_arguments().find(|a| a.get_long() == Some("quality")).expect("flag");
         for preset in crate::bench::PRESETS {

@@ -126,7 +126,7 @@ impl Config {
     fn left_to_the_preset(&self, command: &clap::Command) -> Result<String> {
         let failed = |e: toml::ser::Error| Error::Failed(format!("printing the configuration: {e}"));
         let asked = Table::try_from(&self.solve).map_err(failed)?;
-        let effective = Table::try_from(self.solve.options(0)).map_err(failed)?;
+        let effective = Table::try_from(self.solve.options(0, std::time::Instant::now())).map_err(failed)?;
         let mut out = String::new();
         for (key, value) in effective.iter().filter(|(key, _)| !asked.contains_key(*key)) {
             let help = help_of(command, Some("solve"), key).unwrap_or_default();

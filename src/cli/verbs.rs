@@ -82,7 +82,7 @@ fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
     let scene = read_scene(scene_path, context)?;
     // before the long run: is there a place for the result?
     drop(AsideFolder::new(out)?);
-    let options = context.config.solve.options(context.seed());
+    let options = context.config.solve.options(context.seed(), context.recorder.started());
     let progress = &context.progress;
     let solution = reconstruct(&scene, &options, progress)?.solution;
     progress.stage("writing the textures", 1, |_| solution.save(out, &SaveOptions::default()))?;
@@ -114,8 +114,7 @@ fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
 /// What has been measured so far, with what is known about the run besides.
 fn record(scene: &Scene, context: &Context) -> Result<RunRecord> {
     let config = serde_json::to_value(&context.config).map_err(|e| Error::Failed(format!("options: {e}")))?;
-    let options =
-        json!({"scene": config["scene"], "solve": config["solve"], "effective": context.config.solve.options(context.seed())});
+    let options = json!({"scene": config["scene"], "solve": config["solve"], "effective": context.config.solve.options(context.seed(), context.recorder.started())});
     Ok(RunRecord {
         command: context.command.clone(),
         versions: Versions::current(),

@@ -55,6 +55,15 @@ pub struct Evidence {
 }
 
 impl Evidence {
+    /// Takes over the points of `more` behind its own.
+    pub fn append(&mut self, more: Self) {
+        let base = self.sights.len() as u32;
+        self.points.extend(more.points.into_iter().map(|q| EvidencePoint { first: q.first + base, ..q }));
+        self.sights.extend(more.sights);
+        self.specular.extend(more.specular);
+        self.rays += more.rays;
+    }
+
     /// Specular radiance of sight `s` at all levels under [`MODELS`]`[m]`.
     #[must_use]
     pub fn response(&self, s: usize, m: usize) -> &[Vec3] {
@@ -122,11 +131,6 @@ pub fn gather_evidence(
         out
     });
     let mut all = Evidence { rays: rays.into_inner(), ..Evidence::default() };
-    for p in parts {
-        let base = all.sights.len() as u32;
-        all.points.extend(p.points.into_iter().map(|q| EvidencePoint { first: q.first + base, ..q }));
-        all.sights.extend(p.sights);
-        all.specular.extend(p.specular);
-    }
+    parts.into_iter().for_each(|p| all.append(p));
     all
 }

@@ -24,7 +24,8 @@ pub struct AlbedoEstimate {
     pub error: Vec<f32>,
 }
 
-/// Specular radiance at every pixel of a view, given roughness per surface point. Returns the image and the rays traced.
+/// Specular radiance at every pixel of a view, given roughness per surface point. Where `known(triangle, position, n·v)` knows it, no
+/// ray is traced. Returns the image and the rays traced.
 #[must_use]
 pub fn specular_image(
     reflector: &Reflector,
@@ -32,6 +33,7 @@ pub fn specular_image(
     view_index: usize,
     normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
     roughness: &(dyn Fn(u32, Vec3) -> f32 + Sync),
+    known: &(dyn Fn(u32, Vec3, f32) -> Option<Vec3> + Sync),
 ) -> (RgbPlane, u64) {
     let b = &view.buffer;
     let (w, h) = (b.triangle.width, b.triangle.height);
@@ -50,6 +52,10 @@ pub fn specular_image(
             let position = b.camera.position + d * b.distance[(x, y)];
             let (normal, face_normal) = normals(t, position);
             if face_normal.dot(d) >= 0.0 {
+                continue;
+            }
+            if let Some(value) = known(t, position, -normal.dot(d)) {
+                row[x] = value;
                 continue;
             }
             gazes.push(Gaze { position, normal, face_normal, view: -d, key: hash_u64(view_index as u64, (y * w + x) as u64) });

@@ -1,7 +1,9 @@
 //! From light and observations to materials: stage I albedo, stage II roughness, stage III refinement.
 
 mod albedo;
+mod matte;
 mod roughness;
 
 pub use albedo::{AlbedoEstimate, DiffuseShading, estimate_albedo, specular_image};
+pub use matte::{WIDE, WideLobes};
 pub use roughness::{GroupFit, choose_model, fit_groups};

@@ -3,11 +3,15 @@
 use super::{SolveOptions, Switch};
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::geometry::Mesh;
+use crate::highlight::Evidence;
+use crate::inverse::{WIDE, choose_model, fit_groups};
 use crate::lighting::Environment;
 use crate::progress::Progress;
 use crate::sampling::{Discrete, KeyedRng};
 use crate::scene::{RoomGrid, Scene};
 use crate::trace::Tracer;
+use std::collections::BTreeSet;
+use std::time::Instant;
 
 /// Sides of the textures, texels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,7 +35,10 @@ const STEP: usize = 64;
 pub(super) fn choose_sizes(observer: &Observer, orientation: &Orientation, options: &SolveOptions, progress: &Progress) -> Sizes {
     let given = [options.albedo_size, options.roughness_size, options.irradiance_size];
     let fit = [options.fit.albedo, options.fit.roughness, options.fit.irradiance];
-    let supported = if fit.contains(&true) { supported_side(observer, orientation, options.seed) } else { None };
+    let begin = Instant::now();
+    let asked = fit.contains(&true) || options.budget.is_some();
+    let supported = if asked { supported_side(observer, orientation, options.seed) } else { None };
+    let lookup = begin.elapsed().as_secs_f64() / POINTS as f64;
     let mut sides = given;
     for (i, (name, flag)) in
         [("albedo", "albedo-size"), ("roughness", "roughness-size"), ("irradiance", "irradiance-size")].into_iter().enumerate()
@@ -51,7 +58,31 @@ pub(super) fn choose_sizes(observer: &Observer, orientation: &Orientation, optio
             _ => progress.decide(&what, format!("{0}²", given[i]), format!("--{flag} or --fit-textures"), true),
         }
     }
-    Sizes { albedo: sides[0], roughness: sides[1], irradiance: sides[2] }
+    let sizes = Sizes { albedo: sides[0], roughness: sides[1], irradiance: sides[2] };
+    let Some(budget) = &options.budget else { return sizes };
+    let mesh = observer.mesh;
+    let covered: f64 = (0..mesh.triangles.len()).map(|t| atlas_area(mesh, t)).filter(|a| a.is_finite()).sum();
+    let cheaper = budget.sizes(sizes, covered.clamp(0.01, 1.0), lookup, report_pixels(observer), progress);
+    let keep = |i: usize, size: usize, lower: usize| if fit[i] { lower } else { size };
+    Sizes {
+        albedo: keep(0, sizes.albedo, cheaper.albedo),
+        roughness: keep(1, sizes.roughness, cheaper.roughness),
+        irradiance: keep(2, sizes.irradiance, cheaper.irradiance),
+    }
+}
+
+/// Pixels that a report of these views renders: up to six views of up to 768 columns.
+fn report_pixels(observer: &Observer) -> f64 {
+    let pixels = |v: &ObservedView| {
+        let (w, h) = (v.radiance.width as f64, v.radiance.height as f64);
+        w * h * (768.0 / w).min(1.0).powi(2)
+    };
+    observer.views.iter().take(6).map(pixels).sum()
+}
+
+fn atlas_area(mesh: &Mesh, t: usize) -> f64 {
+    let [a, b, c] = mesh.corner_uvs(t);
+    0.5 * f64::from((b - a).perp_dot(c - a).abs())
 }
 
 /// Side of a texture whose texels are as small as the sharpest clean look at them on [`RESOLVED`] of the seen surface; `None` if
@@ -88,9 +119,7 @@ fn point_needs(
     let [u, v] = crate::sampling::square_to_triangle([rng.next_f32(), rng.next_f32()]);
     observer.observe(mesh.position(t, u, v), mesh.face_normal(t) * orientation.sign(t), seen);
     let sharpest = seen.iter().filter(|o| o.clean).map(|o| o.footprint).fold(f32::INFINITY, f32::min);
-    let [a, b, c] = mesh.corner_uvs(t);
-    let atlas = 0.5 * f64::from((b - a).perp_dot(c - a).abs());
-    let metres = (f64::from(mesh.area(t)) / atlas).sqrt();
+    let metres = (f64::from(mesh.area(t)) / atlas_area(mesh, t)).sqrt();
     (sharpest.is_finite() && sharpest > 0.0 && metres.is_finite()).then(|| metres / f64::from(sharpest))
 }
 
@@ -122,6 +151,40 @@ pub(super) fn report_emission(emissive: &[bool], known: &[bool], options: &Solve
     } else {
         let why = format!("{declared} of kind light, {} send out more than white would reflect there", all - declared.min(all));
         progress.decide("emission", format!("{all} triangles"), why, false);
+    }
+}
+
+/// Standard errors of the roughness by which a class must lie above [`WIDE`] to count as matte.
+const CERTAIN: f32 = 2.0;
+
+/// Groups whose lobes a few points show to be too wide for highlights, under the model that suits those points.
+pub(super) fn choose_matte(pilot: &Evidence, options: &SolveOptions) -> BTreeSet<(u16, u16)> {
+    if options.matte == Switch::Off {
+        return BTreeSet::new();
+    }
+    let fits = match options.reflectance {
+        Some(model) => fit_groups(pilot, model),
+        None => choose_model(pilot).1,
+    };
+    fits.iter().filter(|f| f.points > 0 && f.roughness - CERTAIN * f.error > WIDE).map(|f| f.group).collect()
+}
+
+/// Says which classes go without specular rays.
+pub(super) fn report_matte(scene: &Scene, matte: &BTreeSet<(u16, u16)>, options: &SolveOptions, progress: &Progress) {
+    let what = "specular rays";
+    match options.matte {
+        Switch::Off => progress.decide(what, "for all classes", "--matte off", true),
+        Switch::On => progress.decide(what, "for roughness below 0.5", "--matte on", true),
+        Switch::Auto if matte.is_empty() => {
+            progress.decide(what, "for all classes", "no class is certain to have lobes too wide for highlights", false);
+        }
+        Switch::Auto => {
+            let name = |id: u16| scene.class(id).map_or_else(|| format!("class {id}"), |c| c.name.clone());
+            let names: BTreeSet<String> = matte.iter().map(|g| name(g.0)).collect();
+            let list = names.into_iter().collect::<Vec<_>>().join(", ");
+            let why = format!("their roughness exceeds {WIDE} by {CERTAIN} standard errors: no highlight can be observed");
+            progress.decide(what, format!("for all classes but {list}"), why, false);
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 //! Irradiance is baked twice. A coarse bake tells which texels send out more than they can reflect (emitters) and what surfaces no
 //! camera sees send out (the class's albedo times their irradiance); the full bake then uses both.
 
+use super::budget::samples_for;
 use super::decisions::{choose_environment, report_emission};
 use super::{SolveOptions, Surface, Switch, surface::coverage};
 use crate::image::{Plane, RgbPlane};
@@ -16,6 +17,7 @@ use crate::texture::{Texels, fill_uncovered};
 use glam::{Vec2, Vec3};
 use std::collections::BTreeMap;
 use std::f32::consts::{FRAC_1_PI, PI};
+use std::time::Instant;
 
 /// Side of the coarse irradiance texture relative to the full one.
 const COARSE: usize = 4;
@@ -65,8 +67,10 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
 
     // light as observed, known lamps only
     let (field, emitters) = light_field(surface, &radiance, &known, environment.clone(), &coarse, options);
+    let begin = Instant::now();
     let first =
         progress.stage("emitters", coarse.len() as u64, |p| bake(surface, &field, &emitters, &coarse, &coarse_options, p));
+    let coarse_seconds = begin.elapsed().as_secs_f64();
     rays += first.rays;
     let coarse_irradiance = texture_of(&coarse, &first.value);
     let emissive = match options.emission {
@@ -86,10 +90,30 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
         100.0 * unseen as f64 / observed.len().max(1) as f64
     ));
     let texels = Texels::rasterize(&scene.mesh, surface.sizes.irradiance, surface.sizes.irradiance);
-    let baked = bake_irradiance_texels(surface, &field, &emitters, &texels, options, progress);
+    let mut options = options.clone();
+    let samples = match (&options.budget, options.target_error) {
+        (Some(b), _) => Some(b.irradiance_samples(texels.len(), first.rays, coarse_seconds, options.irradiance_filter, progress)),
+        (None, Some(target)) => Some(samples_for(target, unfiltered_error(&first), coarse_options.rays, progress)),
+        (None, None) => None,
+    };
+    if let Some(n) = samples {
+        (options.irradiance_rays, options.emitter_samples) = (n, n);
+    }
+    let baked = bake_irradiance_texels(surface, &field, &emitters, &texels, &options, progress);
     rays += baked.rays;
     let irradiance = texture_of(&texels, &baked.value);
     Light { field, emitters, emissive, radiance, texels, irradiance, error: baked.error, rays }
+}
+
+/// Relative error of a bake by the difference of its halves: √(Σ(a−b)²/Σ(a+b)²).
+fn unfiltered_error(bake: &Irradiance) -> f32 {
+    let (mut error, mut energy) = (0.0f64, 0.0f64);
+    for [a, b] in &bake.halves {
+        let (a, b) = (f64::from(luminance(*a)), f64::from(luminance(*b)));
+        error += (a - b).powi(2);
+        energy += (a + b).powi(2);
+    }
+    if energy > 0.0 { (error / energy).sqrt() as f32 } else { 0.0 }
 }
 
 /// The irradiance of `texels` as the options ask for it: the last and longest step of [`reconstruct_light`].

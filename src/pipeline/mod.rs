@@ -1,5 +1,6 @@
 //! The order of the stages, from a scene folder to a reconstruction.
 
+mod budget;
 mod decisions;
 mod light;
 mod options;
@@ -7,6 +8,7 @@ mod presets;
 mod solve;
 mod surface;
 
+pub use budget::{Budget, parse_seconds};
 pub use decisions::Sizes;
 pub use light::{Light, bake_irradiance_texels, reconstruct_light};
 pub use options::{Fit, SolveOptions, Switch};

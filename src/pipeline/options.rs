@@ -1,6 +1,6 @@
 //! What a reconstruction computes with: every number in effect, after presets, measurements and the user's wishes are settled.
 
-use super::Quality;
+use super::{Budget, Quality};
 use crate::brdf::Reflectance;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -74,6 +74,11 @@ pub struct SolveOptions {
     pub rooms: Switch,
     /// Reflection model; chosen from the evidence if `None`.
     pub reflectance: Option<Reflectance>,
+    /// Relative error of irradiance that decides its samples.
+    pub target_error: Option<f32>,
+    /// Time to spend; then it decides sizes and samples.
+    #[serde(skip)]
+    pub budget: Option<Budget>,
     /// Seed of all random numbers.
     #[serde(skip)]
     pub seed: u64,
@@ -115,6 +120,9 @@ impl SolveOptions {
         }
         if !(1..=64).contains(&self.photo_reduction) {
             return wrong(format!("--photo-reduction {}: must be from 1 to 64", self.photo_reduction));
+        }
+        if let Some(target) = self.target_error.filter(|t| !(1e-4..=1.0).contains(t)) {
+            return wrong(format!("--target-error {target}: must be from 0.0001 to 1 (0.02 = 2 %)"));
         }
         if self.irradiance_error.is_nan() || self.irradiance_error < 0.0 {
             return wrong(format!("--irradiance-error {}: must be 0 or more", self.irradiance_error));

@@ -2,9 +2,11 @@
 //!
 //! The numbers are read off the curve that `unbake bench tradeoff` measures (docs/tradeoff.svg).
 
-use super::{Fit, SolveOptions, Switch};
+use super::budget::parse_seconds;
+use super::{Budget, Fit, SolveOptions, Switch};
 use crate::brdf::Reflectance;
 use serde::{Deserialize, Serialize};
+use std::time::Instant;
 
 /// A preset of samples, resolutions and refinement.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -44,6 +46,8 @@ impl SolveOptions {
             environment: Switch::Auto,
             rooms: Switch::Auto,
             reflectance: None,
+            target_error: None,
+            budget: None,
             seed: 0,
         };
         match quality {
@@ -81,6 +85,13 @@ pub struct SolveRequest {
     /// Preset of samples, resolutions and refinement; every other option overrides it.
     #[arg(long, value_enum, default_value = "standard")]
     pub quality: Quality,
+    /// Time for the whole run, such as 60s or 2min: texture sizes and samples are chosen to take it, up to the preset's sizes.
+    #[arg(long, value_name = "TIME", value_parser = parse_seconds,
+          conflicts_with_all = ["irradiance_rays", "emitter_samples", "evidence_points", "specular_rays", "target_error"])]
+    pub budget: Option<f64>,
+    /// Relative error of irradiance to reach (0.02 = 2 %): decides the samples per texel.
+    #[arg(long, value_name = "RATIO", conflicts_with_all = ["irradiance_rays", "emitter_samples"])]
+    pub target_error: Option<f32>,
     /// Side of the albedo, radiance and label textures, texels [default: what the photographs support, 2048 at most].
     #[arg(long, value_name = "TEXELS")]
     pub albedo_size: Option<usize>,
@@ -141,9 +152,9 @@ pub struct SolveRequest {
 }
 
 impl SolveRequest {
-    /// The numbers in effect.
+    /// The numbers in effect. A budget runs from `start`.
     #[must_use]
-    pub fn options(&self, seed: u64) -> SolveOptions {
+    pub fn options(&self, seed: u64, start: Instant) -> SolveOptions {
         let preset = SolveOptions::preset(self.quality);
         let fit = |given: bool| match self.fit_textures {
             Switch::Auto => !given,
@@ -180,6 +191,8 @@ impl SolveRequest {
             environment: self.environment,
             rooms: self.rooms,
             reflectance: self.reflectance,
+            target_error: self.target_error,
+            budget: self.budget.map(|seconds| Budget::new(start, seconds)),
             seed,
         }
     }
@@ -192,7 +205,7 @@ mod tests {
     #[test]
     fn flags_override_the_preset_and_nothing_else_does() {
         for quality in [Quality::Draft, Quality::Standard, Quality::High] {
-            let plain = SolveRequest { quality, ..SolveRequest::default() }.options(7);
+            let plain = SolveRequest { quality, ..SolveRequest::default() }.options(7, Instant::now());
             let all = Fit { albedo: true, roughness: true, irradiance: true };
             assert_eq!(plain, SolveOptions { seed: 7, fit: all, ..SolveOptions::preset(quality) });
             plain.validate().expect("a preset is valid");
@@ -203,7 +216,7 @@ mod tests {
                 irradiance_filter: Switch::Off,
                 ..SolveRequest::default()
             };
-            let o = asked.options(7);
+            let o = asked.options(7, Instant::now());
             assert_eq!((o.albedo_size, o.irradiance_rays, o.irradiance_filter), (77, 5, false));
             assert_eq!(o.fit, Fit { albedo: false, ..all }, "a given size is exact");
             assert_eq!(o.specular_rays, plain.specular_rays);

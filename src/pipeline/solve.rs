@@ -1,22 +1,28 @@
 //! The main job: light, then materials.
 
-use super::decisions::choose_rooms;
+use super::decisions::{choose_matte, choose_rooms, report_matte};
 use super::surface::coverage;
-use super::{Light, SolveOptions, Surface, reconstruct_light};
+use super::{Light, SolveOptions, Surface, Switch, reconstruct_light};
 use crate::Result;
-use crate::highlight::{SelectOptions, gather_evidence, select_points};
-use crate::image::Plane;
-use crate::inverse::{DiffuseShading, GroupFit, choose_model, estimate_albedo, fit_groups, specular_image};
+use crate::highlight::{Candidate, SelectOptions, gather_evidence, select_points};
+use crate::image::{Plane, Wrap};
+use crate::inverse::{DiffuseShading, GroupFit, WideLobes, choose_model, estimate_albedo, fit_groups, specular_image};
 use crate::lighting::{Bake, Reflector};
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::solution::Solution;
 use crate::texture::fill_uncovered;
+use crate::trace::Hit;
 use glam::{Vec2, Vec3};
 use std::collections::BTreeMap;
+use std::f32::consts::FRAC_1_PI;
+use std::time::Instant;
 
 /// Roughness of a class without evidence anywhere: matte, as most indoor surfaces without visible highlights are.
 const ROUGHNESS_PRIOR: f32 = 0.8;
+
+/// Points per class that tell whether its highlights can be observed.
+const PILOT: usize = 240;
 
 /// A reconstruction and what is known about it.
 pub struct Solved {
@@ -56,9 +62,26 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
             SelectOptions { stride: 3, even: options.evidence_points, highlights: options.evidence_points, seed: options.seed };
         select_points(&bake, &surface.views, &normals, &group, &select)
     });
-    let evidence = progress.stage("specular samples", evidence.len() as u64, |p| {
-        gather_evidence(&bake, &surface.observer(), &evidence, &normals, options.evidence_rays, options.seed, p)
+    let (evidence, matte) = progress.stage("specular samples", evidence.len() as u64, |p| {
+        let gather = |some: &[Candidate]| {
+            gather_evidence(&bake, &surface.observer(), some, &normals, options.evidence_rays, options.seed, p)
+        };
+        // a few points per class tell whether the others can add anything
+        let (pilot, rest) = divided(&evidence, PILOT);
+        let begin = Instant::now();
+        let mut all = gather(&pilot);
+        let seconds = begin.elapsed().as_secs_f64();
+        let matte = choose_matte(&all, options);
+        let mut rest: Vec<Candidate> = rest.into_iter().filter(|c| !matte.contains(&c.group)).collect();
+        if let Some(budget) = &options.budget {
+            let keep = budget.evidence(pilot.len(), seconds, all.rays, rest.len(), progress);
+            let all = rest.len().max(1);
+            rest = rest.into_iter().enumerate().filter(|(i, _)| (i + 1) * keep / all > i * keep / all).map(|(_, c)| c).collect();
+        }
+        all.append(gather(&rest));
+        (all, matte)
     });
+    report_matte(scene, &matte, options, progress);
     let (model, fits, scores) = progress.stage("roughness", 1, |_| match options.reflectance {
         Some(model) => (model, fit_groups(&evidence, model), Vec::new()),
         None => choose_model(&evidence),
@@ -72,21 +95,38 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     let roughness_of: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.roughness)).collect();
     let roughness_at = |t: u32, p: Vec3| roughness_of.get(&label_at(t, p)).copied().unwrap_or(ROUGHNESS_PRIOR);
 
+    let mut rays = light.rays + evidence.rays;
+    let lobes = WideLobes::new(model);
+    let even_light = |t: u32, p: Vec3, n_v: f32| {
+        let roughness = roughness_at(t, p);
+        let wide = match options.matte {
+            Switch::Auto => matte.contains(&(label_at(t, p), 0)),
+            Switch::On => roughness >= 0.5,
+            Switch::Off => false,
+        };
+        wide.then(|| {
+            let size = Vec2::new(light.irradiance.width as f32, light.irradiance.height as f32);
+            light.irradiance.bilinear(surface.uv_at(t, p) * size, Wrap::Clamp) * (FRAC_1_PI * lobes.response(n_v, roughness))
+        })
+    };
+    let specular_rays = match &options.budget {
+        Some(budget) => budget.specular_rays(traced_pixels(&surface, &normals, &even_light), progress),
+        None => options.specular_rays,
+    };
     let reflector = Reflector {
         bake: &bake,
-        rays_per_lobe: options.specular_rays,
-        emitter_samples: options.specular_rays.div_ceil(2),
+        rays_per_lobe: specular_rays,
+        emitter_samples: specular_rays.div_ceil(2),
         model,
         seed: options.seed ^ 0x51ec,
     };
-    let mut rays = light.rays + evidence.rays;
     let specular: Vec<_> = progress.stage("specular images", surface.views.len() as u64, |p| {
         surface
             .views
             .iter()
             .enumerate()
             .map(|(i, v)| {
-                let (image, traced) = specular_image(&reflector, v, i, &normals, &roughness_at);
+                let (image, traced) = specular_image(&reflector, v, i, &normals, &roughness_at, &even_light);
                 rays += traced;
                 p.advance(1);
                 image
@@ -102,6 +142,42 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     let mut solution = assemble(&surface, &light, &albedo, &fits, labels, rooms_of(&surface, options, progress));
     solution.reflectance = model;
     Ok(Solved { solution, fits, rays })
+}
+
+/// Pixels of all views that need specular rays, counted at every fourth row and column.
+fn traced_pixels(
+    surface: &Surface,
+    normals: &dyn Fn(u32, Vec3) -> (Vec3, Vec3),
+    known: &dyn Fn(u32, Vec3, f32) -> Option<Vec3>,
+) -> usize {
+    const STEP: usize = 4;
+    let mut count = 0;
+    for b in surface.views.iter().map(|v| &v.buffer) {
+        for y in (0..b.triangle.height).step_by(STEP) {
+            for x in (0..b.triangle.width).step_by(STEP) {
+                let t = b.triangle[(x, y)];
+                if t == Hit::MISS {
+                    continue;
+                }
+                let position = b.position(x, y);
+                let n_v = normals(t, position).0.dot((b.camera.position - position).normalize_or_zero());
+                count += usize::from(known(t, position, n_v).is_none());
+            }
+        }
+    }
+    count * STEP * STEP
+}
+
+/// About `few` candidates of every class, evenly drawn, and the others.
+fn divided(candidates: &[Candidate], few: usize) -> (Vec<Candidate>, Vec<Candidate>) {
+    let mut size: BTreeMap<(u16, u16), usize> = BTreeMap::new();
+    candidates.iter().for_each(|c| *size.entry(c.group).or_default() += 1);
+    let mut at: BTreeMap<(u16, u16), usize> = BTreeMap::new();
+    candidates.iter().copied().partition(|c| {
+        let k = at.entry(c.group).or_default();
+        *k += 1;
+        (*k - 1) % size[&c.group].div_ceil(few) == 0
+    })
 }
 
 fn assemble(

@@ -12,6 +12,7 @@ use crate::scene::{Scene, Split};
 use crate::texture::Texels;
 use crate::trace::{EmbreeTracer, Hit};
 use glam::Vec3;
+use std::time::Instant;
 
 /// Mesh, acceleration structure, views and their fused observations on the atlas.
 pub struct Surface<'a> {
@@ -69,9 +70,13 @@ impl<'a> Surface<'a> {
         }
         let sizes = choose_sizes(&Observer { mesh: &scene.mesh, views: &views }, &orientation, options, progress);
         let texels = Texels::rasterize(&scene.mesh, sizes.albedo, sizes.albedo);
+        let begin = Instant::now();
         let fusion = progress.stage("radiance", texels.len() as u64, |p| {
             crate::lighting::fuse_radiance(&Observer { mesh: &scene.mesh, views: &views }, &orientation, &texels, p)
         });
+        if let Some(budget) = &options.budget {
+            budget.fused(begin.elapsed().as_secs_f64());
+        }
         let labels = complete_labels(scene, &texels, &fusion);
         let back = back_radiance(scene, &views, &orientation);
         let (lo, hi) = scene.mesh.bounds();

@@ -203,6 +203,12 @@ impl Recorder {
         Self { start: Instant::now(), cpu_start: cpu_seconds(), rays, state: Mutex::default() }
     }
 
+    /// When the clock was started.
+    #[must_use]
+    pub fn started(&self) -> Instant {
+        self.start
+    }
+
     fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }

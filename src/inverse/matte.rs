@@ -1,0 +1,90 @@
+//! Specular lobes too wide to show anything: what they reflect is the mean light around, so no ray needs to look for it.
+//!
+//! L_s(v) = ∫ L f_s (n·l) dl ≈ (E/π) ∫ f_s (n·l) dl: exact where light comes evenly from all sides, and the wider the lobe the
+//! better elsewhere.
+
+use crate::brdf::Reflectance;
+use crate::math::Frame;
+use crate::sampling::{hammersley, square_to_cosine_hemisphere};
+use glam::Vec3;
+use std::f32::consts::PI;
+
+/// Roughness from which a lobe counts as wide: half of its reflection comes from a cone of more than 40° half angle.
+pub const WIDE: f32 = 0.6;
+
+const COSINES: usize = 24;
+const LEVELS: usize = 9;
+const NARROWEST: f32 = 0.5;
+const SAMPLES: u32 = 1024;
+
+/// Specular reflection of even light: ∫ f_s(v, l; R) (n·l) dl, tabulated over n·v and roughness.
+pub struct WideLobes {
+    table: Vec<f32>,
+}
+
+impl WideLobes {
+    /// Tabulates a model from roughness 0.5 to 1.
+    #[must_use]
+    pub fn new(model: Reflectance) -> Self {
+        let frame = Frame::from_normal(Vec3::Z);
+        let table = (0..LEVELS * COSINES)
+            .map(|i| {
+                let roughness = NARROWEST + (1.0 - NARROWEST) * (i / COSINES) as f32 / (LEVELS - 1) as f32;
+                let n_v = ((i % COSINES) as f32 + 0.5) / COSINES as f32;
+                let v = Vec3::new((1.0 - n_v * n_v).sqrt(), 0.0, n_v);
+                let sum: f32 = (0..SAMPLES)
+                    .map(|s| {
+                        let l = frame.world_from_local(square_to_cosine_hemisphere(hammersley(s, SAMPLES)));
+                        let h = (v + l).normalize_or(Vec3::Z);
+                        let sin2 = Vec3::Z.cross(h).length_squared().min(1.0);
+                        model.specular(l.z.max(0.0), n_v, sin2, v.dot(h).max(0.0), roughness)
+                    })
+                    .sum();
+                PI * sum / SAMPLES as f32
+            })
+            .collect();
+        Self { table }
+    }
+
+    /// Specular radiance under even light of radiance 1; roughness below 0.5 counts as 0.5.
+    #[must_use]
+    pub fn response(&self, n_v: f32, roughness: f32) -> f32 {
+        let r = ((roughness - NARROWEST) / (1.0 - NARROWEST) * (LEVELS - 1) as f32).clamp(0.0, (LEVELS - 1) as f32);
+        let c = (n_v * COSINES as f32 - 0.5).clamp(0.0, (COSINES - 1) as f32);
+        let (k, i) = ((r as usize).min(LEVELS - 2), (c as usize).min(COSINES - 2));
+        let (fr, fc) = (r - k as f32, c - i as f32);
+        let row = |k: usize| self.table[k * COSINES + i] * (1.0 - fc) + self.table[k * COSINES + i + 1] * fc;
+        row(k) * (1.0 - fr) + row(k + 1) * fr
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The table against midpoint quadrature over the hemisphere.
+    #[test]
+    fn the_table_is_the_integral() {
+        for model in [Reflectance::Paper, Reflectance::Smith] {
+            let lobes = WideLobes::new(model);
+            for (n_v, roughness) in [(0.97f32, 0.8f32), (0.5, 0.66), (0.2, 1.0)] {
+                let v = Vec3::new((1.0 - n_v * n_v).sqrt(), 0.0, n_v);
+                let (n, m) = (400, 800);
+                let mut sum = 0.0f64;
+                for a in 0..n {
+                    let z = (a as f32 + 0.5) / n as f32;
+                    for b in 0..m {
+                        let phi = 2.0 * PI * (b as f32 + 0.5) / m as f32;
+                        let s = (1.0 - z * z).sqrt();
+                        let l = Vec3::new(s * phi.cos(), s * phi.sin(), z);
+                        let h = (v + l).normalize();
+                        sum += f64::from(model.specular(z, n_v, Vec3::Z.cross(h).length_squared(), v.dot(h), roughness) * z);
+                    }
+                }
+                let exact = sum * f64::from(2.0 * PI) / f64::from(n * m);
+                let got = f64::from(lobes.response(n_v, roughness));
+                assert!((got / exact - 1.0).abs() < 0.03, "{model:?} n·v {n_v} R {roughness}: {got} against {exact}");
+            }
+        }
+    }
+}
