@@ -10,7 +10,10 @@ use unbake::formats;
 use unbake::geometry::Mesh;
 use unbake::image::{Plane, Wrap};
 use unbake::lighting::{EmissionEvidence, Environment, IrtOptions, bake_irradiance, detect_emissive};
+use unbake::math::Real;
+use unbake::pipeline::{SolveOptions, Switch, reconstruct};
 use unbake::progress::Progress;
+use unbake::scene::{LoadOptions, Scene};
 use unbake::texture::{MipChain, Texels, fill_uncovered};
 
 /// (name, n·l, n·v, ‖n×h‖², v·h, R, largest relative error in f32 of value and of slope against R/value)
@@ -204,6 +207,96 @@ fn textures_of_one_texel() {
     assert!((one.bilinear(Vec2::splat(40.0), Wrap::Repeat) - Vec3::splat(0.3)).abs().max_element() < 1e-6);
 }
 
+/// The largest texture the options allow, with a chart in two opposite corners: memory and time follow the charts, not the square.
+#[test]
+fn a_texture_of_sixteen_thousand() {
+    const SIDE: usize = 16_384;
+    let texel = |x: f32, y: f32| Vec2::new(x, y) / SIDE as f32;
+    let last = SIDE as f32;
+    let uvs = vec![
+        texel(0.0, 0.0),
+        texel(9.0, 0.0),
+        texel(9.0, 9.0),
+        texel(last - 9.0, last - 9.0),
+        texel(last, last - 9.0),
+        texel(last, last),
+    ];
+    let mesh = soup(uvs.iter().map(|p| Vec3::new(p.x, 0.0, p.y)).collect(), uvs, vec![[0, 2, 1], [3, 5, 4]]);
+    let texels = Texels::rasterize(&mesh, SIDE, SIDE);
+    assert!((80..200).contains(&texels.len()), "{}", texels.len());
+    assert_eq!(texels.cell.first(), Some(&0));
+    assert_eq!(texels.cell.last(), Some(&(u32::try_from(SIDE * SIDE - 1).expect("fits"))), "the last texel is a 28-bit number");
+    for i in 0..texels.len() {
+        let (x, y) = (texels.cell[i] as usize % SIDE, texels.cell[i] as usize / SIDE);
+        let p = texels.position(&mesh, i) * SIDE as f32;
+        assert!((p.x - x as f32 - 0.5).abs() < 1.01 && (p.z - y as f32 - 0.5).abs() < 1.01, "({x}, {y}) lies at {p}");
+    }
+}
+
+/// One scene, one formula, two precisions: a room with a lamp, its walls seen by cameras. Irradiance by quadrature, specular
+/// reflection, albedo from what a camera would see, and the roughness derivative, in f32 against f64.
+#[test]
+fn the_same_scene_in_single_and_double_precision() {
+    fn dot<T: Real>(a: [T; 3], b: [T; 3]) -> T {
+        a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    }
+    fn cross<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    }
+    fn towards<T: Real>(from: [T; 3], to: [T; 3]) -> ([T; 3], T) {
+        let d = [to[0] - from[0], to[1] - from[1], to[2] - from[2]];
+        let length = dot(d, d).sqrt();
+        (d.map(|x| x / length), length)
+    }
+    /// (irradiance, specular radiance, its derivative in R, albedo recovered from diffuse + specular)
+    fn look<T: Real>(point: [f64; 3], camera: [f64; 3], roughness: f64) -> [T; 4] {
+        const STEPS: usize = 64;
+        let lit = |v: [f64; 3]| v.map(T::lit);
+        let (p, n, lamp_normal) = (lit(point), lit([0.0, 1.0, 0.0]), lit([0.0, -1.0, 0.0]));
+        let (v, _) = towards(p, lit(camera));
+        let r = T::lit(roughness);
+        let (mut e, mut s, mut ds) = (T::lit(0.0), T::lit(0.0), T::lit(0.0));
+        for i in 0..STEPS * STEPS {
+            let at = |k: usize| 1.5 + (k as f64 + 0.5) / STEPS as f64;
+            let (l, distance) = towards(p, lit([at(i % STEPS), 2.9, at(i / STEPS)]));
+            let n_l = dot(n, l).max(T::lit(0.0));
+            let weight = T::lit(40.0) * n_l * (-dot(lamp_normal, l)) / (distance.sq() * T::lit((STEPS * STEPS) as f64));
+            let half = [v[0] + l[0], v[1] + l[1], v[2] + l[2]];
+            let length = dot(half, half).sqrt();
+            let h = half.map(|x| x / length);
+            let nxh = cross(n, h);
+            let (f, df) = specular_d_roughness(n_l, dot(n, v), dot(nxh, nxh), dot(v, h), r);
+            e = e + weight;
+            s = s + weight * f;
+            ds = ds + weight * df;
+        }
+        let pi = T::lit(std::f64::consts::PI);
+        let seen = T::lit(0.37) * e / pi + s;
+        [e, s, ds, (seen - s) * pi / e]
+    }
+    let mut worst = [0.0f64; 4];
+    for (i, point) in [[1.0, 0.0, 1.0], [2.0, 0.0, 2.0], [3.9, 0.0, 0.1], [2.0, 0.0, 4.9]].into_iter().enumerate() {
+        for camera in [[2.0, 1.5, 2.5], [0.3, 0.02, 0.4], [3.0, 2.0, 3.0]] {
+            for roughness in [0.03, 0.1, 0.3, 0.8] {
+                let (single, double) = (look::<f32>(point, camera, roughness), look::<f64>(point, camera, roughness));
+                let scale = [double[0], double[1], double[2].abs().max(double[1] / roughness), double[3]];
+                for k in 0..4 {
+                    let error = (f64::from(single[k]) - double[k]).abs() / scale[k].max(1e-30);
+                    assert!(error.is_finite(), "point {i} R {roughness}: {single:?} {double:?}");
+                    worst[k] = worst[k].max(error);
+                }
+            }
+        }
+    }
+    println!(
+        "f32 against f64: irradiance {:.1e}, specular {:.1e}, its derivative {:.1e}, albedo {:.1e}",
+        worst[0], worst[1], worst[2], worst[3]
+    );
+    // 4,096 terms summed in f32: a few hundred roundings of 6e-8; a highlight's tail multiplies the rounding of its half vector
+    assert!(worst[0] < 1e-5 && worst[3] < 1e-4, "{worst:?}");
+    assert!(worst[1] < 1e-3 && worst[2] < 1e-3, "{worst:?}");
+}
+
 /// A million charts of one texel each, and as many triangles: linear, not quadratic.
 #[test]
 fn a_million_tiny_charts_in_bounded_time() {
@@ -294,6 +387,69 @@ proptest! {
             prop_assert!(filled.data.iter().all(|v| *v >= lo - 1e-4 && *v <= hi + 1e-4));
             prop_assert!(plane.data.iter().zip(&covered.data).zip(&filled.data).all(|((v, c), f)| !c || v == f));
         }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Whatever the photographs of a room hold and whatever is asked for: the result is finite, in range and whole.
+    #[test]
+    fn any_photographs_and_options_give_finite_materials(
+        pixels in prop::collection::vec(prop_oneof![Just(0.0f32), 1e-6f32..1.0, 1.0f32..1e6], 64),
+        sizes in prop::array::uniform3(1usize..80),
+        rays in prop::array::uniform4(0u32..12),
+        forced in prop::array::uniform4(0usize..3),
+        reduction in 1usize..5,
+        rounds in 1u32..4,
+        labelled in any::<bool>(),
+        seed in any::<u64>(),
+    ) {
+        let dir = common::SceneDir::box_room();
+        let noise = |k: usize| Plane {
+            width: common::WIDTH,
+            height: common::HEIGHT,
+            data: (0..common::WIDTH * common::HEIGHT).map(|i| Vec3::new(pixels[(i * 7 + k) % 64], pixels[(i * 3 + k) % 64], pixels[(i + k) % 64])).collect(),
+        };
+        for (k, stem) in ["a", "b"].into_iter().enumerate() {
+            formats::write_rgb_float(dir.path(&format!("{stem}.exr")), &noise(k)).expect("image");
+        }
+        if !labelled {
+            dir.edit(|json| {
+                json["frames"].as_array_mut().expect("frames").iter_mut().for_each(|f| drop(f.as_object_mut().expect("frame").remove("label_path")));
+            });
+        }
+        let scene = Scene::load(dir.folder(), &LoadOptions::default()).expect("usable");
+        let switch = |k: usize| [Switch::Auto, Switch::On, Switch::Off][forced[k]];
+        let options = SolveOptions {
+            albedo_size: sizes[0],
+            roughness_size: sizes[1],
+            irradiance_size: sizes[2],
+            photo_reduction: reduction,
+            irradiance_rays: rays[0],
+            emitter_samples: rays[1],
+            irradiance_rounds: rounds,
+            irradiance_filter: forced[0] != 1,
+            prefilter: forced[1] != 1,
+            evidence_points: 20,
+            evidence_rays: rays[2],
+            specular_rays: rays[3],
+            matte: switch(0),
+            emission: switch(1),
+            environment: switch(2),
+            rooms: switch(3),
+            seed,
+            ..SolveOptions::default()
+        };
+        let s = reconstruct(&scene, &options, &Progress::silent()).expect("reconstructs").solution;
+        for plane in [&s.albedo, &s.irradiance, &s.radiance, &s.emission, &s.environment] {
+            prop_assert!(plane.data.iter().all(|v| v.is_finite() && v.min_element() >= 0.0));
+        }
+        prop_assert!(s.albedo.data.iter().all(|v| v.max_element() <= 1.0));
+        prop_assert!(s.roughness.data.iter().all(|r| (0.0..=1.0).contains(r)));
+        prop_assert!(s.confidence.data.iter().all(|c| c.is_finite() && c.min_element() >= 0.0));
+        prop_assert!(options.emission != Switch::Off || s.emission.data.iter().all(|e| *e == Vec3::ZERO));
+        prop_assert_eq!((s.albedo.width, s.roughness.width, s.irradiance.width), (sizes[0], sizes[1], sizes[2]));
     }
 }
 

@@ -24,7 +24,7 @@ pub use irt_error::{ErrorPoint, Reference};
 pub use irt_nirf::NirfReport;
 pub use irt_rates::{BatchRate, EstimatorRate, Rates};
 pub use kernel::{KernelBench, KernelRates, KernelReport, bench_kernel};
-pub use tradeoff::{APPROXIMATIONS, Clock, KNOBS, PRESETS, TradePoint, TradeoffBench, TradeoffReport, bench_tradeoff};
+pub use tradeoff::{APPROXIMATIONS, Clock, KNOBS, NEEDS, PRESETS, TradePoint, TradeoffBench, TradeoffReport, bench_tradeoff};
 pub use tsdr::{TsdrBench, TsdrReport, bench_tsdr};
 
 use std::time::Instant;

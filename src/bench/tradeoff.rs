@@ -49,13 +49,21 @@ const QUICK: &[(&str, &[&str])] = &[
     ("specular-rays", &["1"]),
 ];
 
-/// Approximations and the flags that do without them: (name, flag, value).
-pub const APPROXIMATIONS: &[(&str, &str, &str)] = &[
-    ("adaptive stopping", "irradiance-rounds", "1"),
-    ("irradiance filter", "irradiance-filter", "off"),
-    ("prefiltered lookups", "prefilter", "off"),
-    ("even light for wide lobes", "matte", "off"),
-    ("textures fitted to the photographs", "fit-textures", "off"),
+/// Flags with their values.
+type Flags = &'static [(&'static str, &'static str)];
+
+/// Approximations and the flags that do without them.
+pub const APPROXIMATIONS: &[(&str, Flags)] = &[
+    ("adaptive rounds", &[("irradiance-rounds", "1")]),
+    ("irradiance filter", &[("irradiance-filter", "off")]),
+    ("prefiltered lookups", &[("prefilter", "off")]),
+];
+
+/// Decisions that leave out what the scene does not require, and the flags that model it all the same.
+pub const NEEDS: &[(&str, Flags)] = &[
+    ("even light for matte classes", &[("matte", "off")]),
+    ("textures fitted to the photographs", &[("fit-textures", "off")]),
+    ("any such decision", &[("matte", "off"), ("fit-textures", "off")]),
 ];
 
 /// What counts as time.
@@ -75,6 +83,9 @@ pub struct TradeoffBench {
     /// Only the presets, one value of the main knobs, the approximations and the path.
     #[arg(long)]
     pub quick: bool,
+    /// Only the standard preset with and without each decision about what the scene requires.
+    #[arg(long, conflicts_with = "quick")]
+    pub needs: bool,
     /// What counts as time in plot and ranking.
     #[arg(long, value_enum, default_value = "wall")]
     pub clock: Clock,
@@ -144,35 +155,42 @@ pub fn bench_tradeoff(
         machine: machine(),
         scene: SceneSummary::of(scene),
     };
-    let knobs = if bench.quick { QUICK } else { KNOBS };
+    let (presets, knobs): (&[&str], _) = match (bench.needs, bench.quick) {
+        (true, _) => (&["standard"], &[][..]),
+        (false, true) => (&PRESETS, QUICK),
+        (false, false) => (&PRESETS, KNOBS),
+    };
+    let left_out: Vec<&(&str, Flags)> = APPROXIMATIONS.iter().filter(|_| !bench.needs).chain(NEEDS).collect();
     let turned: usize = knobs.iter().map(|k| k.1.len()).sum();
-    let steps = PRESETS.len() + turned + APPROXIMATIONS.len() + knobs.len();
+    let steps = presets.len() + turned + left_out.len() + knobs.len();
     progress.stage("reconstructions", steps as u64, |p| {
-        let mut run = |report: &mut TradeoffReport, kind: &str, preset: &str, knobs: BTreeMap<String, String>| -> Result<()> {
-            let mut flags = vec!["--quality".to_owned(), preset.to_owned()];
-            flags.extend(knobs.iter().flat_map(|(k, v)| [format!("--{k}"), v.clone()]));
-            let name = format!("point-{:03}", report.points.len());
-            let (outcome, irradiance_rmse) =
-                runner.run(&name, &flags, |out| irradiance_error(out, &places, &report.reference.value))?;
-            let without = APPROXIMATIONS.iter().find(|a| kind == "without" && knobs.contains_key(a.1)).map(|a| a.0.to_owned());
-            let preset = preset.to_owned();
-            let point = TradePoint { preset, knobs, kind: kind.to_owned(), without, outcome, irradiance_rmse, pareto: false };
-            p.note(point.line(bench.clock));
-            report.points.push(point);
-            mark_pareto(&mut report.points, bench.clock);
-            p.advance(1);
-            each(report)
-        };
-        for preset in PRESETS {
-            run(&mut report, "preset", preset, BTreeMap::new())?;
+        type Knobs = BTreeMap<String, String>;
+        let mut run =
+            |report: &mut TradeoffReport, kind: &str, preset: &str, without: Option<&str>, knobs: Knobs| -> Result<()> {
+                let mut flags = vec!["--quality".to_owned(), preset.to_owned()];
+                flags.extend(knobs.iter().flat_map(|(k, v)| [format!("--{k}"), v.clone()]));
+                let name = format!("point-{:03}", report.points.len());
+                let (outcome, irradiance_rmse) =
+                    runner.run(&name, &flags, |out| irradiance_error(out, &places, &report.reference.value))?;
+                let (preset, without) = (preset.to_owned(), without.map(str::to_owned));
+                let point = TradePoint { preset, knobs, kind: kind.to_owned(), without, outcome, irradiance_rmse, pareto: false };
+                p.note(point.line(bench.clock));
+                report.points.push(point);
+                mark_pareto(&mut report.points, bench.clock);
+                p.advance(1);
+                each(report)
+            };
+        for preset in presets {
+            run(&mut report, "preset", preset, None, BTreeMap::new())?;
         }
         for (knob, values) in knobs {
             for value in *values {
-                run(&mut report, "knob", "standard", [((*knob).to_owned(), (*value).to_owned())].into())?;
+                run(&mut report, "knob", "standard", None, [((*knob).to_owned(), (*value).to_owned())].into())?;
             }
         }
-        for (_, flag, value) in APPROXIMATIONS {
-            run(&mut report, "without", "standard", [((*flag).to_owned(), (*value).to_owned())].into())?;
+        for (name, flags) in left_out {
+            let knobs = flags.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
+            run(&mut report, "without", "standard", Some(name), knobs)?;
         }
         // two changes at least: one alone has been measured
         for n in 2..=knobs.len() {
@@ -180,7 +198,7 @@ pub fn bench_tradeoff(
             if path.len() < n {
                 break;
             }
-            run(&mut report, "path", "standard", path[..n].iter().cloned().collect())?;
+            run(&mut report, "path", "standard", None, path[..n].iter().cloned().collect())?;
         }
         Ok::<(), crate::Error>(())
     })?;

@@ -43,7 +43,7 @@ pub fn specular_image(
         let mut gazes = Vec::with_capacity(w);
         let mut levels = Vec::with_capacity(w);
         let mut columns = Vec::with_capacity(w);
-        for x in 0..w {
+        for (x, out) in row.iter_mut().enumerate() {
             let t = b.triangle[(x, y)];
             if t == Hit::MISS {
                 continue;
@@ -55,7 +55,7 @@ pub fn specular_image(
                 continue;
             }
             if let Some(value) = known(t, position, -normal.dot(d)) {
-                row[x] = value;
+                *out = value;
                 continue;
             }
             gazes.push(Gaze { position, normal, face_normal, view: -d, key: hash_u64(view_index as u64, (y * w + x) as u64) });

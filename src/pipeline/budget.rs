@@ -20,8 +20,8 @@ const EVIDENCE: f64 = 0.35;
 const FUSING: f64 = 1.5;
 const ALBEDO: f64 = 1.12;
 /// Cost of filtering an irradiance texel, of a pixel of the report and of a written texel, in rays of the coarse bake.
-const FILTER: f64 = 60.0;
-const REPORT_PIXEL: f64 = 24.0;
+const FILTER: f64 = 55.0;
+const REPORT_PIXEL: f64 = 10.0;
 const WRITTEN: f64 = 0.12;
 /// Share of a stage's samples that adaptive rounds add; measured on three scenes.
 const REFINED: f64 = 0.25;

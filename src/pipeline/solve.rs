@@ -176,7 +176,7 @@ fn divided(candidates: &[Candidate], few: usize) -> (Vec<Candidate>, Vec<Candida
     candidates.iter().copied().partition(|c| {
         let k = at.entry(c.group).or_default();
         *k += 1;
-        (*k - 1) % size[&c.group].div_ceil(few) == 0
+        (*k - 1).is_multiple_of(size[&c.group].div_ceil(few))
     })
 }
 

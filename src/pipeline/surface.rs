@@ -52,7 +52,7 @@ impl<'a> Surface<'a> {
                 .map(|view| {
                     let radiance = reduced(scene.load_radiance(view)?, options.photo_reduction);
                     let labels = scene.load_labels(view)?;
-                    let valid = scene.load_mask(view)?.map(|m| all_valid(m, options.photo_reduction));
+                    let valid = scene.load_mask(view)?.map(|m| all_valid(&m, options.photo_reduction));
                     let buffer = ViewBuffer::trace(&view.camera.resized(radiance.width, radiance.height), &tracer);
                     let clean = buffer.clean_pixels(&scene.mesh, labels.as_ref());
                     p.advance(1);
@@ -139,24 +139,28 @@ impl<'a> Surface<'a> {
 
 /// A photograph at a `factor`-th of its size: means of blocks, those at the far edges cut off.
 fn reduced(image: RgbPlane, factor: usize) -> RgbPlane {
-    let gain = 1.0 / (factor * factor) as f32;
-    blocks(image, factor, |block| block.copied().sum::<Vec3>() * gain)
-}
-
-/// A mask at the size of [`reduced`]: a block may be used if all of it may.
-fn all_valid(mask: Plane<bool>, factor: usize) -> Plane<bool> {
-    blocks(mask, factor, |block| block.fold(true, |all, v| all && *v))
-}
-
-fn blocks<T>(image: Plane<T>, factor: usize, f: impl Fn(&mut dyn Iterator<Item = &T>) -> T) -> Plane<T> {
-    let factor = factor.min(image.width).min(image.height).max(1);
     if factor == 1 {
         return image;
     }
+    let factor = factor.clamp(1, image.width.min(image.height).max(1));
+    let gain = 1.0 / (factor * factor) as f32;
+    blocks(&image.map(|v| *v * gain), factor, |a, b| a + b)
+}
+
+/// A mask at the size of [`reduced`]: a block may be used if all of it may.
+fn all_valid(mask: &Plane<bool>, factor: usize) -> Plane<bool> {
+    blocks(mask, factor, |a, b| a && b)
+}
+
+/// Square blocks of pixels joined into one each; at least one block however large the factor.
+fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) -> Plane<T> {
+    let factor = factor.clamp(1, image.width.min(image.height).max(1));
     let (width, height) = (image.width / factor, image.height / factor);
-    let at = |i: usize, k: usize| &image[(i % width * factor + k % factor, i / width * factor + k / factor)];
-    let data = (0..width * height).map(|i| f(&mut (0..factor * factor).map(|k| at(i, k)))).collect();
-    Plane { width, height, data }
+    let block = |i: usize| {
+        let (x, y) = (i % width * factor, i / width * factor);
+        (1..factor * factor).fold(image[(x, y)], |sum, k| join(sum, image[(x + k % factor, y + k / factor)]))
+    };
+    Plane { width, height, data: (0..width * height).map(block).collect() }
 }
 
 /// Texels without a vote take their triangle's majority, then the nearest labelled texel of the atlas.

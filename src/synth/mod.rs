@@ -60,6 +60,9 @@ pub struct SynthOptions {
     /// Follow every path to its end instead of taking indirect light from irradiance cached at vertices: slower, unbiased.
     #[arg(long, help_heading = "Synthetic scene")]
     pub full_paths: bool,
+    /// Give every surface roughness 1: a room without any highlight.
+    #[arg(long, help_heading = "Synthetic scene")]
+    pub diffuse: bool,
     /// Also write the truth as a solution, gt/solution, for `unbake relight OUT --against`.
     #[arg(long, help_heading = "Synthetic scene")]
     pub truth: bool,
@@ -77,6 +80,7 @@ impl Default for SynthOptions {
             texture: 2048,
             no_denoise: false,
             full_paths: false,
+            diffuse: false,
             truth: false,
         }
     }
@@ -154,7 +158,10 @@ fn sky(apartment: &apartment::Apartment) -> Sky {
 pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) -> Result<SynthSummary> {
     options.validate()?;
     let writer = output::FolderWriter::new(out_folder)?;
-    let apartment = apartment::Apartment::new(options.seed, options.rooms);
+    let mut apartment = apartment::Apartment::new(options.seed, options.rooms);
+    if options.diffuse {
+        apartment.paints.iter_mut().for_each(pattern::Paint::make_matte);
+    }
     let atlas = atlas::Atlas::pack(&apartment.charts, options.texture).ok_or_else(|| does_not_fit(&apartment, options))?;
     let mesh = atlas.mesh(&apartment.charts);
     let texture = progress.stage("painting textures", 1, |_| atlas.paint(&apartment.charts, &apartment.paints));

@@ -82,6 +82,14 @@ fn vivid(key: u64) -> Vec3 {
 }
 
 impl Paint {
+    /// Takes the gloss off.
+    pub fn make_matte(&mut self) {
+        self.roughness = 1.0;
+        if let Pattern::Tiles { grout_roughness, .. } = &mut self.pattern {
+            *grout_roughness = 1.0;
+        }
+    }
+
     /// The look at `uv` metres on chart `key` of the given size.
     #[must_use]
     pub fn look(&self, uv: Vec2, size: Vec2, key: u64) -> Look {

@@ -138,6 +138,9 @@ struct Band {
 impl Band {
     fn rasterize(mesh: &Mesh, width: usize, rows: std::ops::Range<usize>, size: Vec2, triangles: &[u32]) -> Self {
         const NONE: u32 = u32::MAX;
+        if triangles.is_empty() {
+            return Self::default();
+        }
         let n = rows.len() * width;
         let mut best = vec![f32::INFINITY; n];
         let mut point = vec![SurfacePoint { triangle: NONE, u: 0.0, v: 0.0 }; n];
