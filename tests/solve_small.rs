@@ -10,7 +10,7 @@ use tempfile::TempDir;
 use unbake::Error;
 use unbake::formats;
 use unbake::image::Plane;
-use unbake::pipeline::{SolveOptions, Solved, reconstruct};
+use unbake::pipeline::{Checkpoints, SolveOptions, Solved, reconstruct};
 use unbake::progress::Progress;
 use unbake::scene::{LoadOptions, Scene, Split};
 use unbake::solution::{SaveOptions, Solution};
@@ -226,6 +226,23 @@ fn scale_and_place_do_not_change_materials() {
         assert!(median < 1.5 * noise && share < 1.5 * noise_share, "×{scale}: much more than another seed changes");
         assert!(drift.abs() < 0.03, "×{scale}: light drifts by {drift}");
     }
+}
+
+/// A run that stopped after its light was computed goes on from there, and nobody can tell.
+#[test]
+fn a_stopped_run_goes_on_with_the_same_bits() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let o = SolveOptions { checkpoints: Checkpoints::new(dir.path(), "run"), ..options() };
+    let scene = load();
+    for _ in 0..2 {
+        let again = reconstruct(&scene, &o, &Progress::silent()).expect("reconstructs").solution;
+        let a = &reference().solution;
+        assert_eq!((&a.albedo, &a.roughness), (&again.albedo, &again.roughness));
+        assert_eq!((&a.irradiance, &a.radiance, &a.confidence), (&again.irradiance, &again.radiance, &again.confidence));
+        assert_eq!(std::fs::read_dir(dir.path().join(".partial/run")).expect("kept").count(), 2, "radiance and irradiance");
+    }
+    o.checkpoints.finish();
+    assert_eq!(std::fs::read_dir(dir.path()).expect("lists").count(), 0);
 }
 
 #[test]

@@ -3,9 +3,9 @@
 use super::{Context, Verb, pictures};
 use crate::error::{Error, Result};
 use crate::evaluate::{evaluate, terminal_table};
-use crate::pipeline::reconstruct;
+use crate::pipeline::{Checkpoints, reconstruct};
 use crate::render::{HybridOptions, HybridRenderer};
-use crate::report::{self, Photographer, RunRecord, SceneSummary, Versions, hash_inputs, write_report};
+use crate::report::{self, InputFile, Photographer, RunRecord, SceneSummary, Versions, hash_inputs, write_report};
 use crate::scene::{Scene, check};
 use crate::solution::{AsideFolder, SaveOptions, Solution};
 use crate::synth::generate;
@@ -84,9 +84,14 @@ fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
     drop(AsideFolder::new(out)?);
     let options = context.config.solve.options(context.seed(), context.recorder.started());
     let progress = &context.progress;
+    let inputs = hash_inputs(&scene)?;
+    let mut options = options;
+    if options.budget.is_none() {
+        options.checkpoints = Checkpoints::new(out, &run_key(&inputs, context)?);
+    }
     let solution = reconstruct(&scene, &options, progress)?.solution;
     progress.stage("writing the textures", 1, |_| solution.save(out, &SaveOptions::default()))?;
-    let mut record = record(&scene, context)?;
+    let mut record = record(&scene, inputs, context)?;
     progress.stage("report", 1, |_| {
         // one sample per pixel is enough for pictures of this size; `unbake eval` renders at full quality
         let renderer = HybridRenderer::new(&solution, HybridOptions { supersampling: 1, ..HybridOptions::default() })?;
@@ -94,6 +99,7 @@ fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
     })?;
     record.measure(&context.recorder);
     record.write_manifest(out)?;
+    options.checkpoints.finish();
     let s = &solution;
     let text = format!(
         "albedo {}x{}, roughness {}x{}, irradiance {}x{} in {} ({:.2} GiB at most, {} threads)\nreport: {}\n",
@@ -111,17 +117,32 @@ fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
     context.result(&text, &json!({"out": out, "run": record}))
 }
 
-/// What has been measured so far, with what is known about the run besides.
-fn record(scene: &Scene, context: &Context) -> Result<RunRecord> {
+/// A hash of everything the result depends on: inputs, options, seed and this very program.
+fn run_key(inputs: &[InputFile], context: &Context) -> Result<String> {
+    let program =
+        std::env::current_exe().and_then(std::fs::read).map_err(|e| Error::Failed(format!("reading this program: {e}")))?;
+    let program = blake3::hash(&program).to_hex().to_string();
+    let all = json!([inputs, options_of(context)?, context.seed(), Versions::current(), program]);
+    Ok(blake3::hash(all.to_string().as_bytes()).to_hex().to_string())
+}
+
+/// The options as asked for and in effect.
+fn options_of(context: &Context) -> Result<serde_json::Value> {
     let config = serde_json::to_value(&context.config).map_err(|e| Error::Failed(format!("options: {e}")))?;
-    let options = json!({"scene": config["scene"], "solve": config["solve"], "effective": context.config.solve.options(context.seed(), context.recorder.started())});
+    let effective = context.config.solve.options(context.seed(), context.recorder.started());
+    Ok(json!({"scene": config["scene"], "solve": config["solve"], "effective": effective}))
+}
+
+/// What has been measured so far, with what is known about the run besides.
+fn record(scene: &Scene, inputs: Vec<InputFile>, context: &Context) -> Result<RunRecord> {
+    let options = options_of(context)?;
     Ok(RunRecord {
         command: context.command.clone(),
         versions: Versions::current(),
         scene: SceneSummary::of(scene),
         options,
         seed: context.seed(),
-        inputs: hash_inputs(scene)?,
+        inputs,
         ..context.recorder.record()
     })
 }
@@ -155,7 +176,7 @@ fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<()> {
     // the report tells of the run that made the solution; without its manifest, of this one
     let record = match RunRecord::read_manifest(out) {
         Some(record) => record,
-        None => record(&scene, context)?,
+        None => record(&scene, hash_inputs(&scene)?, context)?,
     };
     context
         .progress

@@ -99,7 +99,9 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     if let Some(n) = samples {
         (options.irradiance_rays, options.emitter_samples) = (n, n);
     }
-    let baked = bake_irradiance_texels(surface, &field, &emitters, &texels, &options, progress);
+    let baked = options
+        .checkpoints
+        .reuse("irradiance", progress, || bake_irradiance_texels(surface, &field, &emitters, &texels, &options, progress));
     rays += baked.rays;
     let irradiance = texture_of(&texels, &baked.value);
     Light { field, emitters, emissive, radiance, texels, irradiance, error: baked.error, rays }

@@ -1,6 +1,7 @@
 //! The order of the stages, from a scene folder to a reconstruction.
 
 mod budget;
+mod checkpoint;
 mod decisions;
 mod light;
 mod options;
@@ -9,6 +10,7 @@ mod solve;
 mod surface;
 
 pub use budget::{Budget, parse_seconds};
+pub use checkpoint::{Checkpoints, Kept};
 pub use decisions::Sizes;
 pub use light::{Light, bake_irradiance_texels, reconstruct_light};
 pub use options::{Fit, SolveOptions, Switch};

@@ -1,6 +1,6 @@
 //! What a reconstruction computes with: every number in effect, after presets, measurements and the user's wishes are settled.
 
-use super::{Budget, Quality};
+use super::{Budget, Checkpoints, Quality};
 use crate::brdf::Reflectance;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -79,6 +79,9 @@ pub struct SolveOptions {
     /// Time to spend; then it decides sizes and samples.
     #[serde(skip)]
     pub budget: Option<Budget>,
+    /// Where results of long stages are kept for a run that stops.
+    #[serde(skip)]
+    pub checkpoints: Checkpoints,
     /// Seed of all random numbers.
     #[serde(skip)]
     pub seed: u64,

@@ -3,7 +3,7 @@
 //! The numbers are read off the curve that `unbake bench tradeoff` measures (docs/tradeoff.svg).
 
 use super::budget::parse_seconds;
-use super::{Budget, Fit, SolveOptions, Switch};
+use super::{Budget, Checkpoints, Fit, SolveOptions, Switch};
 use crate::brdf::Reflectance;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
@@ -48,6 +48,7 @@ impl SolveOptions {
             reflectance: None,
             target_error: None,
             budget: None,
+            checkpoints: Checkpoints::default(),
             seed: 0,
         };
         match quality {
@@ -193,6 +194,7 @@ impl SolveRequest {
             reflectance: self.reflectance,
             target_error: self.target_error,
             budget: self.budget.map(|seconds| Budget::new(start, seconds)),
+            checkpoints: Checkpoints::default(),
             seed,
         }
     }

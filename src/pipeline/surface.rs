@@ -71,8 +71,10 @@ impl<'a> Surface<'a> {
         let sizes = choose_sizes(&Observer { mesh: &scene.mesh, views: &views }, &orientation, options, progress);
         let texels = Texels::rasterize(&scene.mesh, sizes.albedo, sizes.albedo);
         let begin = Instant::now();
-        let fusion = progress.stage("radiance", texels.len() as u64, |p| {
-            crate::lighting::fuse_radiance(&Observer { mesh: &scene.mesh, views: &views }, &orientation, &texels, p)
+        let fusion = options.checkpoints.reuse("radiance", progress, || {
+            progress.stage("radiance", texels.len() as u64, |p| {
+                crate::lighting::fuse_radiance(&Observer { mesh: &scene.mesh, views: &views }, &orientation, &texels, p)
+            })
         });
         if let Some(budget) = &options.budget {
             budget.fused(begin.elapsed().as_secs_f64());
