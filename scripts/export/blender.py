@@ -1,7 +1,9 @@
-"""Opens scene.glb (and scene.usda) in Blender and saves, for each camera, the diffuse colour that Cycles sees."""
+"""Opens scene.glb (and scene.usda) in Blender and saves, for each camera, the base colour that Cycles sees and, of the glTF file, what
+Cycles renders under the file's lamps and the exported environment."""
 import json, sys
 from pathlib import Path
 import bpy, mathutils
+import numpy as np
 
 folder, out = Path(sys.argv[1]), Path(sys.argv[2])
 
@@ -36,6 +38,48 @@ def albedo_only():
         tree.links.new(emission.outputs[0], output.inputs["Surface"])
 
 
+def diffuse_under_own_light(scene):
+    """The exported light on diffuse, flat triangles: what `unbake render --renderer path --diffuse-only --flat` shows."""
+    scene.cycles.samples = 64
+    scene.cycles.max_bounces = scene.cycles.diffuse_bounces = 64
+    scene.cycles.sample_clamp_direct = scene.cycles.sample_clamp_indirect = 0
+    for material in bpy.data.materials:
+        if not material.node_tree:
+            continue
+        tree = material.node_tree
+        shader = next(n for n in tree.nodes if n.type == "BSDF_PRINCIPLED")
+        shader.inputs["Specular IOR Level"].default_value = 0
+        for link in list(shader.inputs["Specular IOR Level"].links):
+            tree.links.remove(link)
+        # a double-sided glTF material shines to both sides; unbake's lamps shine to the front
+        front = tree.nodes.new("ShaderNodeMath")
+        front.operation = "MULTIPLY_ADD"
+        strength = shader.inputs["Emission Strength"].default_value
+        front.inputs[1].default_value, front.inputs[2].default_value = -strength, strength
+        tree.links.new(tree.nodes.new("ShaderNodeNewGeometry").outputs["Backfacing"], front.inputs[0])
+        tree.links.new(front.outputs[0], shader.inputs["Emission Strength"])
+    for mesh in bpy.data.meshes:
+        if "custom_normal" in mesh.attributes:
+            mesh.attributes.remove(mesh.attributes["custom_normal"])
+        mesh.shade_flat()
+    file = folder / "mitsuba_environment.exr"
+    if file.exists():
+        image = bpy.data.images.load(str(file))
+        w, h = image.size
+        pixels = np.empty(w * h * 4, np.float32)
+        image.pixels.foreach_get(pixels)
+        # Blender's panoramas begin a quarter of a turn away from Mitsuba's
+        turned = bpy.data.images.new("environment", w, h, float_buffer=True, is_data=True)
+        turned.pixels.foreach_set(np.roll(pixels.reshape(h, w, 4), -w // 4, axis=1).ravel())
+        scene.world = bpy.data.worlds.new("world")
+        scene.world.use_nodes = True
+        tree = scene.world.node_tree
+        texture = tree.nodes.new("ShaderNodeTexEnvironment")
+        texture.image = turned
+        background = next(n for n in tree.nodes if n.type == "BACKGROUND")
+        tree.links.new(texture.outputs[0], background.inputs["Color"])
+
+
 def shoot(scene, prefix):
     for frame in json.loads((folder / "cameras.json").read_text())["frames"]:
         data = bpy.data.cameras.new("camera")
@@ -59,7 +103,10 @@ own = [m for m in bpy.data.materials if m.node_tree]
 shader = next(n for n in own[0].node_tree.nodes if n.type == "BSDF_PRINCIPLED")
 strength = shader.inputs["Emission Strength"].default_value
 print("meshes", len(bpy.data.meshes), "materials", len(own), "emission strength", strength)
+diffuse_under_own_light(scene)
 shoot(scene, "blender_lit")
+scene.world = None
+scene.cycles.samples = 16
 albedo_only()
 shoot(scene, "blender_albedo")
 scene = fresh()

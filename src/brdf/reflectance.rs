@@ -6,6 +6,8 @@
 //! on the evidence and uses the one that explains it.
 
 use super::ggx::{fresnel, ggx_d, specular};
+use super::material::MIN_ROUGHNESS;
+use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// A reflection model. All share α = R², GGX and F0 = 0.04.
@@ -34,6 +36,33 @@ impl Reflectance {
         }
         let alpha = roughness * roughness;
         ggx_d(sin2_nh, alpha) * fresnel(v_h) * smith_visibility(n_l, n_v, alpha)
+    }
+
+    /// As [`Self::specular`] in world space: unit normal, directions to viewer and light; 0 where one of them is below the surface.
+    /// Roughness is taken as at least [`MIN_ROUGHNESS`].
+    #[inline]
+    #[must_use]
+    pub fn specular_lobe(self, n: Vec3, v: Vec3, l: Vec3, roughness: f32) -> f32 {
+        let (n_v, n_l) = (n.dot(v), n.dot(l));
+        if !(n_v > 0.0 && n_l > 0.0) {
+            return 0.0;
+        }
+        let h = (v + l).normalize_or(n);
+        let sin2 = n.cross(h).length_squared().min(1.0);
+        self.specular(n_l.min(1.0), n_v.min(1.0), sin2, v.dot(h).clamp(0.0, 1.0), roughness.clamp(MIN_ROUGHNESS, 1.0))
+    }
+
+    /// Diffuse BRDF over Lambert's albedo/π for one pair of directions (Burley 2012, §5.3; cosines at the normal and between view and light).
+    #[inline]
+    #[must_use]
+    pub fn diffuse(self, n_l: f32, n_v: f32, v_l: f32, roughness: f32) -> f32 {
+        if self != Self::Burley {
+            return 1.0;
+        }
+        // 2 cos²θ_d = 1 + v·l
+        let grazing = roughness * (1.0 + v_l) - 0.5;
+        let side = |c: f32| 1.0 + grazing * (1.0 - c.clamp(0.0, 1.0)).powi(5);
+        side(n_l) * side(n_v)
     }
 
     /// Diffuse radiance towards a viewer at cosine `n_v` over that of a Lambertian surface under the same irradiance. The light is taken

@@ -1,8 +1,7 @@
 //! Rendered frames on disk: radiance as EXR, pictures as PNG, a film through ffmpeg.
 
-use super::srgb8_from_linear;
 use crate::error::{Error, Result};
-use crate::formats::{Aside, write_png_rgb8, write_rgb_float};
+use crate::formats::{Aside, srgb8_from_linear, write_png_rgb8, write_rgb_float};
 use crate::image::RgbPlane;
 use crate::render::{Exposure, Video, tone_map};
 use std::io::Write;

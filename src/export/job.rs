@@ -1,10 +1,10 @@
 //! `unbake export`: a solution in the formats of other programs.
 
-use super::{GlbOptions, scene_glb, write_mitsuba, write_usd};
+use super::{punctual_lights, write_mitsuba, write_usd};
 use crate::error::{Error, Result};
 use crate::geometry::{Camera, Projection};
 use crate::render::NamedCamera;
-use crate::solution::{AsideFolder, Solution};
+use crate::solution::{AsideFolder, GlbOptions, Solution, scene_glb};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -39,6 +39,9 @@ pub struct ExportOptions {
     /// Add the irradiance to the glTF file as a lightmap on the second texture set (named in the material's extras).
     #[arg(long)]
     pub lightmap: bool,
+    /// Store the glTF file's textures as lossless WebP (EXT_texture_webp) instead of PNG.
+    #[arg(long)]
+    pub webp: bool,
     /// Mitsuba: leave out specular reflection, so that its rendering must equal `unbake render --renderer path --diffuse-only --flat`.
     #[arg(long)]
     pub mitsuba_diffuse: bool,
@@ -51,6 +54,7 @@ impl Default for ExportOptions {
             max_texture: 4096,
             punctual_lights: false,
             lightmap: false,
+            webp: false,
             mitsuba_diffuse: false,
         }
     }
@@ -71,11 +75,12 @@ pub fn export(folder: &Path, solution: &Solution, cameras: &[NamedCamera], optio
             Format::Glb => {
                 let glb = GlbOptions {
                     max_texture: options.max_texture,
-                    punctual_lights: options.punctual_lights,
+                    lights: if options.punctual_lights { punctual_lights(solution) } else { Vec::new() },
                     lightmap: options.lightmap,
+                    webp: options.webp,
                 };
                 let path = aside.folder.join("scene.glb");
-                std::fs::write(&path, scene_glb(solution, glb)?).map_err(|e| Error::io(&path, e))?;
+                std::fs::write(&path, scene_glb(solution, &glb)?).map_err(|e| Error::io(&path, e))?;
                 files.push("scene.glb".to_owned());
             }
             Format::Usd => files.extend(write_usd(&aside.folder, solution)?),

@@ -1,7 +1,7 @@
 //! `scene.usda`: the reconstruction as text USD with `UsdPreviewSurface` and PNG textures beside it.
 
-use super::{encode_grey8, encode_rgb8, srgb8_from_linear};
 use crate::error::{Error, Result};
+use crate::formats::{encode_grey8, encode_rgb8, srgb8_from_linear};
 use crate::image::Plane;
 use crate::solution::Solution;
 use glam::Vec3;

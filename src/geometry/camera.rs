@@ -22,6 +22,15 @@ pub struct Lens {
     pub p: [f32; 2],
 }
 
+impl Lens {
+    /// A lens without distortion, its axis through the middle of the image, with a horizontal angle of view in degrees.
+    #[must_use]
+    pub fn centred(width: usize, height: usize, degrees: f32) -> Self {
+        let focal = 0.5 * width as f32 / (0.5 * degrees.to_radians()).tan();
+        Self { fl_x: focal, fl_y: focal, cx: 0.5 * width as f32, cy: 0.5 * height as f32, ..Self::default() }
+    }
+}
+
 /// How directions map to pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {

@@ -6,7 +6,7 @@
 
 use crate::error::{Error, Result};
 use crate::geometry::{Camera, Lens, Projection};
-use crate::scene::transforms::{Model, parse_transforms};
+use crate::scene::transforms::parse_transforms;
 use crate::scene::{Scene, Split, View};
 use glam::{DVec3, Mat3, Quat, Vec3};
 use serde_json::Value;
@@ -59,20 +59,7 @@ pub fn read_cameras(path: &Path, origin: DVec3, size: Option<[usize; 2]>) -> Res
             missing.push(format!("frames[{}] ({}).w, .h: missing; state the image size or pass --width", f.index, f.file_path));
             continue;
         };
-        let projection = match f.model {
-            Model::Equirectangular => Projection::Equirectangular,
-            Model::Pinhole(i) => {
-                let [cx, cy] = i.centre.unwrap_or([0.5 * width as f64, 0.5 * height as f64]);
-                Projection::Pinhole(Lens {
-                    fl_x: i.focal[0] as f32,
-                    fl_y: i.focal[1] as f32,
-                    cx: cx as f32,
-                    cy: cy as f32,
-                    k: i.k.map(|x| x as f32),
-                    p: i.p.map(|x| x as f32),
-                })
-            }
-        };
+        let projection = f.model.projection(width, height);
         let stem = Path::new(&f.file_path).file_stem().map_or_else(|| f.index.to_string(), |s| s.to_string_lossy().into_owned());
         let name = if cameras.iter().any(|c| c.name == stem) { format!("{stem}_{}", f.index) } else { stem };
         let position = (f.position - origin).as_vec3();
@@ -102,8 +89,7 @@ impl NamedCamera {
     /// A pinhole camera of `width` × `height` with the given horizontal angle of view that looks where this one does.
     #[must_use]
     pub fn pinhole(&self, width: usize, height: usize, degrees: f32) -> Self {
-        let focal = 0.5 * width as f32 / (0.5 * degrees.clamp(1.0, 170.0).to_radians()).tan();
-        let lens = Lens { fl_x: focal, fl_y: focal, cx: 0.5 * width as f32, cy: 0.5 * height as f32, ..Lens::default() };
+        let lens = Lens::centred(width, height, degrees.clamp(1.0, 170.0));
         let camera = Camera { projection: Projection::Pinhole(lens), width, height, ..self.camera };
         Self { name: self.name.clone(), camera }
     }

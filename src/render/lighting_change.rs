@@ -66,7 +66,8 @@ impl Lighting {
         let text = std::fs::read_to_string(path)
             .map_err(|e| Error::input(path, format!("cannot be read ({e}); give --lights an existing TOML file")))?;
         let mut out: Self = toml::from_str(&text).map_err(|e| Error::input(path, format!("is no lighting file: {e}")))?;
-        if let Some(file) = &mut out.environment.file {
+        let luminaires = out.add.iter_mut().filter_map(|a| if let Added::Ies { file, .. } = a { Some(file) } else { None });
+        for file in luminaires.chain(&mut out.environment.file) {
             *file = path.parent().unwrap_or(Path::new(".")).join(&file);
         }
         out.check().map_err(|m| Error::input(path, m))?;
@@ -96,7 +97,9 @@ impl Lighting {
                     light(radiance, &at)?;
                     light(&[*radius], &format!("{at}.radius"))?;
                 }
-                Added::Point { intensity, .. } | Added::Spot { intensity, .. } => light(intensity, &at)?,
+                Added::Point { intensity, .. } | Added::Spot { intensity, .. } | Added::Ies { intensity, .. } => {
+                    light(intensity, &at)?
+                }
             }
         }
         light(&self.environment.scale.map_or(vec![], |s| vec![s]), "environment.scale")?;
@@ -148,7 +151,7 @@ impl Lighting {
             world.move_emission(&triangles, by);
         }
         for lamp in &self.add {
-            world.add(lamp);
+            world.add(lamp)?;
         }
         let e = &self.environment;
         if let Some(file) = &e.file {

@@ -1,18 +1,18 @@
 //! Shading and image formation.
 //!
 //! * [`path_tracer`]: unbiased light transport over any [`crate::trace::Tracer`], in batches;
-//! * [`path_tracer_lights`]: which light to sample from where;
 //! * the hybrid renderer: irradiance texture plus traced specular reflection;
 //! * [`denoise`]: variance-guided filtering of what it renders.
 
 mod cameras;
 pub mod denoise;
 mod hybrid;
+mod ies;
 mod lamps;
 mod lighting_change;
 mod options;
 pub mod path_tracer;
-pub mod path_tracer_lights;
+mod point_light;
 mod portals;
 mod relight;
 mod tone;
@@ -21,13 +21,15 @@ mod world;
 
 pub use cameras::{FileCameras, NamedCamera, cameras_of_scene, read_cameras, smooth_path};
 pub use hybrid::{HybridOptions, HybridRenderer, RenderedView, ViewRenderer};
+pub use ies::IesProfile;
 pub use lamps::{LampGroup, lamp_groups};
 pub use lighting_change::{EnvironmentChange, LampChange, Lighting, daylight, mean_luminance};
 pub use options::{FrameOptions, RenderOptions, Renderer, Show, Video, Views};
 pub use path_tracer::{
-    Adaptive, BlackEnvironment, Environment, Frame, IndirectCache, IrradiancePoint, PathTracer, PathTracerOptions, PointLight,
-    Surface, SurfaceModel,
+    Adaptive, BlackEnvironment, Environment, Frame, IndirectCache, IrradiancePoint, PathTracer, PathTracerOptions, Surface,
+    SurfaceModel,
 };
+pub use point_light::{PointLight, Shape};
 pub use relight::{RelightOptions, Stage, TraceSettings};
 pub use tone::{Exposure, tone_map};
 pub use viewpoints::viewpoints;

@@ -5,7 +5,7 @@ use crate::geometry::{Camera, Lens, Mesh, Projection};
 use crate::sampling::{SobolSequence, hammersley};
 use crate::trace::{Hit, Ray, Tracer};
 use glam::{Mat3, Vec3};
-use std::f32::consts::{PI, TAU};
+use std::f32::consts::TAU;
 
 /// Places tried.
 const CANDIDATES: u32 = 512;
@@ -62,8 +62,7 @@ pub fn viewpoints(mesh: &Mesh, tracer: &dyn Tracer, count: usize, width: usize, 
             None => break,
         }
     }
-    let focal = 0.5 * width as f32 / (35f32 * PI / 180.0).tan();
-    let lens = Lens { fl_x: focal, fl_y: focal, cx: 0.5 * width as f32, cy: 0.5 * height as f32, ..Lens::default() };
+    let lens = Lens::centred(width, height, 70.0);
     let camera = |(i, &(_, position, azimuth)): (usize, &(f32, Vec3, f32))| NamedCamera {
         name: format!("view{}", i + 1),
         camera: Camera {

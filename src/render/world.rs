@@ -1,8 +1,10 @@
 //! A solution as something the path tracer can light: its materials, its lamps, its environment, and changes to the latter two.
 
-use super::path_tracer::{self, PointLight, Surface, SurfaceModel};
+use super::path_tracer::{self, Surface, SurfaceModel};
 use super::portals::find_portals;
-use crate::brdf::Material;
+use super::{IesProfile, PointLight, Shape};
+use crate::brdf::{Material, Reflectance};
+use crate::error::Result;
 use crate::geometry::Mesh;
 use crate::image::{RgbPlane, Wrap};
 use crate::lighting::Environment;
@@ -11,6 +13,7 @@ use crate::trace::Tracer;
 use glam::{DVec3, Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 use std::f32::consts::{PI, TAU};
+use std::path::PathBuf;
 
 /// Points of a triangle at which its emission is looked up.
 const POINTS: [(f32, f32); 7] = [(0.34, 0.33), (0.6, 0.2), (0.2, 0.6), (0.2, 0.2), (0.46, 0.46), (0.46, 0.08), (0.08, 0.46)];
@@ -60,6 +63,25 @@ pub enum Added {
         /// Radiant intensity on the axis, per steradian.
         intensity: [f32; 3],
     },
+    /// A measured luminaire without extent.
+    Ies {
+        /// Place.
+        position: [f64; 3],
+        /// Where its axis points (vertical angle 0 of the file); down if not given.
+        #[serde(default = "down")]
+        direction: [f32; 3],
+        /// IES file (LM-63, type C), relative to the lighting file.
+        file: PathBuf,
+        /// Turn about the axis, degrees.
+        #[serde(default)]
+        turn: f32,
+        /// Radiant intensity where the luminaire is brightest, per steradian.
+        intensity: [f32; 3],
+    },
+}
+
+fn down() -> [f32; 3] {
+    [0.0, -1.0, 0.0]
 }
 
 /// Materials and lights of a solution, with changed lights if so wished.
@@ -168,7 +190,10 @@ impl<'a> World<'a> {
     }
 
     /// Adds a lamp.
-    pub fn add(&mut self, lamp: &Added) {
+    ///
+    /// # Errors
+    /// A luminaire's file cannot be read.
+    pub fn add(&mut self, lamp: &Added) -> Result<()> {
         let origin = self.solution.origin;
         let local = |p: &[f64; 3]| (DVec3::from_array(*p) - origin).as_vec3();
         match lamp {
@@ -193,7 +218,7 @@ impl<'a> World<'a> {
                 position: local(position),
                 intensity: Vec3::from_array(*intensity),
                 axis: Vec3::NEG_Y,
-                cosines: [-1.0; 2],
+                shape: Shape::Bulb,
             }),
             Added::Spot { position, direction, angle, blend, intensity } => {
                 let outer = angle.clamp(0.1, 179.0).to_radians();
@@ -202,10 +227,17 @@ impl<'a> World<'a> {
                     position: local(position),
                     intensity: Vec3::from_array(*intensity),
                     axis: Vec3::from_array(*direction).normalize_or(Vec3::NEG_Y),
-                    cosines: [inner.cos(), outer.cos()],
+                    shape: Shape::Spot([inner.cos(), outer.cos()]),
                 });
             }
+            Added::Ies { position, direction, file, turn, intensity } => self.points.push(PointLight {
+                position: local(position),
+                intensity: Vec3::from_array(*intensity),
+                axis: Vec3::from_array(*direction).normalize_or(Vec3::NEG_Y),
+                shape: Shape::Measured(IesProfile::read(file)?, turn.to_radians()),
+            }),
         }
+        Ok(())
     }
 
     fn push(&mut self, corners: &[Vec3], normals: &[Vec3], triangles: &[[u32; 3]], radiance: Vec3) {
@@ -257,6 +289,10 @@ impl SurfaceModel for World<'_> {
         *labels.nearest(self.mesh.uv(triangle, 1.0 / 3.0, 1.0 / 3.0) * Vec2::new(labels.width as f32, labels.height as f32))
     }
 
+    fn reflectance(&self) -> Reflectance {
+        self.solution.reflectance
+    }
+
     fn emits_forward_only(&self) -> bool {
         true
     }
@@ -304,9 +340,9 @@ mod tests {
         let mut world = World::new(&solution);
         let own = world.mesh().triangles.len();
         let p = (solution.origin + DVec3::new(0.0, 1.0, 0.0)).to_array();
-        world.add(&Added::Sphere { position: p, radius: 0.2, radiance: [1.0, 2.0, 3.0] });
+        world.add(&Added::Sphere { position: p, radius: 0.2, radiance: [1.0, 2.0, 3.0] }).expect("adds");
         let sphere = world.mesh().triangles.len();
-        world.add(&Added::Quad { position: p, direction: [0.0, -1.0, 0.0], size: [0.4, 0.2], radiance: [4.0; 3] });
+        world.add(&Added::Quad { position: p, direction: [0.0, -1.0, 0.0], size: [0.4, 0.2], radiance: [4.0; 3] }).expect("adds");
         let centre = Vec3::new(0.0, 1.0, 0.0);
         let m = world.mesh();
         for t in own..sphere {
@@ -341,8 +377,8 @@ mod tests {
         let solution = small_solution();
         let mut world = World::new(&solution);
         let spot = Added::Spot { position: [0.0; 3], direction: [0.0, -1.0, 0.0], angle: 30.0, blend: 0.5, intensity: [8.0; 3] };
-        world.add(&spot);
-        let light = world.points()[0];
+        world.add(&spot).expect("adds");
+        let light = &world.points()[0];
         let at = |degrees: f32| light.towards(Vec3::new(degrees.to_radians().sin(), -degrees.to_radians().cos(), 0.0)).x;
         assert_eq!((at(0.0), at(14.0), at(31.0), at(120.0)), (8.0, 8.0, 0.0, 0.0));
         assert!(at(22.0) > 0.5 && at(22.0) < 7.5);

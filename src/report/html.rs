@@ -7,6 +7,7 @@ use super::jpeg::encode_jpeg;
 use super::pictures::{CONFIDENCE_RANGE, Captioned, ERROR_RANGE, ViewPictures, inferno};
 use super::record::{RunRecord, StageRecord};
 use crate::evaluate::{Evaluation, ImageScores, MaterialScores, SplitScores};
+use crate::formats::grouped;
 use crate::scene::Split;
 use std::fmt::Write;
 
@@ -38,19 +39,6 @@ fn escaped(text: &str) -> String {
             '"' => out.push_str("&quot;"),
             c => out.push(c),
         }
-    }
-    out
-}
-
-/// 1234567 as "1,234,567".
-fn grouped(n: u64) -> String {
-    let digits = n.to_string();
-    let mut out = String::new();
-    for (i, c) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            out.push(',');
-        }
-        out.push(c);
     }
     out
 }
@@ -511,8 +499,6 @@ mod tests {
 
     #[test]
     fn numbers_read_well() {
-        assert_eq!(grouped(1_234_567), "1,234,567");
-        assert_eq!(grouped(12), "12");
         assert_eq!(short(61_440_000), "61.4 M");
         assert_eq!(duration(125.0), "2 min 05 s");
         assert_eq!(bytes(3 << 30), "3.00 GiB");

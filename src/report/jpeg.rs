@@ -248,7 +248,9 @@ mod tests {
                 .iter()
                 .zip(picture.rgb.chunks(3))
                 .map(|(v, bytes)| {
-                    (0..3).map(|c| (f64::from(crate::export::srgb8_from_linear(v[c])) - f64::from(bytes[c])).powi(2)).sum::<f64>()
+                    (0..3)
+                        .map(|c| (f64::from(crate::formats::srgb8_from_linear(v[c])) - f64::from(bytes[c])).powi(2))
+                        .sum::<f64>()
                 })
                 .sum();
             let rms = (sum / (3 * w * h) as f64).sqrt();

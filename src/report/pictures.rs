@@ -3,7 +3,7 @@
 use super::jpeg::Picture;
 use crate::error::Result;
 use crate::evaluate::{GroundTruth, comparable};
-use crate::export::srgb8_from_linear;
+use crate::formats::srgb8_from_linear;
 use crate::geometry::Camera;
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::metrics::{masked_mse, masked_ssim, psnr};

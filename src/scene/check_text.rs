@@ -1,20 +1,8 @@
 //! [`CheckReport`] for people: what was understood first, then warnings, then problems, and a verdict in the last line.
 
 use super::{CheckReport, Summary};
+use crate::formats::grouped;
 use std::fmt::{Display, Formatter, Result};
-
-/// A number with thousands set apart.
-fn grouped(n: usize) -> String {
-    let digits = n.to_string();
-    let mut out = String::new();
-    for (i, c) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            out.push(',');
-        }
-        out.push(c);
-    }
-    out
-}
 
 fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)

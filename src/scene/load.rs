@@ -4,7 +4,7 @@ use super::mesh_prep::prepare_mesh;
 use super::transforms::{Frame, Model, Transforms, parse_usable};
 use super::{Class, LoadOptions, Scene, Split, View, rooms};
 use crate::formats::{self, ImageInfo};
-use crate::geometry::{Camera, Lens, Projection};
+use crate::geometry::Camera;
 use crate::{Error, Result};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -273,22 +273,8 @@ fn view(f: &Frame, split: Split, folder: &Path, origin: DVec3, options: &LoadOpt
 }
 
 fn camera(f: &Frame, info: &ImageInfo, origin: DVec3) -> Camera {
-    let projection = match f.model {
-        Model::Equirectangular => Projection::Equirectangular,
-        Model::Pinhole(i) => {
-            let [cx, cy] = i.centre.unwrap_or([0.5 * info.width as f64, 0.5 * info.height as f64]);
-            Projection::Pinhole(Lens {
-                fl_x: i.focal[0] as f32,
-                fl_y: i.focal[1] as f32,
-                cx: cx as f32,
-                cy: cy as f32,
-                k: i.k.map(|x| x as f32),
-                p: i.p.map(|x| x as f32),
-            })
-        }
-    };
     Camera {
-        projection,
+        projection: f.model.projection(info.width, info.height),
         width: info.width,
         height: info.height,
         world_from_camera: f.rotation.as_mat3(),

@@ -3,6 +3,7 @@
 //! Everything wrong is collected, each message naming the frame and the key, so that one run shows all there is to mend.
 
 use super::Class;
+use crate::geometry::{Lens, Projection};
 use glam::{DMat3, DVec3};
 use serde_json::{Map, Value};
 
@@ -17,6 +18,17 @@ pub struct Intrinsics {
     pub k: [f64; 2],
     /// `p1`, `p2`.
     pub p: [f64; 2],
+}
+
+impl Model {
+    /// The projection onto an image of this size.
+    #[must_use]
+    pub fn projection(&self, width: usize, height: usize) -> Projection {
+        let Self::Pinhole(i) = self else { return Projection::Equirectangular };
+        let [cx, cy] = i.centre.unwrap_or([0.5 * width as f64, 0.5 * height as f64]);
+        let [fl_x, fl_y] = i.focal.map(|x| x as f32);
+        Projection::Pinhole(Lens { fl_x, fl_y, cx: cx as f32, cy: cy as f32, k: i.k.map(|x| x as f32), p: i.p.map(|x| x as f32) })
+    }
 }
 
 /// The projection a frame asks for.

@@ -1,7 +1,9 @@
 //! What a reconstruction is: the textures that `solve` makes and that evaluation, rendering and export read.
 
+mod glb;
 mod store;
 
+pub use glb::{GlbOptions, PunctualLight, scene_glb};
 pub use store::{AsideFolder, FILES, SaveOptions};
 
 use crate::brdf::Reflectance;

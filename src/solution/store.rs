@@ -5,8 +5,8 @@
 //! the old one untouched.
 
 use super::Solution;
+use super::glb::{GlbOptions, read_glb_mesh, scene_glb};
 use crate::error::{Error, Result};
-use crate::export::{GlbOptions, read_glb_mesh, scene_glb};
 use crate::formats::{read_labels, read_plane, read_rgb, read_two_channels};
 use crate::formats::{write_plane_half, write_png16, write_rgb_float, write_rgb_half, write_two_channels_half};
 use crate::image::RgbPlane;
@@ -30,7 +30,7 @@ pub const FILES: [&str; 10] = [
 const HALF_MAX: f32 = 65_504.0;
 
 /// Choices of [`Solution::save`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SaveOptions {
     /// The glTF file's choices.
     pub glb: GlbOptions,
@@ -43,7 +43,7 @@ impl Solution {
         let aside = AsideFolder::new(folder)?;
         let at = |name: &str| aside.folder.join(name);
         let glb = || {
-            let bytes = scene_glb(self, options.glb)?;
+            let bytes = scene_glb(self, &options.glb)?;
             std::fs::write(at("scene.glb"), bytes).map_err(|e| Error::io(folder.join("scene.glb"), e))
         };
         let textures = || {

@@ -5,32 +5,46 @@
 //! Geometry is stored bit-exactly; the scene's origin is the node's translation and, in f64, its extras, so that a solution can
 //! be loaded back from this file without loss.
 
-use super::{encode_rgb8, srgb8_from_linear};
+use super::Solution;
 use crate::brdf::Reflectance;
 use crate::error::{Error, Result};
+use crate::formats::{encode_rgb8, encode_webp8, srgb8_from_linear};
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
-use crate::render::{LampGroup, World, lamp_groups};
-use crate::solution::Solution;
 use glam::{DVec3, Vec2, Vec3};
 use serde_json::{Value, json};
 use std::ops::{Add, Mul};
 use std::path::Path;
 
 /// Choices of the glTF export.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct GlbOptions {
     /// Largest side of an embedded texture in pixels; larger ones are halved until they fit.
     pub max_texture: usize,
-    /// Lamps as `KHR_lights_punctual` as well: for engines that do not light by emissive surfaces.
-    pub punctual_lights: bool,
+    /// Lights of `KHR_lights_punctual`: for engines that do not light by emissive surfaces.
+    pub lights: Vec<PunctualLight>,
     /// Irradiance as a lightmap on the second texture set.
     pub lightmap: bool,
+    /// Textures as lossless WebP (`EXT_texture_webp`, required) instead of PNG.
+    pub webp: bool,
+}
+
+/// A point light of `KHR_lights_punctual`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PunctualLight {
+    /// Name.
+    pub name: String,
+    /// Colour, largest channel 1.
+    pub colour: [f64; 3],
+    /// Radiant intensity per steradian in the images' units.
+    pub intensity: f64,
+    /// Place in file coordinates.
+    pub position: [f64; 3],
 }
 
 impl Default for GlbOptions {
     fn default() -> Self {
-        Self { max_texture: 4096, punctual_lights: false, lightmap: false }
+        Self { max_texture: 4096, lights: Vec::new(), lightmap: false, webp: false }
     }
 }
 
@@ -43,18 +57,18 @@ const LINEAR_MIPMAP_LINEAR: u32 = 9987;
 const CLAMP_TO_EDGE: u32 = 33071;
 
 /// The bytes of `scene.glb`.
-pub fn scene_glb(solution: &Solution, options: GlbOptions) -> Result<Vec<u8>> {
+pub fn scene_glb(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
     let mesh = &solution.mesh;
     if mesh.triangles.is_empty() || mesh.positions.is_empty() {
         return Err(Error::Failed("scene.glb cannot be written: the mesh has no triangles".into()));
     }
     let strength = peak(&solution.emission);
     let (base, (orm, emissive)) = rayon::join(
-        || base_colour_png(&solution.albedo, options.max_texture),
+        || base_colour(&solution.albedo, options),
         || {
             rayon::join(
-                || orm_png(&solution.roughness, options.max_texture),
-                || strength.map(|s| emissive_png(&solution.emission, s, options.max_texture)).transpose(),
+                || occlusion_roughness_metallic(&solution.roughness, options),
+                || strength.map(|s| light_map(&solution.emission, s, options)).transpose(),
             )
         },
     );
@@ -84,13 +98,19 @@ pub fn scene_glb(solution: &Solution, options: GlbOptions) -> Result<Vec<u8>> {
     pictures.extend(emissive.map(|e| ("emissive", e)));
     let lightmap_peak = peak(&solution.irradiance).filter(|_| options.lightmap);
     if let Some(peak) = lightmap_peak {
-        pictures.push(("lightmap", emissive_png(&solution.irradiance, peak, options.max_texture)?));
+        pictures.push(("lightmap", light_map(&solution.irradiance, peak, options)?));
     }
+    let mime = if options.webp { "image/webp" } else { "image/png" };
     let images: Vec<Value> = pictures
         .iter()
-        .map(|(name, png)| json!({"name": name, "mimeType": "image/png", "bufferView": binary.view(png, None)}))
+        .map(|(name, bytes)| json!({"name": name, "mimeType": mime, "bufferView": binary.view(bytes, None)}))
         .collect();
-    let textures: Vec<Value> = (0..images.len()).map(|i| json!({"sampler": 0, "source": i})).collect();
+    let textures: Vec<Value> = (0..images.len())
+        .map(|i| match options.webp {
+            true => json!({"sampler": 0, "extensions": {"EXT_texture_webp": {"source": i}}}),
+            false => json!({"sampler": 0, "source": i}),
+        })
+        .collect();
 
     let mut material = json!({
         "name": "reconstruction",
@@ -131,43 +151,28 @@ pub fn scene_glb(solution: &Solution, options: GlbOptions) -> Result<Vec<u8>> {
         material["emissiveFactor"] = json!([1.0, 1.0, 1.0]);
         material["extensions"] = json!({"KHR_materials_emissive_strength": {"emissiveStrength": f64::from(strength)}});
     }
-    let lights = if options.punctual_lights { punctual_lights(solution) } else { Vec::new() };
-    if !lights.is_empty() {
+    if !options.lights.is_empty() {
         extensions.push("KHR_lights_punctual");
-        for (i, (_, position)) in lights.iter().enumerate() {
-            root["scenes"][0]["nodes"].as_array_mut().into_iter().for_each(|n| n.push(json!(i + 1)));
-            let node = json!({
-                "name": format!("lamp {}", i + 1),
-                "translation": position,
-                "extensions": {"KHR_lights_punctual": {"light": i}},
-            });
-            root["nodes"].as_array_mut().into_iter().for_each(|n| n.push(node.clone()));
-        }
-        let list: Vec<Value> = lights.into_iter().map(|l| l.0).collect();
-        root["extensions"] = json!({"KHR_lights_punctual": {"lights": list}});
+        let lights: Vec<Value> = (options.lights.iter())
+            .map(|l| json!({"type": "point", "name": l.name, "color": l.colour, "intensity": l.intensity}))
+            .collect();
+        let lamps = options.lights.iter().enumerate().map(
+            |(i, l)| json!({"name": l.name, "translation": l.position, "extensions": {"KHR_lights_punctual": {"light": i}}}),
+        );
+        let nodes: Vec<Value> = std::iter::once(root["nodes"][0].clone()).chain(lamps).collect();
+        root["scenes"][0]["nodes"] = json!((0..nodes.len()).collect::<Vec<usize>>());
+        root["nodes"] = json!(nodes);
+        root["extensions"] = json!({"KHR_lights_punctual": {"lights": lights}});
+    }
+    if options.webp {
+        extensions.push("EXT_texture_webp");
+        root["extensionsRequired"] = json!(["EXT_texture_webp"]);
     }
     if !extensions.is_empty() {
         root["extensionsUsed"] = json!(extensions);
     }
     root["materials"] = json!([material]);
     container(&root, &binary.bytes)
-}
-
-/// A point light per lamp that sends out as much light, with its place in file coordinates.
-fn punctual_lights(solution: &Solution) -> Vec<(Value, [f64; 3])> {
-    let world = World::new(solution);
-    let light = |g: &LampGroup| {
-        let brightest = g.radiance.iter().copied().fold(0.0, f32::max).max(f32::MIN_POSITIVE);
-        let colour = g.radiance.map(|c| f64::from((c / brightest).clamp(0.0, 1.0)));
-        // a flat lamp hangs on something: its light starts a little in front of it
-        let normal: Vec3 = g.triangles.iter().map(|&t| solution.mesh.double_area_normal(t as usize)).sum();
-        let front = (normal / (2.0 * g.area.max(f32::MIN_POSITIVE))).as_dvec3() * 0.05;
-        let position = DVec3::from_array(g.position) + front;
-        // π · L · area over the full sphere
-        let intensity = f64::from(0.25 * brightest * g.area);
-        (json!({"type": "point", "name": format!("lamp {}", g.id), "color": colour, "intensity": intensity}), position.to_array())
-    };
-    lamp_groups(&world, solution.origin).iter().map(light).collect()
 }
 
 fn node(origin: DVec3, reflectance: Reflectance) -> Value {
@@ -235,23 +240,26 @@ fn container(root: &Value, binary: &[u8]) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-fn base_colour_png(albedo: &RgbPlane, max: usize) -> Result<Vec<u8>> {
-    let plane = fitted(albedo, max);
-    encode_rgb8(plane.width, plane.height, &rgb8(&plane, |v| v.to_array().map(srgb8_from_linear)))
+fn base_colour(albedo: &RgbPlane, options: &GlbOptions) -> Result<Vec<u8>> {
+    picture(albedo, options, |v| v.to_array().map(srgb8_from_linear))
 }
 
-fn orm_png(roughness: &Plane<f32>, max: usize) -> Result<Vec<u8>> {
-    let plane = fitted(roughness, max);
-    encode_rgb8(plane.width, plane.height, &rgb8(&plane, |r| [255, (r.clamp(0.0, 1.0) * 255.0 + 0.5) as u8, 0]))
+fn occlusion_roughness_metallic(roughness: &Plane<f32>, options: &GlbOptions) -> Result<Vec<u8>> {
+    picture(roughness, options, |r| [255, (r.clamp(0.0, 1.0) * 255.0 + 0.5) as u8, 0])
 }
 
-fn emissive_png(emission: &RgbPlane, strength: f32, max: usize) -> Result<Vec<u8>> {
-    let plane = fitted(emission, max);
-    encode_rgb8(plane.width, plane.height, &rgb8(&plane, |v| (*v / strength).to_array().map(srgb8_from_linear)))
+/// Light as a share of its peak.
+fn light_map(light: &RgbPlane, peak: f32, options: &GlbOptions) -> Result<Vec<u8>> {
+    picture(light, options, |v| (*v / peak).to_array().map(srgb8_from_linear))
 }
 
-fn rgb8<T>(plane: &Plane<T>, f: impl Fn(&T) -> [u8; 3]) -> Vec<u8> {
-    plane.data.iter().flat_map(f).collect()
+fn picture<T>(plane: &Plane<T>, options: &GlbOptions, bytes: impl Fn(&T) -> [u8; 3]) -> Result<Vec<u8>>
+where
+    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
+{
+    let plane = fitted(plane, options.max_texture);
+    let rgb: Vec<u8> = plane.data.iter().flat_map(bytes).collect();
+    if options.webp { encode_webp8(plane.width, plane.height, &rgb) } else { encode_rgb8(plane.width, plane.height, &rgb) }
 }
 
 /// The largest finite channel of the emission, if anything emits.
@@ -273,7 +281,7 @@ where
 }
 
 /// Mesh, origin and reflection model of a file that [`scene_glb`] wrote; positions come back bit for bit.
-pub fn read_glb_mesh(path: &Path) -> Result<(Mesh, DVec3, Reflectance)> {
+pub(super) fn read_glb_mesh(path: &Path) -> Result<(Mesh, DVec3, Reflectance)> {
     let foreign =
         |what: &str| Error::input(path, format!("{what}; expected the scene.glb that `unbake solve` wrote: run it again"));
     let bytes = std::fs::read(path).map_err(|e| Error::input(path, format!("cannot be read ({e}); run `unbake solve` first")))?;
@@ -331,7 +339,7 @@ mod tests {
     #[test]
     fn material_and_textures_follow_the_contract() {
         let solution = small_solution();
-        let bytes = scene_glb(&solution, GlbOptions::default()).expect("writes");
+        let bytes = scene_glb(&solution, &GlbOptions::default()).expect("writes");
         let gltf = gltf::Gltf::from_slice(&bytes).expect("valid glTF");
         let material = gltf.materials().next().expect("material");
         let strength = material.emissive_strength().expect("extension");
@@ -356,7 +364,7 @@ mod tests {
     #[test]
     fn views_are_aligned_and_bounds_are_exact() {
         let solution = small_solution();
-        let bytes = scene_glb(&solution, GlbOptions::default()).expect("writes");
+        let bytes = scene_glb(&solution, &GlbOptions::default()).expect("writes");
         assert_eq!(bytes.len() % 4, 0);
         assert_eq!(u32::from_le_bytes(bytes[8..12].try_into().expect("4 bytes")) as usize, bytes.len());
         let gltf = gltf::Gltf::from_slice(&bytes).expect("valid");
@@ -370,7 +378,7 @@ mod tests {
     fn nothing_emits_means_no_extension() {
         let mut solution = small_solution();
         solution.emission.data.fill(Vec3::ZERO);
-        let bytes = scene_glb(&solution, GlbOptions::default()).expect("writes");
+        let bytes = scene_glb(&solution, &GlbOptions::default()).expect("writes");
         let gltf = gltf::Gltf::from_slice(&bytes).expect("valid");
         assert_eq!(gltf.extensions_used().count(), 0);
         assert_eq!(gltf.images().count(), 2, "no unused image");
@@ -379,7 +387,7 @@ mod tests {
     #[test]
     fn large_textures_are_halved_to_the_cap() {
         let solution = small_solution();
-        let bytes = scene_glb(&solution, GlbOptions { max_texture: 4, ..GlbOptions::default() }).expect("writes");
+        let bytes = scene_glb(&solution, &GlbOptions { max_texture: 4, ..GlbOptions::default() }).expect("writes");
         let gltf = gltf::Gltf::from_slice(&bytes).expect("valid");
         for image in gltf.images() {
             let (w, h, _) = decoded(image_bytes(&gltf, &image));
@@ -388,9 +396,29 @@ mod tests {
     }
 
     #[test]
+    fn webp_textures_and_lights_name_their_extensions() {
+        let light = PunctualLight { name: "lamp 1".into(), colour: [1.0, 0.5, 0.2], intensity: 3.0, position: [1.0, 2.0, 3.0] };
+        let options = GlbOptions { webp: true, lights: vec![light], lightmap: true, ..GlbOptions::default() };
+        let bytes = scene_glb(&small_solution(), &options).expect("writes");
+        let glb = gltf::binary::Glb::from_slice(&bytes).expect("container");
+        let root: Value = serde_json::from_slice(&glb.json).expect("JSON");
+        assert_eq!(root["extensionsRequired"], json!(["EXT_texture_webp"]));
+        assert!(root["extensionsUsed"].as_array().expect("list").contains(&json!("KHR_lights_punctual")));
+        assert_eq!(root["scenes"][0]["nodes"], json!([0, 1]));
+        for (texture, image) in
+            root["textures"].as_array().expect("textures").iter().zip(root["images"].as_array().expect("images"))
+        {
+            assert!(texture.get("source").is_none() && texture["extensions"]["EXT_texture_webp"]["source"].is_u64());
+            let view = &root["bufferViews"][image["bufferView"].as_u64().expect("view") as usize];
+            let at = view["byteOffset"].as_u64().expect("offset") as usize;
+            assert_eq!(&glb.bin.as_ref().expect("binary")[at + 8..at + 12], b"WEBP");
+        }
+    }
+
+    #[test]
     fn an_empty_mesh_is_an_error_in_words() {
         let mut solution = small_solution();
         solution.mesh = Mesh::default();
-        assert!(scene_glb(&solution, GlbOptions::default()).expect_err("fails").to_string().contains("no triangles"));
+        assert!(scene_glb(&solution, &GlbOptions::default()).expect_err("fails").to_string().contains("no triangles"));
     }
 }

@@ -5,7 +5,7 @@
 //! visibility rays, so that a room does not waste its samples on the lamps of the next. Every light keeps a share of every
 //! table: selection changes the variance, never the expectation.
 
-use super::path_tracer::{Environment, SurfaceModel};
+use super::{Environment, SurfaceModel};
 use crate::geometry::Mesh;
 use crate::math::luminance;
 use crate::parallel::map_chunks;

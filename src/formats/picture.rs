@@ -1,4 +1,4 @@
-//! 8-bit PNG in memory, and the sRGB transfer function.
+//! 8-bit PNG and WebP in memory, and the sRGB encoding.
 
 use crate::error::{Error, Result};
 
@@ -10,12 +10,6 @@ pub fn srgb8_from_linear(linear: f32) -> u8 {
     (encoded * 255.0 + 0.5) as u8
 }
 
-/// Inverse of the sRGB encoding on [0, 1].
-#[must_use]
-pub fn linear_from_srgb(encoded: f32) -> f32 {
-    if encoded <= 0.040_45 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
-}
-
 /// PNG bytes of 8-bit RGB pixels, row-major.
 pub fn encode_rgb8(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> {
     encode(width, height, rgb, png::ColorType::Rgb)
@@ -24,6 +18,20 @@ pub fn encode_rgb8(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> {
 /// PNG bytes of 8-bit grey pixels, row-major.
 pub fn encode_grey8(width: usize, height: usize, grey: &[u8]) -> Result<Vec<u8>> {
     encode(width, height, grey, png::ColorType::Grayscale)
+}
+
+/// Lossless WebP bytes of 8-bit RGB pixels, row-major.
+///
+/// # Errors
+/// A side of 0 pixels, or beyond the format's 16,384.
+pub fn encode_webp8(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let failed = |e: &dyn std::fmt::Display| Error::Failed(format!("WebP encoding of {width} × {height} pixels failed: {e}"));
+    let side = |n: usize| u32::try_from(n).map_err(|e| failed(&e));
+    image_webp::WebPEncoder::new(&mut bytes)
+        .encode(rgb, side(width)?, side(height)?, image_webp::ColorType::Rgb8)
+        .map_err(|e| failed(&e))?;
+    Ok(bytes)
 }
 
 fn encode(width: usize, height: usize, pixels: &[u8], color: png::ColorType) -> Result<Vec<u8>> {
@@ -46,6 +54,7 @@ fn encode(width: usize, height: usize, pixels: &[u8], color: png::ColorType) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::linear_from_srgb;
 
     #[test]
     fn srgb_round_trips_every_byte_and_survives_nonsense() {
@@ -67,5 +76,16 @@ mod tests {
         reader.next_frame(&mut back).expect("pixels");
         assert_eq!(back, pixels);
         assert!(encode_grey8(0, 1, &[]).is_err());
+    }
+
+    #[test]
+    fn webp_decodes_to_the_same_pixels() {
+        let pixels: Vec<u8> = (0..7 * 5 * 3).map(|i| (i * 29 % 256) as u8).collect();
+        let bytes = encode_webp8(7, 5, &pixels).expect("encodes");
+        let mut decoder = image_webp::WebPDecoder::new(std::io::Cursor::new(bytes)).expect("header");
+        let mut back = vec![0; decoder.output_buffer_size().expect("size")];
+        decoder.read_image(&mut back).expect("pixels");
+        assert_eq!((decoder.dimensions(), back), ((7, 5), pixels));
+        assert!(encode_webp8(0, 1, &[]).is_err() && encode_webp8(20_000, 1, &[0; 60_000]).is_err());
     }
 }

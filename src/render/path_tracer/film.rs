@@ -1,0 +1,182 @@
+//! From samples to pixels: sums with their variance and first-hit features, and which pixels need more samples.
+
+use super::transport::{Feature, Sums};
+use crate::brdf::Material;
+use crate::image::{Plane, RgbPlane};
+use crate::math::luminance;
+use glam::Vec3;
+
+/// An image with what its first hits saw.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Light emitted by the first hit, or the environment's.
+    pub emission: RgbPlane,
+    /// Light reflected by the diffuse lobe of the first hit.
+    pub diffuse: RgbPlane,
+    /// Light reflected by the specular lobe of the first hit.
+    pub specular: RgbPlane,
+    /// Variance of the luminance of the pixel's diffuse and specular mean.
+    pub variance: Plane<[f32; 2]>,
+    /// Mean albedo over the pixel's samples that met geometry.
+    pub albedo: RgbPlane,
+    /// Mean normal over the pixel's samples (zero without geometry).
+    pub normal: RgbPlane,
+    /// Mean distance over the pixel's samples that met geometry; 0 without.
+    pub depth: Plane<f32>,
+    /// Class at the pixel's centre; 0 without geometry.
+    pub label: Plane<u16>,
+    /// Albedo, box-filtered over the part of the pixel that has the centre's class.
+    pub class_albedo: RgbPlane,
+    /// Roughness, likewise.
+    pub class_roughness: Plane<f32>,
+}
+
+impl Frame {
+    /// The image: emission + diffuse + specular.
+    #[must_use]
+    pub fn radiance(&self) -> RgbPlane {
+        let mut out = self.emission.clone();
+        for (i, p) in out.data.iter_mut().enumerate() {
+            *p += self.diffuse.data[i] + self.specular.data[i];
+        }
+        out
+    }
+}
+
+/// Side of the blocks that adaptive sampling decides about.
+const BLOCK: usize = 8;
+
+/// What a finished pixel holds: one element of every plane of [`Frame`].
+pub(super) struct PixelResult {
+    emission: Vec3,
+    diffuse: Vec3,
+    specular: Vec3,
+    variance: [f32; 2],
+    albedo: Vec3,
+    normal: Vec3,
+    depth: f32,
+    label: u16,
+    class_albedo: Vec3,
+    class_roughness: f32,
+}
+
+/// The planes of an image from its pixels.
+pub(super) fn assemble(w: usize, h: usize, pixels: &[PixelResult]) -> Frame {
+    let plane = |f: fn(&PixelResult) -> Vec3| Plane { width: w, height: h, data: pixels.iter().map(f).collect() };
+    Frame {
+        emission: plane(|p| p.emission),
+        diffuse: plane(|p| p.diffuse),
+        specular: plane(|p| p.specular),
+        variance: Plane { width: w, height: h, data: pixels.iter().map(|p| p.variance).collect() },
+        albedo: plane(|p| p.albedo),
+        normal: plane(|p| p.normal),
+        depth: Plane { width: w, height: h, data: pixels.iter().map(|p| p.depth).collect() },
+        label: Plane { width: w, height: h, data: pixels.iter().map(|p| p.label).collect() },
+        class_albedo: plane(|p| p.class_albedo),
+        class_roughness: Plane { width: w, height: h, data: pixels.iter().map(|p| p.class_roughness).collect() },
+    }
+}
+
+/// The pixels of `among` whose block has a relative standard error above the target.
+pub(super) fn noisy_pixels(frame: &Frame, among: &[usize], target: f32) -> Vec<usize> {
+    let (w, h) = (frame.emission.width, frame.emission.height);
+    let columns = w.div_ceil(BLOCK);
+    let mut blocks = vec![(0.0f64, 0.0f64, 0u32); columns * h.div_ceil(BLOCK)];
+    let block_of = |p: usize| (p / w / BLOCK) * columns + p % w / BLOCK;
+    let mut mean = 0.0;
+    for p in 0..w * h {
+        let reflected = luminance(frame.diffuse.data[p] + frame.specular.data[p]);
+        let b = &mut blocks[block_of(p)];
+        *b = (b.0 + f64::from(reflected), b.1 + f64::from(frame.variance.data[p][0] + frame.variance.data[p][1]), b.2 + 1);
+        mean += f64::from(reflected) / (w * h) as f64;
+    }
+    // what is much darker than the picture as a whole need not be as exact as itself asks
+    let noisy = |b: &(f64, f64, u32)| {
+        let n = f64::from(b.2.max(1));
+        (b.1 / n).sqrt() > f64::from(target) * (b.0 / n + 0.1 * mean)
+    };
+    let noisy: Vec<bool> = blocks.iter().map(noisy).collect();
+    among.iter().copied().filter(|&p| noisy[block_of(p)]).collect()
+}
+
+/// Sums over a pixel's samples, in f64 where differences of squares are taken.
+#[derive(Clone)]
+pub(super) struct PixelAccumulator {
+    samples: u32,
+    centre: Option<(u16, Material)>,
+    sums: Sums,
+    moments: [[f64; 2]; 2],
+    geometry: f32,
+    albedo: Vec3,
+    normal: Vec3,
+    depth: f32,
+    class: f32,
+    class_albedo: Vec3,
+    class_roughness: f32,
+}
+
+impl PixelAccumulator {
+    pub(super) fn new(centre: Option<(u16, Material)>) -> Self {
+        Self {
+            samples: 0,
+            centre,
+            sums: Sums::default(),
+            moments: [[0.0; 2]; 2],
+            geometry: 0.0,
+            albedo: Vec3::ZERO,
+            normal: Vec3::ZERO,
+            depth: 0.0,
+            class: 0.0,
+            class_albedo: Vec3::ZERO,
+            class_roughness: 0.0,
+        }
+    }
+
+    pub(super) fn add(&mut self, s: &Sums, feature: Option<&Feature>) {
+        self.samples += 1;
+        self.sums.emission += s.emission;
+        self.sums.diffuse += s.diffuse;
+        self.sums.specular += s.specular;
+        for (m, x) in self.moments.iter_mut().zip([s.diffuse, s.specular]) {
+            let y = f64::from(luminance(x));
+            *m = [m[0] + y, m[1] + y * y];
+        }
+        if let Some(f) = feature {
+            self.geometry += 1.0;
+            self.albedo += f.albedo;
+            self.normal += f.normal;
+            self.depth += f.depth;
+            if self.centre.is_some_and(|(label, _)| label == f.label) {
+                self.class += 1.0;
+                self.class_albedo += f.albedo;
+                self.class_roughness += f.roughness;
+            }
+        }
+    }
+
+    pub(super) fn finish(&self) -> PixelResult {
+        let samples = self.samples.max(1);
+        let n = f64::from(samples);
+        let scale = 1.0 / samples as f32;
+        let variance = self.moments.map(|[sum, square]| {
+            let mean = sum / n;
+            ((square / n - mean * mean).max(0.0) / (n - 1.0).max(1.0)) as f32
+        });
+        let seen = 1.0 / self.geometry.max(1.0);
+        let centre = self.centre.map_or((Vec3::ZERO, 0.0), |(_, m)| (m.albedo, m.roughness));
+        let (class_albedo, class_roughness) =
+            if self.class > 0.0 { (self.class_albedo / self.class, self.class_roughness / self.class) } else { centre };
+        PixelResult {
+            emission: self.sums.emission * scale,
+            diffuse: self.sums.diffuse * scale,
+            specular: self.sums.specular * scale,
+            variance,
+            albedo: self.albedo * seen,
+            normal: self.normal * scale,
+            depth: self.depth * seen,
+            label: self.centre.map_or(0, |(l, _)| l),
+            class_albedo,
+            class_roughness,
+        }
+    }
+}

@@ -1,0 +1,311 @@
+//! Unbiased light transport over any [`Tracer`], in batches.
+//!
+//! A task takes a run of pixels with all their samples, a wavefront of a few thousand paths: all closest hits of one bounce are
+//! found by one call, then all shadow rays by another. Light is gathered by next-event estimation and by sampling the
+//! BRDF, combined by multiple importance sampling (power heuristic). Numbers are keyed by (pixel, bounce) and sample index, so
+//! an image does not depend on the number of threads.
+//!
+//! Every pixel's light is kept apart as emission, diffuse and specular part of the first hit, with the variance of the
+//! last two: what [`super::denoise`] needs to filter irradiance without touching textures or lamps.
+//!
+//! With an [`IndirectCache`] the second and later vertices take their diffuse light from it and only their specular lobe is
+//! followed further. That is biased by the cache's resolution and noise, and far cheaper; without a cache nothing is.
+
+mod film;
+mod lights;
+mod scene;
+mod transport;
+
+pub use film::Frame;
+pub use scene::{BlackEnvironment, Environment, IndirectCache, Surface, SurfaceModel};
+
+use super::PointLight;
+use crate::brdf::{Material, Reflectance};
+use crate::geometry::{Camera, Mesh};
+use crate::parallel::map_chunks;
+use crate::progress::Progress;
+use crate::sampling::{SobolSequence, hash_u64};
+use crate::trace::{Hit, Ray, Tracer};
+use film::{PixelAccumulator, PixelResult, assemble, noisy_pixels};
+use glam::{Vec2, Vec3};
+use lights::Lights;
+use std::f32::consts::PI;
+use transport::{Lobes, Path, PathKey, Sums, Vertex, WAVEFRONT, Wave};
+
+/// Settings of the path tracer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathTracerOptions {
+    /// Samples per pixel.
+    pub samples: u32,
+    /// Surface interactions after which a path ends for certain; Russian roulette ends most long before.
+    pub max_bounces: u32,
+    /// First bounce at which Russian roulette may end a path.
+    pub roulette_from: u32,
+    /// Seed of all numbers.
+    pub seed: u64,
+    /// Leave out the specular lobe (tests, furnace).
+    pub lambertian: bool,
+    /// Shade with the triangles' own normals (comparison with renderers that treat smooth normals otherwise).
+    pub flat: bool,
+    /// Largest luminance a single indirect contribution may have; biased, off by default.
+    pub clamp: Option<f32>,
+}
+
+impl Default for PathTracerOptions {
+    fn default() -> Self {
+        Self { samples: 64, max_bounces: 64, roulette_from: 3, seed: 0, lambertian: false, flat: false, clamp: None }
+    }
+}
+
+/// When [`PathTracer::render_adaptive`] is content.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Adaptive {
+    /// Samples every pixel gets at least.
+    pub first: u32,
+    /// Samples no pixel exceeds.
+    pub most: u32,
+    /// Standard error, relative to the local brightness, at which a block of pixels is done.
+    pub error: f32,
+}
+
+/// A point whose irradiance is wanted.
+#[derive(Clone, Copy, Debug)]
+pub struct IrradiancePoint {
+    /// Position on the surface.
+    pub position: Vec3,
+    /// Unit geometric normal on the receiving side.
+    pub face_normal: Vec3,
+    /// Unit shading normal.
+    pub normal: Vec3,
+}
+
+/// A scene ready to be rendered.
+pub struct PathTracer<'a> {
+    mesh: &'a Mesh,
+    tracer: &'a dyn Tracer,
+    surfaces: &'a dyn SurfaceModel,
+    environment: &'a dyn Environment,
+    lights: Lights,
+    points: Vec<PointLight>,
+    reflectance: Reflectance,
+    options: PathTracerOptions,
+    /// Offset of ray origins relative to the largest coordinate involved.
+    offset_floor: f32,
+}
+
+impl<'a> PathTracer<'a> {
+    /// Prepares a scene: collects its lights and builds the tables they are sampled by.
+    #[must_use]
+    pub fn new(
+        mesh: &'a Mesh,
+        tracer: &'a dyn Tracer,
+        surfaces: &'a dyn SurfaceModel,
+        environment: &'a dyn Environment,
+        options: PathTracerOptions,
+    ) -> Self {
+        let lights = Lights::new(mesh, surfaces, environment, tracer, options.seed);
+        let (low, high) = mesh.bounds();
+        let offset_floor = 0.01 * (high - low).max_element();
+        Self {
+            mesh,
+            tracer,
+            surfaces,
+            environment,
+            lights,
+            points: Vec::new(),
+            reflectance: surfaces.reflectance(),
+            options,
+            offset_floor,
+        }
+    }
+
+    /// Adds lights without extent.
+    #[must_use]
+    pub fn with_points(mut self, points: Vec<PointLight>) -> Self {
+        self.points = points;
+        self
+    }
+
+    /// Sets the samples per pixel.
+    pub fn set_samples(&mut self, samples: u32) {
+        self.options.samples = samples.max(1);
+    }
+
+    /// Renders a camera; `key` tells views apart. Advances `progress` by the number of pixels.
+    #[must_use]
+    pub fn render(&self, camera: &Camera, key: u64, progress: &Progress) -> Frame {
+        self.render_with(camera, key, None, progress)
+    }
+
+    /// As [`Self::render`]; indirect light comes from `cache` where one is given.
+    #[must_use]
+    pub fn render_with(&self, camera: &Camera, key: u64, cache: Option<&dyn IndirectCache>, progress: &Progress) -> Frame {
+        let (w, h) = (camera.width, camera.height);
+        let samples = self.options.samples.max(1) as usize;
+        let all: Vec<usize> = (0..w * h).collect();
+        let pixels_per_task = (WAVEFRONT / samples).max(1);
+        let tiles = map_chunks(w * h, pixels_per_task, |range| {
+            let pixels = &all[range];
+            let mut out = self.begin_pixels(camera, pixels);
+            self.sample_pixels(camera, key, cache, pixels, [0, samples as u32], &mut out);
+            progress.advance(pixels.len() as u64);
+            out.iter().map(PixelAccumulator::finish).collect::<Vec<_>>()
+        });
+        assemble(w, h, &tiles.into_iter().flatten().collect::<Vec<_>>())
+    }
+
+    /// Renders a camera in passes: after `first` samples everywhere, each pass doubles the samples of the blocks whose error is
+    /// still above the target. `refined` sees the image after every pass. Advances `progress` by one per pixel and pass.
+    pub fn render_adaptive(
+        &self,
+        camera: &Camera,
+        key: u64,
+        goal: &Adaptive,
+        progress: &Progress,
+        mut refined: impl FnMut(u32, &Frame) -> crate::Result<()>,
+    ) -> crate::Result<Frame> {
+        let (w, h) = (camera.width, camera.height);
+        let mut pending: Vec<usize> = (0..w * h).collect();
+        let mut states: Vec<Option<PixelAccumulator>> = vec![None; w * h];
+        let (mut done, mut next) = (0u32, goal.first.max(2));
+        for pass in 0.. {
+            let per_task = (WAVEFRONT / (next - done) as usize).max(1);
+            let parts = map_chunks(pending.len(), per_task, |range| {
+                let pixels = &pending[range];
+                let mut out: Vec<PixelAccumulator> = if done == 0 {
+                    self.begin_pixels(camera, pixels)
+                } else {
+                    pixels.iter().filter_map(|&p| states[p].clone()).collect()
+                };
+                self.sample_pixels(camera, key, None, pixels, [done, next], &mut out);
+                progress.advance(pixels.len() as u64);
+                out
+            });
+            for (&p, state) in pending.iter().zip(parts.into_iter().flatten()) {
+                states[p] = Some(state);
+            }
+            let results: Vec<PixelResult> = states.iter().flatten().map(PixelAccumulator::finish).collect();
+            let frame = assemble(w, h, &results);
+            refined(pass, &frame)?;
+            (done, next) = (next, next.saturating_mul(2).min(goal.most));
+            pending = noisy_pixels(&frame, &pending, goal.error);
+            if next <= done || pending.is_empty() {
+                return Ok(frame);
+            }
+        }
+        unreachable!("the passes end by return")
+    }
+
+    fn begin_pixels(&self, camera: &Camera, pixels: &[usize]) -> Vec<PixelAccumulator> {
+        let centre = |p: usize| Vec2::new((p % camera.width) as f32 + 0.5, (p / camera.width) as f32 + 0.5);
+        // the class at the centre decides which samples count for the filtered materials
+        let rays: Vec<Ray> =
+            pixels.iter().map(|&p| Ray::new(camera.position, camera.direction(centre(p)), f32::INFINITY)).collect();
+        let mut hits = vec![Hit::miss(); rays.len()];
+        self.tracer.closest(&rays, &mut hits);
+        hits.iter().map(|h| PixelAccumulator::new(self.class_at(h))).collect()
+    }
+
+    /// Adds the samples `begin..end` of some pixels to their sums.
+    fn sample_pixels(
+        &self,
+        camera: &Camera,
+        view_key: u64,
+        cache: Option<&dyn IndirectCache>,
+        pixels: &[usize],
+        [begin, end]: [u32; 2],
+        results: &mut [PixelAccumulator],
+    ) {
+        let mut wave = Wave::default();
+        // many samples per pixel are done in several waves of whole pixels
+        let per_wave = (end - begin).min(WAVEFRONT as u32).max(1);
+        let mut first_sample = begin;
+        while first_sample < end {
+            let count = per_wave.min(end - first_sample);
+            wave.paths.clear();
+            wave.rays.clear();
+            let mut keys = Vec::with_capacity(pixels.len() * count as usize);
+            for &p in pixels {
+                let key = hash_u64(hash_u64(self.options.seed, view_key), p as u64);
+                let jitter = SobolSequence::new(key, 0);
+                for s in first_sample..first_sample + count {
+                    let j = jitter.point2(s);
+                    let corner = Vec2::new((p % camera.width) as f32, (p / camera.width) as f32);
+                    let direction = camera.direction(corner + Vec2::from_array(j));
+                    wave.rays.push(Ray::new(camera.position, direction, f32::INFINITY));
+                    let slot = keys.len() as u32;
+                    keys.push(PathKey { key, sample: s });
+                    wave.paths.push(Path { slot, beta: Vec3::ONE, first: [Vec3::ONE; 2], origin: camera.position, pdf: 0.0 });
+                }
+            }
+            let mut sums = vec![Sums::default(); keys.len()];
+            let mut features = vec![None; keys.len()];
+            self.trace_wave(&mut wave, &keys, &mut sums, Some(&mut features), cache, 0);
+            for (i, (s, f)) in sums.iter().zip(&features).enumerate() {
+                results[i / count as usize].add(s, f.as_ref());
+            }
+            first_sample += count;
+        }
+    }
+
+    fn class_at(&self, hit: &Hit) -> Option<(u16, Material)> {
+        hit.is_hit().then(|| {
+            let t = hit.triangle as usize;
+            (self.surfaces.label(t), self.surfaces.surface(t, hit.u, hit.v).material)
+        })
+    }
+
+    /// Irradiance at surface points, `samples` paths each; `key` tells passes apart. Advances `progress` by the number of points.
+    #[must_use]
+    pub fn irradiance(&self, points: &[IrradiancePoint], samples: u32, key: u64, progress: &Progress) -> Vec<Vec3> {
+        self.irradiance_with(points, samples, key, None, progress)
+    }
+
+    /// As [`Self::irradiance`]; indirect light comes from `cache` where one is given.
+    #[must_use]
+    pub fn irradiance_with(
+        &self,
+        points: &[IrradiancePoint],
+        samples: u32,
+        key: u64,
+        cache: Option<&dyn IndirectCache>,
+        progress: &Progress,
+    ) -> Vec<Vec3> {
+        let samples = samples.clamp(1, WAVEFRONT as u32);
+        let per_task = (WAVEFRONT / samples as usize).max(1);
+        let parts = map_chunks(points.len(), per_task, |range| {
+            let mut wave = Wave::default();
+            let mut keys = Vec::new();
+            for i in range.clone() {
+                let k = hash_u64(hash_u64(self.options.seed, key), i as u64);
+                keys.extend((0..samples).map(|sample| PathKey { key: k, sample }));
+            }
+            let mut sums = vec![Sums::default(); keys.len()];
+            for slot in 0..keys.len() {
+                let point = &points[range.start + slot / samples as usize];
+                let vertex = Vertex {
+                    position: point.position,
+                    face_normal: point.face_normal,
+                    normal: point.normal,
+                    view: point.normal,
+                    material: Material { albedo: Vec3::ONE, roughness: 1.0 },
+                    lobes: Lobes::Diffuse,
+                    reference: 0.0,
+                };
+                let path = Path { slot: slot as u32, beta: Vec3::ONE, first: [Vec3::ONE; 2], origin: point.position, pdf: 0.0 };
+                self.scatter(&vertex, path, keys[slot], 0, &mut wave);
+            }
+            self.resolve_shadows(&mut wave, &mut sums);
+            std::mem::swap(&mut wave.paths, &mut wave.next_paths);
+            std::mem::swap(&mut wave.rays, &mut wave.next_rays);
+            self.trace_wave(&mut wave, &keys, &mut sums, None, cache, 1);
+            progress.advance(range.len() as u64);
+            let mean = |s: &[Sums]| s.iter().map(|s| s.diffuse).sum::<Vec3>() * (PI / samples as f32);
+            sums.chunks(samples as usize).map(mean).collect::<Vec<Vec3>>()
+        });
+        parts.into_iter().flatten().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,55 @@
+//! What the path tracer renders: materials and emission of surfaces, the light from outside, known irradiance.
+
+use crate::brdf::{Material, Reflectance};
+use glam::Vec3;
+
+/// What light meets at a surface point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surface {
+    /// Reflection.
+    pub material: Material,
+    /// Emitted radiance, towards both sides.
+    pub emission: Vec3,
+}
+
+/// Materials and emission of a mesh.
+pub trait SurfaceModel: Sync {
+    /// The surface at barycentrics (u, v) of a triangle.
+    fn surface(&self, triangle: usize, u: f32, v: f32) -> Surface;
+    /// Mean emitted radiance of a triangle: decides how often it is sampled as a light. Must be positive where it emits.
+    fn mean_emission(&self, triangle: usize) -> Vec3;
+    /// Class id of a triangle; 0 = unlabelled.
+    fn label(&self, triangle: usize) -> u16;
+    /// The reflection model that the materials belong to.
+    fn reflectance(&self) -> Reflectance {
+        Reflectance::Paper
+    }
+    /// Whether triangles emit only towards the side their winding faces (false: towards both).
+    fn emits_forward_only(&self) -> bool {
+        false
+    }
+}
+
+/// Light from directions without geometry.
+pub trait Environment: Sync {
+    /// Radiance arriving from a unit direction (pointing away from the scene).
+    fn radiance(&self, direction: Vec3) -> Vec3;
+    /// Triangles in the openings the environment is seen through; a hint for sampling only.
+    fn portals(&self) -> &[[Vec3; 3]] {
+        &[]
+    }
+}
+
+/// No light from outside.
+pub struct BlackEnvironment;
+impl Environment for BlackEnvironment {
+    fn radiance(&self, _: Vec3) -> Vec3 {
+        Vec3::ZERO
+    }
+}
+
+/// Known irradiance, to end paths early.
+pub trait IndirectCache: Sync {
+    /// Irradiance on the front side at barycentrics (u, v) of a triangle.
+    fn irradiance(&self, triangle: usize, u: f32, v: f32) -> Vec3;
+}

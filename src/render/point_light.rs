@@ -1,0 +1,48 @@
+//! Lights without extent: bulbs, spots, measured luminaires.
+
+use super::IesProfile;
+use crate::math::Frame;
+use glam::Vec3;
+
+/// A light without extent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PointLight {
+    /// Where it is.
+    pub position: Vec3,
+    /// Largest radiant intensity per steradian.
+    pub intensity: Vec3,
+    /// Unit axis.
+    pub axis: Vec3,
+    /// How the intensity falls away from the axis.
+    pub shape: Shape,
+}
+
+/// How a light without extent distributes its intensity.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Shape {
+    /// The same everywhere.
+    Bulb,
+    /// A cone with a soft edge: cosines of the angles to the axis at which the light begins to fall and at which it has ended.
+    Spot([f32; 2]),
+    /// A measured luminaire, turned about its axis by an angle in radians.
+    Measured(IesProfile, f32),
+}
+
+impl PointLight {
+    /// Intensity towards the unit direction `d` (away from the light).
+    #[must_use]
+    pub fn towards(&self, d: Vec3) -> Vec3 {
+        let cosine = self.axis.dot(d);
+        match &self.shape {
+            Shape::Bulb => self.intensity,
+            Shape::Spot([inner, outer]) => {
+                let t = ((cosine - outer) / (inner - outer).max(1e-6)).clamp(0.0, 1.0);
+                self.intensity * (t * t * (3.0 - 2.0 * t))
+            }
+            Shape::Measured(profile, turn) => {
+                let local = Frame::from_normal(self.axis).local_from_world(d);
+                self.intensity * profile.share(cosine, local.y.atan2(local.x) - turn)
+            }
+        }
+    }
+}
