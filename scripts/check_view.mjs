@@ -58,7 +58,8 @@ await shot(page, 'final');
 const seen = new Map();
 for (const layer of await page.$$eval('#layers input', (all) => all.map((i) => i.value))) {
   await page.locator(`#layers input[value="${layer}"]`).check({ force: true });
-  await page.waitForTimeout(900);
+  await page.waitForSelector(`body[data-shown="${layer}"]`);
+  await page.waitForTimeout(300);
   const state = await look(page);
   seen.set(layer, state.mean.toFixed(2));
   await shot(page, 'layer-' + layer);

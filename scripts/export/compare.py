@@ -1,7 +1,8 @@
 """Compares what other programs made of an export with our own pictures; prints one line per check, exit code 1 if any fails.
 
 compare.py albedo OUT NAME...   our albedo against three.js and Blender (PSNR of sRGB values, at least 30 dB away from edges)
-compare.py light OUT NAME...    Mitsuba against our path tracer: Welch's t per block of pixels, and the mean over all
+compare.py light OUT NAME...    Mitsuba against our path tracer: Welch's t per block of pixels, and the mean over all;
+                                Blender's Cycles against it: PSNR of blocks' means; a picture of all side by side
 """
 import sys
 from pathlib import Path
@@ -59,6 +60,8 @@ if kind == "albedo":
             check(f"{program} {name}: {psnr:.1f} dB over {100 * keep.mean():.0f} % of the pixels (at least 30)", psnr >= 30)
 else:
     for name in names:
+        if not (out / f"mitsuba_{name}.npy").exists():
+            continue
         theirs = np.load(out / f"mitsuba_{name}.npy").astype(np.float64)
         ours = np.stack([exr(p / f"{name}.exr") for p in sorted(out.glob("ours_light_*"))]).astype(np.float64)
         block = 8
@@ -85,4 +88,35 @@ else:
         png(out / f"compare_mitsuba_{name}.png", srgb(both * scale))
         print(f"       mitsuba {name}: spread of t {bulk:.2f}, {100 * outside:.2f} % of {t.size} blocks beyond 3, mean {100 * relative:+.3f} % (z {z:+.2f})")
         check(f"mitsuba {name}: within noise", outside < 0.03 and bulk < 1.4 and (abs(z) < 3.5 or abs(relative) < 0.002))
+if kind == "light":
+    for name in names:
+        file = out / f"blender_lit_{name}.exr"
+        if not file.exists():
+            continue
+        ours = np.stack([exr(p / f"{name}.exr") for p in sorted(out.glob("ours_light_*"))]).mean(0).astype(np.float64)
+        theirs = exr(file).astype(np.float64)
+        block = 8
+        h, w = (ours.shape[0] // block) * block, (ours.shape[1] // block) * block
+        # lamps and windows seen directly are clipped in both, as in a photograph
+        peak = np.quantile(ours.mean(2), 0.9) / 0.8
+        means = [np.minimum(i[:h, :w], peak).reshape(h // block, block, w // block, block, 3).mean((1, 3)) for i in (ours, theirs)]
+        psnr = -10 * np.log10(max(((srgb(means[0] / peak) - srgb(means[1] / peak)) ** 2).mean(), 1e-12))
+        relative = means[1].mean() / means[0].mean() - 1
+        png(out / f"compare_blender_lit_{name}.png", srgb(np.concatenate([ours, theirs, 4 * np.abs(ours - theirs)], axis=1) / peak))
+        check(f"blender_lit {name}: {psnr:.1f} dB over blocks (at least 28), mean {100 * relative:+.2f} % (within 5)", psnr >= 28 and abs(relative) < 0.05)
+    rows = []
+    for name in names:
+        ours = np.stack([exr(p / f"{name}.exr") for p in sorted(out.glob("ours_light_*"))]).mean(0)
+        peak = np.quantile(ours.mean(2), 0.9) / 0.8
+        shown = [srgb(ours / peak)]
+        if (out / f"mitsuba_{name}.npy").exists():
+            shown.append(srgb(np.load(out / f"mitsuba_{name}.npy").mean(0) / peak))
+        if (out / f"blender_lit_{name}.exr").exists():
+            shown.append(srgb(exr(out / f"blender_lit_{name}.exr") / peak))
+        if (out / f"three_lit_{name}.png").exists():
+            bitmap = mi.Bitmap(str(out / f"three_lit_{name}.png"))
+            shown.append(np.array(bitmap.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, srgb_gamma=True)) / 255.0)
+        rows.append(np.concatenate(shown, axis=1))
+    png(out / "side_by_side.png", np.concatenate(rows, axis=0))
+    print("side by side (ours, Mitsuba, Blender, three.js):", out / "side_by_side.png")
 sys.exit(failed)

@@ -94,7 +94,12 @@ pub fn render(out: &Path, places: &Places, context: &Context) -> Result<()> {
     let mut clock = Instant::now();
     match options.renderer {
         Renderer::Hybrid => {
-            let hybrid = HybridOptions { supersampling: options.supersampling, seed: context.seed(), ..HybridOptions::default() };
+            let hybrid = HybridOptions {
+                supersampling: options.supersampling,
+                denoise: !options.no_denoise,
+                seed: context.seed(),
+                ..HybridOptions::default()
+            };
             let renderer = progress.stage("preparing", 1, |_| HybridRenderer::new(&solution, hybrid))?;
             progress.stage("rendering", cameras.len() as u64, |p| -> Result<()> {
                 for c in &cameras {

@@ -109,9 +109,103 @@ fn same_surface(a: &Guide, b: &Guide, specular: bool) -> f32 {
     if exponent > 12.0 { 0.0 } else { (-exponent).exp() }
 }
 
+/// First hit of a pixel, for [`filter_specular`].
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SpecularFeature {
+    /// Shading normal, zero where nothing reflects.
+    pub normal: Vec3,
+    /// Distance from the camera.
+    pub depth: f32,
+    /// Class.
+    pub label: u16,
+    /// Roughness.
+    pub roughness: f32,
+}
+
+/// Filters specular reflection of few samples per pixel, whose noise is known only from the neighbourhood. Rough surfaces blur what
+/// they reflect, so pixels of one surface may share; up to [`SHARP`] nothing is shared, from [`ROUGH`] on everything.
+pub fn filter_specular(specular: &mut RgbPlane, features: &[SpecularFeature], camera: &Camera) {
+    let (w, h) = (specular.width, specular.height);
+    let grid = Grid { width: w, height: h, wraps: matches!(camera.projection, Projection::Equirectangular) };
+    let guides: Vec<Guide> = features
+        .iter()
+        .enumerate()
+        .map(|(i, f)| {
+            let pixel = Vec2::new((i % w) as f32 + 0.5, (i / w) as f32 + 0.5);
+            Guide {
+                position: camera.position + camera.direction(pixel) * f.depth,
+                normal: f.normal.normalize_or_zero(),
+                inverse_tolerance: 1.0 / (0.5 * f.depth * camera.pixel_angle(pixel)).max(1e-3),
+                label: f.label,
+                roughness: f.roughness,
+            }
+        })
+        .collect();
+    let share = |i: usize| {
+        let t = ((guides[i].roughness - SHARP) / (ROUGH - SHARP)).clamp(0.0, 1.0);
+        if guides[i].normal == Vec3::ZERO { 0.0 } else { t }
+    };
+    let parts = map_chunks(w * h, 4096, |range| {
+        range
+            .map(|i| match share(i) > 0.0 {
+                true => local_signal(&grid, &guides, specular, i),
+                false => Signal { value: specular.data[i], variance: 0.0 },
+            })
+            .collect::<Vec<Signal>>()
+    });
+    let tamed: Vec<Signal> = parts.into_iter().flatten().collect();
+    let filtered = wavelets(&grid, &guides, tamed, true, SPECULAR_LEVELS);
+    for (i, (value, f)) in specular.data.iter_mut().zip(filtered).enumerate() {
+        *value = value.lerp(f.value, share(i));
+    }
+}
+
+/// Roughness up to which reflections are left as traced, and from which on they are filtered fully.
+const SHARP: f32 = 0.15;
+const ROUGH: f32 = 0.35;
+/// Wavelet levels of [`filter_specular`].
+const SPECULAR_LEVELS: u32 = 3;
+/// How far a pixel may exceed the mean of its neighbours (their two brightest left out) before it counts as a stray.
+const STRAY: f32 = 2.5;
+
+/// A pixel's reflection, strays pulled down, with the variance over its 5 × 5 neighbours on the same surface.
+fn local_signal(grid: &Grid, guides: &[Guide], specular: &RgbPlane, i: usize) -> Signal {
+    let (x, y) = (i % grid.width, i / grid.width);
+    let (mut sum, mut squares, mut count, mut brightest) = (0.0f32, 0.0f32, 0.0f32, [0.0f32; 2]);
+    for dy in -2isize..=2 {
+        for dx in -2isize..=2 {
+            let Some(j) = grid.neighbour(x, y, dx, dy).filter(|&j| j != i) else { continue };
+            if same_surface(&guides[i], &guides[j], true) < 0.05 {
+                continue;
+            }
+            let l = luminance(specular.data[j]);
+            (sum, squares, count) = (sum + l, squares + l * l, count + 1.0);
+            if l > brightest[0] {
+                brightest = [l, brightest[0]];
+            } else {
+                brightest[1] = brightest[1].max(l);
+            }
+        }
+    }
+    let here = specular.data[i];
+    if count < 6.0 {
+        return Signal { value: here, variance: 0.0 };
+    }
+    let n = count - 2.0;
+    let mean = (sum - brightest[0] - brightest[1]).max(0.0) / n;
+    let variance = ((squares - brightest[0] * brightest[0] - brightest[1] * brightest[1]) / n - mean * mean).max(0.0);
+    let limit = STRAY * mean + 2.0 * variance.sqrt();
+    let value = if luminance(here) > limit { here * (limit / luminance(here)) } else { here };
+    Signal { value, variance }
+}
+
 fn filter(grid: &Grid, guides: &[Guide], signal: Vec<Signal>, specular: bool) -> Vec<Signal> {
-    let mut signal = smooth_variance(grid, guides, &tame_outliers(grid, guides, &signal, specular), specular);
-    for level in 0..LEVELS {
+    let signal = smooth_variance(grid, guides, &tame_outliers(grid, guides, &signal, specular), specular);
+    wavelets(grid, guides, signal, specular, LEVELS)
+}
+
+fn wavelets(grid: &Grid, guides: &[Guide], mut signal: Vec<Signal>, specular: bool, levels: u32) -> Vec<Signal> {
+    for level in 0..levels {
         let step = 1isize << level;
         let steer = steering(grid, guides, &signal, specular);
         let rows = map_chunks(grid.height, 4, |range| {
@@ -256,6 +350,45 @@ mod tests {
     use crate::image::Plane;
     use crate::sampling::KeyedRng;
     use glam::Mat3;
+
+    #[test]
+    fn rough_reflections_lose_their_noise_and_mirrors_stay_as_traced() {
+        let (w, h) = (64, 32);
+        let lens = crate::geometry::Lens::centred(w, h, 60.0);
+        let camera = Camera {
+            projection: Projection::Pinhole(lens),
+            width: w,
+            height: h,
+            world_from_camera: Mat3::IDENTITY,
+            position: Vec3::ZERO,
+        };
+        let truth = |i: usize| 0.5 + 0.4 * ((i % w) as f32 / w as f32);
+        let mut rng = KeyedRng::new(5, 6);
+        let noisy: Vec<Vec3> = (0..w * h)
+            .map(|i| {
+                let stray = if rng.next_f32() < 0.01 { 30.0 } else { 1.0 };
+                Vec3::splat(truth(i) * stray * (0.5 + rng.next_f32()))
+            })
+            .collect();
+        for (roughness, gain) in [(0.6, 8.0), (0.1, 1.0)] {
+            let mut plane = RgbPlane { width: w, height: h, data: noisy.clone() };
+            let features: Vec<SpecularFeature> = (0..w * h)
+                .map(|i| {
+                    let d = camera.direction(Vec2::new((i % w) as f32 + 0.5, (i / w) as f32 + 0.5));
+                    SpecularFeature { normal: Vec3::Z, depth: -2.0 / d.z, label: 1, roughness }
+                })
+                .collect();
+            filter_specular(&mut plane, &features, &camera);
+            if roughness < SHARP {
+                assert_eq!(plane.data, noisy);
+                continue;
+            }
+            let error =
+                |p: &[Vec3]| (p.iter().enumerate().map(|(i, v)| (v.x - truth(i)).powi(2)).sum::<f32>() / (w * h) as f32).sqrt();
+            assert!(error(&plane.data) * gain < error(&noisy), "{} {}", error(&plane.data), error(&noisy));
+            assert!(error(&plane.data) < 0.12, "{}", error(&plane.data));
+        }
+    }
 
     /// A wall and a floor with a textured albedo, a shadow edge, and noise of known variance.
     fn noisy_frame(sigma: f32) -> (Frame, Camera, RgbPlane) {

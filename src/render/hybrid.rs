@@ -2,6 +2,7 @@
 //! radiance (method §5). Fast, because all bounces are in the textures; edits do not change the light. For changed light use the
 //! path tracer.
 
+use super::denoise::{SpecularFeature, filter_specular};
 use crate::Result;
 use crate::geometry::Camera;
 use crate::image::{Plane, RgbPlane, Wrap};
@@ -44,13 +45,15 @@ pub struct HybridOptions {
     pub specular_rays: u32,
     /// Emitter samples per primary ray.
     pub emitter_samples: u32,
+    /// Filter the noise of specular reflection, guided by the surfaces seen.
+    pub denoise: bool,
     /// Seed of the sample points.
     pub seed: u64,
 }
 
 impl Default for HybridOptions {
     fn default() -> Self {
-        Self { supersampling: 2, specular_rays: 4, emitter_samples: 2, seed: 0 }
+        Self { supersampling: 2, specular_rays: 4, emitter_samples: 2, denoise: true, seed: 0 }
     }
 }
 
@@ -125,7 +128,8 @@ impl<'a> HybridRenderer<'a> {
         let mut points = Vec::with_capacity(rays.len());
         for (i, (ray, hit)) in rays.iter().zip(&hits).enumerate() {
             let direction = Vec3::from_array(ray.direction);
-            let point = self.shade_point(hit, direction);
+            let mut point = self.shade_point(hit, direction);
+            point.depth = hit.t;
             if let Some((normal, face_normal)) = point.normals {
                 gaze_of[i] = gazes.len() as u32;
                 let key = hash_u64((y * w * samples + i) as u64, camera.position.x.to_bits().into());
@@ -153,7 +157,7 @@ impl<'a> HybridRenderer<'a> {
         reflector.reflect(&gazes, Levels::Own(&levels), &mut specular);
         for (p, g) in points.iter_mut().zip(&gaze_of) {
             if *g != u32::MAX {
-                p.radiance += specular[*g as usize];
+                p.specular = specular[*g as usize];
             }
         }
         Row::resolve(&points, samples)
@@ -171,7 +175,7 @@ impl<'a> HybridRenderer<'a> {
         let albedo = s.albedo.bilinear(at(s.albedo.width, s.albedo.height), Wrap::Clamp);
         let roughness = *s.roughness.nearest(at(s.roughness.width, s.roughness.height));
         if self.field.is_emissive(t) && *s.emission.nearest(at(s.emission.width, s.emission.height)) != Vec3::ZERO {
-            return Point { radiance: self.field.emitted(t, hit.u, hit.v), albedo, roughness, label, normals: None };
+            return Point { radiance: self.field.emitted(t, hit.u, hit.v), albedo, roughness, label, ..Point::default() };
         }
         let irradiance = s.irradiance.bilinear(at(s.irradiance.width, s.irradiance.height), Wrap::Clamp);
         let (mut normal, mut face_normal) = (s.mesh.shading_normal(t, hit.u, hit.v), s.mesh.face_normal(t));
@@ -184,6 +188,7 @@ impl<'a> HybridRenderer<'a> {
             roughness,
             label,
             normals: Some((normal, face_normal)),
+            ..Point::default()
         }
     }
 }
@@ -198,20 +203,33 @@ impl ViewRenderer for HybridRenderer<'_> {
             roughness: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
             labels: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
         };
+        let mut specular = Plane { width: w, height: h, data: Vec::with_capacity(w * h) };
+        let mut features = Vec::with_capacity(w * h);
         for r in rows {
+            specular.data.extend(r.specular);
+            features.extend(r.features);
             out.radiance.data.extend(r.radiance);
             out.albedo.data.extend(r.albedo);
             out.roughness.data.extend(r.roughness);
             out.labels.data.extend(r.labels);
         }
+        if self.options.denoise {
+            filter_specular(&mut specular, &features, camera);
+        }
+        for (l, s) in out.radiance.data.iter_mut().zip(&specular.data) {
+            *l += *s;
+        }
         Ok(out)
     }
 }
 
-/// A shaded primary hit; `normals` (shading, geometric) where specular reflection is to be added.
+/// A shaded primary hit; `normals` (shading, geometric) where there is specular reflection.
 #[derive(Clone, Copy, Default)]
 struct Point {
+    /// All but the specular part.
     radiance: Vec3,
+    specular: Vec3,
+    depth: f32,
     albedo: Vec3,
     roughness: f32,
     label: u16,
@@ -221,6 +239,8 @@ struct Point {
 #[derive(Default)]
 struct Row {
     radiance: Vec<Vec3>,
+    specular: Vec<Vec3>,
+    features: Vec<SpecularFeature>,
     albedo: Vec<Vec3>,
     roughness: Vec<f32>,
     labels: Vec<u16>,
@@ -242,6 +262,13 @@ impl Row {
             row.albedo.push(same.iter().map(|p| p.albedo).sum::<Vec3>() * share);
             row.roughness.push(same.iter().map(|p| p.roughness).sum::<f32>() * share);
             row.labels.push(label);
+            row.specular.push(pixel.iter().map(|p| p.specular).sum::<Vec3>() / samples as f32);
+            row.features.push(SpecularFeature {
+                normal: same.iter().filter_map(|p| p.normals).map(|n| n.0).sum::<Vec3>().normalize_or_zero(),
+                depth: same.iter().map(|p| p.depth).sum::<f32>() * share,
+                label,
+                roughness: same.iter().map(|p| p.roughness).sum::<f32>() * share,
+            });
         }
         row
     }

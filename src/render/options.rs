@@ -179,7 +179,7 @@ pub struct RenderOptions {
     /// Paths per pixel (path renderer).
     #[arg(long, value_name = "N", default_value_t = Self::default().samples)]
     pub samples: u32,
-    /// Leave the path renderer's noise as it is.
+    /// Leave the noise as it is: of every reflection (path renderer), of rough reflections (hybrid renderer).
     #[arg(long)]
     pub no_denoise: bool,
     /// Leave out specular reflection (path renderer).

@@ -2,6 +2,8 @@
 
 use super::*;
 use crate::geometry::Projection;
+use crate::image::RgbPlane;
+use crate::sampling::KeyedRng;
 use crate::trace::BruteForce;
 use glam::Mat3;
 

@@ -38,6 +38,7 @@ async function start() {
     const moving = controls.tick(now);
     camera.aspect = renderer.resize();
     renderer.draw(camera, view);
+    document.body.dataset.shown = view.layer;
     if (moving) redraw();
   };
   const redraw = () => {
