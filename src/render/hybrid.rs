@@ -263,9 +263,11 @@ impl Row {
             row.roughness.push(same.iter().map(|p| p.roughness).sum::<f32>() * share);
             row.labels.push(label);
             row.specular.push(pixel.iter().map(|p| p.specular).sum::<Vec3>() / samples as f32);
+            // only what reflects counts: a sample beside the geometry has no distance
+            let seen: Vec<(Vec3, f32)> = same.iter().filter_map(|p| p.normals.map(|n| (n.0, p.depth))).collect();
             row.features.push(SpecularFeature {
-                normal: same.iter().filter_map(|p| p.normals).map(|n| n.0).sum::<Vec3>().normalize_or_zero(),
-                depth: same.iter().map(|p| p.depth).sum::<f32>() * share,
+                normal: seen.iter().map(|s| s.0).sum::<Vec3>().normalize_or_zero(),
+                depth: seen.iter().map(|s| s.1).sum::<f32>() / seen.len().max(1) as f32,
                 label,
                 roughness: same.iter().map(|p| p.roughness).sum::<f32>() * share,
             });
