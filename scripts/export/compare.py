@@ -97,9 +97,9 @@ if kind == "light":
         theirs = exr(file).astype(np.float64)
         block = 8
         h, w = (ours.shape[0] // block) * block, (ours.shape[1] // block) * block
-        # lamps and windows seen directly are clipped in both, as in a photograph
+        # lamps and windows seen directly are clipped in both, as in a photograph; blocks, for noise clipped is light lost
         peak = np.quantile(ours.mean(2), 0.9) / 0.8
-        means = [np.minimum(i[:h, :w], peak).reshape(h // block, block, w // block, block, 3).mean((1, 3)) for i in (ours, theirs)]
+        means = [np.minimum(i[:h, :w].reshape(h // block, block, w // block, block, 3).mean((1, 3)), peak) for i in (ours, theirs)]
         psnr = -10 * np.log10(max(((srgb(means[0] / peak) - srgb(means[1] / peak)) ** 2).mean(), 1e-12))
         relative = means[1].mean() / means[0].mean() - 1
         png(out / f"compare_blender_lit_{name}.png", srgb(np.concatenate([ours, theirs, 4 * np.abs(ours - theirs)], axis=1) / peak))
