@@ -5,6 +5,7 @@
 //! here is asserted by a test: a test machine is never quiet.
 
 mod child;
+mod damage;
 mod ground;
 mod growth;
 mod irt;
@@ -13,10 +14,12 @@ mod irt_nirf;
 mod irt_rates;
 mod kernel;
 mod plot;
+mod robustness;
 mod tradeoff;
 mod tsdr;
 
 pub use child::{Outcome, Runner};
+pub use damage::{CONDITIONS, Damage, write_damaged};
 pub use ground::Ground;
 pub use growth::{Growth, TextureGrowth, ThreadGrowth, TriangleGrowth};
 pub use irt::{IrtBench, IrtReport, bench_irt};
@@ -24,6 +27,7 @@ pub use irt_error::{ErrorPoint, Reference};
 pub use irt_nirf::NirfReport;
 pub use irt_rates::{BatchRate, EstimatorRate, Rates};
 pub use kernel::{KernelBench, KernelRates, KernelReport, bench_kernel};
+pub use robustness::{RobustnessBench, RobustnessPoint, RobustnessReport, bench_robustness};
 pub use tradeoff::{APPROXIMATIONS, Clock, KNOBS, NEEDS, PRESETS, TradePoint, TradeoffBench, TradeoffReport, bench_tradeoff};
 pub use tsdr::{TsdrBench, TsdrReport, bench_tsdr};
 

@@ -3,7 +3,8 @@
 use super::verbs::read_scene;
 use super::{Config, Context};
 use crate::bench::{
-    IrtBench, KernelBench, Runner, TradeoffBench, TsdrBench, bench_irt, bench_kernel, bench_tradeoff, bench_tsdr,
+    IrtBench, KernelBench, RobustnessBench, Runner, TradeoffBench, TsdrBench, bench_irt, bench_kernel, bench_robustness,
+    bench_tradeoff, bench_tsdr,
 };
 use crate::error::{Error, Result};
 use crate::formats::{Aside, atomic_write};
@@ -58,6 +59,21 @@ pub enum BenchVerb {
         #[arg(long, value_name = "FILE")]
         json_file: Option<PathBuf>,
     },
+    /// What damaged input costs: wrong labels, exposure drift, clipping, pose and geometry noise, each beside the clean scene.
+    Robustness {
+        /// Scene folder (or its transforms.json), with ground truth.
+        #[arg(value_name = "SCENE")]
+        scene: PathBuf,
+        /// What is measured.
+        #[command(flatten)]
+        bench: RobustnessBench,
+        /// Where damaged scenes and reconstructions go.
+        #[command(flatten)]
+        work: Work,
+        /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
+        #[arg(long, value_name = "FILE")]
+        json_file: Option<PathBuf>,
+    },
     /// Evaluations per second of the reflection kernel beside the scalar reference and the machine's limits.
     Kernel {
         /// What is measured.
@@ -79,10 +95,17 @@ pub struct Work {
 
 impl Work {
     fn runner(&self, scene: &Path, context: &Context) -> Result<Runner> {
+        self.runner_in(scene, &self.folder(), context)
+    }
+
+    fn folder(&self) -> PathBuf {
+        self.keep.clone().unwrap_or_else(|| std::env::temp_dir().join(format!("unbake-bench-{}", std::process::id())))
+    }
+
+    fn runner_in(&self, scene: &Path, work: &Path, context: &Context) -> Result<Runner> {
         let config = Config { quiet: true, json: false, ..context.config.clone() };
         let config = toml::to_string(&config).map_err(|e| Error::Failed(format!("options: {e}")))?;
-        let work = self.keep.clone().unwrap_or_else(|| std::env::temp_dir().join(format!("unbake-bench-{}", std::process::id())));
-        Runner::new(scene, &work, self.keep.is_some(), &config)
+        Runner::new(scene, work, self.keep.is_some(), &config)
     }
 }
 
@@ -146,6 +169,22 @@ pub(super) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
             outputs.check()?;
             let scene = read_scene(path, context)?;
             let report = bench_tsdr(&scene, &work.runner(path, context)?, bench, &context.progress)?;
+            outputs.write(context, &report.text(), &report, || Ok(String::new()))
+        }
+        BenchVerb::Robustness { scene: path, bench, work, json_file } => {
+            let outputs = Outputs { json_file: json_file.clone(), plot: None };
+            outputs.check()?;
+            let scene = read_scene(path, context)?;
+            let folder = work.folder();
+            let runner = |scene: &Path, to: &Path| work.runner_in(scene, to, context);
+            let report = bench_robustness(&scene, bench, context.seed(), &folder, &runner, &context.progress, &mut |so_far| {
+                outputs.write_files(so_far, || Ok(String::new())).map(drop)
+            });
+            if work.keep.is_none() {
+                // nothing can be done about files that will not go
+                let _ = std::fs::remove_dir_all(&folder);
+            }
+            let report = report?;
             outputs.write(context, &report.text(), &report, || Ok(String::new()))
         }
         BenchVerb::Kernel { bench, json_file } => {

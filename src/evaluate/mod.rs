@@ -3,10 +3,14 @@
 //! This is the only module that reads a scene's `gt/` folder. Every material figure is given under three published protocols
 //! side by side (see [`protocol`]); nothing is overwritten before scoring.
 
+mod calibration;
+mod emission;
 pub mod protocol;
 mod scores;
 mod table;
 
+pub use calibration::{Calibration, CalibrationBin, Calibrations};
+pub use emission::EmissionScores;
 pub use scores::{ClassScores, Evaluation, ImageScores, MaterialScores, Protocols, SplitScores, ViewScores};
 pub use table::terminal_table;
 
@@ -19,6 +23,7 @@ use crate::progress::Progress;
 use crate::render::{RenderedView, ViewRenderer};
 use crate::scene::{Scene, Split, View};
 use crate::solution::AsideFolder;
+use emission::EmissionTruth;
 use protocol::{box_average, least_squares_albedo, material_mask, quantised, tone_mapped, working_size};
 use scores::{Accumulator, ClassTally};
 use serde::{Deserialize, Serialize};
@@ -98,8 +103,11 @@ pub fn evaluate(
             let accumulator = if view.split == Split::Test { &mut test } else { &mut train };
             let truth = truth.as_ref();
             let mut scores = score_rendering(view, (&photograph, &valid), &rendered, options, accumulator)?;
+            let labels = labels_of(scene, view, &rendered)?;
+            if let Some(emission) = EmissionTruth::of(scene, view, &photograph, &labels, &accumulator.lights)? {
+                accumulator.emission.add(&emission, &rendered);
+            }
             if let Some(truth) = truth {
-                let labels = labels_of(scene, view, &rendered)?;
                 score_materials(&labels, &rendered, truth, options, accumulator, &mut scores);
             }
             each(&ViewOutcome { view, photograph: &photograph, rendered: &rendered, scores: &scores, truth });
@@ -254,6 +262,7 @@ fn score_materials(
     scores.roughness_psnr_fipt = Some(psnr(roughness_mse[1]));
     let tally: &mut ClassTally = &mut accumulator.classes;
     tally.add(labels, &mask, rendered, truth);
+    accumulator.calibration.add(&mask, rendered, truth);
 }
 
 #[cfg(test)]

@@ -29,6 +29,13 @@ pub fn descriptions(options: &EvalOptions) -> Vec<String> {
         "texir: one least-squares scale per view for albedo, all channels together, before clipping; roughness is not scaled and \
          equals linear"
             .into(),
+        "emission: IoU of emitting pixels and mean squared difference of log(1 + L_e) over all pixels, as FIPT; truth from \
+         gt/emission, otherwise pixels of classes of kind light emit what the photograph shows there (pixels far darker than their \
+         class are housing)"
+            .into(),
+        "calibration: pixels binned by the stated standard error (confidence.exr), root mean square of the actual error per bin; \
+         albedo by luminance"
+            .into(),
         "psnr_of_mean_mse: -10 log10 of the mean over images of the MSE; mean_psnr: mean over images of the PSNR".into(),
     ];
     if options.quantise {

@@ -1,6 +1,8 @@
 //! The figures an evaluation consists of, and how they are collected view by view.
 
 use super::GroundTruth;
+use super::calibration::{CalibrationTally, Calibrations};
+use super::emission::{EmissionScores, EmissionTally};
 use crate::image::Plane;
 use crate::metrics::{psnr, squared_error};
 use crate::render::RenderedView;
@@ -45,6 +47,9 @@ pub struct MaterialScores {
     pub roughness_median_absolute_error: f64,
     /// Classes by ascending id; those never seen are left out.
     pub classes: Vec<ClassScores>,
+    /// Stated against actual errors.
+    #[serde(default)]
+    pub calibration: Calibrations,
 }
 
 /// Scores of one class, pooled over all its pixels in all views, under the linear protocol.
@@ -104,6 +109,9 @@ pub struct SplitScores {
     pub rendering: ImageScores,
     /// Albedo and roughness, where the scene has ground truth.
     pub materials: Option<MaterialScores>,
+    /// Which pixels emit and how much, where the scene says so.
+    #[serde(default)]
+    pub emission: Option<EmissionScores>,
     /// Every view.
     pub views: Vec<ViewScores>,
 }
@@ -167,6 +175,8 @@ pub(super) struct Accumulator {
     pub(super) rendering: Tally,
     pub(super) materials: Option<MaterialTally>,
     pub(super) classes: ClassTally,
+    pub(super) calibration: CalibrationTally,
+    pub(super) emission: EmissionTally,
     pub(super) views: Vec<ViewScores>,
 }
 
@@ -177,6 +187,8 @@ impl Accumulator {
             rendering: Tally::default(),
             materials: None,
             classes: ClassTally::new(scene),
+            calibration: CalibrationTally::default(),
+            emission: EmissionTally::default(),
             views: Vec::new(),
         }
     }
@@ -196,9 +208,10 @@ impl Accumulator {
                 roughness: Protocols { linear: roughness.clone(), fipt: m.roughness.fipt.finish(), texir: roughness },
                 roughness_median_absolute_error: self.classes.median_of_all(),
                 classes: self.classes.finish(),
+                calibration: self.calibration.finish(),
             }
         });
-        Some(SplitScores { rendering: self.rendering.finish(), materials, views: self.views })
+        Some(SplitScores { rendering: self.rendering.finish(), materials, emission: self.emission.finish(), views: self.views })
     }
 }
 

@@ -25,18 +25,31 @@ fn split_table(out: &mut String, title: &str, kind: &str, split: &SplitScores) {
     let count = split.views.len();
     let _ = writeln!(out, "{title} ({count} image{})", if count == 1 { "" } else { "s" });
     let _ = writeln!(out, "  {:<24} {:>18} {:>12} {:>9} {:>10}", "", "PSNR of mean MSE", "mean PSNR", "SSIM", "MSE");
-    let mut row = |name: &str, s: &super::ImageScores| {
-        let _ =
-            writeln!(out, "  {name:<24} {:>15.2} dB {:>9.2} dB {:>9.4} {:>10.5}", s.psnr_of_mean_mse, s.mean_psnr, s.ssim, s.mse);
-    };
-    row(kind, &split.rendering);
+    row(out, kind, &split.rendering);
+    if let Some(e) = &split.emission {
+        let _ = writeln!(
+            out,
+            "  {:<24} IoU {:.3} (mean of images {:.3}), log-L2 {:.4}, power {:.3} of the true",
+            "emission", e.iou, e.mean_iou, e.log_l2, e.power_ratio
+        );
+    }
     if let Some(m) = &split.materials {
-        row("albedo, linear", &m.albedo.linear);
-        row("albedo, FIPT", &m.albedo.fipt);
-        row("albedo, TexIR", &m.albedo.texir);
-        row("roughness, linear", &m.roughness.linear);
-        row("roughness, FIPT", &m.roughness.fipt);
+        row(out, "albedo, linear", &m.albedo.linear);
+        row(out, "albedo, FIPT", &m.albedo.fipt);
+        row(out, "albedo, TexIR", &m.albedo.texir);
+        row(out, "roughness, linear", &m.roughness.linear);
+        row(out, "roughness, FIPT", &m.roughness.fipt);
         let _ = writeln!(out, "  median |R - truth| {:>24.4}", m.roughness_median_absolute_error);
+        for (name, c) in [("albedo", &m.calibration.albedo), ("roughness", &m.calibration.roughness)] {
+            let _ = writeln!(
+                out,
+                "  stated error, {name:<10} {:.4} (actual {:.4}); within 1: {:.0} %, within 2: {:.0} %",
+                c.all.stated,
+                c.all.actual,
+                100.0 * c.all.within_1,
+                100.0 * c.all.within_2
+            );
+        }
         let _ = writeln!(
             out,
             "\n  {:<24} {:>10} {:>12} {:>12} {:>12} {:>9} {:>9}",
@@ -51,4 +64,9 @@ fn split_table(out: &mut String, title: &str, kind: &str, split: &SplitScores) {
             );
         }
     }
+}
+
+fn row(out: &mut String, name: &str, s: &super::ImageScores) {
+    let (psnr, mean) = (s.psnr_of_mean_mse, s.mean_psnr);
+    let _ = writeln!(out, "  {name:<24} {psnr:>15.2} dB {mean:>9.2} dB {:>9.4} {:>10.5}", s.ssim, s.mse);
 }

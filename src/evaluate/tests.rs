@@ -24,6 +24,8 @@ impl ViewRenderer for Constant {
             albedo: Plane::filled(w, h, Vec3::splat(self.albedo)),
             roughness: Plane::filled(w, h, self.roughness),
             labels: Plane::filled(w, h, 1),
+            emission: Plane::filled(w, h, Vec3::ZERO),
+            confidence: Plane::filled(w, h, glam::Vec2::splat(0.1)),
         })
     }
 }

@@ -1,7 +1,11 @@
 //! What each view sees: first hits per pixel, which pixels are free of edges, and the observations of a surface point.
 
+mod clipping;
+mod gains;
 mod observe;
 mod view_buffer;
 
+pub use clipping::clipped_pixels;
+pub use gains::{ViewGains, estimate_gains};
 pub use observe::{Observation, ObservedView, Observer, Orientation};
 pub use view_buffer::ViewBuffer;

@@ -20,8 +20,16 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub struct AlbedoEstimate {
     /// Albedo, not clamped; zero where unobserved.
     pub value: Vec<Vec3>,
-    /// Standard error of its luminance; infinite where unobserved.
+    /// Standard error of its luminance as far as the views' disagreement tells; infinite where unobserved.
     pub error: Vec<f32>,
+    /// Effective number of independent looks; 0 where unobserved.
+    pub looks: Vec<f32>,
+    /// Weighted mean share of the specular part in the looks' radiance.
+    pub specular_share: Vec<f32>,
+    /// Whether a look is clean: free of edges and clipping.
+    pub clean: Vec<bool>,
+    /// Side of the sharpest look's pixel footprint on the surface, metres; infinite where unobserved.
+    pub footprint: Vec<f32>,
 }
 
 /// Specular radiance at every pixel of a view, given roughness per surface point. Where `known(triangle, position, n·v)` knows it, no
@@ -103,6 +111,7 @@ pub fn estimate_albedo(
             observer.observe(texels.position(mesh, i), mesh.face_normal(t) * orientation.sign(t), &mut seen);
             crate::lighting::prefer_clean(&mut seen);
             looks.clear();
+            let mut mean_share = 0.0;
             let sharpest = seen.iter().map(|o| o.footprint).fold(f32::INFINITY, f32::min);
             for o in &seen {
                 let camera = &observer.views[o.view as usize].buffer.camera;
@@ -116,20 +125,22 @@ pub fn estimate_albedo(
                 let share = luminance(s) / luminance(o.radiance).max(1e-12);
                 let w = (sharpest / o.footprint).powi(4) * o.n_v / (1.0 + (share / 0.15).powi(2));
                 let factor = shading.model.diffuse_factor(o.n_v, (shading.roughness)(i));
+                mean_share += w * share.min(1.0);
                 looks.push(((o.radiance - s) / factor, w));
             }
             let lit = irradiance.bilinear(mesh.uv(t, p.u, p.v) * size, crate::image::Wrap::Clamp);
             // a channel without light keeps a finite albedo whatever the exposure
             let e = lit.max(Vec3::splat(luminance(lit) * 1e-6));
-            let (diffuse, spread) = robust_diffuse(&looks);
+            let (diffuse, spread, effective) = robust_diffuse(&looks);
+            let specular_share = mean_share / looks.iter().map(|l| l.1).sum::<f32>().max(f32::MIN_POSITIVE);
             // without light nothing is known of what would reflect it
             if luminance(lit) <= 0.0 {
-                out.value.push(Vec3::ZERO);
-                out.error.push(f32::INFINITY);
+                out.push(Vec3::ZERO, f32::INFINITY, [0.0; 2], (false, sharpest));
                 continue;
             }
-            out.value.push(diffuse * std::f32::consts::PI / e);
-            out.error.push(spread * std::f32::consts::PI / luminance(e));
+            let error = spread * std::f32::consts::PI / luminance(e);
+            let clean = seen.iter().any(|o| o.clean);
+            out.push(diffuse * std::f32::consts::PI / e, error, [effective, specular_share], (clean, sharpest));
         }
         progress.advance(range.len() as u64);
         out
@@ -138,14 +149,29 @@ pub fn estimate_albedo(
     for p in parts {
         all.value.extend(p.value);
         all.error.extend(p.error);
+        all.looks.extend(p.looks);
+        all.specular_share.extend(p.specular_share);
+        all.clean.extend(p.clean);
+        all.footprint.extend(p.footprint);
     }
     all
 }
 
-/// Weighted robust mean of diffuse radiances and its standard error; (0, ∞) without observations.
-fn robust_diffuse(looks: &[(Vec3, f32)]) -> (Vec3, f32) {
+impl AlbedoEstimate {
+    fn push(&mut self, value: Vec3, error: f32, [looks, specular_share]: [f32; 2], (clean, footprint): (bool, f32)) {
+        self.value.push(value);
+        self.error.push(error);
+        self.looks.push(looks);
+        self.specular_share.push(specular_share);
+        self.clean.push(clean);
+        self.footprint.push(footprint);
+    }
+}
+
+/// Weighted robust mean of diffuse radiances, its standard error and the effective number of looks; (0, ∞, 0) without any.
+fn robust_diffuse(looks: &[(Vec3, f32)]) -> (Vec3, f32, f32) {
     if looks.is_empty() {
-        return (Vec3::ZERO, f32::INFINITY);
+        return (Vec3::ZERO, f32::INFINITY, 0.0);
     }
     let mut order: Vec<(f32, f32)> = looks.iter().map(|l| (luminance(l.0), l.1)).collect();
     order.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -170,8 +196,8 @@ fn robust_diffuse(looks: &[(Vec3, f32)]) -> (Vec3, f32) {
         weight2 += k * k;
     }
     if total <= 0.0 {
-        return (looks[0].0, median.abs());
+        return (looks[0].0, median.abs(), 1.0);
     }
     let effective = total * total / weight2;
-    (sum / total, ((square / total).max((0.02 * median).powi(2)) / effective).sqrt())
+    (sum / total, ((square / total).max((0.02 * median).powi(2)) / effective).sqrt(), effective)
 }

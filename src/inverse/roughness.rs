@@ -73,8 +73,28 @@ fn fit_group(evidence: &Evidence, model: Reflectance, group: (u16, u16), points:
     let slopes: Vec<f64> = rows.iter().map(|r| (r[hi] - r[lo]) / step).collect();
     let mean = slopes.iter().sum::<f64>() / n;
     let variance = slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n / n;
-    let error = if curvature > 0.0 { (variance.sqrt() / curvature) as f32 } else { 1.0 };
-    GroupFit { group, roughness, error: error.min(1.0), objective, points: points.len() }
+    let noise = if curvature > 0.0 { (variance.sqrt() / curvature) as f32 } else { 1.0 };
+    let error = noise.hypot(indistinguishable(roughness, &objective)).min(1.0);
+    GroupFit { group, roughness, error, objective, points: points.len() }
+}
+
+/// Standard deviation around `roughness` of a roughness known only to explain the views as well as the best does, up to what no model
+/// can be trusted to tell apart: uniform over the levels around the best whose disagreement is within [`MODEL_GAIN`] of it. Unlike the
+/// points' scatter this does not shrink with their number: the model's own error is common to all points.
+fn indistinguishable(roughness: f32, objective: &[f64]) -> f32 {
+    let limit = objective.iter().copied().fold(f64::INFINITY, f64::min) * (1.0 + MODEL_GAIN);
+    let best = (0..LEVELS.len()).min_by(|&a, &b| objective[a].total_cmp(&objective[b])).unwrap_or(0);
+    // where the objective crosses the limit between an outside level and its inside neighbour
+    let crossing = |inside: usize, outside: usize| {
+        let (a, b) = (objective[inside], objective[outside]);
+        let t = if b > a { ((limit - a) / (b - a)).clamp(0.0, 1.0) as f32 } else { 1.0 };
+        LEVELS[inside] + t * (LEVELS[outside] - LEVELS[inside])
+    };
+    let low = (0..best).rev().find(|&k| objective[k] > limit).map_or(LEVELS[0], |k| crossing(k + 1, k));
+    let high = (best + 1..LEVELS.len()).find(|&k| objective[k] > limit).map_or(LEVELS[LEVELS.len() - 1], |k| crossing(k - 1, k));
+    let (down, up) = ((roughness - low).max(0.0), (high - roughness).max(0.0));
+    // mean square distance of a uniform distribution over [low, high] from the estimate
+    ((down.powi(3) + up.powi(3)) / (3.0 * (down + up).max(1e-6))).sqrt()
 }
 
 /// Robust relative disagreement of a point's views per level.
@@ -152,4 +172,42 @@ fn parabola_minimum(best: usize, objective: &[f64]) -> (f32, f64) {
     let vertex = x[1] - slope_mid / curvature;
     let bounds = (f64::from(LEVELS[best.saturating_sub(1)]), f64::from(LEVELS[(best + 1).min(last)]));
     (vertex.clamp(bounds.0, bounds.1) as f32, curvature)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bowl(centre: f32, depth: f64) -> Vec<f64> {
+        LEVELS.iter().map(|r| 0.02 * (1.0 + depth * f64::from(r - centre).powi(2))).collect()
+    }
+
+    /// Gradient row: vertex and curvature of the search are those of the objective, against its analytic derivatives.
+    #[test]
+    fn the_parabola_is_exact_for_quadratics_and_close_for_smooth_bowls() {
+        for centre in [0.2f64, 0.33, 0.5, 0.75] {
+            let nearest = |f: &dyn Fn(f64) -> f64| {
+                let objective: Vec<f64> = LEVELS.iter().map(|r| f(f64::from(*r))).collect();
+                let best = (0..LEVELS.len()).min_by(|&a, &b| objective[a].total_cmp(&objective[b])).expect("levels");
+                parabola_minimum(best, &objective)
+            };
+            let (vertex, curvature) = nearest(&|r| 0.3 + 2.5 * (r - centre).powi(2));
+            assert!((f64::from(vertex) - centre).abs() < 1e-6 && (curvature - 5.0).abs() < 1e-5, "{vertex} {curvature}");
+            // cosh has the second derivative 4·cosh(0) = 4 at its minimum
+            let (vertex, curvature) = nearest(&|r| (2.0 * (r - centre)).cosh());
+            assert!((f64::from(vertex) - centre).abs() < 2e-3 && (curvature / 4.0 - 1.0).abs() < 0.03, "{vertex} {curvature}");
+        }
+    }
+
+    #[test]
+    fn a_sharp_minimum_is_sure_and_a_flat_one_is_not() {
+        let sharp = indistinguishable(0.42, &bowl(0.42, 100.0));
+        let flat = indistinguishable(0.42, &bowl(0.42, 0.0));
+        assert!(sharp < 0.02, "{sharp}");
+        // uniform over all levels: √((0.39³ + 0.58³) / (3 · 0.97))
+        assert!((flat - ((0.39f32.powi(3) + 0.58f32.powi(3)) / (3.0 * 0.97)).sqrt()).abs() < 1e-4, "{flat}");
+        // 1 % above the minimum lies √(0.01 / 1) = 0.1 away on both sides: ±0.1 uniform, but for the chords between levels
+        let known = indistinguishable(0.42, &bowl(0.42, 1.0));
+        assert!((known - 0.1 / 3f32.sqrt()).abs() < 0.012, "{known}");
+    }
 }

@@ -1,5 +1,6 @@
 //! The order of the stages, from a scene folder to a reconstruction.
 
+mod balance;
 mod budget;
 mod checkpoint;
 mod decisions;

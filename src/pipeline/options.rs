@@ -66,6 +66,8 @@ pub struct SolveOptions {
     pub specular_rays: u32,
     /// Whether lobes too wide to show anything are replaced by the mean light around: `Auto` = where the evidence says so.
     pub matte: Switch,
+    /// Whether exposure and white balance of the views are solved for and taken out.
+    pub exposure: Switch,
     /// Whether surfaces may emit.
     pub emission: Switch,
     /// Whether light may come from directions without geometry.

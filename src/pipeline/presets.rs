@@ -42,6 +42,7 @@ impl SolveOptions {
             evidence_rays: 20,
             specular_rays: 4,
             matte: Switch::Auto,
+            exposure: Switch::Auto,
             emission: Switch::Auto,
             environment: Switch::Auto,
             rooms: Switch::Auto,
@@ -138,6 +139,9 @@ pub struct SolveRequest {
     /// Replace specular lobes too wide to show anything by the mean light around: on = all from R = 0.5, off = none.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub matte: Switch,
+    /// Take exposure and white balance that drift from view to view out of the photographs: auto = if the views ask for it, off = never.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub exposure: Switch,
     /// Let surfaces emit: auto = where more light leaves than can be reflected and classes of kind light, off = none.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub emission: Switch,
@@ -188,6 +192,7 @@ impl SolveRequest {
             evidence_rays: self.evidence_rays.unwrap_or(preset.evidence_rays),
             specular_rays: self.specular_rays.unwrap_or(preset.specular_rays),
             matte: self.matte,
+            exposure: self.exposure,
             emission: self.emission,
             environment: self.environment,
             rooms: self.rooms,

@@ -194,9 +194,11 @@ fn assemble(
     let observed: Vec<bool> = albedo.error.iter().map(|e| e.is_finite()).collect();
     let value: Vec<Vec3> = albedo.value.iter().map(|a| a.clamp(Vec3::ZERO, Vec3::ONE)).collect();
     let albedo_plane = fill_uncovered(&texels.scatter(&value, Vec3::ZERO), &texels.scatter(&observed, false));
-    let confidence: Vec<Vec2> = albedo.error.iter().map(|e| Vec2::ZERO.with_x(e.min(1e4))).collect::<Vec<_>>();
-    let confidence: Vec<Vec2> =
-        confidence.iter().zip(&surface.labels).map(|(c, l)| c.with_y(roughness_error.get(l).copied().unwrap_or(1e4))).collect();
+    let confidence: Vec<Vec2> = albedo_errors(surface, light, albedo)
+        .into_iter()
+        .zip(&surface.labels)
+        .map(|(e, l)| Vec2::new(e.min(1e4), roughness_error.get(l).copied().unwrap_or(1e4)))
+        .collect();
     let emission: Vec<Vec3> = (0..texels.len())
         .map(|i| {
             if light.emissive[texels.point[i].triangle as usize] {
@@ -229,6 +231,24 @@ fn assemble(
         environment: light.field.environment.map().clone(),
         reflectance: crate::brdf::Reflectance::Paper,
     }
+}
+
+/// Standard error of the albedo per covered texel, with what irradiance and geometry contribute.
+fn albedo_errors(surface: &Surface, light: &Light, albedo: &crate::inverse::AlbedoEstimate) -> Vec<f32> {
+    let (texels, mesh) = (&surface.texels, &surface.scene.mesh);
+    // beyond the charts of the irradiance texture nothing is known of its error
+    let noise = light.texels.scatter(&light.error, 1.0);
+    let size = Vec2::new(noise.width as f32, noise.height as f32);
+    let irradiance_error = |i: usize| {
+        let p = texels.point[i];
+        noise.nearest(mesh.uv(p.triangle as usize, p.u, p.v) * size).clamp(0.0, 1.0)
+    };
+    let footprint = |i: usize| {
+        let side = texels.texel_area(mesh, texels.point[i].triangle as usize).sqrt();
+        albedo.footprint[i] / side.max(f32::MIN_POSITIVE)
+    };
+    let reflects = |i: usize| !light.emissive[texels.point[i].triangle as usize];
+    crate::inverse::albedo_error(albedo, texels, &surface.labels, irradiance_error, footprint, reflects)
 }
 
 /// Room ids per texel: the scene's own grid, or the rooms found in the mesh.

@@ -1,9 +1,10 @@
 //! Geometry with what the photographs see of it: the ground every later stage stands on.
 
 use super::SolveOptions;
+use super::balance::{balance_views, leave_out_clipped_sky};
 use super::decisions::{Sizes, choose_sizes};
 use crate::Result;
-use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
+use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer, clipped_pixels};
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
 use crate::lighting::{Fusion, UNSEEN};
@@ -46,15 +47,25 @@ impl<'a> Surface<'a> {
     pub fn observe(scene: &'a Scene, options: &SolveOptions, progress: &Progress) -> Result<Self> {
         let tracer = EmbreeTracer::new(&scene.mesh)?;
         let train: Vec<_> = scene.views.iter().filter(|v| v.split == Split::Train).collect();
-        let views = progress.stage("views", train.len() as u64, |p| {
+        let mut clipped = Vec::with_capacity(train.len());
+        let mut views = progress.stage("views", train.len() as u64, |p| {
             train
                 .iter()
                 .map(|view| {
-                    let radiance = reduced(scene.load_radiance(view)?, options.photo_reduction);
+                    let full = scene.load_radiance(view)?;
+                    let ceiling = clipped_pixels(&full).map(|c| any_of(&c, options.photo_reduction));
+                    let radiance = reduced(full, options.photo_reduction);
                     let labels = scene.load_labels(view)?;
                     let valid = scene.load_mask(view)?.map(|m| all_valid(&m, options.photo_reduction));
                     let buffer = ViewBuffer::trace(&view.camera.resized(radiance.width, radiance.height), &tracer);
-                    let clean = buffer.clean_pixels(&scene.mesh, labels.as_ref());
+                    let mut clean = buffer.clean_pixels(&scene.mesh, labels.as_ref());
+                    if let Some(at) = &ceiling {
+                        // a lower bound: used only where no other look is at hand
+                        clean.data.iter_mut().zip(&at.data).for_each(|(clean, clipped)| *clean &= !clipped);
+                        let share = at.data.iter().filter(|c| **c).count() as f64 / at.data.len() as f64;
+                        p.note(format!("{}: {:.2} % of the pixels are clipped", view.stem, 100.0 * share));
+                    }
+                    clipped.push(ceiling);
                     p.advance(1);
                     Ok(ObservedView { buffer, radiance, clean, labels, valid })
                 })
@@ -68,6 +79,9 @@ impl<'a> Surface<'a> {
                 scene.mesh.triangles.len()
             ));
         }
+        leave_out_clipped_sky(&mut views, &clipped);
+        drop(clipped);
+        balance_views(scene, &mut views, &orientation, options.exposure, progress);
         let sizes = choose_sizes(&Observer { mesh: &scene.mesh, views: &views }, &orientation, options, progress);
         let texels = Texels::rasterize(&scene.mesh, sizes.albedo, sizes.albedo);
         let begin = Instant::now();
@@ -152,6 +166,11 @@ fn reduced(image: RgbPlane, factor: usize) -> RgbPlane {
 /// A mask at the size of [`reduced`]: a block may be used if all of it may.
 fn all_valid(mask: &Plane<bool>, factor: usize) -> Plane<bool> {
     blocks(mask, factor, |a, b| a && b)
+}
+
+/// Marks at the size of [`reduced`]: a block is marked if any of it is.
+fn any_of(marks: &Plane<bool>, factor: usize) -> Plane<bool> {
+    blocks(marks, factor, |a, b| a || b)
 }
 
 /// Square blocks of pixels joined into one each; at least one block however large the factor.

@@ -25,6 +25,10 @@ pub struct RenderedView {
     pub roughness: Plane<f32>,
     /// Class id of the surface seen, 0 where there is none.
     pub labels: Plane<u16>,
+    /// Emitted part of the radiance, 0 where nothing emits.
+    pub emission: RgbPlane,
+    /// Stated standard error of albedo and roughness, 1e4 where unobserved, 0 where there is no surface.
+    pub confidence: Plane<Vec2>,
 }
 
 /// Renders a solution from a camera. Implementations hold what they need prepared (ray structure, textures).
@@ -174,8 +178,10 @@ impl<'a> HybridRenderer<'a> {
         let label = *s.labels.nearest(at(s.labels.width, s.labels.height));
         let albedo = s.albedo.bilinear(at(s.albedo.width, s.albedo.height), Wrap::Clamp);
         let roughness = *s.roughness.nearest(at(s.roughness.width, s.roughness.height));
+        let confidence = *s.confidence.nearest(at(s.confidence.width, s.confidence.height));
         if self.field.is_emissive(t) && *s.emission.nearest(at(s.emission.width, s.emission.height)) != Vec3::ZERO {
-            return Point { radiance: self.field.emitted(t, hit.u, hit.v), albedo, roughness, label, ..Point::default() };
+            let radiance = self.field.emitted(t, hit.u, hit.v);
+            return Point { radiance, albedo, roughness, label, emission: radiance, confidence, ..Point::default() };
         }
         let irradiance = s.irradiance.bilinear(at(s.irradiance.width, s.irradiance.height), Wrap::Clamp);
         let (mut normal, mut face_normal) = (s.mesh.shading_normal(t, hit.u, hit.v), s.mesh.face_normal(t));
@@ -187,6 +193,8 @@ impl<'a> HybridRenderer<'a> {
             albedo,
             roughness,
             label,
+            emission: Vec3::ZERO,
+            confidence,
             normals: Some((normal, face_normal)),
             ..Point::default()
         }
@@ -202,6 +210,8 @@ impl ViewRenderer for HybridRenderer<'_> {
             albedo: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
             roughness: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
             labels: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
+            emission: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
+            confidence: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
         };
         let mut specular = Plane { width: w, height: h, data: Vec::with_capacity(w * h) };
         let mut features = Vec::with_capacity(w * h);
@@ -212,6 +222,8 @@ impl ViewRenderer for HybridRenderer<'_> {
             out.albedo.data.extend(r.albedo);
             out.roughness.data.extend(r.roughness);
             out.labels.data.extend(r.labels);
+            out.emission.data.extend(r.emission);
+            out.confidence.data.extend(r.confidence);
         }
         if self.options.denoise {
             filter_specular(&mut specular, &features, camera);
@@ -233,6 +245,8 @@ struct Point {
     albedo: Vec3,
     roughness: f32,
     label: u16,
+    emission: Vec3,
+    confidence: Vec2,
     normals: Option<(Vec3, Vec3)>,
 }
 
@@ -244,6 +258,8 @@ struct Row {
     albedo: Vec<Vec3>,
     roughness: Vec<f32>,
     labels: Vec<u16>,
+    emission: Vec<Vec3>,
+    confidence: Vec<Vec2>,
 }
 
 impl Row {
@@ -271,6 +287,10 @@ impl Row {
                 label,
                 roughness: same.iter().map(|p| p.roughness).sum::<f32>() * share,
             });
+            row.emission.push(same.iter().map(|p| p.emission).sum::<Vec3>() * share);
+            // errors of neighbouring texels go together: their root mean square, not that of independent ones
+            let square = same.iter().map(|p| p.confidence * p.confidence).sum::<Vec2>() * share;
+            row.confidence.push(Vec2::new(square.x.sqrt(), square.y.sqrt()));
         }
         row
     }

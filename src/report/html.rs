@@ -198,8 +198,16 @@ fn split_tables(out: &mut String, title: &str, kind: &str, split: &SplitScores) 
         score_row(out, "roughness, FIPT (clamped to [0.2, 1])", &m.roughness.fipt)?;
     }
     out.push_str("</tbody></table></div>\n");
+    if let Some(e) = &split.emission {
+        writeln!(
+            out,
+            "<p class=\"remark\">Emission: IoU {:.3}, log-L2 {:.4}, {:.3} of the true power where both emit.</p>",
+            e.iou, e.log_l2, e.power_ratio
+        )?;
+    }
     if let Some(m) = &split.materials {
         class_table(out, m)?;
+        calibration_section(out, m)?;
     }
     out.push_str(
         "<details><summary>Every view</summary><div class=\"wrap\"><table><thead><tr><th>view</th><th>PSNR</th><th>SSIM</th>",
@@ -258,6 +266,29 @@ fn class_table(out: &mut String, m: &MaterialScores) -> std::fmt::Result {
         "</tbody></table></div><p class=\"remark\">Median of |ΔR| over all pixels: {:.3}.</p></details>",
         m.roughness_median_absolute_error
     )
+}
+
+/// Does the stated standard error explain the actual one?
+fn calibration_section(out: &mut String, m: &MaterialScores) -> std::fmt::Result {
+    out.push_str("<details open><summary>Stated against actual error</summary><div class=\"wrap\">");
+    for (name, c) in [("albedo", &m.calibration.albedo), ("roughness", &m.calibration.roughness)] {
+        super::calibration::plot(out, name, c)?;
+    }
+    out.push_str("</div>");
+    for (name, c) in [("albedo", &m.calibration.albedo), ("roughness", &m.calibration.roughness)] {
+        writeln!(
+            out,
+            "<p class=\"remark\">{name}: stated {:.4}, actual {:.4}; {:.0} % of the pixels within one stated standard error (68 % if \
+             Gaussian), {:.0} % within two (95 %); {} pixels stated as unobserved.</p>",
+            c.all.stated,
+            c.all.actual,
+            100.0 * c.all.within_1,
+            100.0 * c.all.within_2,
+            grouped(c.unobserved)
+        )?;
+    }
+    out.push_str("</details>\n");
+    Ok(())
 }
 
 fn data_url(picture: &super::jpeg::Picture) -> String {

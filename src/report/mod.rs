@@ -1,5 +1,6 @@
 //! What a run leaves for people to read: `manifest.json`, `report.json` and `report.html`.
 
+mod calibration;
 mod html;
 mod jpeg;
 mod pictures;

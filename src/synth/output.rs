@@ -9,7 +9,7 @@ use crate::formats;
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
 use crate::render::Frame;
-use glam::Vec4;
+use glam::{Vec3, Vec4};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fs;
@@ -51,7 +51,7 @@ impl FolderWriter {
         let name = target.file_name().ok_or_else(|| Error::input(target, "is not a folder name; name one to create"))?;
         let temporary = target.with_file_name(format!(".{}.{}.partial", name.to_string_lossy(), std::process::id()));
         let writer = Self { target: target.to_path_buf(), temporary };
-        for folder in ["images", "labels", "gt/albedo", "gt/roughness"] {
+        for folder in ["images", "labels", "gt/albedo", "gt/roughness", "gt/emission"] {
             let path = writer.temporary.join(folder);
             fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
         }
@@ -78,6 +78,12 @@ impl FolderWriter {
         formats::write_png16(self.path(format!("labels/{stem}.png")), &frame.label)?;
         formats::write_rgb_half(self.path(format!("gt/albedo/{stem}.exr")), &frame.class_albedo)?;
         formats::write_plane_half(self.path(format!("gt/roughness/{stem}.exr")), &frame.class_roughness)?;
+        // emission counts where the pixel's centre is on a lamp: a pixel that a lamp only touches has another class
+        let lamp = |label: u16| CLASSES.iter().any(|c| c.0 == label && c.2);
+        let emits = |(e, l): (&Vec3, &u16)| if lamp(*l) { *e } else { Vec3::ZERO };
+        let emitted = frame.emission.data.iter().zip(&frame.label.data).map(emits).collect();
+        let emission = Plane { width: frame.label.width, height: frame.label.height, data: emitted };
+        formats::write_rgb_half(self.path(format!("gt/emission/{stem}.exr")), &emission)?;
         Ok(())
     }
 

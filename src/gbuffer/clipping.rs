@@ -1,0 +1,79 @@
+//! Pixels at the sensor's ceiling: what they show is a lower bound.
+//!
+//! Clipping leaves a plateau at a channel's maximum. A lamp of constant radiance does too, but there all channels reach their maximum
+//! together, while around clipped light there are pixels with only some channels at the ceiling.
+
+use crate::image::{Plane, RgbPlane};
+
+/// A value this close below the maximum is at the ceiling: one step of half precision.
+const STEP: f32 = 1.0 / 2048.0;
+/// A plateau has this many pixels at least, and this share of the image at least and at most.
+const FEWEST: usize = 16;
+const SHARES: (f32, f32) = (2e-5, 0.5);
+/// Share of the plateau's pixels in which not every channel is at its ceiling.
+const PARTIAL: f32 = 0.02;
+
+/// Pixels with a channel at its ceiling; `None` where the image has no ceiling.
+#[must_use]
+pub fn clipped_pixels(image: &RgbPlane) -> Option<Plane<bool>> {
+    let n = image.data.len();
+    let mut ceiling = [f32::INFINITY; 3];
+    for (c, level) in ceiling.iter_mut().enumerate() {
+        let most = image.data.iter().map(|p| p[c]).fold(0.0f32, f32::max);
+        let from = most * (1.0 - STEP);
+        let count = image.data.iter().filter(|p| p[c] >= from).count();
+        if most > 0.0 && count >= FEWEST && count as f32 >= SHARES.0 * n as f32 {
+            *level = from;
+        }
+    }
+    let at = |p: &glam::Vec3| (0..3).filter(|&c| p[c] >= ceiling[c]).count();
+    let (mut any, mut some) = (0usize, 0usize);
+    for p in &image.data {
+        let k = at(p);
+        any += usize::from(k > 0);
+        some += usize::from(k == 1 || k == 2);
+    }
+    let plausible = any > 0 && any as f32 <= SHARES.1 * n as f32 && some as f32 >= PARTIAL * any as f32;
+    plausible.then(|| image.map(|p| at(p) > 0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+
+    /// Light falling off from the middle of the image, of the given colour.
+    fn glow(colour: Vec3) -> RgbPlane {
+        let data = (0..128 * 64)
+            .map(|i| {
+                let (x, y) = ((i % 128) as f32 - 63.5, (i / 128) as f32 - 31.5);
+                colour * (400.0 / (x * x + y * y + 1.0))
+            })
+            .collect();
+        Plane { width: 128, height: 64, data }
+    }
+
+    #[test]
+    fn clipped_light_is_found_exactly() {
+        let image = glow(Vec3::new(1.0, 0.8, 0.5));
+        let clipped = image.map(|p| p.min(Vec3::splat(4.0)));
+        let found = clipped_pixels(&clipped).expect("a plateau");
+        for (f, p) in found.data.iter().zip(&image.data) {
+            assert!(*f == (p.max_element() >= 4.0) || (p.max_element() - 4.0).abs() < 0.01);
+        }
+        // white balance after clipping: a ceiling per channel
+        let balanced = clipped.map(|p| *p * Vec3::new(1.0, 1.3, 2.0));
+        assert_eq!(clipped_pixels(&balanced).map(|p| p.data), Some(found.data));
+    }
+
+    #[test]
+    fn neither_a_peak_nor_a_lamp_nor_a_grey_world_is_clipped() {
+        assert!(clipped_pixels(&glow(Vec3::new(1.0, 0.8, 0.5))).is_none());
+        let mut lamp = glow(Vec3::new(0.1, 0.08, 0.05));
+        lamp.data[..60].fill(Vec3::new(90.0, 80.0, 60.0));
+        assert!(clipped_pixels(&lamp).is_none(), "a lamp of constant radiance");
+        assert!(clipped_pixels(&Plane::filled(64, 32, Vec3::splat(0.5))).is_none());
+        assert!(clipped_pixels(&Plane::filled(64, 32, Vec3::ZERO)).is_none());
+        assert!(clipped_pixels(&Plane::filled(0, 0, Vec3::ZERO)).is_none());
+    }
+}

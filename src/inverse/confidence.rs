@@ -1,0 +1,196 @@
+//! Standard error of the albedo: how far off the estimate must be expected to be, not merely how well the views agree.
+//!
+//! An albedo is π/E times the diffuse part of the looks. Its parts err independently, so their variances add:
+//! * the looks: their disagreement. Most of it is common to all looks (shading model, geometry), so it does not shrink with their
+//!   number; a few looks say little about their own spread and are shrunk towards their class's;
+//! * the irradiance: its relative standard error;
+//! * the specular part that was subtracted, known to a fifth of itself;
+//! * the place: registration and blur leave a texel's position uncertain by about one pixel footprint, so that it may have the albedo
+//!   of a neighbour that far away;
+//! * what no part accounts for: the scatter of albedo over the classes that scatter least. Most rooms have surfaces of one colour;
+//!   how much their estimates vary is what unmodelled errors of light and shading amount to.
+
+use super::AlbedoEstimate;
+use crate::image::Plane;
+use crate::math::luminance;
+use crate::texture::Texels;
+use std::collections::BTreeMap;
+
+/// Relative uncertainty of the specular part.
+const SPECULAR_DOUBT: f32 = 0.2;
+/// Looks that a class's typical disagreement counts for beside a texel's own.
+const PRIOR_LOOKS: f32 = 2.0;
+/// The unexplained part is read from the class at this share of the observed texels, ordered by scatter, and is at most this.
+const QUIET_SHARE: f64 = 0.25;
+const MOST_UNEXPLAINED: f32 = 0.2;
+/// At most this many texels per class are looked at.
+const SAMPLES: usize = 40_000;
+
+/// Standard error of each covered texel's albedo luminance; infinite where unobserved. `footprint(i)` is the side of the sharpest
+/// pixel footprint in texels, `irradiance_error(i)` the relative standard error of E; `considered(i)` leaves out lamps.
+#[must_use]
+pub fn albedo_error(
+    albedo: &AlbedoEstimate,
+    texels: &Texels,
+    labels: &[u16],
+    irradiance_error: impl Fn(usize) -> f32 + Sync,
+    footprint: impl Fn(usize) -> f32 + Sync,
+    considered: impl Fn(usize) -> bool,
+) -> Vec<f32> {
+    let value: Vec<f32> = albedo.value.iter().map(|v| luminance(*v).clamp(0.0, 1.0)).collect();
+    let known = |i: usize| albedo.error[i].is_finite() && albedo.looks[i] > 0.0;
+    let plane =
+        texels.scatter(&(0..value.len()).map(|i| if known(i) { value[i] } else { f32::NAN }).collect::<Vec<_>>(), f32::NAN);
+    let spread = |i: usize| albedo.error[i] * albedo.looks[i].sqrt() / value[i].max(1e-3);
+    let (typical, unexplained) = statistics(albedo, labels, &value, &|i| known(i) && considered(i), &spread);
+    crate::parallel::map_chunks(value.len(), 4096, |range| {
+        range
+            .map(|i| {
+                if !known(i) {
+                    return f32::INFINITY;
+                }
+                let looks = albedo.looks[i];
+                let own = spread(i).powi(2) * looks + typical.get(&labels[i]).map_or(0.0, |t| t * t) * PRIOR_LOOKS;
+                let share = albedo.specular_share[i].min(0.9);
+                let specular = SPECULAR_DOUBT * share / (1.0 - share);
+                let relative =
+                    own / (looks + PRIOR_LOOKS) + irradiance_error(i).powi(2) + specular * specular + unexplained * unexplained;
+                let place = contrast(&plane, texels.cell[i] as usize, footprint(i));
+                (relative * value[i] * value[i] + place * place).sqrt()
+            })
+            .collect::<Vec<_>>()
+    })
+    .concat()
+}
+
+/// Per class the median spread of the looks; over all, the scatter of ln albedo of the quiet classes.
+fn statistics(
+    albedo: &AlbedoEstimate,
+    labels: &[u16],
+    value: &[f32],
+    counts: &dyn Fn(usize) -> bool,
+    spread: &dyn Fn(usize) -> f32,
+) -> (BTreeMap<u16, f32>, f32) {
+    let mut members: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
+    for i in (0..value.len()).filter(|&i| counts(i) && albedo.clean[i] && albedo.looks[i] >= 1.5 && value[i] > 0.005) {
+        members.entry(labels[i]).or_default().push(i);
+    }
+    let mut typical = BTreeMap::new();
+    let mut scatter: Vec<(f32, usize)> = Vec::new();
+    for (label, ids) in members {
+        let stride = (ids.len() / SAMPLES).max(1);
+        let chosen: Vec<usize> = ids.iter().copied().step_by(stride).collect();
+        typical.insert(label, median(chosen.iter().map(|&i| spread(i)).collect()));
+        let logs: Vec<f32> = chosen.iter().map(|&i| value[i].ln()).collect();
+        let centre = median(logs.clone());
+        // 1.4826 turns a median absolute deviation into a Gaussian's standard deviation
+        scatter.push((1.4826 * median(logs.iter().map(|l| (l - centre).abs()).collect()), ids.len()));
+    }
+    scatter.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let total: usize = scatter.iter().map(|s| s.1).sum();
+    let mut below = 0;
+    let quiet = scatter.iter().find(|s| {
+        below += s.1;
+        below as f64 >= QUIET_SHARE * total as f64
+    });
+    (typical, quiet.map_or(MOST_UNEXPLAINED, |q| q.0.min(MOST_UNEXPLAINED)))
+}
+
+fn median(mut values: Vec<f32>) -> f32 {
+    values.sort_by(f32::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Root mean square difference between a texel and its eight neighbours `footprint` texels away (one at least); its own value, which
+/// is the largest error there can be, where none of them is known.
+fn contrast(plane: &Plane<f32>, cell: usize, footprint: f32) -> f32 {
+    let (w, h) = (plane.width as i64, plane.height as i64);
+    let own = plane.data[cell];
+    let lag = footprint.round().clamp(1.0, 16.0) as i64;
+    let (x, y) = (cell as i64 % w, cell as i64 / w);
+    let (mut sum, mut count) = (0.0, 0.0);
+    for (dx, dy) in [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)] {
+        let (i, j) = (x + dx * lag, y + dy * lag);
+        if i >= 0 && j >= 0 && i < w && j < h {
+            let v = plane.data[(j * w + i) as usize];
+            if !v.is_nan() {
+                sum += (v - own).powi(2);
+                count += 1.0;
+            }
+        }
+    }
+    if count > 0.0 { (sum / count).sqrt() } else { own }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Mesh;
+    use glam::{Vec2, Vec3};
+
+    fn square() -> Texels {
+        let mesh = Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::ONE, Vec3::Y],
+            normals: vec![Vec3::Z; 4],
+            uvs: vec![Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y],
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+        };
+        Texels::rasterize(&mesh, 32, 32)
+    }
+
+    fn estimate(n: usize, value: impl Fn(usize) -> f32, looks: f32, share: f32) -> AlbedoEstimate {
+        AlbedoEstimate {
+            value: (0..n).map(|i| Vec3::splat(value(i))).collect(),
+            error: vec![0.01 / looks.sqrt(); n],
+            looks: vec![looks; n],
+            specular_share: vec![share; n],
+            clean: vec![true; n],
+            footprint: vec![0.01; n],
+        }
+    }
+
+    #[test]
+    fn variances_add_and_do_not_vanish_with_more_looks() {
+        let texels = square();
+        let labels = vec![1u16; texels.len()];
+        let state = |looks: f32, share: f32, e: f32| {
+            let a = estimate(texels.len(), |_| 0.5, looks, share);
+            albedo_error(&a, &texels, &labels, |_| e, |_| 1.0, |_| true)[300]
+        };
+        // disagreement of 0.01 between looks, whatever their number
+        assert!((state(4.0, 0.0, 0.0) - 0.01).abs() < 1e-5 && (state(40.0, 0.0, 0.0) - 0.01).abs() < 1e-5);
+        assert!((state(4.0, 0.0, 0.06) - (0.01f32.powi(2) + 0.03f32.powi(2)).sqrt()).abs() < 1e-5);
+        assert!((state(4.0, 0.5, 0.0) - (0.01f32.powi(2) + 0.1f32.powi(2)).sqrt()).abs() < 1e-5);
+    }
+
+    #[test]
+    fn texture_makes_the_place_matter_and_the_unobserved_stay_so() {
+        let texels = square();
+        let labels = vec![1u16; texels.len()];
+        let width = texels.width;
+        let mut a =
+            estimate(texels.len(), |i| if (texels.cell[i] as usize % width).is_multiple_of(2) { 0.4 } else { 0.6 }, 4.0, 0.0);
+        a.error[7] = f32::INFINITY;
+        let near = albedo_error(&a, &texels, &labels, |_| 0.0, |_| 1.0, |_| true);
+        let far = albedo_error(&a, &texels, &labels, |_| 0.0, |_| 2.0, |_| true);
+        assert!(near[7].is_infinite());
+        // six of eight neighbours have the other value at a distance of one texel, none at two
+        let unexplained = far[300];
+        assert!(near[300] > 0.17 && unexplained < near[300], "{} {}", near[300], far[300]);
+    }
+
+    #[test]
+    fn no_texels_no_errors() {
+        let texels = square();
+        let none = AlbedoEstimate {
+            value: vec![Vec3::ZERO; texels.len()],
+            error: vec![f32::INFINITY; texels.len()],
+            looks: vec![0.0; texels.len()],
+            specular_share: vec![0.0; texels.len()],
+            clean: vec![false; texels.len()],
+            footprint: vec![0.01; texels.len()],
+        };
+        let labels = vec![0u16; texels.len()];
+        assert!(albedo_error(&none, &texels, &labels, |_| 0.0, |_| 1.0, |_| true).iter().all(|e| e.is_infinite()));
+    }
+}
