@@ -95,16 +95,21 @@ fn roughness_difference(a: &Solution, b: &Solution) -> f32 {
 fn materials_are_near_the_truth() {
     let s = &reference().solution;
     let truth = formats::read_rgb(apartment().join("gt/albedo_texture.exr")).expect("truth");
-    let mut errors: Vec<f32> = (0..truth.data.len())
-        .filter(|&i| s.confidence.data[i].x < 0.05 && s.emission.data[i] == Vec3::ZERO && truth.data[i] != Vec3::ZERO)
-        .map(|i| (s.albedo.data[i] - truth.data[i]).abs().max_element())
-        .collect();
-    errors.sort_by(f32::total_cmp);
-    let (median, tail) = (errors[errors.len() / 2], errors[errors.len() * 9 / 10]);
-    println!("{} texels, median {median:.3}, 90 % {tail:.3}", errors.len());
-    assert!(errors.len() > 8_000, "{} texels are certain", errors.len());
-    // at 6 cm per texel most texels near edges mix two paints
-    assert!(median < 0.18 && tail < 0.5, "median error {median:.3}, 90 % below {tail:.3}");
+    let quantiles = |stated: f32| {
+        let mut errors: Vec<f32> = (0..truth.data.len())
+            .filter(|&i| s.confidence.data[i].x < stated && s.emission.data[i] == Vec3::ZERO && truth.data[i] != Vec3::ZERO)
+            .map(|i| (s.albedo.data[i] - truth.data[i]).abs().max_element())
+            .collect();
+        errors.sort_by(f32::total_cmp);
+        let (n, median, tail) = (errors.len(), errors[errors.len() / 2], errors[errors.len() * 9 / 10]);
+        println!("stated below {stated}: {n} texels, median {median:.3}, 90 % {tail:.3}");
+        (n, median, tail)
+    };
+    // who says to be sure must be right; at 6 cm per texel most texels near edges mix two paints and must say so
+    let (n, median, tail) = quantiles(0.05);
+    assert!(n > 3_000 && median < 0.06 && tail < 0.2, "{n} texels are certain, median error {median:.3}, 90 % below {tail:.3}");
+    let (n, median, tail) = quantiles(0.25);
+    assert!(n > 8_000 && median < 0.18 && tail < 0.5, "{n} texels, median error {median:.3}, 90 % below {tail:.3}");
     // the floor shows highlights, the wall hardly any: true values 0.28 and 0.75
     for (label, truth, bound) in [(3u16, 0.28f32, 0.12f32), (1, 0.75, 0.35)] {
         let r: Vec<f32> =
