@@ -69,6 +69,7 @@ pub(super) fn reference(ground: &Ground, texels: &Texels, count: usize, progress
         max_rounds: 1,
         target: 0.0,
         seed: ground.options.seed ^ 0x4e_fe4e,
+        drawn: [0, 0],
     };
     let (baked, seconds) = timed(|| ground.bake_some(texels, &ids, &options, progress));
     let uniform = IrtOptions { estimator: Estimator::Uniform, emitter_samples: 0, ..options };

@@ -1,178 +1,218 @@
 //! Variance-guided filtering of baked irradiance over the surface.
 //!
-//! Neighbouring texels of one smooth surface see almost the same light, so their samples can be shared. Non-local means with dual
-//! buffers (Rousselle et al. 2012, "Adaptive Rendering with Non-Local Means Filtering"): the two halves of every texel's samples are
-//! independent; weights come from one half and are applied to the other, and differences smaller than the noise do not count, so
-//! that shadow edges stay where they exceed it. Only texels of the same plane (positions and normals in 3-D) are combined.
+//! Neighbouring texels of one smooth surface see almost the same light, so their samples can be shared. Every texel is replaced by a
+//! local linear regression over the texels around it, in position and normal, with non-local-means weights (Bitterli et al. 2016,
+//! "Nonlinearly Weighted First-order Regression for Denoising Monte Carlo Renderings"; Rousselle et al. 2012): a gradient costs no
+//! bias, not even where a chart ends, and shadow edges stay where they exceed the noise. Weights come from one half of the samples and
+//! are applied to the other, so that noise does not choose its own company. Texels are neighbours in space, across charts.
 
 use super::Irradiance;
-use crate::geometry::Mesh;
-use crate::math::luminance;
-use crate::texture::Texels;
-use glam::Vec3;
+use super::neighbourhood::{Candidates, Neighbourhood, Patch};
+use crate::math::{Frame, luminance};
+use glam::{Vec2, Vec3};
+use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
-/// Half width of the search window in texels.
-const RADIUS: i32 = 10;
-/// Within this distance every texel is used, beyond it every other one.
-const DENSE: i32 = 3;
-/// Damping of differences in units of their standard deviation (k of the paper).
-const DAMPING: f32 = 1.0;
-/// Texels whose estimated relative standard error is below this share of the target stay as they are.
-const DONE: f32 = 0.5;
+/// Reach of the regression in texels.
+const REACH: f32 = 9.0;
+/// Reach in texels of what is compared: values averaged over so small a disc that shadow edges survive.
+const DISC: f32 = 2.5;
+/// Relative differences that never separate two texels.
+const INDIFFERENT: f32 = 2e-3;
+/// Terms of the regression: constant, two of position, two of the normal.
+const TERMS: usize = 5;
+/// Ridge on the slopes relative to the weights' sum: decides only where the neighbours do not.
+const RIDGE: f32 = 1e-3;
+/// Standard deviations of the small disc's mean that the regression may lie off it.
+const PLAUSIBLE: f32 = 3.0;
 
-/// What the filter knows of a texel.
-#[derive(Clone, Copy)]
+/// The neighbourhoods of a set of texels.
+pub struct SurfaceFilter<'a> {
+    patches: &'a [Patch],
+    disc: Neighbourhood,
+    wide: Neighbourhood,
+}
+
+/// A texel's two halves and what its weights are made from.
+#[derive(Clone, Copy, Default)]
 struct Node {
-    position: Vec3,
-    normal: Vec3,
-    /// Luminance of the two halves.
-    half: [f32; 2],
-    /// Variance of a half's luminance.
+    half: [Vec3; 2],
+    /// Luminance of each half over the small disc.
+    guide: [f32; 2],
+    /// Variance of the guide.
     variance: f32,
-    /// World size of the texel.
-    size: f32,
+    /// Number of samples relative to other texels.
+    samples: f32,
 }
 
-/// Replaces the values of `baked` (one per covered texel) by their filtered ones and updates their errors. `normal(i)` is the
-/// shading normal of texel i. Texels already within `target` are left alone.
-pub fn filter_irradiance(
-    baked: &mut Irradiance,
-    mesh: &Mesh,
-    texels: &Texels,
-    normal: impl Fn(usize) -> Vec3 + Sync,
-    target: f32,
-) {
-    if texels.is_empty() {
-        return;
+/// Luminance of the two halves of a texel and the variance of one.
+#[derive(Clone, Copy, Default)]
+struct Noise {
+    half: [f32; 2],
+    variance: f32,
+}
+
+impl<'a> SurfaceFilter<'a> {
+    /// Finds the neighbourhoods of the texels.
+    #[must_use]
+    pub fn new(patches: &'a [Patch]) -> Self {
+        Self { patches, disc: Neighbourhood::new(patches, DISC), wide: Neighbourhood::new(patches, REACH) }
     }
-    let grid = Grid::new(texels);
-    let mut nodes: Vec<Node> = (0..texels.len())
-        .into_par_iter()
-        .map(|i| {
-            let half = baked.halves[i].map(luminance);
-            Node {
-                position: texels.position(mesh, i),
-                normal: normal(i),
-                half,
-                variance: 0.5 * (half[0] - half[1]).powi(2),
-                size: texels.texel_area(mesh, texels.point[i].triangle as usize).sqrt(),
-            }
-        })
-        .collect();
-    // a single difference is a poor variance: the relative variance is averaged over the surface around
-    let smooth: Vec<f32> = (0..texels.len())
-        .into_par_iter()
-        .map(|i| {
+
+    /// The filtered irradiance of `baked` (one value per texel, from 2^`level` times as many samples as the fewest); its `error` tells
+    /// the relative error that remains, bias included.
+    #[must_use]
+    pub fn filter(&self, baked: &Irradiance, level: &[u8]) -> Irradiance {
+        let noise = self.noise(baked, level);
+        let guides = self.disc.map(self.patches, &noise, |i, near| guide(&self.patches[i], &noise[i], near));
+        let nodes: Vec<Node> = baked
+            .halves
+            .par_iter()
+            .zip(&guides)
+            .zip(level)
+            .map(|((half, g), l)| Node { half: *half, guide: g.half, variance: g.variance, samples: f32::from(1u16 << l) })
+            .collect();
+        let halves = self.wide.map(self.patches, &nodes, |i, around| regress(&self.patches[i], &nodes[i], around));
+        let error = self.remaining_error(&noise, &halves);
+        let value = halves.iter().map(|h| 0.5 * (h[0] + h[1])).collect();
+        Irradiance { value, halves, error, rays: baked.rays }
+    }
+
+    /// Variance of one half's luminance. A single difference is a poor variance: the relative variance of one sample is averaged over
+    /// the disc.
+    fn noise(&self, baked: &Irradiance, level: &[u8]) -> Vec<Noise> {
+        let samples = |l: u8| f32::from(1u16 << l);
+        let own: Vec<([f32; 2], f32)> =
+            baked.halves.par_iter().zip(level).map(|(h, l)| (h.map(luminance), samples(*l))).collect();
+        self.disc.map(self.patches, &own, |i, near| {
             let (mut variance, mut square) = (0.0, 0.0);
-            grid.for_neighbours(i, 3, |j| {
-                if same_plane(&nodes[i], &nodes[j], 3.0) {
-                    variance += nodes[j].variance;
-                    square += (0.5 * (nodes[j].half[0] + nodes[j].half[1])).powi(2);
-                }
+            near.each(&self.patches[i], |_, ([a, b], n), _| {
+                variance += n * 0.5 * (a - b).powi(2);
+                square += (0.5 * (a + b)).powi(2);
             });
-            let own = (0.5 * (nodes[i].half[0] + nodes[i].half[1])).powi(2);
-            if square > 0.0 { variance / square * own } else { 0.0 }
+            let (half, n) = own[i];
+            let mean = 0.5 * (half[0] + half[1]);
+            Noise { half, variance: if square > 0.0 { variance / square * mean * mean / n } else { 0.0 } }
         })
-        .collect();
-    for (n, v) in nodes.iter_mut().zip(smooth) {
-        n.variance = v;
     }
-    let filtered: Vec<(Vec3, [Vec3; 2])> =
-        (0..texels.len()).into_par_iter().map(|i| filter_one(&grid, &nodes, baked, i, target)).collect();
-    for (i, (value, halves)) in filtered.into_iter().enumerate() {
-        baked.value[i] = value;
-        baked.halves[i] = halves;
-        let (a, b) = (luminance(halves[0]), luminance(halves[1]));
-        baked.error[i] = if a + b > 0.0 { (a - b).abs() / (a + b) } else { 0.0 };
+
+    /// Relative error of the filtered texels: what a filtered half misses of the other, unfiltered one beyond that one's noise (noise
+    /// and bias), averaged over the disc; at least what the filtered halves differ.
+    fn remaining_error(&self, noise: &[Noise], halves: &[[Vec3; 2]]) -> Vec<f32> {
+        let own: Vec<[f32; 3]> = noise
+            .par_iter()
+            .zip(halves)
+            .map(|(n, h)| {
+                let f = h.map(luminance);
+                let missed = 0.5 * ((f[0] - n.half[1]).powi(2) + (f[1] - n.half[0]).powi(2)) - n.variance;
+                [missed, 0.25 * (f[0] - f[1]).powi(2), (0.5 * (f[0] + f[1])).powi(2)]
+            })
+            .collect();
+        self.disc.map(self.patches, &own, |i, near| {
+            let mut sum = Vec3::ZERO;
+            near.each(&self.patches[i], |_, x, _| sum += Vec3::from_array(*x));
+            if sum.z > 0.0 { (sum.x.max(sum.y) / sum.z).sqrt() } else { 0.0 }
+        })
     }
 }
 
-fn filter_one(grid: &Grid, nodes: &[Node], baked: &Irradiance, i: usize, target: f32) -> (Vec3, [Vec3; 2]) {
-    let n = &nodes[i];
-    let mean = 0.5 * (n.half[0] + n.half[1]);
-    if n.variance.sqrt() <= 0.71 * DONE * target * 2.0 * mean {
-        return (baked.value[i], baked.halves[i]);
-    }
-    let mut sum = [Vec3::ZERO; 2];
-    let mut total = [0.0f32; 2];
-    grid.for_neighbours(i, RADIUS, |j| {
-        let m = &nodes[j];
-        if !same_plane(n, m, RADIUS as f32) {
-            return;
-        }
+/// Mean of each half over the disc, without texels that the other half finds different beyond its noise.
+fn guide(patch: &Patch, own: &Noise, near: &Candidates<Noise>) -> Noise {
+    let (mut sum, mut total, mut square) = ([0.0f32; 2], [0.0f32; 2], [0.0f32; 2]);
+    let floor = indifferent(own.half);
+    near.each(patch, |_, other, distance2| {
+        let noise = own.variance + other.variance;
         for source in 0..2 {
-            // weights from one half, values from the other
-            let d = patch_distance(grid, nodes, i, j, source);
-            let w = (-d).exp();
-            sum[1 - source] += baked.halves[j][1 - source] * w;
+            let d = ((own.half[source] - other.half[source]).powi(2) - noise).max(0.0) / (noise + floor);
+            let w = (1.0 - 0.8 * distance2) * falloff(d);
+            sum[1 - source] += w * other.half[1 - source];
             total[1 - source] += w;
+            square[1 - source] += w * w;
         }
     });
-    let halves = [0, 1].map(|k| if total[k] > 0.0 { sum[k] / total[k] } else { baked.halves[i][k] });
-    (0.5 * (halves[0] + halves[1]), halves)
-}
-
-/// Mean squared difference of two 3×3 patches in units of the noise, less what noise alone explains.
-fn patch_distance(grid: &Grid, nodes: &[Node], i: usize, j: usize, source: usize) -> f32 {
-    let (mut sum, mut count) = (0.0, 0.0);
-    for (dx, dy) in [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)] {
-        let (Some(p), Some(q)) = (grid.at(i, dx, dy), grid.at(j, dx, dy)) else { continue };
-        let (a, b) = (&nodes[p], &nodes[q]);
-        let noise = a.variance + b.variance.min(a.variance);
-        let difference = (a.half[source] - b.half[source]).powi(2) - noise;
-        sum += difference / (f32::MIN_POSITIVE + DAMPING * DAMPING * (a.variance + b.variance) + 1e-6 * a.half[source].powi(2));
-        count += 1.0;
+    if total[0].min(total[1]) <= 0.0 {
+        return *own;
     }
-    (sum / count).max(0.0)
+    let shrink = (square[0] / (total[0] * total[0])).max(square[1] / (total[1] * total[1]));
+    Noise { half: [sum[0] / total[0], sum[1] / total[1]], variance: own.variance * shrink }
 }
 
-/// Whether two texels lie on one smooth surface, no farther apart than `reach` texels allow.
-fn same_plane(a: &Node, b: &Node, reach: f32) -> bool {
-    let step = b.position - a.position;
-    let limit = 1.6 * reach * a.size.max(b.size);
-    let distance = step.length();
-    distance <= limit && a.normal.dot(b.normal) > 0.97 && a.normal.dot(step).abs() <= 0.12 * distance
+/// Squared differences below this never separate two texels.
+fn indifferent(own: [f32; 2]) -> f32 {
+    (INDIFFERENT * own[0].max(own[1])).powi(2) + f32::MIN_POSITIVE
 }
 
-/// Texel lookups by grid offset.
-struct Grid {
-    width: i32,
-    height: i32,
-    index: Vec<u32>,
-    cell: Vec<u32>,
+/// exp(−d) in the small, zero beyond 6: three times the bell (1 − d/6)⁶.
+#[inline]
+fn falloff(d: f32) -> f32 {
+    let a = (1.0 - d * (1.0 / 6.0)).max(0.0);
+    let a2 = a * a;
+    a2 * a2 * a2
 }
 
-impl Grid {
-    fn new(texels: &Texels) -> Self {
-        let mut index = vec![u32::MAX; texels.width * texels.height];
-        for (i, &c) in texels.cell.iter().enumerate() {
-            index[c as usize] = i as u32;
+/// Sums of a weighted regression of one half: normal matrix (lower triangle) and right sides.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    matrix: [[f32; TERMS]; TERMS],
+    right: [Vec3; TERMS],
+}
+
+impl Sums {
+    #[inline]
+    fn add(&mut self, w: f32, terms: &[f32; TERMS], value: Vec3) {
+        for r in 0..TERMS {
+            let wr = w * terms[r];
+            for c in 0..=r {
+                self.matrix[r][c] += wr * terms[c];
+            }
+            self.right[r] += value * wr;
         }
-        Self { width: texels.width as i32, height: texels.height as i32, index, cell: texels.cell.clone() }
     }
 
-    fn at(&self, i: usize, dx: i32, dy: i32) -> Option<usize> {
-        let c = self.cell[i] as i32;
-        let (x, y) = (c % self.width + dx, c / self.width + dy);
-        if x < 0 || y < 0 || x >= self.width || y >= self.height {
+    /// The regression's value where all terms but the constant vanish.
+    fn intercept(&self) -> Option<Vec3> {
+        let total = self.matrix[0][0];
+        if total <= 0.0 {
             return None;
         }
-        let j = self.index[(y * self.width + x) as usize];
-        (j != u32::MAX).then_some(j as usize)
+        let a = SMatrix::<f32, TERMS, TERMS>::from_fn(|r, c| {
+            let v = self.matrix[r.max(c)][r.min(c)];
+            if r == c && r > 0 { v + RIDGE * total } else { v }
+        });
+        let mut unit = SVector::<f32, TERMS>::zeros();
+        unit[0] = 1.0;
+        // the first row of the inverse times the right side
+        let row = a.cholesky()?.solve(&unit);
+        Some((0..TERMS).fold(Vec3::ZERO, |s, r| s + self.right[r] * row[r]).max(Vec3::ZERO))
     }
+}
 
-    fn for_neighbours(&self, i: usize, radius: i32, mut f: impl FnMut(usize)) {
-        let c = self.cell[i] as i32;
-        let (x, y) = (c % self.width, c / self.width);
-        for ny in (y - radius).max(0)..=(y + radius).min(self.height - 1) {
-            for nx in (x - radius).max(0)..=(x + radius).min(self.width - 1) {
-                let far = (nx - x).abs().max((ny - y).abs()) > DENSE;
-                let j = self.index[(ny * self.width + nx) as usize];
-                if j != u32::MAX && !(far && (nx ^ ny ^ x ^ y) & 1 == 1) {
-                    f(j as usize);
-                }
+/// The regression's value at a texel for both halves.
+fn regress(patch: &Patch, own: &Node, around: &Candidates<Node>) -> [Vec3; 2] {
+    let frame = Frame::from_normal(patch.normal);
+    let scale = 1.0 / (REACH * patch.size).max(f32::MIN_POSITIVE);
+    let floor = indifferent(own.guide);
+    let mut sums = [Sums::default(); 2];
+    around.each(patch, |q, other, distance2| {
+        let noise = own.variance + other.variance;
+        let step = q.position - patch.position;
+        let step = Vec2::new(step.dot(frame.t), step.dot(frame.b)) * scale;
+        let turn = Vec2::new(q.normal.dot(frame.t), q.normal.dot(frame.b)) * 4.0;
+        let terms = [1.0, step.x, step.y, turn.x, turn.y];
+        let kernel = (1.0 - distance2).powi(2);
+        for source in 0..2 {
+            let d = ((own.guide[source] - other.guide[source]).powi(2) - noise).max(0.0) / (noise + floor);
+            let w = kernel * other.samples * falloff(d);
+            if w > 0.0 {
+                sums[1 - source].add(w, &terms, other.half[1 - source]);
             }
         }
-    }
+    });
+    [0, 1].map(|k| {
+        let Some(value) = sums[k].intercept() else { return own.half[k] };
+        // where the neighbours lie to one side the slopes extrapolate: the small disc says how far that may go
+        let (l, reach) = (luminance(value), PLAUSIBLE * own.variance.sqrt());
+        let limited = l.clamp((own.guide[k] - reach).max(0.0), own.guide[k] + reach);
+        if l > 0.0 { value * (limited / l) } else { value }
+    })
 }

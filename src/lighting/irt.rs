@@ -36,6 +36,9 @@ pub enum Estimator {
 pub struct IrtOptions {
     /// Estimator.
     pub estimator: Estimator,
+    /// Hemisphere rays and emitter samples per texel that an earlier bake has drawn: this one continues their sequences, and its values
+    /// are the new samples' share of the estimate from all.
+    pub drawn: [u32; 2],
     /// Hemisphere rays per texel in the first round.
     pub rays: u32,
     /// Emitter samples per texel in the first round (only `Mis`).
@@ -50,7 +53,7 @@ pub struct IrtOptions {
 
 impl Default for IrtOptions {
     fn default() -> Self {
-        Self { estimator: Estimator::Mis, rays: 64, emitter_samples: 16, max_rounds: 1, target: 0.01, seed: 0 }
+        Self { estimator: Estimator::Mis, drawn: [0, 0], rays: 64, emitter_samples: 16, max_rounds: 1, target: 0.01, seed: 0 }
     }
 }
 
@@ -135,7 +138,7 @@ fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irra
     let mut pending: Vec<u32> = (0..receivers.len() as u32).collect();
     let mut halves = vec![Halves::default(); receivers.len()];
     let mut scratch = Scratch::default();
-    let (mut first_ray, mut first_light) = (0u32, 0u32);
+    let [mut first_ray, mut first_light] = options.drawn;
     let (mut rays, mut lights) =
         (options.rays.max(2), if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 });
     // a Hammersley set cannot be extended: its points depend on their number

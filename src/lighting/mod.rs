@@ -1,21 +1,25 @@
 //! The light of the scene as textures: observed radiance (TBL), emitters, environment and irradiance (IrT).
 
+mod adaptive;
 mod emitters;
 mod environment;
 mod filter;
 mod hull;
 mod irt;
 mod light_field;
+mod neighbourhood;
 mod nirf;
 mod reflection;
 mod tbl;
 
+pub use adaptive::{Budget, bake_surface};
 pub use emitters::{EmissionEvidence, EmitterSample, Emitters, detect_emissive};
 pub use environment::Environment;
-pub use filter::filter_irradiance;
+pub use filter::SurfaceFilter;
 pub(crate) use hull::Hull;
 pub use irt::{Bake, Estimator, Irradiance, IrtOptions, Receiver, bake_irradiance};
 pub use light_field::LightField;
+pub use neighbourhood::Patch;
 pub use nirf::{Nirf, NirfCost, NirfOptions, train_nirf};
 pub use reflection::{Gaze, Levels, Reflector};
 pub(crate) use tbl::prefer_clean;

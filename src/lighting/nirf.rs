@@ -341,6 +341,7 @@ pub fn train_nirf(
         max_rounds: 1,
         target: 0.0,
         seed: options.seed,
+        drawn: [0, 0],
     };
     let mut t = 0;
     for epoch in 0..options.epochs {

@@ -19,12 +19,12 @@ const EVIDENCE: f64 = 0.35;
 /// Cost of fusing a texel, and of its albedo, in lookups of a surface point in all views; measured on grey-white-room.
 const FUSING: f64 = 1.5;
 const ALBEDO: f64 = 1.12;
-/// Cost of filtering an irradiance texel, of a pixel of the report and of a written texel, in rays of the coarse bake.
-const FILTER: f64 = 55.0;
+/// Cost of filtering an irradiance texel once, of a pixel of the report and of a written texel, in rays of the coarse bake.
+const FILTER: f64 = 40.0;
 const REPORT_PIXEL: f64 = 10.0;
 const WRITTEN: f64 = 0.12;
-/// Share of a stage's samples that adaptive rounds add; measured on three scenes.
-const REFINED: f64 = 0.25;
+/// Share of an irradiance texel's samples that go to emitters, in ninths; the hemisphere gets the others.
+const TO_EMITTERS: u32 = 2;
 /// Samples per irradiance texel and rays per pixel between which a budget chooses.
 const SAMPLES: [f64; 2] = [4.0, 2048.0];
 const SPECULAR: [f64; 2] = [1.0, 256.0];
@@ -97,7 +97,7 @@ impl Budget {
         let left = self.left();
         let per_texel = lookup * FUSING * (1.0 + ALBEDO);
         // a ray costs about a thirtieth of a look into sixteen views; the coarse bake will tell
-        let filtered = lookup * FILTER / 8.0;
+        let filtered = lookup * 2.0 * FILTER / 8.0;
         let largest = |most: usize, cost: f64, share: f64| {
             let fits = |side: usize| (side * side) as f64 * covered * cost <= share * left;
             SIDES.into_iter().rev().find(|&s| s <= most && fits(s)).unwrap_or(SIDES[0]).min(most)
@@ -126,17 +126,17 @@ impl Budget {
         self.note(|m| m.fusion = seconds);
     }
 
-    /// Hemisphere rays, and as many emitter samples, per irradiance texel, after the coarse bake traced `rays` in `seconds`.
-    pub(super) fn irradiance_samples(&self, texels: usize, rays: u64, seconds: f64, filter: bool, progress: &Progress) -> u32 {
+    /// Samples per irradiance texel, after the coarse bake traced `rays` in `seconds`; they will be filtered `filters` times.
+    pub(super) fn irradiance_samples(&self, texels: usize, rays: u64, seconds: f64, filters: u32, progress: &Progress) -> u32 {
         self.note(|m| m.ray = seconds / rays.max(1) as f64);
         let m = self.measured();
         let left = self.left() - self.tail();
-        let filtered = if filter { FILTER * m.ray * texels as f64 } else { 0.0 };
-        let per_sample = 2.0 * m.ray * texels.max(1) as f64 * (1.0 + REFINED);
+        let filtered = f64::from(filters) * FILTER * m.ray * texels as f64;
+        let per_sample = m.ray * texels.max(1) as f64;
         let n = ((IRRADIANCE * left - filtered) / per_sample).clamp(SAMPLES[0], SAMPLES[1]) as u32;
         progress.decide(
             "irradiance samples",
-            format!("--irradiance-rays {n} --emitter-samples {n}"),
+            as_flags(n),
             format!("{left:.1} s left for light and materials at {:.2} million rays per second", 1e-6 / m.ray),
             true,
         );
@@ -184,7 +184,7 @@ pub(super) fn samples_for(target: f32, error: f32, samples: u32, progress: &Prog
     let n = (f64::from(samples) * ratio * ratio).clamp(SAMPLES[0], SAMPLES[1]).ceil() as u32;
     progress.decide(
         "irradiance samples",
-        format!("--irradiance-rays {n} --emitter-samples {n}"),
+        as_flags(n),
         format!(
             "--target-error {target}: {samples} samples of the coarse bake have a relative error of {:.1} % before filtering",
             100.0 * error
@@ -192,6 +192,17 @@ pub(super) fn samples_for(target: f32, error: f32, samples: u32, progress: &Prog
         true,
     );
     n
+}
+
+/// Hemisphere rays and emitter samples out of `samples`.
+pub(super) fn split_samples(samples: u32) -> [u32; 2] {
+    let emitters = (samples * TO_EMITTERS / 9).max(1);
+    [samples.saturating_sub(emitters).max(1), emitters]
+}
+
+fn as_flags(samples: u32) -> String {
+    let [rays, emitters] = split_samples(samples);
+    format!("--irradiance-rays {rays} --emitter-samples {emitters}")
 }
 
 /// A time as typed: `90`, `90s`, `1.5min`, `2m`, `1h`.
@@ -237,7 +248,7 @@ mod tests {
         assert_eq!(sizes(1e4), Sizes { roughness: 2048, ..most });
         assert!(sizes(20.0).albedo < sizes(60.0).albedo);
         assert_eq!(sizes(-1.0).albedo, SIDES[0]);
-        let samples = |s: f64| at(s).irradiance_samples(500_000, 5_000_000, 1.0, true, &p);
+        let samples = |s: f64| at(s).irradiance_samples(500_000, 5_000_000, 1.0, 3, &p);
         assert_eq!(samples(1.0), 4);
         assert!(samples(60.0) > 8 && samples(120.0) > samples(60.0));
         assert_eq!(samples_for(0.01, 0.08, 64, &p), 64 * 16);

@@ -3,28 +3,25 @@
 //! Irradiance is baked twice. A coarse bake tells which texels send out more than they can reflect (emitters) and what surfaces no
 //! camera sees send out (the class's albedo times their irradiance); the full bake then uses both.
 
-use super::budget::samples_for;
+use super::budget::{samples_for, split_samples};
 use super::decisions::{choose_environment, report_emission};
 use super::{SolveOptions, Surface, Switch, surface::coverage};
 use crate::image::{Plane, RgbPlane};
 use crate::lighting::{
-    Bake, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField, Receiver, bake_irradiance,
-    detect_emissive, filter_irradiance,
+    Bake, Budget, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField, Patch, Receiver, bake_irradiance,
+    bake_surface, detect_emissive,
 };
 use crate::math::luminance;
 use crate::progress::Progress;
 use crate::texture::{Texels, fill_uncovered};
 use glam::{Vec2, Vec3};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::time::Instant;
 
 /// Side of the coarse irradiance texture relative to the full one.
 const COARSE: usize = 4;
-
-/// Relative disagreement of a texel's two halves above which it gets a second round of samples: what the filter over the surface
-/// cannot be trusted to remove.
-const REFINE_ABOVE: f32 = 0.08;
 
 /// How much brighter than expected a texel seen only at edges may be before its radiance counts as a mixture with a brighter surface.
 const MIXTURE_LIMIT: f32 = 1.5;
@@ -92,12 +89,20 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let texels = Texels::rasterize(&scene.mesh, surface.sizes.irradiance, surface.sizes.irradiance);
     let mut options = options.clone();
     let samples = match (&options.budget, options.target_error) {
-        (Some(b), _) => Some(b.irradiance_samples(texels.len(), first.rays, coarse_seconds, options.irradiance_filter, progress)),
-        (None, Some(target)) => Some(samples_for(target, unfiltered_error(&first), coarse_options.rays, progress)),
+        (Some(b), _) => Some(b.irradiance_samples(
+            texels.len(),
+            first.rays,
+            coarse_seconds,
+            if options.irradiance_filter { options.irradiance_rounds } else { 0 },
+            progress,
+        )),
+        (None, Some(target)) => {
+            Some(samples_for(target, unfiltered_error(&first), coarse_options.rays + coarse_options.emitter_samples, progress))
+        }
         (None, None) => None,
     };
     if let Some(n) = samples {
-        (options.irradiance_rays, options.emitter_samples) = (n, n);
+        [options.irradiance_rays, options.emitter_samples] = split_samples(n);
     }
     let baked = options
         .checkpoints
@@ -128,27 +133,40 @@ pub fn bake_irradiance_texels(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Irradiance {
-    let full_options = IrtOptions {
-        rays: options.irradiance_rays,
-        emitter_samples: options.emitter_samples,
-        max_rounds: options.irradiance_rounds,
-        target: REFINE_ABOVE,
+    let budget = Budget {
+        samples: [options.irradiance_rays, options.emitter_samples],
+        target: options.irradiance_error,
+        rounds: options.irradiance_rounds,
+        filter: options.irradiance_filter,
         seed: options.seed,
-        ..IrtOptions::default()
     };
-    let mut baked =
-        progress.stage("irradiance", texels.len() as u64, |p| bake(surface, field, emitters, texels, &full_options, p));
-    if !options.irradiance_filter {
-        return baked;
-    }
-    progress.stage("irradiance filter", 1, |_| {
-        let normal = |i: usize| {
-            let p = texels.point[i];
-            surface.normals(p.triangle as usize, p.u, p.v).0
-        };
-        filter_irradiance(&mut baked, &surface.scene.mesh, texels, normal, options.irradiance_error);
-    });
-    baked
+    let receiver = |i: usize| receiver(surface, texels, i);
+    let bake = Bake { mesh: &surface.scene.mesh, tracer: &surface.tracer, field, emitters, offset: surface.offset };
+    let patches = patches(surface, texels);
+    progress.stage("irradiance", texels.len() as u64, |p| bake_surface(&bake, &patches, receiver, &budget, p))
+}
+
+/// The texels as pieces of surface.
+#[must_use]
+pub fn patches(surface: &Surface, texels: &Texels) -> Vec<Patch> {
+    let mesh = &surface.scene.mesh;
+    let patch = |i: usize| {
+        let p = texels.point[i];
+        Patch {
+            position: texels.position(mesh, i),
+            normal: surface.normals(p.triangle as usize, p.u, p.v).0,
+            size: texels.texel_area(mesh, p.triangle as usize).sqrt(),
+        }
+    };
+    (0..texels.len()).into_par_iter().map(patch).collect()
+}
+
+fn receiver(surface: &Surface, texels: &Texels, i: usize) -> Receiver {
+    let p = texels.point[i];
+    let (u, v) = texels.ray_point(i);
+    let (normal, face_normal) = surface.normals(p.triangle as usize, u, v);
+    let position = surface.scene.mesh.position(p.triangle as usize, u, v);
+    Receiver { position, normal, face_normal, key: u64::from(texels.cell[i]) }
 }
 
 /// Triangles whose class is known to emit.
@@ -209,14 +227,7 @@ fn bake(
     progress: &Progress,
 ) -> Irradiance {
     let bake = Bake { mesh: &surface.scene.mesh, tracer: &surface.tracer, field, emitters, offset: surface.offset };
-    let receiver = |i: usize| {
-        let p = texels.point[i];
-        let (u, v) = texels.ray_point(i);
-        let (normal, face_normal) = surface.normals(p.triangle as usize, u, v);
-        let position = surface.scene.mesh.position(p.triangle as usize, u, v);
-        Receiver { position, normal, face_normal, key: u64::from(texels.cell[i]) }
-    };
-    bake_irradiance(&bake, texels.len(), receiver, options, progress)
+    bake_irradiance(&bake, texels.len(), |i| receiver(surface, texels, i), options, progress)
 }
 
 /// Emitting triangles by evidence: what they send out in every clean view is more than a white surface could reflect there.

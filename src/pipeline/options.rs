@@ -46,13 +46,13 @@ pub struct SolveOptions {
     pub fit: Fit,
     /// Photographs are reduced by this factor, 1 or more.
     pub photo_reduction: usize,
-    /// Hemisphere rays per irradiance texel in the first round.
+    /// Hemisphere rays per irradiance texel, on average: difficult texels get more.
     pub irradiance_rays: u32,
-    /// Emitter samples per irradiance texel in the first round.
+    /// Emitter samples per irradiance texel, on average.
     pub emitter_samples: u32,
-    /// Rounds at most; each doubles the samples of texels that are too noisy.
+    /// Rounds in which they are spent; after each, the texels with the largest errors are chosen. 1 = all texels alike.
     pub irradiance_rounds: u32,
-    /// Relative standard error of irradiance at which a texel is done.
+    /// Relative error of irradiance at which a texel is done.
     pub irradiance_error: f32,
     /// Whether irradiance noise is filtered over the surface.
     pub irradiance_filter: bool,

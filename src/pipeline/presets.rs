@@ -32,9 +32,9 @@ impl SolveOptions {
             irradiance_size: 1024,
             fit: Fit::default(),
             photo_reduction: 1,
-            irradiance_rays: 64,
-            emitter_samples: 64,
-            irradiance_rounds: 2,
+            irradiance_rays: 112,
+            emitter_samples: 32,
+            irradiance_rounds: 3,
             irradiance_error: 0.01,
             irradiance_filter: true,
             prefilter: true,
@@ -57,8 +57,8 @@ impl SolveOptions {
                 albedo_size: 1024,
                 roughness_size: 1024,
                 irradiance_size: 512,
-                irradiance_rays: 32,
-                emitter_samples: 32,
+                irradiance_rays: 48,
+                emitter_samples: 16,
                 irradiance_rounds: 1,
                 evidence_points: 400,
                 evidence_rays: 10,
@@ -68,8 +68,8 @@ impl SolveOptions {
             Quality::Standard => standard,
             Quality::High => Self {
                 albedo_size: 4096,
-                irradiance_rays: 256,
-                emitter_samples: 256,
+                irradiance_rays: 448,
+                emitter_samples: 128,
                 evidence_points: 2400,
                 evidence_rays: 40,
                 specular_rays: 16,
@@ -109,16 +109,16 @@ pub struct SolveRequest {
     /// Reduce photographs by this factor before anything else [default: 1].
     #[arg(long, value_name = "FACTOR")]
     pub photo_reduction: Option<usize>,
-    /// Hemisphere rays per irradiance texel in the first round [default: 64].
+    /// Hemisphere rays per irradiance texel, on average: difficult texels get more [default: 112].
     #[arg(long, value_name = "N")]
     pub irradiance_rays: Option<u32>,
-    /// Emitter samples per irradiance texel in the first round [default: 64].
+    /// Emitter samples per irradiance texel, on average [default: 32].
     #[arg(long, value_name = "N")]
     pub emitter_samples: Option<u32>,
-    /// Rounds of irradiance at most; each doubles the samples of texels that are too noisy, 1 = never [default: 2].
+    /// Rounds in which they are spent: after each, the texels with the largest errors are chosen; 1 = all texels alike [default: 3].
     #[arg(long, value_name = "N")]
     pub irradiance_rounds: Option<u32>,
-    /// Relative standard error of irradiance at which a texel is done [default: 0.01].
+    /// Relative error of irradiance at which a texel is done [default: 0.01].
     #[arg(long, value_name = "RATIO")]
     pub irradiance_error: Option<f32>,
     /// Filter irradiance noise over the surface.
