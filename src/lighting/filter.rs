@@ -160,12 +160,12 @@ struct Sums {
 impl Sums {
     #[inline]
     fn add(&mut self, w: f32, terms: &[f32; TERMS], value: Vec3) {
-        for r in 0..TERMS {
+        for (r, (row, right)) in self.matrix.iter_mut().zip(&mut self.right).enumerate() {
             let wr = w * terms[r];
-            for c in 0..=r {
-                self.matrix[r][c] += wr * terms[c];
+            for (m, term) in row.iter_mut().zip(terms).take(r + 1) {
+                *m += wr * term;
             }
-            self.right[r] += value * wr;
+            *right += value * wr;
         }
     }
 
