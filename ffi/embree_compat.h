@@ -38,6 +38,9 @@ struct OccludedArguments {
 
 inline void intersect1(RTCScene scene, RTCRayHit *ray, ClosestArguments &a) { rtcIntersect1(scene, ray, &a.arguments); }
 inline void occluded1(RTCScene scene, RTCRay *ray, OccludedArguments &a) { rtcOccluded1(scene, ray, &a.arguments); }
+inline void intersect8(const int *valid, RTCScene scene, RTCRayHit8 *rays, ClosestArguments &a) {
+    rtcIntersect8(valid, scene, rays, &a.arguments);
+}
 inline void occluded8(const int *valid, RTCScene scene, RTCRay8 *rays, OccludedArguments &a) {
     rtcOccluded8(valid, scene, rays, &a.arguments);
 }
@@ -55,6 +58,9 @@ using OccludedArguments = ClosestArguments;
 
 inline void intersect1(RTCScene scene, RTCRayHit *ray, ClosestArguments &a) { rtcIntersect1(scene, &a.context, ray); }
 inline void occluded1(RTCScene scene, RTCRay *ray, OccludedArguments &a) { rtcOccluded1(scene, &a.context, ray); }
+inline void intersect8(const int *valid, RTCScene scene, RTCRayHit8 *rays, ClosestArguments &a) {
+    rtcIntersect8(valid, scene, &a.context, rays);
+}
 inline void occluded8(const int *valid, RTCScene scene, RTCRay8 *rays, OccludedArguments &a) {
     rtcOccluded8(valid, scene, &a.context, rays);
 }

@@ -38,14 +38,11 @@ constexpr float TINY = 1e-30f;
 
 constexpr UnbakeRay HARMLESS = {{0.0f, 0.0f, 0.0f}, 0.0f, {0.0f, 0.0f, 1.0f}, 0.0f};
 
-// Comparisons are written so that NaN fails them.
+// Comparisons are written so that NaN fails them, and joined without branches.
 inline bool usable(const UnbakeRay &r) {
-    const float o = std::fmax(std::fmax(std::fabs(r.origin[0]), std::fabs(r.origin[1])), std::fabs(r.origin[2]));
     const float d2 = r.direction[0] * r.direction[0] + r.direction[1] * r.direction[1] + r.direction[2] * r.direction[2];
-    // fmax drops a NaN operand, so the origin is summed as well.
-    const float sum = r.origin[0] + r.origin[1] + r.origin[2];
-    return (o < FAR_AWAY) & (sum == sum) & (d2 > TINY) & (d2 < FAR_AWAY) & (r.t_near < FAR_AWAY) & (r.t_far >= r.t_near) &
-           (r.t_far > 0.0f);
+    return (std::fabs(r.origin[0]) < FAR_AWAY) & (std::fabs(r.origin[1]) < FAR_AWAY) & (std::fabs(r.origin[2]) < FAR_AWAY) &
+           (d2 > TINY) & (d2 < FAR_AWAY) & (r.t_near < FAR_AWAY) & (r.t_far >= r.t_near) & (r.t_far > 0.0f);
 }
 
 inline float near_of(const UnbakeRay &r) { return r.t_near > 0.0f ? r.t_near : 0.0f; }
@@ -63,6 +60,18 @@ inline void load(const UnbakeRay &r, RTCRay &out) {
     out.mask = 0xffffffffu;
     out.id = 0;
     out.flags = 0;
+}
+
+// Ray number k of a packet.
+template <typename Packet> inline void load(const UnbakeRay &r, Packet &p, int k) {
+    p.org_x[k] = r.origin[0];
+    p.org_y[k] = r.origin[1];
+    p.org_z[k] = r.origin[2];
+    p.tnear[k] = near_of(r);
+    p.dir_x[k] = r.direction[0];
+    p.dir_y[k] = r.direction[1];
+    p.dir_z[k] = r.direction[2];
+    p.tfar[k] = r.t_far;
 }
 
 void occluded_one_by_one(RTCScene scene, const UnbakeRay *rays, uint8_t *out, size_t n) {
@@ -103,15 +112,7 @@ void occluded_in_packets(RTCScene scene, const UnbakeRay *rays, uint8_t *out, si
             // Idle lanes carry a harmless ray: where packets are split further, Embree looks at their numbers too
             // (Debian builds Embree with assertions, which would end the program).
             valid[k] = (k < count && usable(rays[base + k])) ? -1 : 0;
-            const UnbakeRay &r = valid[k] ? rays[base + k] : HARMLESS;
-            p.org_x[k] = r.origin[0];
-            p.org_y[k] = r.origin[1];
-            p.org_z[k] = r.origin[2];
-            p.tnear[k] = near_of(r);
-            p.dir_x[k] = r.direction[0];
-            p.dir_y[k] = r.direction[1];
-            p.dir_z[k] = r.direction[2];
-            p.tfar[k] = r.t_far;
+            load(valid[k] ? rays[base + k] : HARMLESS, p, k);
         }
         occluded_packet(valid, scene, &p, arguments);
         for (int k = 0; k < count; ++k) {
@@ -123,26 +124,36 @@ void occluded_in_packets(RTCScene scene, const UnbakeRay *rays, uint8_t *out, si
 }  // namespace
 
 extern "C" void unbake_closest(RTCScene scene, const UnbakeRay *rays, UnbakeHit *hits, size_t n) {
+    constexpr int W = 8;
     const DenormalsOff mode;
     unbake::ClosestArguments arguments;
-    alignas(16) RTCRayHit rh;
-    for (size_t i = 0; i < n; ++i) {
-        UnbakeHit hit = {std::numeric_limits<float>::infinity(), 0.0f, 0.0f, UINT32_MAX};
-        if (usable(rays[i])) {
-            load(rays[i], rh.ray);
-            rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-            rh.hit.primID = RTC_INVALID_GEOMETRY_ID;
-            rh.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-            unbake::intersect1(scene, &rh, arguments);
-            // The quotient of a sliver can still overflow where t_far is infinite: that is no place.
-            if (rh.hit.geomID != RTC_INVALID_GEOMETRY_ID && rh.ray.tfar < std::numeric_limits<float>::infinity()) {
-                hit.t = rh.ray.tfar;
-                hit.u = rh.hit.u;
-                hit.v = rh.hit.v;
-                hit.triangle = rh.hit.primID;
-            }
+    alignas(64) int valid[W];
+    alignas(64) RTCRayHit8 p;
+    for (int k = 0; k < W; ++k) {
+        p.ray.time[k] = 0.0f;
+        p.ray.mask[k] = 0xffffffffu;
+        p.ray.id[k] = 0;
+        p.ray.flags[k] = 0;
+    }
+    for (size_t base = 0; base < n; base += W) {
+        const int count = static_cast<int>(n - base < static_cast<size_t>(W) ? n - base : W);
+        for (int k = 0; k < W; ++k) {
+            valid[k] = (k < count && usable(rays[base + k])) ? -1 : 0;
+            load(valid[k] ? rays[base + k] : HARMLESS, p.ray, k);
+            p.hit.geomID[k] = RTC_INVALID_GEOMETRY_ID;
+            p.hit.instID[0][k] = RTC_INVALID_GEOMETRY_ID;
         }
-        hits[i] = hit;
+        unbake::intersect8(valid, scene, &p, arguments);
+        for (int k = 0; k < count; ++k) {
+            // The quotient of a sliver can overflow where t_far is infinite: that is no place.
+            const bool found = (valid[k] != 0) & (p.hit.geomID[k] != RTC_INVALID_GEOMETRY_ID) &
+                               (p.ray.tfar[k] < std::numeric_limits<float>::infinity());
+            UnbakeHit &hit = hits[base + k];
+            hit.t = found ? p.ray.tfar[k] : std::numeric_limits<float>::infinity();
+            hit.u = found ? p.hit.u[k] : 0.0f;
+            hit.v = found ? p.hit.v[k] : 0.0f;
+            hit.triangle = found ? p.hit.primID[k] : UINT32_MAX;
+        }
     }
 }
 

@@ -206,6 +206,57 @@ fn a_window_is_the_sky_behind_it() {
     }
 }
 
+/// A window of 12 × 9 cm before a sky of radiance 1e4: as hard as a spotlight, and only the environment knows of it.
+#[test]
+fn a_small_window_onto_a_bright_sky() {
+    let mut quads = box_quads(Vec3::ZERO, Vec3::new(4.0, 3.0, 5.0), 0.0);
+    let wall = quads.remove(3);
+    let (lo, hi) = (Vec2::new(0.4, 0.5), Vec2::new(0.424, 0.53));
+    let opening = Quad { corner: wall.at(lo.x, lo.y), edge_u: wall.edge_u * 0.024, edge_v: wall.edge_v * 0.03, ..wall };
+    quads.extend(framed(wall, lo, hi));
+    let receivers: Vec<Receiver> = [0, 1, 2].iter().flat_map(|&q| receivers_on(&quads[q], 12)).collect();
+    let lit = Lit::new(&quads, Environment::from_map(Plane::filled(64, 32, Vec3::splat(1e4))));
+    assert!(lit.emitters.lamp_count() > 0, "the opening is sampled");
+    let expected: Vec<f64> = receivers.iter().map(|r| 1e4 * lambert(&opening.corners(), r.position, r.normal)).collect();
+    let got = bake(&lit, &receivers, &IrtOptions { rays: 256, emitter_samples: 256, ..IrtOptions::default() });
+    let (rms, worst) = errors(&got, &expected);
+    println!("small window: rms {rms:.4}, worst {worst:.3}");
+    assert!(rms < 0.2 && worst < 1.0, "{rms:.4}, at worst {worst:.3}");
+    let (sum, truth): (f64, f64) = (got.value.iter().map(|e| f64::from(e.x)).sum(), expected.iter().sum());
+    assert!((sum / truth - 1.0).abs() < 0.01, "mean off by {:.4}", sum / truth - 1.0);
+}
+
+/// Sunlight on a piece of floor: a reflecting surface, not an emitter, but 400 times brighter than the grey walls around.
+#[test]
+fn a_sun_patch_on_the_floor_lights_the_room() {
+    let mut quads = box_quads(Vec3::ZERO, Vec3::new(4.0, 3.0, 5.0), 0.5);
+    let patch = quad([1.5, 0.0, 2.0], [0.0, 0.0, 0.4], [0.3, 0.0, 0.0], 200.0, false);
+    let floor = quads[0];
+    let fraction = |p: f32, edge: Vec3| p / edge.length();
+    let (lo, hi) = (
+        Vec2::new(fraction(2.0, floor.edge_u), fraction(1.5, floor.edge_v)),
+        Vec2::new(fraction(2.4, floor.edge_u), fraction(1.8, floor.edge_v)),
+    );
+    quads.splice(0..1, framed(floor, lo, hi));
+    quads.push(patch);
+    let n = quads.len();
+    let receivers: Vec<Receiver> = (4..n - 1).flat_map(|q| receivers_on(&quads[q], 8)).collect();
+    let lit = Lit::new(&quads, Environment::black());
+    assert!(lit.emitters.lamp_count() > 0, "the patch is sampled");
+    let expected: Vec<f64> =
+        receivers.iter().map(|r| 0.5 * PI + (200.0 - 0.5) * lambert(&patch.corners(), r.position, r.normal)).collect();
+    for (estimator, rays, bound) in
+        [(Estimator::Uniform, 4096, 0.15), (Estimator::Cosine, 4096, 0.15), (Estimator::Mis, 128, 0.02)]
+    {
+        let got = bake(&lit, &receivers, &options(estimator, rays));
+        let (rms, worst) = errors(&got, &expected);
+        println!("sun patch, {estimator:?}: rms {rms:.5}, worst {worst:.4}");
+        assert!(rms < bound && worst < 12.0 * bound, "{estimator:?}: {rms:.4}, at worst {worst:.3}");
+        let (sum, truth): (f64, f64) = (got.value.iter().map(|e| f64::from(e.x)).sum(), expected.iter().sum());
+        assert!((sum / truth - 1.0).abs() < 0.2 * bound, "{estimator:?}: mean off by {:.5}", sum / truth - 1.0);
+    }
+}
+
 /// Two rooms side by side along x, the lamp in the first, a doorway of 1 × 2 m in the wall between.
 fn two_rooms(doorway: bool, sheets: &[f32]) -> (Vec<Quad>, Quad) {
     let mut quads = box_quads(Vec3::ZERO, Vec3::new(8.0, 3.0, 4.0), 0.0);

@@ -1,4 +1,4 @@
-//! Run-time dispatch to wider vector instructions.
+//! Run-time dispatch to wider vector instructions, and hints to the cache.
 
 /// Runs `f` compiled for AVX2 where the processor has it, for the baseline elsewhere. Only code inlined into `f` profits: mark
 /// kernels `#[inline(always)]`. Without explicit fused operations the bits are the same either way.
@@ -16,4 +16,18 @@ pub fn with_widest<R>(f: impl FnOnce() -> R) -> R {
 #[target_feature(enable = "avx2")]
 fn avx2<R>(f: impl FnOnce() -> R) -> R {
     f()
+}
+
+/// Asks the cache for `slice[index]`, which will be read soon; nothing happens if there is no such element.
+#[inline(always)]
+pub fn prefetch<T>(slice: &[T], index: usize) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        let address = slice.as_ptr().wrapping_add(index).cast::<i8>();
+        // SAFETY: a prefetch reads nothing the program can see and never faults, whatever the address; SSE is part of x86-64.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(address) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (slice, index);
 }

@@ -37,6 +37,7 @@ impl<T> Plane<T> {
 
     /// The value nearest to continuous pixel coordinates (pixel centres at +0.5), clamped at the border.
     #[must_use]
+    #[inline]
     pub fn nearest(&self, p: Vec2) -> &T {
         let x = (p.x.max(0.0) as usize).min(self.width - 1);
         let y = (p.y.max(0.0) as usize).min(self.height - 1);

@@ -9,9 +9,11 @@
 
 use super::LightField;
 use super::hull::Hull;
+use super::sources::{EmitterSample, GRAZING, Source};
+use crate::ffi::simd::prefetch;
 use crate::geometry::Mesh;
 use crate::math::luminance;
-use crate::sampling::{Discrete, SobolSequence, square_to_triangle};
+use crate::sampling::{SlotTable, SobolSequence};
 use crate::trace::{Hit, Ray, Tracer};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -90,25 +92,24 @@ pub fn detect_emissive(triangles: usize, texels: &[EmissionEvidence], known: &[b
         .collect()
 }
 
-/// A direction towards an emitter.
-#[derive(Clone, Copy, Debug)]
-pub struct EmitterSample {
-    /// Shadow ray: hits nothing if the emitter is visible.
-    pub ray: Ray,
-    /// Radiance arriving if visible.
-    pub radiance: Vec3,
-    /// Density per steradian at the receiver.
-    pub pdf: f32,
-}
-
 /// A group of emissive triangles or of portal cells, sampled by power.
 struct Lamp {
-    kind: LampKind,
-    table: Discrete,
+    /// Its first entry in [`Emitters::slots`], and how many it has.
+    first: u32,
+    slots: f32,
     centre: Vec3,
     power: f64,
 }
 
+impl Lamp {
+    /// The slot that `u` in [0, 1) stands for.
+    #[inline(always)]
+    fn slot(&self, u: f32) -> u32 {
+        self.first + (u * self.slots).min(self.slots - 1.0) as u32
+    }
+}
+
+/// What a lamp is made of.
 enum LampKind {
     /// Mesh triangles.
     Triangles(Vec<u32>),
@@ -119,13 +120,17 @@ enum LampKind {
 /// Samples emissive triangles and portals.
 pub struct Emitters {
     lamps: Vec<Lamp>,
-    /// Per triangle: lamp and density per m² within the lamp; density 0 where the triangle is not sampled.
+    /// The pieces of all lamps, lamp by lamp.
+    sources: Vec<Source>,
+    /// The pieces again, lamp by lamp, each as often as it is likely.
+    slots: Vec<u32>,
+    /// Per triangle, and once more for no triangle: lamp and density per m² within the lamp; density 0 where it is not sampled.
     triangle_slot: Vec<(u32, f32)>,
-    /// Per portal cell: lamp and density per m² within the lamp.
-    portal_slot: BTreeMap<u32, (u32, f32)>,
+    /// The same per cell of the hull; empty without portals.
+    portal_slot: Vec<(u32, f32)>,
     hull: Hull,
-    everywhere: Option<Discrete>,
-    cells: BTreeMap<[i32; 3], Discrete>,
+    everywhere: Option<SlotTable>,
+    cells: CellTable,
     cell_size: f32,
 }
 
@@ -138,11 +143,13 @@ impl Emitters {
         let cell_size = ((hi - lo).max_element() / CELLS_LONGEST).max(f32::MIN_POSITIVE);
         let mut out = Self {
             lamps: Vec::new(),
-            triangle_slot: vec![(0, 0.0); mesh.triangles.len()],
-            portal_slot: BTreeMap::new(),
+            sources: Vec::new(),
+            slots: Vec::new(),
+            triangle_slot: vec![(0, 0.0); mesh.triangles.len() + 1],
+            portal_slot: Vec::new(),
             hull: Hull::around(lo, hi),
             everywhere: None,
-            cells: BTreeMap::new(),
+            cells: CellTable::default(),
             cell_size,
         };
         let small = 0.02 * (hi - lo).length();
@@ -151,39 +158,46 @@ impl Emitters {
         for set in bright_sets(mesh, field, &power) {
             for group in split_into_lamps(&centre, small, MAX_LAMPS, set) {
                 let items = group.iter().map(|&t| (centre(t), mesh.area(t as usize), power[t as usize])).collect::<Vec<_>>();
-                out.add_lamp(LampKind::Triangles(group), &items);
+                out.add_lamp(mesh, field, LampKind::Triangles(group), &items);
             }
         }
         if !field.environment.is_black() {
-            out.add_portals(field, tracer, receivers);
+            out.add_portals(mesh, field, tracer, receivers);
         }
-        out.everywhere = Discrete::new(&out.lamps.iter().map(|l| l.power).collect::<Vec<_>>());
+        out.everywhere = SlotTable::new(&out.lamps.iter().map(|l| l.power).collect::<Vec<_>>());
         if out.lamps.len() > 1 {
-            out.learn_cells(mesh, field, tracer, receivers);
+            out.learn_cells(field, tracer, receivers);
         }
         out
     }
 
     /// Adds a lamp of items given as (centre, area, power).
-    fn add_lamp(&mut self, kind: LampKind, items: &[(Vec3, f32, f64)]) {
-        let Some(table) = Discrete::new(&items.iter().map(|i| i.2).collect::<Vec<_>>()) else { return };
+    fn add_lamp(&mut self, mesh: &Mesh, field: &LightField, kind: LampKind, items: &[(Vec3, f32, f64)]) {
+        let Some(table) = SlotTable::new(&items.iter().map(|i| i.2).collect::<Vec<_>>()) else { return };
         let area: f32 = items.iter().map(|i| i.1).sum();
         let centre = items.iter().map(|i| i.0 * i.1).sum::<Vec3>() / area;
-        let lamp = self.lamps.len() as u32;
-        for (i, item) in items.iter().enumerate() {
-            let slot = (lamp, table.pmf(i) / item.1);
-            match &kind {
-                LampKind::Triangles(ids) => self.triangle_slot[ids[i] as usize] = slot,
-                LampKind::Portal(ids) => {
-                    self.portal_slot.insert(ids[i], slot);
-                }
-            }
+        let (lamp, base) = (self.lamps.len() as u32, self.sources.len() as u32);
+        if matches!(kind, LampKind::Portal(_)) {
+            self.portal_slot.resize(Hull::NUMBERS, (0, 0.0));
         }
-        self.lamps.push(Lamp { kind, table, centre, power: items.iter().map(|i| i.2).sum() });
+        for (i, item) in items.iter().enumerate() {
+            let density = table.pmf(i) / item.1;
+            let (slot, source) = match &kind {
+                LampKind::Triangles(ids) => {
+                    (&mut self.triangle_slot[ids[i] as usize], Source::of_triangle(mesh, field, ids[i], density))
+                }
+                LampKind::Portal(ids) => (&mut self.portal_slot[ids[i] as usize], Source::of_portal(&self.hull, ids[i], density)),
+            };
+            *slot = (lamp, density);
+            self.sources.push(source);
+        }
+        let first = self.slots.len() as u32;
+        self.slots.extend(table.owners().iter().map(|i| base + i));
+        self.lamps.push(Lamp { first, slots: table.owners().len() as f32, centre, power: items.iter().map(|i| i.2).sum() });
     }
 
     /// Finds where rays from the receivers leave the scene and groups those cells of the bounding box into portals.
-    fn add_portals(&mut self, field: &LightField, tracer: &dyn Tracer, receivers: &[(Vec3, Vec3)]) {
+    fn add_portals(&mut self, mesh: &Mesh, field: &LightField, tracer: &dyn Tracer, receivers: &[(Vec3, Vec3)]) {
         let stride = (receivers.len() / PORTAL_PROBES).max(1);
         let probes: Vec<usize> = (0..receivers.len()).step_by(stride).collect();
         let found = crate::parallel::map_chunks(probes.len(), 64, |range| {
@@ -218,6 +232,12 @@ impl Emitters {
             return;
         }
         let mean = light.values().sum::<f64>() / light.len() as f64;
+        // an opening goes on a little where no probe happened to cross it
+        for cell in light.keys().copied().collect::<Vec<_>>() {
+            self.hull.around_cell(cell).for_each(|c| {
+                light.entry(c).or_default();
+            });
+        }
         let cells: Vec<u32> = light.keys().copied().collect();
         let small = 0.08 * self.hull.diagonal();
         let hull = self.hull.clone();
@@ -225,11 +245,11 @@ impl Emitters {
         for group in split_into_lamps(&centre, small, MAX_PORTALS, cells) {
             // a floor keeps cells that few probes crossed possible; unseen cells stay with the hemisphere rays
             let items: Vec<_> = group.iter().map(|&c| (centre(c), hull.cell_area(c), light[&c].max(0.2 * mean))).collect();
-            self.add_lamp(LampKind::Portal(group), &items);
+            self.add_lamp(mesh, field, LampKind::Portal(group), &items);
         }
     }
 
-    fn learn_cells(&mut self, mesh: &Mesh, field: &LightField, tracer: &dyn Tracer, receivers: &[(Vec3, Vec3)]) {
+    fn learn_cells(&mut self, field: &LightField, tracer: &dyn Tracer, receivers: &[(Vec3, Vec3)]) {
         let mut members: BTreeMap<[i32; 3], Vec<usize>> = BTreeMap::new();
         for (i, (p, _)) in receivers.iter().enumerate() {
             members.entry(self.cell(*p)).or_default().push(i);
@@ -250,11 +270,15 @@ impl Emitters {
                     let origin = p + n * (1e-4 * self.cell_size);
                     for (k, lamp) in self.lamps.iter().enumerate() {
                         let u = sequence.point3((probe * self.lamps.len() + k) as u32);
-                        let Some(s) = self.towards(mesh, field, lamp, origin, u) else { continue };
-                        let cosine = n.dot(Vec3::from_array(s.ray.direction)).max(0.05);
-                        let light = f64::from((luminance(s.radiance) * cosine / s.pdf).max(0.0));
+                        let source = self.source(lamp.slot(u[0]));
+                        let aim = source.aim(origin, [u[1], u[2]]);
+                        if !aim.in_front() {
+                            continue;
+                        }
+                        let cosine = n.dot(Vec3::from_array(aim.ray.direction)).max(0.05);
+                        let light = f64::from((luminance(source.radiance(field, &aim)) * cosine / aim.pdf).max(0.0));
                         possible[k] += light;
-                        rays.push(s.ray);
+                        rays.push(aim.ray);
                         owners.push((k, light));
                     }
                 }
@@ -269,7 +293,7 @@ impl Emitters {
             })
             .collect();
         // a few probes may miss a lamp that the cell does see: its neighbours' findings count too
-        self.cells = learned
+        let tables = learned
             .iter()
             .filter_map(|(cell, (reached, possible))| {
                 let around = neighbours(*cell).filter_map(|c| learned.get(&c)).map(|l| &l.0);
@@ -279,9 +303,10 @@ impl Emitters {
                 let weights: Vec<f64> = (0..self.lamps.len())
                     .map(|k| (1.0 - DEFENSIVE - NEIGHBOURS) * reached[k] + NEIGHBOURS * near[k] + DEFENSIVE * possible[k])
                     .collect();
-                Discrete::new(&weights).map(|t| (*cell, t))
+                SlotTable::new(&weights).map(|t| (*cell, t))
             })
             .collect();
+        self.cells = CellTable::new(tables);
     }
 
     fn cell(&self, p: Vec3) -> [i32; 3] {
@@ -300,67 +325,119 @@ impl Emitters {
         self.lamps.len()
     }
 
-    /// The lamp choice that suits points around `p`; pass it to [`Self::sample`] and [`Self::pdf_area`].
+    /// The lamp choice that suits points around `p`; pass it to [`Self::sample`] and [`Self::pdf`].
     #[must_use]
-    pub fn choice_at(&self, p: Vec3) -> Option<&Discrete> {
-        self.cells.get(&self.cell(p)).or(self.everywhere.as_ref())
+    pub fn choice_at(&self, p: Vec3) -> Option<&SlotTable> {
+        self.cells.get(self.cell(p)).or(self.everywhere.as_ref())
     }
 
     /// Draws a direction from `origin` towards an emitter; `None` where the drawn point faces away.
     #[must_use]
-    pub fn sample(&self, mesh: &Mesh, field: &LightField, choice: &Discrete, origin: Vec3, u: [f32; 3]) -> Option<EmitterSample> {
-        let (lamp, rest) = choice.sample(u[0]);
-        let mut s = self.towards(mesh, field, &self.lamps[lamp], origin, [rest, u[1], u[2]])?;
-        s.pdf *= choice.pmf(lamp);
-        Some(s)
+    #[inline]
+    pub fn sample(&self, field: &LightField, choice: &SlotTable, origin: Vec3, u: [f32; 3]) -> Option<EmitterSample> {
+        let (source, probability) = self.pick(choice, u[0]);
+        let aim = self.source(source).aim(origin, [u[1], u[2]]);
+        aim.in_front().then(|| EmitterSample {
+            ray: aim.ray,
+            radiance: self.source(source).radiance(field, &aim),
+            pdf: probability * aim.pdf,
+        })
+    }
+
+    /// The slot of a source that `u` in [0, 1) stands for, and the probability of its lamp. The slot itself is on its way into the
+    /// cache.
+    #[inline(always)]
+    pub(super) fn pick(&self, choice: &SlotTable, u: f32) -> (u32, f32) {
+        let (lamp, rest) = choice.sample(u);
+        let slot = self.lamps[lamp].slot(rest);
+        prefetch(&self.slots, slot as usize);
+        (slot, choice.pmf(lamp))
+    }
+
+    /// Tells the cache that [`Self::source`] will be asked for soon.
+    #[inline(always)]
+    pub(super) fn expect_source(&self, slot: u32) {
+        prefetch(&self.sources, self.slots[slot as usize] as usize);
+    }
+
+    /// The source of a slot.
+    #[inline(always)]
+    pub(super) fn source(&self, slot: u32) -> &Source {
+        &self.sources[self.slots[slot as usize] as usize]
     }
 
     /// Density per steradian with which [`Self::sample`] draws the direction of a ray from `origin` that ended in `hit`.
     #[must_use]
-    pub fn pdf(&self, field: &LightField, choice: &Discrete, origin: Vec3, direction: Vec3, hit: &Hit) -> f32 {
+    #[inline]
+    pub fn pdf(&self, field: &LightField, choice: &SlotTable, origin: Vec3, direction: Vec3, hit: &Hit) -> f32 {
         if hit.is_hit() {
-            let (lamp, pdf) = self.triangle_slot[hit.triangle as usize];
-            if pdf <= 0.0 {
-                return 0.0;
-            }
             let cosine = -field.outward_normal(hit.triangle as usize).dot(direction);
-            if cosine > 1e-6 { choice.pmf(lamp as usize) * pdf * hit.t * hit.t / cosine } else { 0.0 }
+            self.hit_pdf(choice, hit, cosine)
         } else {
-            let Some((cell, t, cosine)) = self.hull.exit(origin, direction).filter(|_| !self.portal_slot.is_empty()) else {
-                return 0.0;
-            };
-            self.portal_slot.get(&cell).map_or(0.0, |(lamp, pdf)| choice.pmf(*lamp as usize) * pdf * t * t / cosine)
+            self.miss_pdf(choice, origin, direction)
         }
     }
 
-    /// A direction towards a point of one lamp, with its density given the lamp.
-    fn towards(&self, mesh: &Mesh, field: &LightField, lamp: &Lamp, origin: Vec3, u: [f32; 3]) -> Option<EmitterSample> {
-        let (i, _) = lamp.table.sample(u[0]);
-        match &lamp.kind {
-            LampKind::Triangles(ids) => {
-                let t = ids[i] as usize;
-                let [b1, b2] = square_to_triangle([u[1], u[2]]);
-                let d = mesh.position(t, b1, b2) - origin;
-                let d2 = d.length_squared();
-                let cosine = -field.outward_normal(t).dot(d) / d2.sqrt();
-                if !(cosine > 1e-6 && d2 > 0.0) {
-                    return None;
-                }
-                let pdf = lamp.table.pmf(i) / mesh.area(t) * d2 / cosine;
-                Some(EmitterSample { ray: segment(origin, origin + d), radiance: field.emitted(t, b1, b2), pdf })
-            }
-            LampKind::Portal(ids) => {
-                let d = self.hull.cell_point(ids[i], [u[1], u[2]]) - origin;
-                let direction = d.normalize_or_zero();
-                let (_, t, cosine) = self.hull.exit(origin, direction)?;
-                let pdf = lamp.table.pmf(i) / self.hull.cell_area(ids[i]) * t * t / cosine;
-                Some(EmitterSample {
-                    ray: Ray::new(origin, direction, f32::INFINITY),
-                    radiance: field.environment.radiance(direction),
-                    pdf,
-                })
+    /// Tells the cache that [`Self::hit_pdf`] will be asked for a hit on `triangle` soon.
+    #[inline(always)]
+    pub(super) fn expect_hit(&self, triangle: u32) {
+        prefetch(&self.triangle_slot, triangle as usize);
+    }
+
+    /// [`Self::pdf`] of a ray that meets a triangle under `cosine`; 0 for a miss.
+    #[inline(always)]
+    pub(super) fn hit_pdf(&self, choice: &SlotTable, hit: &Hit, cosine: f32) -> f32 {
+        // the last slot is that of no triangle
+        let (lamp, density) = self.triangle_slot[(hit.triangle as usize).min(self.triangle_slot.len() - 1)];
+        let pdf = choice.pmf(lamp as usize) * density * hit.t * hit.t / cosine;
+        if density > 0.0 && cosine > GRAZING { pdf } else { 0.0 }
+    }
+
+    /// [`Self::pdf`] of a ray that leaves the scene.
+    #[inline]
+    pub(super) fn miss_pdf(&self, choice: &SlotTable, origin: Vec3, direction: Vec3) -> f32 {
+        if self.portal_slot.is_empty() {
+            return 0.0;
+        }
+        let Some((cell, t, cosine)) = self.hull.exit(origin, direction) else { return 0.0 };
+        let (lamp, density) = self.portal_slot[cell as usize];
+        if density > 0.0 { choice.pmf(lamp as usize) * density * t * t / cosine } else { 0.0 }
+    }
+}
+
+/// The lamp choice of each cell of space, in a dense grid around the cells that hold receivers.
+#[derive(Default)]
+struct CellTable {
+    base: [i32; 3],
+    size: [usize; 3],
+    /// One more than the table's index; 0 where nothing was learned.
+    index: Vec<u32>,
+    tables: Vec<SlotTable>,
+}
+
+impl CellTable {
+    fn new(learned: Vec<([i32; 3], SlotTable)>) -> Self {
+        let bound = |pick: fn(i32, i32) -> i32, a: usize| learned.iter().map(|(c, _)| c[a]).reduce(pick).unwrap_or(0);
+        let base = std::array::from_fn(|a| bound(i32::min, a));
+        // receivers lie in the scene's box, which has about CELLS_LONGEST cells a side
+        let size = std::array::from_fn(|a| (bound(i32::max, a).saturating_sub(base[a]) as usize + 1).min(256));
+        let mut out = Self { base, size, index: vec![0; size.iter().product()], tables: Vec::new() };
+        for (cell, table) in learned {
+            if let Some(i) = out.slot(cell) {
+                out.tables.push(table);
+                out.index[i] = out.tables.len() as u32;
             }
         }
+        out
+    }
+
+    fn slot(&self, cell: [i32; 3]) -> Option<usize> {
+        let at: [usize; 3] = std::array::from_fn(|a| i64::from(cell[a]).wrapping_sub(i64::from(self.base[a])) as usize);
+        (0..3).all(|a| at[a] < self.size[a]).then(|| (at[2] * self.size[1] + at[1]) * self.size[0] + at[0])
+    }
+
+    fn get(&self, cell: [i32; 3]) -> Option<&SlotTable> {
+        self.tables.get((*self.index.get(self.slot(cell)?)? as usize).wrapping_sub(1))
     }
 }
 
@@ -376,13 +453,6 @@ fn shares(mut weights: Vec<f64>) -> Vec<f64> {
 /// The 26 cells around one.
 fn neighbours(cell: [i32; 3]) -> impl Iterator<Item = [i32; 3]> {
     (0..27).filter(|i| *i != 13).map(move |i| [cell[0] + i % 3 - 1, cell[1] + i / 3 % 3 - 1, cell[2] + i / 9 - 1])
-}
-
-/// A ray from `from` that ends just short of `to`.
-pub(crate) fn segment(from: Vec3, to: Vec3) -> Ray {
-    let d = to - from;
-    let length = d.length();
-    Ray::new(from, d / length.max(f32::MIN_POSITIVE), length * (1.0 - 1e-3))
 }
 
 /// Triangles worth sampling: the emissive ones, and those that reflect much more light than the average surface (a window sill in the

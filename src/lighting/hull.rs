@@ -33,33 +33,42 @@ impl Hull {
 
     /// Where a ray from inside leaves: (cell, distance, cosine to the face's outward normal); `None` from outside.
     #[must_use]
+    #[inline]
     pub fn exit(&self, origin: Vec3, direction: Vec3) -> Option<(u32, f32, f32)> {
-        if !(origin.cmpge(self.lo).all() && origin.cmple(self.hi).all()) {
+        if !self.contains(origin) {
             return None;
         }
-        let (mut t, mut axis) = (f32::INFINITY, 3);
-        for a in 0..3 {
+        let direction = direction.to_array();
+        let (lo, hi, from) = (self.lo.to_array(), self.hi.to_array(), origin.to_array());
+        let distance = |a: usize| {
             let d = direction[a];
-            if d.abs() > 1e-9 {
-                let to = if d > 0.0 { self.hi[a] } else { self.lo[a] };
-                let candidate = (to - origin[a]) / d;
-                if candidate < t {
-                    (t, axis) = (candidate, a);
-                }
-            }
-        }
-        if axis == 3 {
+            let to = if d > 0.0 { hi[a] } else { lo[a] };
+            if d.abs() > 1e-9 { (to - from[a]) / d } else { f32::INFINITY }
+        };
+        let all = [distance(0), distance(1), distance(2)];
+        let axis = if all[0] <= all[1] && all[0] <= all[2] { 0 } else { 2 - usize::from(all[1] <= all[2]) };
+        let t = all[axis];
+        if !t.is_finite() {
             return None;
         }
-        let p = origin + direction * t;
         let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
         let index = |a: usize| {
-            let x = (p[a] - self.lo[a]) / (self.hi[a] - self.lo[a]) * self.count[a] as f32;
+            let x = (from[a] + direction[a] * t - lo[a]) / (hi[a] - lo[a]) * self.count[a] as f32;
             (x.max(0.0) as u32).min(self.count[a] - 1)
         };
         let face = 2 * axis as u32 + u32::from(direction[axis] > 0.0);
         Some((self.number(face, index(b), index(c)), t.max(f32::MIN_POSITIVE), direction[axis].abs()))
     }
+
+    /// Whether a point lies inside the box.
+    #[must_use]
+    #[inline]
+    pub fn contains(&self, p: Vec3) -> bool {
+        p.cmpge(self.lo).all() && p.cmple(self.hi).all()
+    }
+
+    /// Every cell's number is below this.
+    pub const NUMBERS: usize = 6 * 128 * 128;
 
     fn number(&self, face: u32, i: u32, j: u32) -> u32 {
         (face * 128 + i) * 128 + j
@@ -81,6 +90,25 @@ impl Hull {
         p[b] = self.lo[b] + (self.hi[b] - self.lo[b]) * (i as f32 + u[0]) / self.count[b] as f32;
         p[c] = self.lo[c] + (self.hi[c] - self.lo[c]) * (j as f32 + u[1]) / self.count[c] as f32;
         p
+    }
+
+    /// The cells of the same face that touch a cell.
+    pub fn around_cell(&self, cell: u32) -> impl Iterator<Item = u32> {
+        let (_, _, b, c, i, j) = self.parts(cell);
+        let (face, [rows, columns]) = (cell / (128 * 128), [self.count[b], self.count[c]]);
+        let near = |x: u32, end: u32| x.saturating_sub(1)..(x + 2).min(end);
+        let all = near(i, rows).flat_map(move |i| near(j, columns).map(move |j| (face * 128 + i) * 128 + j));
+        all.filter(move |c| *c != cell)
+    }
+
+    /// A cell as a parallelogram: corner, two edges, unit normal towards the inside.
+    #[must_use]
+    pub fn cell_frame(&self, cell: u32) -> [Vec3; 4] {
+        let corner = self.cell_point(cell, [0.0, 0.0]);
+        let (edge1, edge2) = (self.cell_point(cell, [1.0, 0.0]) - corner, self.cell_point(cell, [0.0, 1.0]) - corner);
+        let mut inwards = Vec3::ZERO;
+        inwards[self.parts(cell).0] = if cell / (128 * 128) % 2 == 1 { -1.0 } else { 1.0 };
+        [corner, edge1, edge2, inwards]
     }
 
     /// Centre of a cell.
@@ -115,6 +143,12 @@ mod tests {
                 let (found, t, cosine) = hull.exit(origin, d).expect("inside");
                 assert_eq!(found, cell);
                 assert!((origin + d * t - p).length() < 1e-4 && cosine > 0.0);
+                let [corner, edge1, edge2, inwards] = hull.cell_frame(cell);
+                assert!((corner + edge1 * 0.3 + edge2 * 0.8 - p).length() < 1e-5 && inwards.dot(d) < 0.0);
+                let side = hull.cell_area(cell).sqrt();
+                let around: Vec<u32> = hull.around_cell(cell).collect();
+                assert_eq!(around.len(), if (i, j) == (0, 0) { 3 } else { 8 });
+                assert!(around.iter().all(|c| (hull.cell_centre(*c) - hull.cell_centre(cell)).length() < 1.6 * side));
                 seen += 1;
             }
         }

@@ -1,18 +1,30 @@
 //! What radiance arrives along a ray: the TBL on the surface it hits, or the environment if it hits none.
+//!
+//! Radiance is kept in half floats, all levels in one array, so that finding the texel and reading it are two steps: a batch of rays
+//! computes its addresses first, and the memory then answers many of them at once.
 
 use super::Environment;
+use crate::ffi::simd::prefetch;
 use crate::gbuffer::Orientation;
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
-use crate::texture::MipChain;
 use crate::trace::Hit;
 use glam::{Vec2, Vec3};
+use half::f16;
+use rayon::prelude::*;
 
 /// Prefiltered copies of the TBL beyond the full resolution: footprints up to 8 texels; coarser ones would mix charts.
 const MIP_LEVELS: usize = 4;
 
+/// The level that holds full radiance, unfiltered, for emissive triangles.
+const FULL: usize = MIP_LEVELS;
+
+/// Address of the texel that stands for no surface.
+const BLACK: u32 = 0;
+
 /// Per-triangle constants of a lookup, one cache line.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(align(64))]
 struct Lookup {
     uv: Vec2,
     uv_edge1: Vec2,
@@ -21,20 +33,31 @@ struct Lookup {
     normal: Vec3,
     /// Texels of the TBL per metre.
     density: f32,
-    /// Whether any texel of the triangle emits.
-    emissive: bool,
+    /// [`FULL`] if any texel of the triangle emits, else 0.
+    least_level: u32,
+}
+
+/// One resolution of the TBL.
+#[derive(Clone, Copy, Debug, Default)]
+struct Level {
+    size: Vec2,
+    /// Last column, last row.
+    last: [u32; 2],
+    first: u32,
 }
 
 /// Incident radiance along traced rays.
 #[derive(Clone, Debug)]
 pub struct LightField {
+    /// One per triangle, and a last one for rays that hit none.
     lookups: Vec<Lookup>,
-    /// Reflected radiance with emissive texels filled from their surroundings, prefiltered.
-    reflected: MipChain<Vec3>,
-    /// Full radiance, unfiltered, for emissive triangles.
-    full: RgbPlane,
-    /// Mean radiance of the side away from the cameras' main side; zero where nobody saw it.
-    back: Vec<Vec3>,
+    /// Black; reflected radiance with emissive texels filled from their surroundings, level by level; full radiance; the far sides.
+    texels: Vec<[u16; 4]>,
+    /// Radiance per stored unit: a power of two that lets the brightest texel fit.
+    scale: f32,
+    levels: [Level; MIP_LEVELS + 1],
+    /// Where the mean radiance of each triangle's side away from the cameras' main side begins; zero where nobody saw it.
+    back: u32,
     /// Directions without geometry.
     pub environment: Environment,
     /// Whether cones look up prefiltered radiance; a single texel otherwise.
@@ -55,7 +78,7 @@ impl LightField {
         environment: Environment,
     ) -> Self {
         let size = Vec2::new(radiance.width as f32, radiance.height as f32);
-        let lookups = (0..mesh.triangles.len())
+        let mut lookups: Vec<Lookup> = (0..mesh.triangles.len())
             .map(|t| {
                 let [a, b, c] = mesh.corner_uvs(t);
                 let area = mesh.area(t);
@@ -66,15 +89,34 @@ impl LightField {
                     uv_edge2: c - a,
                     normal: mesh.face_normal(t) * orientation.sign(t),
                     density: if area > 0.0 { (texels / area).sqrt() } else { 0.0 },
-                    emissive: emissive_triangles.get(t).copied().unwrap_or(false),
+                    least_level: if emissive_triangles.get(t).copied().unwrap_or(false) { FULL as u32 } else { 0 },
                 }
             })
             .collect();
+        lookups.push(Lookup::default());
+        let brightest = radiance.data.iter().chain(&back).fold(0.0f32, |m, v| m.max(v.max_element()));
+        let pack = Packing::new(brightest);
+        let mut texels = vec![[0; 4]];
+        let mut levels = [Level::default(); MIP_LEVELS + 1];
+        let mut store = |plane: &RgbPlane, level: &mut Level| {
+            *level = Level {
+                size: Vec2::new(plane.width as f32, plane.height as f32),
+                last: [plane.width as u32 - 1, plane.height as u32 - 1],
+                first: texels.len() as u32,
+            };
+            texels.par_extend(plane.data.par_iter().map(|v| pack.texel(*v)));
+        };
+        store(&radiance, &mut levels[FULL]);
         let keep = emissive.map(|e| !e);
-        let reflected =
-            if emissive.data.iter().any(|e| *e) { crate::texture::fill_uncovered(&radiance, &keep) } else { radiance.clone() };
-        let back = if back.len() == mesh.triangles.len() { back } else { vec![Vec3::ZERO; mesh.triangles.len()] };
-        Self { lookups, reflected: MipChain::new(reflected, MIP_LEVELS), full: radiance, back, environment, prefilter: true }
+        let mut plane =
+            if emissive.data.iter().any(|e| *e) { crate::texture::fill_uncovered(&radiance, &keep) } else { radiance };
+        for level in &mut levels[..MIP_LEVELS] {
+            store(&plane, level);
+            plane = plane.half();
+        }
+        let first = texels.len() as u32;
+        texels.extend((0..mesh.triangles.len()).map(|t| pack.texel(back.get(t).copied().unwrap_or(Vec3::ZERO))));
+        Self { lookups, texels, scale: pack.scale, levels, back: first, environment, prefilter: true }
     }
 
     /// Radiance arriving along `direction` from `hit`, averaged over a cone whose diameter at the hit is
@@ -82,39 +124,119 @@ impl LightField {
     #[must_use]
     #[inline]
     pub fn arriving(&self, hit: &Hit, direction: Vec3, spread: f32) -> Vec3 {
-        if !hit.is_hit() {
-            return self.environment.radiance(direction);
-        }
-        let l = &self.lookups[hit.triangle as usize];
+        if hit.is_hit() { self.texel(self.address(hit, direction, spread).0) } else { self.environment.radiance(direction) }
+    }
+
+    /// Where the radiance of [`Self::arriving`] is stored, for [`Self::texel`], and the cosine between the ray and the surface's
+    /// normal, negative from behind. A miss has the address of black.
+    #[inline(always)]
+    pub(super) fn address(&self, hit: &Hit, direction: Vec3, spread: f32) -> (u32, f32) {
+        let l = &self.lookups[(hit.triangle as usize).min(self.lookups.len() - 1)];
         let cosine = -l.normal.dot(direction);
-        if cosine < 0.0 {
-            return self.back[hit.triangle as usize];
-        }
-        let uv = l.uv + l.uv_edge1 * hit.u + l.uv_edge2 * hit.v;
-        if l.emissive {
-            let size = Vec2::new(self.full.width as f32, self.full.height as f32);
-            return *self.full.nearest(uv * size);
-        }
-        self.reflected.lookup(uv, if self.prefilter { spread * hit.t * l.density } else { 0.0 })
+        // the whole part of a logarithm is the exponent of the number
+        let footprint = if self.prefilter { spread * hit.t * l.density } else { 0.0 };
+        let blur = (footprint.max(1.0).to_bits() >> 23) as usize - 127;
+        let level = blur.min(MIP_LEVELS - 1).max(l.least_level as usize);
+        let front = self.at(l, level, hit.u, hit.v);
+        let address = if cosine < 0.0 { self.back.wrapping_add(hit.triangle) } else { front };
+        (if hit.is_hit() { address } else { BLACK }, cosine)
+    }
+
+    #[inline(always)]
+    fn at(&self, l: &Lookup, level: usize, u: f32, v: f32) -> u32 {
+        let level = &self.levels[level];
+        let p = (l.uv + l.uv_edge1 * u + l.uv_edge2 * v) * level.size;
+        let (x, y) = ((p.x as u32).min(level.last[0]), (p.y as u32).min(level.last[1]));
+        level.first + y * (level.last[0] + 1) + x
+    }
+
+    /// Tells the cache that [`Self::address`] will be asked for a hit on `triangle` soon.
+    #[inline(always)]
+    pub(super) fn expect_triangle(&self, triangle: u32) {
+        prefetch(&self.lookups, triangle as usize);
+    }
+
+    /// Tells the cache that [`Self::texel`] will be asked for soon.
+    #[inline(always)]
+    pub(super) fn expect_texel(&self, address: u32) {
+        prefetch(&self.texels, address as usize);
+    }
+
+    /// The radiance stored at an address.
+    #[must_use]
+    #[inline(always)]
+    pub(super) fn texel(&self, address: u32) -> Vec3 {
+        unpacked(self.texels[address as usize], self.scale)
+    }
+
+    /// Where the radiance is stored that an emissive triangle sends out at barycentrics (u, v).
+    #[inline(always)]
+    pub(super) fn emitted_address(&self, triangle: usize, u: f32, v: f32) -> u32 {
+        self.at(&self.lookups[triangle], FULL, u, v)
     }
 
     /// Radiance that an emissive triangle sends out at barycentrics (u, v).
     #[must_use]
+    #[inline]
     pub fn emitted(&self, triangle: usize, u: f32, v: f32) -> Vec3 {
-        let l = &self.lookups[triangle];
-        let uv = l.uv + l.uv_edge1 * u + l.uv_edge2 * v;
-        *self.full.nearest(uv * Vec2::new(self.full.width as f32, self.full.height as f32))
+        self.texel(self.emitted_address(triangle, u, v))
     }
 
     /// Whether any texel of triangle `t` emits.
     #[must_use]
     pub fn is_emissive(&self, t: usize) -> bool {
-        self.lookups[t].emissive
+        self.lookups[t].least_level != 0
     }
 
     /// Unit normal of triangle `t` on the side the cameras see.
     #[must_use]
+    #[inline]
     pub fn outward_normal(&self, t: usize) -> Vec3 {
         self.lookups[t].normal
+    }
+}
+
+/// A half's bits, shifted to a float's place, read 2¹¹² times too small.
+#[inline(always)]
+fn unpacked(halves: [u16; 4], scale: f32) -> Vec3 {
+    let [x, y, z, _] = halves.map(|h| f32::from_bits(u32::from(h) << 13) * f32::from_bits((127 + 112) << 23));
+    Vec3::new(x, y, z) * scale
+}
+
+/// Radiance as half floats relative to a power of two near the brightest.
+struct Packing {
+    /// Stored values are radiance divided by this.
+    scale: f32,
+}
+
+impl Packing {
+    /// Halves reach 65504: the brightest becomes less than 2¹⁵, what is 2²⁹ times darker still has all its bits.
+    fn new(brightest: f32) -> Self {
+        let exponent = if brightest.is_normal() { (brightest.to_bits() >> 23) as i32 - 127 } else { 0 };
+        Self { scale: 2f32.powi((exponent - 14).max(-126)) }
+    }
+
+    fn texel(&self, v: Vec3) -> [u16; 4] {
+        // radiance is not negative, and beyond the range there is only the largest number
+        let half = |x: f32| f16::from_f32((x / self.scale).max(0.0).min(65_504.0)).to_bits();
+        [half(v.x), half(v.y), half(v.z), 0]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn halves_keep_eleven_bits_over_nine_decades_below_the_brightest_at_any_exposure() {
+        for exposure in [1e-20f32, 1.0, 3e7, 1e25] {
+            let pack = Packing::new(1e5 * exposure);
+            for (value, bound) in [(1e5f32, 5e-4), (1.0, 5e-4), (0.3, 5e-4), (1e-3, 5e-4), (1e-4, 5e-4), (0.0, 0.0)] {
+                let bits = pack.texel(Vec3::splat(value * exposure));
+                let back = unpacked(bits, pack.scale).y;
+                assert!((back - value * exposure).abs() <= bound * value * exposure, "{value} at {exposure}: {back}");
+            }
+        }
+        assert_eq!(Packing::new(1.0).texel(Vec3::new(-1.0, f32::NAN, f32::INFINITY)), [0, 0, 0x7bff, 0]);
     }
 }

@@ -7,7 +7,7 @@
 use super::irt::Bake;
 use crate::brdf::{MIN_ROUGHNESS, Reflectance, sample_vndf, vndf_reflection_pdf};
 use crate::math::Frame;
-use crate::sampling::{Discrete, SobolSequence};
+use crate::sampling::{SlotTable, SobolSequence};
 use crate::trace::{Hit, Ray};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
@@ -95,7 +95,7 @@ impl Reflector<'_> {
         s.gaze_of_ray.clear();
         s.shadow.clear();
         s.light.clear();
-        let choices: Vec<Option<&Discrete>> = gazes.iter().map(|g| self.bake.emitters.choice_at(g.position)).collect();
+        let choices: Vec<Option<&SlotTable>> = gazes.iter().map(|g| self.bake.emitters.choice_at(g.position)).collect();
         for (i, g) in gazes.iter().enumerate() {
             self.lobe_rays(i, g, lobes(&levels, i), s);
             if let Some(choice) = choices[i] {
@@ -155,11 +155,11 @@ impl Reflector<'_> {
         }
     }
 
-    fn emitter_rays(&self, i: usize, g: &Gaze, choice: &Discrete, s: &mut Scratch) {
+    fn emitter_rays(&self, i: usize, g: &Gaze, choice: &SlotTable, s: &mut Scratch) {
         let origin = g.position + g.face_normal * self.bake.offset;
         let sequence = SobolSequence::new(self.seed ^ 0x11_9474, g.key);
         for j in 0..self.emitter_samples {
-            let Some(e) = self.bake.emitters.sample(self.bake.mesh, self.bake.field, choice, origin, sequence.point3(j)) else {
+            let Some(e) = self.bake.emitters.sample(self.bake.field, choice, origin, sequence.point3(j)) else {
                 continue;
             };
             let l = Vec3::from_array(e.ray.direction);

@@ -1,9 +1,11 @@
 //! Scalars, duals and frames: the small mathematics every other module is written in.
 
+mod angle;
 mod dual;
 mod frame;
 mod real;
 
+pub use angle::atan2;
 pub use dual::Dual;
 pub use frame::Frame;
 pub use real::Real;

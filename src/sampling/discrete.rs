@@ -8,6 +8,9 @@ pub struct Discrete {
     /// Cumulative probability up to and including each entry; the last is 1.
     cumulative: Vec<f32>,
     pmf: Vec<f32>,
+    /// Per k: about the first entry whose cumulative probability exceeds k/n, where the search of a u near k/n starts (Chen & Asau
+    /// 1974); on average it ends after less than two steps.
+    guide: Vec<u32>,
 }
 
 impl Discrete {
@@ -30,13 +33,33 @@ impl Discrete {
         for c in &mut cumulative[last..] {
             *c = 1.0;
         }
-        Some(Self { cumulative, pmf: weights.iter().map(|w| (w / total) as f32).collect() })
+        let n = cumulative.len();
+        let mut at = 0;
+        let guide = (0..n)
+            .map(|k| {
+                let u = k as f32 / n as f32;
+                while at + 1 < n && cumulative[at] <= u {
+                    at += 1;
+                }
+                at as u32
+            })
+            .collect();
+        Some(Self { cumulative, pmf: weights.iter().map(|w| (w / total) as f32).collect(), guide })
     }
 
     /// Draws an index from `u` in [0, 1); also returns the rest of `u`, again uniform in [0, 1) and in the same order.
     #[must_use]
+    #[inline]
     pub fn sample(&self, u: f32) -> (usize, f32) {
-        let i = self.cumulative.partition_point(|c| *c <= u).min(self.pmf.len() - 1);
+        let n = self.cumulative.len();
+        let mut i = self.guide[((u * n as f32) as usize).min(n - 1)] as usize;
+        while i + 1 < n && self.cumulative[i] <= u {
+            i += 1;
+        }
+        // u · n may have been rounded up to the next k
+        while i > 0 && self.cumulative[i - 1] > u {
+            i -= 1;
+        }
         let below = if i > 0 { self.cumulative[i - 1] } else { 0.0 };
         let width = (self.cumulative[i] - below).max(f32::MIN_POSITIVE);
         (i, ((u - below) / width).clamp(0.0, 1.0 - f32::EPSILON))
@@ -44,6 +67,7 @@ impl Discrete {
 
     /// Probability of index `i`.
     #[must_use]
+    #[inline]
     pub fn pmf(&self, i: usize) -> f32 {
         self.pmf[i]
     }
@@ -73,6 +97,23 @@ mod tests {
             assert!((f64::from(d.pmf(k)) - p).abs() < 1e-6);
         }
         assert!((rest_sum / f64::from(n) - 0.5).abs() < 5e-3);
+    }
+
+    #[test]
+    fn the_guide_finds_what_a_search_finds() {
+        for weights in [
+            vec![1.0],
+            vec![0.0, 0.0, 1e-9, 5.0, 0.0],
+            (0..999).map(|i| f64::from(i % 7) * 1e-3 + f64::from(i / 990) * 50.0).collect(),
+        ] {
+            let d = Discrete::new(&weights).expect("positive weights");
+            let edges = d.cumulative.iter().flat_map(|c| [c.next_down(), *c, c.next_up()]);
+            for u in (0..4096).map(|i| i as f32 / 4096.0).chain(edges).filter(|u| (0.0..1.0).contains(u)) {
+                let expected = d.cumulative.partition_point(|c| *c <= u);
+                assert_eq!(d.sample(u).0, expected, "u = {u}");
+                assert!(d.pmf(expected) > 0.0);
+            }
+        }
     }
 
     #[test]

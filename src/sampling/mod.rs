@@ -7,7 +7,7 @@ mod sobol;
 mod warp;
 
 pub use keyed::{KeyedRng, hash_u64};
-pub use sobol::{SobolSequence, hammersley, radical_inverse_base2};
+pub use sobol::{SobolBlock, SobolSequence, hammersley, radical_inverse_base2};
 pub use warp::{
     cosine_hemisphere_pdf, disk_from_square, square_to_cosine_hemisphere, square_to_triangle, square_to_uniform_hemisphere,
     uniform_hemisphere_pdf,
@@ -15,5 +15,7 @@ pub use warp::{
 
 mod alias;
 mod discrete;
+mod slots;
 pub use alias::AliasTable;
 pub use discrete::Discrete;
+pub use slots::SlotTable;

@@ -62,6 +62,7 @@ fn sobol(index: u32, dimension: usize) -> u32 {
 }
 
 /// Laine–Karras permutation with the constants of Burley's listing 3.
+#[inline(always)]
 fn laine_karras(mut x: u32, seed: u32) -> u32 {
     x = x.wrapping_add(seed);
     x ^= x.wrapping_mul(0x6c50_b47c);
@@ -75,6 +76,7 @@ fn owen_scramble(x: u32, seed: u32) -> u32 {
     laine_karras(x.reverse_bits(), seed).reverse_bits()
 }
 
+#[inline]
 fn hash_dimension(seed: u32, dimension: u32) -> u32 {
     let mut h = seed ^ dimension.wrapping_mul(0x9E37_79B9);
     h = (h ^ (h >> 16)).wrapping_mul(0x85eb_ca6b);
@@ -122,6 +124,48 @@ impl SobolSequence {
     }
 }
 
+/// Points `begin..end` of the unscrambled sequence in three dimensions. Whoever draws the same points under many keys shares them,
+/// and per key only the scrambling is left, which runs in vector registers.
+#[derive(Clone, Debug)]
+pub struct SobolBlock {
+    /// Bit-reversed values per dimension.
+    reversed: [Vec<u32>; 3],
+}
+
+impl SobolBlock {
+    /// The points `begin..end`.
+    #[must_use]
+    pub fn new(begin: u32, end: u32) -> Self {
+        Self { reversed: std::array::from_fn(|d| (begin..end).map(|i| sobol(i, d).reverse_bits()).collect()) }
+    }
+
+    /// Number of points.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.reversed[0].len()
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.reversed[0].is_empty()
+    }
+
+    /// Coordinates in [0, 1) of all points in one dimension, scrambled for `sequence`; `out.len() == self.len()`. Aligned blocks of
+    /// 2^m points hold the points of [`SobolSequence::point2`], but not in its shuffled order: use them for one sum, not side by side
+    /// with another sequence.
+    #[inline(always)]
+    pub fn fill(&self, sequence: &SobolSequence, dimension: usize, out: &mut [f32]) {
+        let seed = hash_dimension(sequence.seed, dimension as u32);
+        // shuffling moves an aligned block to the one that index 0 moves to; the sequence is linear over bits
+        let block = sobol(owen_scramble(0, hash_dimension(sequence.seed, 77)), dimension).reverse_bits();
+        for (value, &raw) in out.iter_mut().zip(&self.reversed[dimension]) {
+            // 24 bits: a signed conversion is exact, and the one vector units have
+            *value = (laine_karras(raw ^ block, seed).reverse_bits() >> 8) as i32 as f32 * (1.0 / 16_777_216.0);
+        }
+    }
+}
+
 /// Van der Corput radical inverse in base 2, in [0, 1).
 #[must_use]
 pub fn radical_inverse_base2(i: u32) -> f32 {
@@ -161,6 +205,38 @@ mod tests {
                 for p in &points {
                     let cell = (p[1] * ny as f32) as usize * nx + (p[0] * nx as f32) as usize;
                     assert!(!std::mem::replace(&mut seen[cell], true), "interval {nx}×{ny} hit twice, key {key}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_are_nets_whose_halves_are_nets() {
+        for key in 0..8 {
+            let s = SobolSequence::new(5, key);
+            for (begin, end) in [(0u32, 64u32), (0, 32), (32, 64), (64, 128)] {
+                let block = SobolBlock::new(begin, end);
+                let n = block.len();
+                let [mut x, mut y] = [vec![0.0; n], vec![0.0; n]];
+                block.fill(&s, 0, &mut x);
+                block.fill(&s, 1, &mut y);
+                let m = n.trailing_zeros();
+                let mut points: Vec<[f32; 2]> = x.iter().zip(&y).map(|(x, y)| [*x, *y]).collect();
+                let mut shuffled: Vec<[f32; 2]> = (begin..end).map(|i| s.point2(i)).collect();
+                for list in [&mut points, &mut shuffled] {
+                    list.sort_by(|a, b| a[0].total_cmp(&b[0]));
+                }
+                assert_eq!(points, shuffled, "the same points, {begin}..{end}");
+                for a in 0..=m {
+                    let (nx, ny) = (1usize << a, n >> a);
+                    let mut seen = vec![false; n];
+                    for k in 0..n {
+                        let cell = (y[k] * ny as f32) as usize * nx + (x[k] * nx as f32) as usize;
+                        assert!(
+                            !std::mem::replace(&mut seen[cell], true),
+                            "{begin}..{end}, interval {nx}×{ny} hit twice, key {key}"
+                        );
+                    }
                 }
             }
         }

@@ -5,6 +5,7 @@ use std::f32::consts::{FRAC_1_PI, PI};
 
 /// Direction with density cosθ/π around +z.
 #[must_use]
+#[inline(always)]
 pub fn square_to_cosine_hemisphere(u: [f32; 2]) -> Vec3 {
     let d = disk_from_square(u);
     Vec3::new(d.x, d.y, (1.0 - d.length_squared()).max(0.0).sqrt())
@@ -18,19 +19,17 @@ pub fn cosine_hemisphere_pdf(cos_theta: f32) -> f32 {
 
 /// Direction with constant density around +z; cosθ = 1 − u₀ as in the authors' code (method §3.1).
 #[must_use]
+#[inline(always)]
 pub fn square_to_uniform_hemisphere(u: [f32; 2]) -> Vec3 {
     let z = 1.0 - u[0];
     let s = (1.0 - z * z).max(0.0).sqrt();
     // quarter turns: the nearest whole number of them, and an angle of at most π/4
-    let quarter = (4.0 * u[1] + 0.5).floor();
-    let (sin, cos) = small_sin_cos(0.5 * PI * (4.0 * u[1] - quarter));
-    let (x, y) = match quarter as i32 & 3 {
-        0 => (cos, sin),
-        1 => (-sin, cos),
-        2 => (-cos, -sin),
-        _ => (sin, -cos),
-    };
-    Vec3::new(s * x, s * y, z)
+    let quarter = (4.0 * u[1] + 0.5) as i32;
+    let (sin, cos) = small_sin_cos(0.5 * PI * (4.0 * u[1] - quarter as f32));
+    // selections instead of branches, so that a loop over samples runs in vector registers
+    let (x, y) = if quarter & 1 == 1 { (sin, cos) } else { (cos, sin) };
+    let (s_x, s_y) = (if (quarter + 1) & 2 == 2 { -s } else { s }, if quarter & 2 == 2 { -s } else { s });
+    Vec3::new(s_x * x, s_y * y, z)
 }
 
 /// Density of [`square_to_uniform_hemisphere`] per steradian.
@@ -41,6 +40,7 @@ pub fn uniform_hemisphere_pdf() -> f32 {
 
 /// Concentric map of the unit square onto the unit disk (Shirley & Chiu 1997).
 #[must_use]
+#[inline(always)]
 pub fn disk_from_square(u: [f32; 2]) -> Vec2 {
     let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
     // both cases without a branch: samples alternate between them at random
@@ -53,7 +53,7 @@ pub fn disk_from_square(u: [f32; 2]) -> Vec2 {
 
 /// Sine and cosine for |x| ≤ π/4 to single precision, by Taylor polynomials: library calls are a large part of what a ray costs
 /// besides tracing it.
-#[inline]
+#[inline(always)]
 fn small_sin_cos(x: f32) -> (f32, f32) {
     let x2 = x * x;
     let sin = x * (1.0 + x2 * (-1.0 / 6.0 + x2 * (1.0 / 120.0 + x2 * (-1.0 / 5040.0 + x2 * (1.0 / 362_880.0)))));
@@ -61,18 +61,13 @@ fn small_sin_cos(x: f32) -> (f32, f32) {
     (sin, cos)
 }
 
-/// Barycentric coordinates (b₁, b₂) uniform over a triangle (Heitz 2019 low-distortion map).
+/// Barycentric coordinates (b₁, b₂) uniform over a triangle (Heitz 2019 low-distortion map; both of its cases take half of the
+/// smaller coordinate from both).
 #[must_use]
+#[inline(always)]
 pub fn square_to_triangle(u: [f32; 2]) -> [f32; 2] {
-    let (mut x, mut y) = (u[0], u[1]);
-    if y > x {
-        x *= 0.5;
-        y -= x;
-    } else {
-        y *= 0.5;
-        x -= y;
-    }
-    [x, y]
+    let half = 0.5 * u[0].min(u[1]);
+    [u[0] - half, u[1] - half]
 }
 
 #[cfg(test)]

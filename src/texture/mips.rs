@@ -39,8 +39,10 @@ where
 
     /// Nearest texel of the level whose texels are about `footprint` base texels wide.
     #[must_use]
+    #[inline]
     pub fn lookup(&self, uv: Vec2, footprint: f32) -> T {
-        let level = (footprint.max(1.0).log2() as usize).min(self.levels.len() - 1);
+        // the whole part of the logarithm is the exponent of the number
+        let level = ((footprint.max(1.0).to_bits() >> 23) as usize - 127).min(self.levels.len() - 1);
         let p = &self.levels[level];
         *p.nearest(uv * Vec2::new(p.width as f32, p.height as f32))
     }
@@ -64,7 +66,10 @@ mod tests {
         assert_eq!(m.level_count(), 3);
         let uv = Vec2::new(0.1, 0.1);
         assert_eq!(m.lookup(uv, 0.0), 0.0);
+        assert_eq!(m.lookup(uv, 1.99), 0.0);
         assert_eq!(m.lookup(uv, 2.0), 2.5);
+        assert_eq!(m.lookup(uv, f32::NAN), 0.0);
+        assert_eq!(m.lookup(uv, f32::INFINITY), 7.5);
         assert_eq!(m.lookup(uv, 99.0), 7.5);
         assert_eq!(m.bilinear(Vec2::new(0.25, 0.25)), 2.5);
     }

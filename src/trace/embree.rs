@@ -76,7 +76,7 @@ impl Tracer for EmbreeTracer {
     fn occluded(&self, rays: &[Ray], occluded: &mut [u8]) {
         assert_eq!(rays.len(), occluded.len(), "one flag per ray");
         TRACED.fetch_add(rays.len() as u64, Ordering::Relaxed);
-        let width = PacketWidth::Sixteen;
+        let width = PacketWidth::Eight;
         if rays.len() <= BATCH {
             return self.scene.occluded(rays, occluded, width);
         }

@@ -1,0 +1,396 @@
+//! The rays of a group of receivers: drawn, traced and summed in batches.
+//!
+//! Whatever all receivers share (unscrambled sample points) is computed once per round, whatever is the same for every ray of one
+//! receiver runs in vector registers, and a ray costs no allocation, no library call and few branches.
+
+use super::irt::{Bake, Estimator, IrtOptions, Receiver};
+use crate::ffi::simd::with_widest;
+use crate::math::Frame;
+use crate::sampling::{
+    KeyedRng, SlotTable, SobolBlock, SobolSequence, hammersley, square_to_cosine_hemisphere, square_to_uniform_hemisphere,
+};
+use crate::trace::{Hit, Ray};
+use glam::Vec3;
+use std::f32::consts::{FRAC_1_PI, PI, TAU};
+use std::ops::Range;
+
+/// Rays per batch, about: enough to hide the cost of a foreign call, few enough to stay in the cache.
+const BATCH: usize = 4096;
+/// How many rays before its turn the memory is asked for what a hit needs.
+const AHEAD: usize = 24;
+
+/// What one round of samples has in common for all receivers.
+pub(super) struct Round {
+    estimator: Estimator,
+    seed: u64,
+    /// Samples per receiver up to the end of this round: what weights divide by.
+    total_rays: u32,
+    total_lights: u32,
+    hemisphere: Points,
+    lights: SobolBlock,
+    /// Intervals of [0, 1), of which no two samples of this round share one in the first dimension.
+    slots: usize,
+}
+
+/// Points of the unit square, their first half before their second.
+enum Points {
+    /// Coordinates before the receiver's shift, and the size of the first half.
+    Hammersley([Vec<f32>; 2], usize),
+    /// Scrambled per receiver. Halves of a block are nets of their own, so that their difference tells of the whole's error.
+    Sobol(SobolBlock),
+}
+
+impl Points {
+    /// The paper's points. Their halves in order would be half hemispheres, hence a coin per sample.
+    fn hammersley(n: u32) -> Self {
+        let coin = |s: u32| s.wrapping_mul(0x9E37_79B9) >> 31 == 1;
+        let (second, mut all): (Vec<u32>, Vec<u32>) = (0..n).partition(|&s| coin(s));
+        let split = all.len();
+        all.extend(second);
+        Self::Hammersley([0, 1].map(|d| all.iter().map(|&s| hammersley(s, n)[d]).collect()), split)
+    }
+
+    fn len(&self) -> usize {
+        match self {
+            Self::Hammersley(points, _) => points[0].len(),
+            Self::Sobol(block) => block.len(),
+        }
+    }
+
+    fn split(&self) -> usize {
+        match self {
+            Self::Hammersley(_, split) => *split,
+            Self::Sobol(block) => block.len() / 2,
+        }
+    }
+}
+
+impl Round {
+    /// The hemisphere rays and emitter samples given by index ranges.
+    pub(super) fn new(options: &IrtOptions, [first_ray, rays]: [u32; 2], [first_light, lights]: [u32; 2]) -> Self {
+        let hemisphere = match options.estimator {
+            Estimator::Uniform => Points::hammersley(rays),
+            Estimator::Cosine | Estimator::Mis => Points::Sobol(SobolBlock::new(first_ray, rays)),
+        };
+        Self {
+            estimator: options.estimator,
+            seed: options.seed,
+            total_rays: rays,
+            total_lights: lights,
+            hemisphere,
+            lights: SobolBlock::new(first_light, lights),
+            slots: (lights as usize).next_power_of_two(),
+        }
+    }
+
+    /// Receivers per batch.
+    pub(super) fn group(&self) -> usize {
+        (BATCH / (self.hemisphere.len() + self.lights.len()).max(1)).clamp(1, 64)
+    }
+}
+
+/// Buffers of one thread's batches.
+#[derive(Default)]
+pub(super) struct Bundle<'a> {
+    spans: Vec<Span<'a>>,
+    rays: Vec<Ray>,
+    cosines: Vec<f32>,
+    hits: Vec<Hit>,
+    shadow: Vec<Ray>,
+    hidden: Vec<u8>,
+    /// Per emitter sample of one receiver: the probability of its lamp, and what it aims at; `aimed` holds those that are traced.
+    picks: Vec<(f32, Aimed)>,
+    aimed: Vec<Aimed>,
+    /// Per hemisphere ray: where its radiance is stored, and its weight.
+    terms: Vec<(u32, f32)>,
+    /// Per shadow ray that arrives: its triangle and then where its radiance is stored, and its number.
+    arrived: Vec<(u32, u32)>,
+    /// Rays that leave the scene, and their directions.
+    outside: Vec<u32>,
+    sky: [Vec<f32>; 3],
+    /// Per sample of one receiver: coordinates, directions, cosines.
+    columns: [Vec<f32>; 7],
+    order: Vec<u32>,
+    /// Per receiver and half.
+    sums: Vec<Vec3>,
+}
+
+/// Where the rays of one receiver lie in the batch.
+struct Span<'a> {
+    choice: Option<&'a SlotTable>,
+    /// Hemisphere rays of the first half, of the second.
+    rays: [Range<usize>; 2],
+}
+
+/// An emitter sample that waits for its shadow ray: what its radiance is multiplied by, where that comes from, whose it is.
+#[derive(Clone, Copy, Default)]
+struct Aimed {
+    weight: f32,
+    place: [f32; 2],
+    /// Slot of its source.
+    slot: u32,
+    /// Index into the sums.
+    owner: u32,
+}
+
+impl<'a> Bundle<'a> {
+    /// Traces one round of samples of every receiver; `add(k, halves)` takes the contributions of the k-th. Returns the rays traced.
+    pub(super) fn run(
+        &mut self,
+        bake: &'a Bake,
+        round: &Round,
+        receivers: &mut dyn ExactSizeIterator<Item = Receiver>,
+        mut add: impl FnMut(usize, [Vec3; 2]),
+    ) -> u64 {
+        let n = receivers.len();
+        self.reserve(n * round.hemisphere.len(), n * round.lights.len(), round);
+        self.spans.clear();
+        let (mut rays, mut lights) = (0, 0);
+        for r in receivers {
+            let choice = bake.emitters.choice_at(r.position).filter(|_| !round.lights.is_empty());
+            let halves = self.draw_hemisphere(bake, round, &r, rays);
+            rays = halves[1].end;
+            if let Some(c) = choice {
+                lights = self.draw_lights(bake, round, &r, c, lights);
+            }
+            self.spans.push(Span { choice, rays: halves });
+        }
+        bake.tracer.closest(&self.rays[..rays], &mut self.hits[..rays]);
+        bake.tracer.occluded(&self.shadow[..lights], &mut self.hidden[..lights]);
+        self.sums.clear();
+        self.sums.resize(2 * n, Vec3::ZERO);
+        self.gather_surfaces(bake, round);
+        self.gather_lights(bake, lights);
+        for (k, halves) in self.sums.chunks_exact(2).enumerate() {
+            add(k, [halves[0], halves[1]]);
+        }
+        (rays + lights) as u64
+    }
+
+    fn reserve(&mut self, rays: usize, lights: usize, round: &Round) {
+        let nowhere = Ray::new(Vec3::ZERO, Vec3::Z, 0.0);
+        grow(&mut self.rays, rays, nowhere);
+        grow(&mut self.cosines, rays, 0.0);
+        grow(&mut self.hits, rays, Hit::miss());
+        grow(&mut self.terms, rays, (0, 0.0));
+        grow(&mut self.shadow, lights, nowhere);
+        grow(&mut self.hidden, lights, 0);
+        grow(&mut self.aimed, lights, Aimed::default());
+        grow(&mut self.arrived, lights, (0, 0));
+        grow(&mut self.outside, rays.max(lights), 0);
+        self.sky.iter_mut().for_each(|c| grow(c, rays.max(lights), 0.0));
+        self.columns.iter_mut().for_each(|c| grow(c, round.hemisphere.len().max(round.lights.len()), 0.0));
+    }
+
+    /// Writes the hemisphere rays of a receiver from index `at` on; returns where its halves lie.
+    fn draw_hemisphere(&mut self, bake: &Bake, round: &Round, r: &Receiver, at: usize) -> [Range<usize>; 2] {
+        let n = round.hemisphere.len();
+        let [u, v, x, y, z, cosine, facing] = self.columns.each_mut().map(|c| &mut c[..n]);
+        let frame = Frame::from_normal(r.normal);
+        match &round.hemisphere {
+            Points::Sobol(block) => {
+                let sequence = SobolSequence::new(round.seed, r.key);
+                with_widest(|| {
+                    block.fill(&sequence, 0, u);
+                    block.fill(&sequence, 1, v);
+                    directions(&frame, r.face_normal, square_to_cosine_hemisphere, [u, v], [x, y, z, cosine, facing]);
+                });
+            }
+            Points::Hammersley(points, _) => {
+                let mut rng = KeyedRng::new(round.seed, r.key);
+                let shift = [rng.next_f32(), rng.next_f32()];
+                with_widest(|| {
+                    for (d, out) in [&mut *u, &mut *v].into_iter().enumerate() {
+                        for (o, p) in out.iter_mut().zip(&points[d]) {
+                            let x = p + shift[d];
+                            *o = if x >= 1.0 { x - 1.0 } else { x };
+                        }
+                    }
+                    directions(&frame, r.face_normal, square_to_uniform_hemisphere, [u, v], [x, y, z, cosine, facing]);
+                });
+            }
+        }
+        let origin = r.position + r.face_normal * bake.offset;
+        let (rays, cosines) = (&mut self.rays[at..at + n], &mut self.cosines[at..at + n]);
+        let mut kept = 0;
+        let mut keep = |range: Range<usize>| {
+            let first = kept;
+            for k in range {
+                rays[kept] = Ray::new(origin, Vec3::new(x[k], y[k], z[k]), f32::INFINITY);
+                cosines[kept] = cosine[k];
+                // below the true surface the surface itself blocks the light
+                kept += usize::from((facing[k] > 0.0) & (cosine[k] > 0.0));
+            }
+            at + first..at + kept
+        };
+        let split = round.hemisphere.split();
+        [keep(0..split), keep(split..n)]
+    }
+
+    /// Writes the shadow rays of a receiver from index `at` on, in the order of the lamps: neighbours in a packet then go the same
+    /// way. Returns where they end.
+    fn draw_lights(&mut self, bake: &Bake, round: &Round, r: &Receiver, choice: &SlotTable, at: usize) -> usize {
+        let n = round.lights.len();
+        let [u, v, w, ..] = self.columns.each_mut().map(|c| &mut c[..n]);
+        let sequence = SobolSequence::new(round.seed ^ 0x5eed_1a3b, r.key);
+        with_widest(|| {
+            round.lights.fill(&sequence, 0, u);
+            round.lights.fill(&sequence, 1, v);
+            round.lights.fill(&sequence, 2, w);
+        });
+        self.order.clear();
+        self.order.resize(round.slots, u32::MAX);
+        for (s, u) in u.iter().enumerate() {
+            self.order[(u * round.slots as f32) as usize] = s as u32;
+        }
+        let first = 2 * self.spans.len() as u32;
+        // choosing first, computing then: the sources arrive from memory side by side
+        self.picks.clear();
+        // (an interval may have no sample)
+        for s in self.order.iter().map(|&s| s as usize).filter(|&s| s < n) {
+            let (slot, probability) = bake.emitters.pick(choice, u[s]);
+            let owner = first + u32::from(s >= n / 2);
+            self.picks.push((probability, Aimed { weight: 0.0, place: [v[s], w[s]], slot, owner }));
+        }
+        self.picks.iter().for_each(|(_, pick)| bake.emitters.expect_source(pick.slot));
+        let origin = r.position + r.face_normal * bake.offset;
+        let (total_rays, total_lights) = (round.total_rays as f32 * FRAC_1_PI, round.total_lights as f32);
+        let (shadow, aimed) = (&mut self.shadow[at..at + n], &mut self.aimed[at..at + n]);
+        let mut kept = 0;
+        for (probability, pick) in &self.picks {
+            let aim = bake.emitters.source(pick.slot).aim(origin, pick.place);
+            let direction = Vec3::from_array(aim.ray.direction);
+            let cosine = r.normal.dot(direction);
+            // balance heuristic
+            let weight = cosine / (total_lights * (probability * aim.pdf) + total_rays * cosine);
+            shadow[kept] = aim.ray;
+            aimed[kept] = Aimed { weight, place: aim.place, ..*pick };
+            kept += usize::from(aim.in_front() & (cosine > 0.0) & (r.face_normal.dot(direction) > 0.0));
+        }
+        at + kept
+    }
+
+    /// Adds what hemisphere rays meet.
+    fn gather_surfaces(&mut self, bake: &Bake, round: &Round) {
+        let (n, lights) = (round.total_rays as f32, round.total_lights as f32);
+        // diameter per metre of the cone one ray stands for
+        let spread = if round.estimator == Estimator::Uniform { 0.0 } else { 2.0 * (1.0 / n).sqrt() };
+        let mut outside = 0;
+        let expect = |hit: &Hit| {
+            bake.field.expect_triangle(hit.triangle);
+            bake.emitters.expect_hit(hit.triangle);
+        };
+        self.hits.iter().take(AHEAD).for_each(expect);
+        for span in &self.spans {
+            for k in span.rays[0].start..span.rays[1].end {
+                if let Some(later) = self.hits.get(k + AHEAD) {
+                    expect(later);
+                }
+                let (hit, cosine) = (&self.hits[k], self.cosines[k]);
+                let (address, facing) = bake.field.address(hit, Vec3::from_array(self.rays[k].direction), spread);
+                bake.field.expect_texel(address);
+                let weight = match (round.estimator, span.choice) {
+                    (Estimator::Uniform, _) => TAU * cosine / n,
+                    (Estimator::Mis, Some(choice)) => {
+                        cosine / (n * (cosine * FRAC_1_PI) + lights * bake.emitters.hit_pdf(choice, hit, facing))
+                    }
+                    (Estimator::Cosine | Estimator::Mis, _) => PI / n,
+                };
+                self.terms[k] = (address, weight);
+                self.outside[outside] = k as u32;
+                outside += usize::from(!hit.is_hit());
+            }
+        }
+        for (span, sums) in self.spans.iter().zip(self.sums.chunks_exact_mut(2)) {
+            for (range, sum) in span.rays.iter().zip(sums) {
+                *sum += self.terms[range.clone()].iter().fold(Vec3::ZERO, |s, &(at, weight)| s + bake.field.texel(at) * weight);
+            }
+        }
+        self.look_outside(outside, |b, k| &b.rays[k]);
+        let (mut owner, sums, spans) = (0, &mut self.sums, &self.spans);
+        let [x, y, z] = self.sky.each_mut().map(|c| &mut c[..outside]);
+        bake.field.environment.radiances([x, y, z], |i, radiance| {
+            let k = self.outside[i] as usize;
+            while k >= spans[owner].rays[1].end {
+                owner += 1;
+            }
+            let span = &spans[owner];
+            let weight = match (round.estimator, span.choice) {
+                (Estimator::Mis, Some(choice)) => {
+                    let ray = &self.rays[k];
+                    let (origin, direction) = (Vec3::from_array(ray.origin), Vec3::from_array(ray.direction));
+                    let pdf = bake.emitters.miss_pdf(choice, origin, direction);
+                    self.cosines[k] / (n * (self.cosines[k] * FRAC_1_PI) + lights * pdf)
+                }
+                _ => self.terms[k].1,
+            };
+            sums[2 * owner + usize::from(k >= span.rays[1].start)] += radiance * weight;
+        });
+    }
+
+    /// Adds what arrives from emitters along the first `count` shadow rays.
+    fn gather_lights(&mut self, bake: &Bake, count: usize) {
+        let (mut arrived, mut outside) = (0, 0);
+        for l in 0..count {
+            let triangle = bake.emitters.source(self.aimed[l].slot).triangle();
+            bake.field.expect_triangle(triangle.map_or(u32::MAX, |t| t as u32));
+            self.arrived[arrived] = (triangle.map_or(0, |t| t as u32), l as u32);
+            self.outside[outside] = l as u32;
+            let (free, portal) = (self.hidden[l] == 0, triangle.is_none());
+            arrived += usize::from(free & !portal);
+            outside += usize::from(free & portal);
+        }
+        for (at, l) in &mut self.arrived[..arrived] {
+            let [u, v] = self.aimed[*l as usize].place;
+            *at = bake.field.emitted_address(*at as usize, u, v);
+            bake.field.expect_texel(*at);
+        }
+        for &(address, l) in &self.arrived[..arrived] {
+            let aimed = &self.aimed[l as usize];
+            self.sums[aimed.owner as usize] += bake.field.texel(address) * aimed.weight;
+        }
+        self.look_outside(outside, |b, k| &b.shadow[k]);
+        let [x, y, z] = self.sky.each_mut().map(|c| &mut c[..outside]);
+        bake.field.environment.radiances([x, y, z], |i, radiance| {
+            let aimed = &self.aimed[self.outside[i] as usize];
+            self.sums[aimed.owner as usize] += radiance * aimed.weight;
+        });
+    }
+
+    /// Writes the directions of the first `count` rays that leave the scene.
+    fn look_outside(&mut self, count: usize, ray: impl Fn(&Self, usize) -> &Ray) {
+        for i in 0..count {
+            let d = ray(self, self.outside[i] as usize).direction;
+            for (column, x) in self.sky.iter_mut().zip(d) {
+                column[i] = x;
+            }
+        }
+    }
+}
+
+/// World directions of points of the unit square under a warp around a frame's normal, with their cosines to the shading normal and
+/// to the face.
+#[inline(always)]
+fn directions(
+    frame: &Frame,
+    face: Vec3,
+    warp: impl Fn([f32; 2]) -> Vec3,
+    [u, v]: [&[f32]; 2],
+    [x, y, z, cosine, facing]: [&mut [f32]; 5],
+) {
+    let n = u.len();
+    let (v, x, y, z, cosine, facing) = (&v[..n], &mut x[..n], &mut y[..n], &mut z[..n], &mut cosine[..n], &mut facing[..n]);
+    for k in 0..n {
+        let local = warp([u[k], v[k]]);
+        let d = frame.world_from_local(local);
+        (x[k], y[k], z[k]) = (d.x, d.y, d.z);
+        cosine[k] = local.z;
+        facing[k] = face.dot(d);
+    }
+}
+
+fn grow<T: Clone>(buffer: &mut Vec<T>, least: usize, value: T) {
+    if buffer.len() < least {
+        buffer.resize(least, value);
+    }
+}
