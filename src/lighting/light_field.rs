@@ -218,8 +218,8 @@ impl Packing {
 
     fn texel(&self, v: Vec3) -> [u16; 4] {
         // radiance is not negative, and beyond the range there is only the largest number
-        let half = |x: f32| f16::from_f32((x / self.scale).max(0.0).min(65_504.0)).to_bits();
-        [half(v.x), half(v.y), half(v.z), 0]
+        let half = |x: f32| f16::from_f32(if x > 0.0 { x.min(65_504.0) } else { 0.0 }).to_bits();
+        [half(v.x / self.scale), half(v.y / self.scale), half(v.z / self.scale), 0]
     }
 }
 
