@@ -1,7 +1,7 @@
 //! What radiance arrives along a ray: the TBL on the surface it hits, or the environment if it hits none.
 //!
-//! Radiance is kept in half floats, all levels in one array, so that finding the texel and reading it are two steps: a batch of rays
-//! computes its addresses first, and the memory then answers many of them at once.
+//! All levels lie in one array of aligned texels, so that finding a texel and reading it are two steps: a batch of rays computes its
+//! addresses first, and the memory then answers many of them at once.
 
 use super::Environment;
 use crate::ffi::simd::prefetch;
@@ -10,7 +10,6 @@ use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
 use crate::trace::Hit;
 use glam::{Vec2, Vec3};
-use half::f16;
 use rayon::prelude::*;
 
 /// Prefiltered copies of the TBL beyond the full resolution: footprints up to 8 texels; coarser ones would mix charts.
@@ -37,6 +36,11 @@ struct Lookup {
     least_level: u32,
 }
 
+/// Radiance, never astride two cache lines.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(align(16))]
+struct Texel(Vec3);
+
 /// One resolution of the TBL.
 #[derive(Clone, Copy, Debug, Default)]
 struct Level {
@@ -52,9 +56,7 @@ pub struct LightField {
     /// One per triangle, and a last one for rays that hit none.
     lookups: Vec<Lookup>,
     /// Black; reflected radiance with emissive texels filled from their surroundings, level by level; full radiance; the far sides.
-    texels: Vec<[u16; 4]>,
-    /// Radiance per stored unit: a power of two that lets the brightest texel fit.
-    scale: f32,
+    texels: Vec<Texel>,
     levels: [Level; MIP_LEVELS + 1],
     /// Where the mean radiance of each triangle's side away from the cameras' main side begins; zero where nobody saw it.
     back: u32,
@@ -94,9 +96,7 @@ impl LightField {
             })
             .collect();
         lookups.push(Lookup::default());
-        let brightest = radiance.data.iter().chain(&back).fold(0.0f32, |m, v| m.max(v.max_element()));
-        let pack = Packing::new(brightest);
-        let mut texels = vec![[0; 4]];
+        let mut texels = vec![Texel::default()];
         let mut levels = [Level::default(); MIP_LEVELS + 1];
         let mut store = |plane: &RgbPlane, level: &mut Level| {
             *level = Level {
@@ -104,7 +104,7 @@ impl LightField {
                 last: [plane.width as u32 - 1, plane.height as u32 - 1],
                 first: texels.len() as u32,
             };
-            texels.par_extend(plane.data.par_iter().map(|v| pack.texel(*v)));
+            texels.par_extend(plane.data.par_iter().map(|v| Texel(*v)));
         };
         store(&radiance, &mut levels[FULL]);
         let keep = emissive.map(|e| !e);
@@ -115,8 +115,8 @@ impl LightField {
             plane = plane.half();
         }
         let first = texels.len() as u32;
-        texels.extend((0..mesh.triangles.len()).map(|t| pack.texel(back.get(t).copied().unwrap_or(Vec3::ZERO))));
-        Self { lookups, texels, scale: pack.scale, levels, back: first, environment, prefilter: true }
+        texels.extend((0..mesh.triangles.len()).map(|t| Texel(back.get(t).copied().unwrap_or(Vec3::ZERO))));
+        Self { lookups, texels, levels, back: first, environment, prefilter: true }
     }
 
     /// Radiance arriving along `direction` from `hit`, averaged over a cone whose diameter at the hit is
@@ -166,7 +166,7 @@ impl LightField {
     #[must_use]
     #[inline(always)]
     pub(super) fn texel(&self, address: u32) -> Vec3 {
-        unpacked(self.texels[address as usize], self.scale)
+        self.texels[address as usize].0
     }
 
     /// Where the radiance is stored that an emissive triangle sends out at barycentrics (u, v).
@@ -193,50 +193,5 @@ impl LightField {
     #[inline]
     pub fn outward_normal(&self, t: usize) -> Vec3 {
         self.lookups[t].normal
-    }
-}
-
-/// A half's bits, shifted to a float's place, read 2¹¹² times too small.
-#[inline(always)]
-fn unpacked(halves: [u16; 4], scale: f32) -> Vec3 {
-    let [x, y, z, _] = halves.map(|h| f32::from_bits(u32::from(h) << 13) * f32::from_bits((127 + 112) << 23));
-    Vec3::new(x, y, z) * scale
-}
-
-/// Radiance as half floats relative to a power of two near the brightest.
-struct Packing {
-    /// Stored values are radiance divided by this.
-    scale: f32,
-}
-
-impl Packing {
-    /// Halves reach 65504: the brightest becomes less than 2¹⁵, what is 2²⁹ times darker still has all its bits.
-    fn new(brightest: f32) -> Self {
-        let exponent = if brightest.is_normal() { (brightest.to_bits() >> 23) as i32 - 127 } else { 0 };
-        Self { scale: 2f32.powi((exponent - 14).max(-126)) }
-    }
-
-    fn texel(&self, v: Vec3) -> [u16; 4] {
-        // radiance is not negative, and beyond the range there is only the largest number
-        let half = |x: f32| f16::from_f32(if x > 0.0 { x.min(65_504.0) } else { 0.0 }).to_bits();
-        [half(v.x / self.scale), half(v.y / self.scale), half(v.z / self.scale), 0]
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn halves_keep_eleven_bits_over_nine_decades_below_the_brightest_at_any_exposure() {
-        for exposure in [1e-20f32, 1.0, 3e7, 1e25] {
-            let pack = Packing::new(1e5 * exposure);
-            for (value, bound) in [(1e5f32, 5e-4), (1.0, 5e-4), (0.3, 5e-4), (1e-3, 5e-4), (1e-4, 5e-4), (0.0, 0.0)] {
-                let bits = pack.texel(Vec3::splat(value * exposure));
-                let back = unpacked(bits, pack.scale).y;
-                assert!((back - value * exposure).abs() <= bound * value * exposure, "{value} at {exposure}: {back}");
-            }
-        }
-        assert_eq!(Packing::new(1.0).texel(Vec3::new(-1.0, f32::NAN, f32::INFINITY)), [0, 0, 0x7bff, 0]);
     }
 }

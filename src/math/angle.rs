@@ -2,7 +2,7 @@
 
 use std::f32::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
-/// Angle of (x, y) in [−π, π], within 3e-7; 0 at the origin. Polynomial of Moshier's Cephes library (atanf) after reduction to
+/// Angle of (x, y) in [−π, π], within 3e-7; signs of zeros count as in the standard library. Polynomial of Moshier's Cephes library (atanf) after reduction to
 /// |x| ≤ tan(π/8).
 #[must_use]
 #[inline(always)]
@@ -18,7 +18,7 @@ pub fn atan2(y: f32, x: f32) -> f32 {
     let angle = p * z * t + t + if far { FRAC_PI_4 } else { 0.0 };
     let angle = if a < b { angle } else { FRAC_PI_2 - angle };
     let angle = if a == 0.0 && b == 0.0 { 0.0 } else { angle };
-    (if x < 0.0 { PI - angle } else { angle }).copysign(y)
+    (if x.is_sign_negative() { PI - angle } else { angle }).copysign(y)
 }
 
 #[cfg(test)]
@@ -40,5 +40,8 @@ mod tests {
         assert_eq!(atan2(1.0, 0.0), FRAC_PI_2);
         assert_eq!(atan2(-1.0, 0.0), -FRAC_PI_2);
         assert_eq!(atan2(0.0, -1.0), PI);
+        for (y, x) in [(0.0, -0.0), (-0.0, 0.0), (-0.0, -0.0), (0.0f32, 0.0f32)] {
+            assert_eq!(atan2(y, x).to_bits(), y.atan2(x).to_bits());
+        }
     }
 }
