@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 use unbake::gbuffer::{Orientation, ViewBuffer};
 use unbake::geometry::{Camera, Projection};
 use unbake::image::Plane;
-use unbake::lighting::{Environment, Estimator, Irradiance, IrtOptions, Receiver, bake_irradiance};
+use unbake::lighting::{Budget, Environment, Estimator, Irradiance, IrtOptions, Patch, Receiver, bake_irradiance, bake_surface};
 use unbake::math::luminance;
 use unbake::progress::Progress;
 use unbake::texture::Texels;
@@ -24,6 +24,18 @@ fn bake(lit: &Lit, receivers: &[Receiver], options: &IrtOptions) -> Irradiance {
     let out = bake_irradiance(&lit.bake(), receivers.len(), |i| receivers[i], options, &Progress::silent());
     assert!(out.value.iter().all(|e| e.is_finite() && e.min_element() >= 0.0), "irradiance is finite and not negative");
     assert!(out.error.iter().all(|e| e.is_finite() && *e >= 0.0));
+    out
+}
+
+/// As [`bake`], its samples doubled `times` by bakes that continue it.
+fn continued(lit: &Lit, receivers: &[Receiver], options: &IrtOptions, times: u32) -> Irradiance {
+    let all: Vec<u32> = (0..receivers.len() as u32).collect();
+    let mut out = bake(lit, receivers, options);
+    for k in 0..times {
+        let [rays, lights] = [options.rays << k, options.emitter_samples << k];
+        let more = IrtOptions { drawn: [rays, lights], rays, emitter_samples: lights, ..options.clone() };
+        out.double(&all, &bake(lit, receivers, &more));
+    }
     out
 }
 
@@ -436,15 +448,37 @@ fn refinement_keeps_the_expectation() {
     let lit = Lit::new(&quads, Environment::black());
     let lamp = quads[6].corners();
     let expected: f64 = receivers.iter().map(|r| 7.0 * lambert(&lamp, r.position, r.normal)).sum();
-    for (estimator, rays) in [(Estimator::Uniform, 4096), (Estimator::Cosine, 512), (Estimator::Mis, 256)] {
-        let rounds = IrtOptions { max_rounds: 4, target: -1.0, ..options(estimator, rays) };
-        let got = bake(&lit, &receivers, &rounds);
+    // a Hammersley set has one size; the others grow
+    for (estimator, rays, times) in [(Estimator::Uniform, 4096, 0), (Estimator::Cosine, 512, 3), (Estimator::Mis, 256, 3)] {
+        let got = continued(&lit, &receivers, &options(estimator, rays), times);
         let sum: f64 = got.value.iter().map(|e| f64::from(e.x)).sum();
         assert!((sum / expected - 1.0).abs() < 0.01, "{estimator:?}: mean off by {:.4}", sum / expected - 1.0);
-        // a Hammersley set has one size; the others grow
-        let least = if estimator == Estimator::Uniform { rays / 2 } else { 6 * rays };
+        let least = if times == 0 { rays / 2 } else { 6 * rays };
         assert!(got.rays > u64::from(least) * receivers.len() as u64, "{estimator:?}: {} rays", got.rays);
     }
+}
+
+/// Samples drawn in four bakes are the samples of one: the same net, the same weights.
+#[test]
+fn continued_bakes_equal_one_of_all_their_samples() {
+    let (mut quads, _) = window_room();
+    quads.iter_mut().enumerate().for_each(|(i, q)| q.radiance = Vec3::splat(0.2 + 0.05 * i as f32));
+    let receivers: Vec<Receiver> = [0, 1, 2].iter().flat_map(|&q| receivers_on(&quads[q], 5)).collect();
+    let mut lit = Lit::new(&quads, sky().0);
+    lit.field.prefilter = false;
+    let cosine = continued(&lit, &receivers, &options(Estimator::Cosine, 32), 3);
+    let whole = bake(&lit, &receivers, &options(Estimator::Cosine, 256));
+    assert_eq!(cosine.rays, whole.rays);
+    for (a, b) in cosine.value.iter().zip(&whole.value) {
+        assert!((*a - *b).abs().max_element() < 1e-5 * b.max_element(), "{a} against {b}");
+    }
+}
+
+/// The receivers as a surface of texels of 5 cm, baked by a budget of `rounds` rounds.
+fn surface(lit: &Lit, receivers: &[Receiver], rounds: u32) -> Irradiance {
+    let patches: Vec<Patch> = receivers.iter().map(|r| Patch { position: r.position, normal: r.normal, size: 0.05 }).collect();
+    let budget = Budget { samples: [96, 48], rounds, filter: true, target: 0.001, seed: 3 };
+    bake_surface(&lit.bake(), &patches, |i| receivers[i], &budget, &Progress::silent())
 }
 
 #[test]
@@ -456,8 +490,12 @@ fn bits_do_not_depend_on_the_number_of_threads() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
         pool.install(|| {
             let lit = Lit::new(&quads, sky().0);
-            let out = bake(&lit, &receivers, &IrtOptions { max_rounds: 3, ..IrtOptions::default() });
-            (out.value, out.error, out.rays, lit.emitters.lamps())
+            let plain = bake(&lit, &receivers, &IrtOptions::default());
+            let continued = continued(&lit, &receivers, &IrtOptions::default(), 2);
+            let out = surface(&lit, &receivers, 3);
+            assert!(out.rays > plain.rays, "some are refined");
+            let of = |o: Irradiance| (o.value, o.error, o.rays);
+            (of(plain), of(continued), of(out), lit.emitters.lamps())
         })
     };
     let one = run(1);
@@ -474,10 +512,13 @@ fn a_black_scene_is_zero_and_an_empty_list_empty() {
         let lit = Lit::new(&quads[..5], environment);
         assert!(lit.emitters.is_empty());
         for estimator in ALL {
-            let got = bake(&lit, &receivers, &IrtOptions { max_rounds: 2, ..options(estimator, 64) });
+            let got = continued(&lit, &receivers, &options(estimator, 64), u32::from(estimator != Estimator::Uniform));
             assert!(got.value.iter().all(|e| *e == Vec3::ZERO) && got.error.iter().all(|e| *e == 0.0));
             assert!(bake(&lit, &[], &options(estimator, 64)).value.is_empty());
         }
+        let got = surface(&lit, &receivers, 2);
+        assert!(got.value.iter().all(|e| *e == Vec3::ZERO) && got.error.iter().all(|e| *e == 0.0));
+        assert!(surface(&lit, &[], 2).value.is_empty());
     }
 }
 

@@ -1,7 +1,7 @@
 //! The scene as the irradiance bake meets it: surface, light field and emitters made by the pipeline's own stages.
 
 use crate::Result;
-use crate::lighting::{Bake, Irradiance, IrtOptions, Receiver, bake_irradiance};
+use crate::lighting::{Bake, Irradiance, IrtOptions, bake_irradiance};
 use crate::pipeline::{Light, SolveOptions, Surface, reconstruct_light};
 use crate::progress::Progress;
 use crate::sampling::KeyedRng;
@@ -39,27 +39,13 @@ impl<'a> Ground<'a> {
     /// The bake's inputs, with rays going through `tracer`.
     #[must_use]
     pub fn bake<'b>(&'b self, tracer: &'b dyn Tracer) -> Bake<'b> {
-        Bake {
-            mesh: &self.surface.scene.mesh,
-            tracer,
-            field: &self.light.field,
-            emitters: &self.light.emitters,
-            offset: self.surface.offset,
-        }
-    }
-
-    /// The receiver of texel `i`, as the pipeline makes it.
-    #[must_use]
-    pub fn receiver(&self, texels: &Texels, i: usize) -> Receiver {
-        let p = texels.point[i];
-        let (normal, face_normal) = self.surface.normals(p.triangle as usize, p.u, p.v);
-        Receiver { position: texels.position(&self.surface.scene.mesh, i), normal, face_normal, key: u64::from(texels.cell[i]) }
+        Bake { tracer, ..self.surface.bake(&self.light.field, &self.light.emitters) }
     }
 
     /// Bakes the texels `ids`.
     #[must_use]
     pub fn bake_some(&self, texels: &Texels, ids: &[usize], options: &IrtOptions, progress: &Progress) -> Irradiance {
-        let receiver = |k: usize| self.receiver(texels, ids[k]);
+        let receiver = |k: usize| self.surface.receiver(texels, ids[k]);
         bake_irradiance(&self.bake(&self.surface.tracer), ids.len(), receiver, options, progress)
     }
 

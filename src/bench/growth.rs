@@ -117,14 +117,7 @@ pub(super) fn with_triangles(ground: &Ground, texels: &Texels, most: usize, prog
 }
 
 fn cosine(ground: &Ground, rays: u32) -> IrtOptions {
-    IrtOptions {
-        estimator: Estimator::Cosine,
-        rays,
-        emitter_samples: 0,
-        max_rounds: 1,
-        seed: ground.options.seed,
-        ..IrtOptions::default()
-    }
+    IrtOptions { estimator: Estimator::Cosine, rays, emitter_samples: 0, seed: ground.options.seed, ..IrtOptions::default() }
 }
 
 fn traced(mesh: &Mesh, rays: &[Ray]) -> Result<TriangleGrowth> {

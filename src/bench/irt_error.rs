@@ -66,8 +66,6 @@ pub(super) fn reference(ground: &Ground, texels: &Texels, count: usize, progress
         estimator: Estimator::Mis,
         rays: REFERENCE,
         emitter_samples: REFERENCE / 4,
-        max_rounds: 1,
-        target: 0.0,
         seed: ground.options.seed ^ 0x4e_fe4e,
         drawn: [0, 0],
     };
@@ -118,7 +116,7 @@ pub(super) fn ladders(
     full: bool,
     progress: &Progress,
 ) -> Vec<ErrorPoint> {
-    let base = IrtOptions { max_rounds: 1, seed: ground.options.seed, ..IrtOptions::default() };
+    let base = IrtOptions { seed: ground.options.seed, ..IrtOptions::default() };
     let uniform: &[u32] = if full { &[32, 64, 128, 256, 512, 1024, 2048, 4096, 8192] } else { &[64, 256, 1024, 2048] };
     let cosine: &[u32] = if full { &[32, 64, 128, 256, 512, 1024, 2048, 4096] } else { &[64, 256, 1024, 2048] };
     let mis: &[u32] = if full { &[8, 16, 32, 64, 128, 256, 512, 1024, 2048] } else { &[16, 64, 256, 1024] };

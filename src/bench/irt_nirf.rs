@@ -40,7 +40,7 @@ pub(super) fn measure(ground: &Ground, texels: &Texels, reference: &Reference, e
     let epochs = epochs.max(1);
     let surface = &ground.surface;
     let place = |i: usize| {
-        let r = ground.receiver(texels, i);
+        let r = surface.receiver(texels, i);
         (r.position, r.normal)
     };
     let points: Vec<(Vec3, Vec3)> = reference.ids.iter().map(|&i| place(i)).collect();

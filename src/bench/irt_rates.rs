@@ -101,7 +101,7 @@ fn taken(rays: Mutex<Vec<Ray>>) -> Vec<Ray> {
 /// The rays that a bake of `ids` traces: closest hits and occlusion.
 pub(super) fn rays_of(ground: &Ground, texels: &Texels, ids: &[usize], options: &IrtOptions) -> (Vec<Ray>, Vec<Ray>) {
     let recording = Recording { inner: &ground.surface.tracer, closest: Mutex::default(), occluded: Mutex::default() };
-    let receiver = |k: usize| ground.receiver(texels, ids[k]);
+    let receiver = |k: usize| ground.surface.receiver(texels, ids[k]);
     let _ = crate::lighting::bake_irradiance(&ground.bake(&recording), ids.len(), receiver, options, &Progress::silent());
     (taken(recording.closest), taken(recording.occluded))
 }
@@ -117,7 +117,7 @@ fn bare_occluded(tracer: &EmbreeTracer, rays: &[Ray]) -> usize {
 
 /// What is compared: the three estimators, the pipeline's mixture, and emitter samples (almost) alone.
 fn candidates(ground: &Ground) -> Vec<(String, IrtOptions)> {
-    let base = IrtOptions { max_rounds: 1, seed: ground.options.seed, ..IrtOptions::default() };
+    let base = IrtOptions { seed: ground.options.seed, ..IrtOptions::default() };
     let o = &ground.options;
     let mut all = vec![
         (

@@ -87,7 +87,6 @@ pub fn follow_light(before: &Solution, edited: &mut Solution, seed: u64, progres
             estimator: Estimator::Cosine,
             rays: if bounce == 0 { RAYS } else { RAYS / 4 },
             emitter_samples: 0,
-            max_rounds: 1,
             seed: seed ^ (0xed17 + bounce as u64),
             ..IrtOptions::default()
         };

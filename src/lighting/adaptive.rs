@@ -48,8 +48,6 @@ pub fn bake_surface(
         drawn: if level == 0 { [0, 0] } else { first.map(|s| s << (level - 1)) },
         rays: first[0] << level.saturating_sub(1),
         emitter_samples: first[1] << level.saturating_sub(1),
-        max_rounds: 1,
-        target: budget.target,
         seed: budget.seed,
     };
     if !budget.filter {
@@ -69,12 +67,7 @@ pub fn bake_surface(
         for l in 0..=level.iter().copied().max().unwrap_or(0) {
             let ids: Vec<u32> = chosen.iter().copied().filter(|&i| level[i as usize] == l).collect();
             let more = bake_irradiance(bake, ids.len(), |k| receiver(ids[k] as usize), &options(l + 1), progress);
-            baked.rays += more.rays;
-            for (k, &i) in ids.iter().enumerate() {
-                let i = i as usize;
-                baked.value[i] = 0.5 * baked.value[i] + more.value[k];
-                baked.halves[i] = [0, 1].map(|h| 0.5 * baked.halves[i][h] + more.halves[k][h]);
-            }
+            baked.double(&ids, &more);
         }
         chosen.iter().for_each(|&i| level[i as usize] += 1);
         filtered = filter.filter(&baked, &level);
@@ -113,5 +106,5 @@ fn most_promising(filtered: &Irradiance, level: &[u8], target: f32, cost: u64) -
 
 /// The largest power of two that is not above `n`: Sobol' blocks of that length are nets.
 fn power_of_two_within(n: u32) -> u32 {
-    1 << (31 - n.max(1).leading_zeros())
+    1 << n.max(1).ilog2()
 }

@@ -139,7 +139,7 @@ impl<'a> Bundle<'a> {
         &mut self,
         bake: &'a Bake,
         round: &Round,
-        receivers: &mut dyn ExactSizeIterator<Item = Receiver>,
+        receivers: &[Receiver],
         mut add: impl FnMut(usize, [Vec3; 2]),
     ) -> u64 {
         let n = receivers.len();
@@ -148,10 +148,10 @@ impl<'a> Bundle<'a> {
         let (mut rays, mut lights) = (0, 0);
         for r in receivers {
             let choice = bake.emitters.choice_at(r.position).filter(|_| !round.lights.is_empty());
-            let halves = self.draw_hemisphere(bake, round, &r, rays);
+            let halves = self.draw_hemisphere(bake, round, r, rays);
             rays = halves[1].end;
             if let Some(c) = choice {
-                lights = self.draw_lights(bake, round, &r, c, lights);
+                lights = self.draw_lights(bake, round, r, c, lights);
             }
             self.spans.push(Span { choice, rays: halves });
         }

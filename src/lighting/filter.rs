@@ -142,7 +142,7 @@ fn indifferent(own: [f32; 2]) -> f32 {
     (INDIFFERENT * own[0].max(own[1])).powi(2) + f32::MIN_POSITIVE
 }
 
-/// exp(−d) in the small, zero beyond 6: three times the bell (1 − d/6)⁶.
+/// (1 − d/6)⁶ up to d = 6, zero beyond: about exp(−d) at the price of a few products.
 #[inline]
 fn falloff(d: f32) -> f32 {
     let a = (1.0 - d * (1.0 / 6.0)).max(0.0);

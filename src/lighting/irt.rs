@@ -2,7 +2,7 @@
 //!
 //! `Uniform` is the paper's estimator: Hammersley points, one random shift per texel (method §3.1). `Mis` combines
 //! cosine-distributed rays with samples on emitters by the balance heuristic (Veach & Guibas 1995), both from an Owen-scrambled
-//! Sobol' sequence per texel; texels whose two halves disagree are refined.
+//! Sobol' sequence per texel that a later bake continues where more samples are wanted.
 
 use super::bundle::{Bundle, Round};
 use super::{Emitters, LightField};
@@ -35,24 +35,21 @@ pub enum Estimator {
 pub struct IrtOptions {
     /// Estimator.
     pub estimator: Estimator,
-    /// Hemisphere rays and emitter samples per texel that an earlier bake has drawn: this one continues their sequences, and its values
-    /// are the new samples' share of the estimate from all.
+    /// Hemisphere rays and emitter samples per texel that earlier bakes have drawn: this one continues their sequences, and its values
+    /// are the new samples' share of the estimate from all ([`Irradiance::double`]). Not for `Uniform`: a Hammersley set cannot be
+    /// extended, for its points depend on their number.
     pub drawn: [u32; 2],
-    /// Hemisphere rays per texel in the first round.
+    /// Hemisphere rays per texel.
     pub rays: u32,
-    /// Emitter samples per texel in the first round (only `Mis`).
+    /// Emitter samples per texel (only `Mis`).
     pub emitter_samples: u32,
-    /// Rounds at most; each round after the first doubles a texel's samples.
-    pub max_rounds: u32,
-    /// Relative standard error at which a texel is done.
-    pub target: f32,
     /// Seed of the sample points.
     pub seed: u64,
 }
 
 impl Default for IrtOptions {
     fn default() -> Self {
-        Self { estimator: Estimator::Mis, drawn: [0, 0], rays: 64, emitter_samples: 16, max_rounds: 1, target: 0.01, seed: 0 }
+        Self { estimator: Estimator::Mis, drawn: [0, 0], rays: 64, emitter_samples: 16, seed: 0 }
     }
 }
 
@@ -61,7 +58,7 @@ impl Default for IrtOptions {
 pub struct Irradiance {
     /// E per point.
     pub value: Vec<Vec3>,
-    /// Two independent estimates of E per point, from the even and the odd samples; their mean is `value`.
+    /// Two independent estimates of E per point; their mean is `value`.
     pub halves: Vec<[Vec3; 2]>,
     /// Estimated standard error of E's luminance, relative.
     pub error: Vec<f32>,
@@ -125,49 +122,34 @@ pub fn bake_irradiance(
     all
 }
 
+impl Irradiance {
+    /// Adds what a later bake drew at the points `ids`: as many samples again as they had before ([`IrtOptions::drawn`]).
+    /// `error` stays as it was.
+    pub fn double(&mut self, ids: &[u32], more: &Self) {
+        self.rays += more.rays;
+        for (k, &i) in ids.iter().enumerate() {
+            let i = i as usize;
+            self.value[i] = 0.5 * self.value[i] + more.value[k];
+            self.halves[i] = [0, 1].map(|h| 0.5 * self.halves[i][h] + more.halves[k][h]);
+        }
+    }
+}
+
 fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irradiance {
     let n = receivers.len();
     let mut out = Irradiance { value: vec![Vec3::ZERO; n], halves: vec![[Vec3::ZERO; 2]; n], error: vec![0.0; n], rays: 0 };
-    let mut pending: Vec<u32> = (0..receivers.len() as u32).collect();
-    // running estimates: sums of two independent halves
-    let mut sums = vec![[Vec3::ZERO; 2]; receivers.len()];
+    let lights = if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 };
+    let [ray, light] = options.drawn;
+    let round = Round::new(options, [ray, ray + options.rays.max(2)], [light, light + lights]);
     let mut bundle = Bundle::default();
-    let [mut first_ray, mut first_light] = options.drawn;
-    let (mut rays, mut lights) =
-        (options.rays.max(2), if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 });
-    // a Hammersley set cannot be extended: its points depend on their number
-    let max_rounds = if options.estimator == Estimator::Uniform { 1 } else { options.max_rounds.max(1) };
-    for n_round in 0..max_rounds {
-        if n_round > 0 {
-            // sample counts double: what is summed so far counts half
-            for &i in &pending {
-                sums[i as usize] = sums[i as usize].map(|s| s * 0.5);
-            }
-        }
-        let (total_rays, total_lights) = (first_ray + rays, first_light + lights);
-        let round = Round::new(options, [first_ray, total_rays], [first_light, total_lights]);
-        for group in pending.chunks(round.group()) {
-            let mut of_group = group.iter().map(|&i| receivers[i as usize]);
-            out.rays += bundle.run(bake, &round, &mut of_group, |k, halves| {
-                let sum = &mut sums[group[k] as usize];
-                *sum = [sum[0] + halves[0], sum[1] + halves[1]];
-            });
-        }
-        let last = n_round + 1 == max_rounds;
-        pending.retain(|&i| {
-            let sum = sums[i as usize];
-            out.value[i as usize] = sum[0] + sum[1];
-            out.halves[i as usize] = sum.map(|s| s * 2.0);
-            let (a, b) = (luminance(sum[0]), luminance(sum[1]));
-            let error = if a + b > 0.0 { (a - b).abs() / (a + b) } else { 0.0 };
-            out.error[i as usize] = error;
-            !last && error > options.target
+    for (g, group) in receivers.chunks(round.group()).enumerate() {
+        let first = g * round.group();
+        out.rays += bundle.run(bake, &round, group, |k, [a, b]| {
+            out.value[first + k] = a + b;
+            out.halves[first + k] = [2.0 * a, 2.0 * b];
+            let (a, b) = (luminance(a), luminance(b));
+            out.error[first + k] = if a + b > 0.0 { (a - b).abs() / (a + b) } else { 0.0 };
         });
-        if pending.is_empty() {
-            break;
-        }
-        (first_ray, first_light) = (total_rays, total_lights);
-        (rays, lights) = (total_rays, total_lights);
     }
     out
 }

@@ -334,15 +334,8 @@ pub fn train_nirf(
     let Some(table) = Discrete::new(&areas) else { return (field, cost) };
     let mut adam: Vec<[Adam; 2]> = field.layers.iter().map(|l| [Adam::new(l.weight.len()), Adam::new(l.bias.len())]).collect();
     let raised = Bake { offset: 0.0, ..*bake };
-    let estimate = IrtOptions {
-        estimator: Estimator::Uniform,
-        rays: options.rays,
-        emitter_samples: 0,
-        max_rounds: 1,
-        target: 0.0,
-        seed: options.seed,
-        drawn: [0, 0],
-    };
+    let estimate =
+        IrtOptions { estimator: Estimator::Uniform, rays: options.rays, emitter_samples: 0, seed: options.seed, drawn: [0, 0] };
     let mut t = 0;
     for epoch in 0..options.epochs {
         let start = Instant::now();

@@ -58,8 +58,7 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let mut radiance = filled_radiance(surface, &first_look, &trusted);
     let side = (surface.sizes.irradiance / COARSE).max(1);
     let coarse = Texels::rasterize(&scene.mesh, side, side);
-    let coarse_options =
-        IrtOptions { rays: 64, emitter_samples: 16, max_rounds: 1, seed: options.seed ^ 1, ..IrtOptions::default() };
+    let coarse_options = IrtOptions { rays: 64, emitter_samples: 16, seed: options.seed ^ 1, ..IrtOptions::default() };
     let mut rays = 0;
 
     // light as observed, known lamps only
@@ -140,10 +139,10 @@ pub fn bake_irradiance_texels(
         filter: options.irradiance_filter,
         seed: options.seed,
     };
-    let receiver = |i: usize| receiver(surface, texels, i);
-    let bake = Bake { mesh: &surface.scene.mesh, tracer: &surface.tracer, field, emitters, offset: surface.offset };
+    let bake = surface.bake(field, emitters);
     let patches = patches(surface, texels);
-    progress.stage("irradiance", texels.len() as u64, |p| bake_surface(&bake, &patches, receiver, &budget, p))
+    progress
+        .stage("irradiance", texels.len() as u64, |p| bake_surface(&bake, &patches, |i| surface.receiver(texels, i), &budget, p))
 }
 
 /// The texels as pieces of surface.
@@ -161,12 +160,21 @@ pub fn patches(surface: &Surface, texels: &Texels) -> Vec<Patch> {
     (0..texels.len()).into_par_iter().map(patch).collect()
 }
 
-fn receiver(surface: &Surface, texels: &Texels, i: usize) -> Receiver {
-    let p = texels.point[i];
-    let (u, v) = texels.ray_point(i);
-    let (normal, face_normal) = surface.normals(p.triangle as usize, u, v);
-    let position = surface.scene.mesh.position(p.triangle as usize, u, v);
-    Receiver { position, normal, face_normal, key: u64::from(texels.cell[i]) }
+impl Surface<'_> {
+    /// What irradiance bakes take, in the light of `field` and `emitters`.
+    #[must_use]
+    pub fn bake<'b>(&'b self, field: &'b LightField, emitters: &'b Emitters) -> Bake<'b> {
+        Bake { mesh: &self.scene.mesh, tracer: &self.tracer, field, emitters, offset: self.offset }
+    }
+
+    /// Texel `i` as a receiver of light: its rays start at its ray point, its key is its place in the texture.
+    #[must_use]
+    pub fn receiver(&self, texels: &Texels, i: usize) -> Receiver {
+        let t = texels.point[i].triangle as usize;
+        let (u, v) = texels.ray_point(i);
+        let (normal, face_normal) = self.normals(t, u, v);
+        Receiver { position: self.scene.mesh.position(t, u, v), normal, face_normal, key: u64::from(texels.cell[i]) }
+    }
 }
 
 /// Triangles whose class is known to emit.
@@ -206,14 +214,8 @@ fn light_field(
     let mut field =
         LightField::new(mesh, &surface.orientation, radiance.clone(), &emitting, emissive, surface.back.clone(), environment);
     field.prefilter = options.prefilter;
-    let probes: Vec<(Vec3, Vec3)> = (0..receivers.len())
-        .map(|i| {
-            let p = receivers.point[i];
-            let (u, v) = receivers.ray_point(i);
-            let (n, _) = surface.normals(p.triangle as usize, u, v);
-            (mesh.position(p.triangle as usize, u, v), n)
-        })
-        .collect();
+    let probes: Vec<(Vec3, Vec3)> =
+        (0..receivers.len()).map(|i| surface.receiver(receivers, i)).map(|r| (r.position, r.normal)).collect();
     let emitters = Emitters::new(mesh, &field, &surface.tracer, &probes);
     (field, emitters)
 }
@@ -226,8 +228,7 @@ fn bake(
     options: &IrtOptions,
     progress: &Progress,
 ) -> Irradiance {
-    let bake = Bake { mesh: &surface.scene.mesh, tracer: &surface.tracer, field, emitters, offset: surface.offset };
-    bake_irradiance(&bake, texels.len(), |i| receiver(surface, texels, i), options, progress)
+    bake_irradiance(&surface.bake(field, emitters), texels.len(), |i| surface.receiver(texels, i), options, progress)
 }
 
 /// Emitting triangles by evidence: what they send out in every clean view is more than a white surface could reflect there.

@@ -7,7 +7,7 @@ use crate::Result;
 use crate::highlight::{Candidate, SelectOptions, gather_evidence, select_points};
 use crate::image::{Plane, Wrap};
 use crate::inverse::{DiffuseShading, GroupFit, WideLobes, choose_model, estimate_albedo, fit_groups, specular_image};
-use crate::lighting::{Bake, Reflector};
+use crate::lighting::Reflector;
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::solution::Solution;
@@ -42,13 +42,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     options.validate()?;
     let surface = Surface::observe(scene, options, progress)?;
     let light = reconstruct_light(&surface, options, progress);
-    let bake = Bake {
-        mesh: &scene.mesh,
-        tracer: &surface.tracer,
-        field: &light.field,
-        emitters: &light.emitters,
-        offset: surface.offset,
-    };
+    let bake = surface.bake(&light.field, &light.emitters);
     let labels = surface.texels.scatter(&surface.labels, 0);
     let normals = |t: u32, p: Vec3| surface.normals_at(t, p);
     let label_at = |t: u32, p: Vec3| {
