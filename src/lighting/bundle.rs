@@ -273,8 +273,6 @@ impl<'a> Bundle<'a> {
     /// Adds what hemisphere rays meet.
     fn gather_surfaces(&mut self, bake: &Bake, round: &Round) {
         let (n, lights) = (round.total_rays as f32, round.total_lights as f32);
-        // diameter per metre of the cone one ray stands for
-        let spread = if round.estimator == Estimator::Uniform { 0.0 } else { 2.0 * (1.0 / n).sqrt() };
         let mut outside = 0;
         let expect = |hit: &Hit| {
             bake.field.expect_triangle(hit.triangle);
@@ -287,7 +285,8 @@ impl<'a> Bundle<'a> {
                     expect(later);
                 }
                 let (hit, cosine) = (&self.hits[k], self.cosines[k]);
-                let (address, facing) = bake.field.address(hit, Vec3::from_array(self.rays[k].direction), spread);
+                // a single texel: the mean over the ray's cone mixes charts and gains nothing beside this many rays (CHANGELOG)
+                let (address, facing) = bake.field.address(hit, Vec3::from_array(self.rays[k].direction), 0.0);
                 bake.field.expect_texel(address);
                 let weight = match (round.estimator, span.choice) {
                     (Estimator::Uniform, _) => TAU * cosine / n,

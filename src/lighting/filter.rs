@@ -9,7 +9,7 @@
 use super::Irradiance;
 use super::neighbourhood::{Candidates, Neighbourhood, Patch};
 use crate::math::{Frame, luminance};
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec4};
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
@@ -60,9 +60,10 @@ impl<'a> SurfaceFilter<'a> {
     }
 
     /// The filtered irradiance of `baked` (one value per texel, from 2^`level` times as many samples as the fewest); its `error` tells
-    /// the relative error that remains, bias included.
+    /// the relative error that remains, bias included. Beside it the part of that error that is
+    /// not itself noise: what should decide where samples are added.
     #[must_use]
-    pub fn filter(&self, baked: &Irradiance, level: &[u8]) -> Irradiance {
+    pub fn filter(&self, baked: &Irradiance, level: &[u8]) -> (Irradiance, Vec<f32>) {
         let noise = self.noise(baked, level);
         let guides = self.disc.map(self.patches, &noise, |i, near| guide(&self.patches[i], &noise[i], near));
         let nodes: Vec<Node> = baked
@@ -73,9 +74,9 @@ impl<'a> SurfaceFilter<'a> {
             .map(|((half, g), l)| Node { half: *half, guide: g.half, variance: g.variance, samples: f32::from(1u16 << l) })
             .collect();
         let halves = self.wide.map(self.patches, &nodes, |i, around| regress(&self.patches[i], &nodes[i], around));
-        let error = self.remaining_error(&noise, &halves);
+        let (error, certain) = self.remaining_error(&noise, &halves).into_iter().unzip();
         let value = halves.iter().map(|h| 0.5 * (h[0] + h[1])).collect();
-        Irradiance { value, halves, error, rays: baked.rays }
+        (Irradiance { value, halves, error, rays: baked.rays }, certain)
     }
 
     /// Variance of one half's luminance. A single difference is a poor variance: the relative variance of one sample is averaged over
@@ -97,21 +98,23 @@ impl<'a> SurfaceFilter<'a> {
     }
 
     /// Relative error of the filtered texels: what a filtered half misses of the other, unfiltered one beyond that one's noise (noise
-    /// and bias), averaged over the disc; at least what the filtered halves differ.
-    fn remaining_error(&self, noise: &[Noise], halves: &[[Vec3; 2]]) -> Vec<f32> {
-        let own: Vec<[f32; 3]> = noise
+    /// and bias), averaged over the disc; at least what the filtered halves differ. Then the same with the first estimate less one
+    /// standard error: where the noise shared is large and what is left small, it is mostly chance.
+    fn remaining_error(&self, noise: &[Noise], halves: &[[Vec3; 2]]) -> Vec<(f32, f32)> {
+        let own: Vec<[f32; 4]> = noise
             .par_iter()
             .zip(halves)
             .map(|(n, h)| {
                 let f = h.map(luminance);
                 let missed = 0.5 * ((f[0] - n.half[1]).powi(2) + (f[1] - n.half[0]).powi(2)) - n.variance;
-                [missed, 0.25 * (f[0] - f[1]).powi(2), (0.5 * (f[0] + f[1])).powi(2)]
+                [missed, 0.25 * (f[0] - f[1]).powi(2), (0.5 * (f[0] + f[1])).powi(2), n.variance * n.variance]
             })
             .collect();
         self.disc.map(self.patches, &own, |i, near| {
-            let mut sum = Vec3::ZERO;
-            near.each(&self.patches[i], |_, x, _| sum += Vec3::from_array(*x));
-            if sum.z > 0.0 { (sum.x.max(sum.y) / sum.z).sqrt() } else { 0.0 }
+            let mut sum = Vec4::ZERO;
+            near.each(&self.patches[i], |_, x, _| sum += Vec4::from_array(*x));
+            let relative = |missed: f32| if sum.z > 0.0 { (missed.max(sum.y) / sum.z).sqrt() } else { 0.0 };
+            (relative(sum.x), relative(sum.x - sum.w.sqrt()))
         })
     }
 }
@@ -139,7 +142,8 @@ fn guide(patch: &Patch, own: &Noise, near: &Candidates<Noise>) -> Noise {
 
 /// Squared differences below this never separate two texels.
 fn indifferent(own: [f32; 2]) -> f32 {
-    (INDIFFERENT * own[0].max(own[1])).powi(2) + f32::MIN_POSITIVE
+    // a maximum, not a sum: it leaves the last bit alone, so that exposure changes nothing
+    (INDIFFERENT * own[0].max(own[1])).powi(2).max(f32::MIN_POSITIVE)
 }
 
 /// (1 − d/6)⁶ up to d = 6, zero beyond: about exp(−d) at the price of a few products.

@@ -46,7 +46,7 @@ pub struct SolveOptions {
     pub fit: Fit,
     /// Photographs are reduced by this factor, 1 or more.
     pub photo_reduction: usize,
-    /// Hemisphere rays per irradiance texel, on average: difficult texels get more.
+    /// Hemisphere rays per irradiance texel, on average.
     pub irradiance_rays: u32,
     /// Emitter samples per irradiance texel, on average.
     pub emitter_samples: u32,
@@ -56,7 +56,7 @@ pub struct SolveOptions {
     pub irradiance_error: f32,
     /// Whether irradiance noise is filtered over the surface.
     pub irradiance_filter: bool,
-    /// Whether a ray looks up the mean radiance of the cone it stands for instead of one texel.
+    /// Whether a rough reflection's ray looks up the mean radiance of the cone it stands for instead of one texel.
     pub prefilter: bool,
     /// Points per class that are searched for roughness: as many evenly spread, as many on virtual highlights.
     pub evidence_points: usize,

@@ -32,9 +32,9 @@ impl SolveOptions {
             irradiance_size: 1024,
             fit: Fit::default(),
             photo_reduction: 1,
-            irradiance_rays: 112,
+            irradiance_rays: 128,
             emitter_samples: 32,
-            irradiance_rounds: 3,
+            irradiance_rounds: 1,
             irradiance_error: 0.01,
             irradiance_filter: true,
             prefilter: true,
@@ -59,7 +59,6 @@ impl SolveOptions {
                 irradiance_size: 512,
                 irradiance_rays: 48,
                 emitter_samples: 16,
-                irradiance_rounds: 1,
                 evidence_points: 400,
                 evidence_rays: 10,
                 specular_rays: 2,
@@ -68,7 +67,7 @@ impl SolveOptions {
             Quality::Standard => standard,
             Quality::High => Self {
                 albedo_size: 4096,
-                irradiance_rays: 448,
+                irradiance_rays: 512,
                 emitter_samples: 128,
                 evidence_points: 2400,
                 evidence_rays: 40,
@@ -109,13 +108,14 @@ pub struct SolveRequest {
     /// Reduce photographs by this factor before anything else [default: 1].
     #[arg(long, value_name = "FACTOR")]
     pub photo_reduction: Option<usize>,
-    /// Hemisphere rays per irradiance texel, on average: difficult texels get more [default: 112].
+    /// Hemisphere rays per irradiance texel, on average [default: 128].
     #[arg(long, value_name = "N")]
     pub irradiance_rays: Option<u32>,
     /// Emitter samples per irradiance texel, on average [default: 32].
     #[arg(long, value_name = "N")]
     pub emitter_samples: Option<u32>,
-    /// Rounds in which they are spent: after each, the texels with the largest errors are chosen; 1 = all texels alike [default: 3].
+    /// Rounds in which they are spent: after each, the texels with the largest errors are chosen, which takes fewer rays but longer than
+    /// more samples for all; 1 = all texels alike [default: 1].
     #[arg(long, value_name = "N")]
     pub irradiance_rounds: Option<u32>,
     /// Relative error of irradiance at which a texel is done [default: 0.01].
@@ -124,7 +124,7 @@ pub struct SolveRequest {
     /// Filter irradiance noise over the surface.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub irradiance_filter: Switch,
-    /// Let a ray look up the mean radiance of the cone it stands for instead of one texel.
+    /// Let a rough reflection's ray look up the mean radiance of the cone it stands for instead of one texel.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub prefilter: Switch,
     /// Points per class searched for roughness, evenly spread and as many again on virtual highlights [default: 1200].
