@@ -8,6 +8,7 @@ use super::{Observation, Observer, Orientation};
 use crate::math::luminance;
 use crate::parallel;
 use glam::Vec3;
+use nalgebra::DMatrix;
 
 /// Points in all, and the bounds per view.
 const POINTS: usize = 24_000;
@@ -160,8 +161,8 @@ fn distance(e: Vec3) -> f32 {
 /// One step of reweighted least squares: the points' levels eliminated, a dense system over the views.
 fn solve(points: &[&[Look]], gains: &[Vec3], scale: f32) -> Vec<Vec3> {
     let n = gains.len();
-    let mut a = vec![0.0f64; n * n];
-    let mut b: [Vec<f64>; 3] = std::array::from_fn(|_| vec![0.0; n]);
+    let mut a = DMatrix::<f64>::zeros(n, n);
+    let mut b = DMatrix::<f64>::zeros(n, 3);
     let (mut order, mut weights) = (Vec::new(), Vec::new());
     for p in points {
         let centre = level(p, gains, &mut order);
@@ -175,52 +176,25 @@ fn solve(points: &[&[Look]], gains: &[Vec3], scale: f32) -> Vec<Vec3> {
             std::array::from_fn(|c| p.iter().zip(&weights).map(|(l, w)| w * f64::from(l.1[c])).sum::<f64>() / total);
         for (l, w) in p.iter().zip(&weights) {
             let i = l.0 as usize;
-            a[i * n + i] += w;
+            a[(i, i)] += w;
             for (m, v) in p.iter().zip(&weights) {
-                a[i * n + m.0 as usize] -= w * v / total;
+                a[(i, m.0 as usize)] -= w * v / total;
             }
-            for (c, b) in b.iter_mut().enumerate() {
-                b[i] += w * (f64::from(l.1[c]) - mean[c]);
+            for c in 0..3 {
+                b[(i, c)] += w * (f64::from(l.1[c]) - mean[c]);
             }
         }
     }
     // the gauge, and a touch of ridge that holds views which share nothing with the rest at their own mean
-    let trace: f64 = (0..n).map(|i| a[i * n + i]).sum::<f64>().max(f64::MIN_POSITIVE);
+    let trace = a.trace().max(f64::MIN_POSITIVE);
+    a.add_scalar_mut(1e-3 * trace / (n * n) as f64);
     for i in 0..n {
-        a[i * n + i] += 1e-6 * trace / n as f64;
-        for j in 0..n {
-            a[i * n + j] += 1e-3 * trace / (n * n) as f64;
-        }
+        a[(i, i)] += 1e-6 * trace / n as f64;
     }
-    cholesky_solve(&mut a, &mut b, n);
-    let mean: [f64; 3] = std::array::from_fn(|c| b[c].iter().sum::<f64>() / n as f64);
-    (0..n).map(|i| Vec3::from_array(std::array::from_fn(|c| (b[c][i] - mean[c]) as f32))).collect()
-}
-
-/// Solves A x = b in place, per column of b, for a symmetric positive definite A.
-fn cholesky_solve(a: &mut [f64], columns: &mut [Vec<f64>; 3], n: usize) {
-    for j in 0..n {
-        for k in 0..j {
-            let f = a[j * n + k];
-            for i in j..n {
-                a[i * n + j] -= a[i * n + k] * f;
-            }
-        }
-        let pivot = a[j * n + j].max(f64::MIN_POSITIVE).sqrt();
-        for i in j..n {
-            a[i * n + j] /= pivot;
-        }
-    }
-    for b in columns {
-        for i in 0..n {
-            let sum: f64 = (0..i).map(|k| a[i * n + k] * b[k]).sum();
-            b[i] = (b[i] - sum) / a[i * n + i];
-        }
-        for i in (0..n).rev() {
-            let sum: f64 = (i + 1..n).map(|k| a[k * n + i] * b[k]).sum();
-            b[i] = (b[i] - sum) / a[i * n + i];
-        }
-    }
+    let Some(factors) = a.cholesky() else { return gains.to_vec() };
+    let x = factors.solve(&b);
+    let mean = x.row_mean();
+    x.row_iter().map(|g| Vec3::from_array(std::array::from_fn(|c| (g[c] - mean[c]) as f32))).collect()
 }
 
 #[cfg(test)]

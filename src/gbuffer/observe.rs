@@ -4,8 +4,8 @@
 //! bilinearly over those pixels only. No ray is needed beyond the view's own first hits.
 
 use super::ViewBuffer;
-use crate::geometry::{Camera, Mesh, Projection};
-use crate::image::{Plane, RgbPlane, Wrap, bilinear_taps};
+use crate::geometry::{Camera, Mesh};
+use crate::image::{Plane, RgbPlane, bilinear_taps};
 use crate::trace::Hit;
 use glam::Vec3;
 
@@ -117,8 +117,7 @@ impl Observer<'_> {
         let pixel = camera.project(position)?;
         let angle = camera.pixel_angle(pixel);
         let footprint = distance * angle / n_v.sqrt();
-        let wrap = if camera.projection == Projection::Equirectangular { Wrap::Repeat } else { Wrap::Clamp };
-        let taps = bilinear_taps(camera.width, camera.height, pixel, wrap);
+        let taps = bilinear_taps(camera.width, camera.height, pixel, view.buffer.wrap());
         // reach of two pixels along the surface; off the plane by a third of a pixel's footprint at most
         let reach = 2.5 * distance * angle / n_v.max(0.1);
         let lift = (0.35 * distance * angle).max(2e-4 * distance);

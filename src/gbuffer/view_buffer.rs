@@ -1,7 +1,7 @@
 //! First hits of one view's pixel centres, traced once.
 
-use crate::geometry::{Camera, Mesh};
-use crate::image::Plane;
+use crate::geometry::{Camera, Mesh, Projection};
+use crate::image::{Plane, Wrap};
 use crate::trace::{Hit, Ray, Tracer};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -43,6 +43,15 @@ impl ViewBuffer {
         Self { camera: *camera, triangle, distance }
     }
 
+    /// What lies beyond the left and right border of an image of this view.
+    #[must_use]
+    pub fn wrap(&self) -> Wrap {
+        match self.camera.projection {
+            Projection::Equirectangular => Wrap::Repeat,
+            _ => Wrap::Clamp,
+        }
+    }
+
     /// World position seen at a pixel; meaningless for a miss.
     #[must_use]
     pub fn position(&self, x: usize, y: usize) -> Vec3 {
@@ -55,7 +64,7 @@ impl ViewBuffer {
     #[must_use]
     pub fn clean_pixels(&self, mesh: &Mesh, labels: Option<&Plane<u16>>) -> Plane<bool> {
         let (w, h) = (self.triangle.width, self.triangle.height);
-        let wraps = self.camera.projection == crate::geometry::Projection::Equirectangular;
+        let wraps = self.wrap() == Wrap::Repeat;
         let mut clean = Plane::filled(w, h, false);
         clean.data.par_chunks_mut(w).enumerate().for_each(|(y, row)| {
             for (x, out) in row.iter_mut().enumerate() {

@@ -75,8 +75,8 @@ impl Evidence {
 /// Specular models tabulated: the masking terms to choose from. Diffuse parts need no rays.
 pub const MODELS: [Reflectance; 2] = [Reflectance::Paper, Reflectance::Smith];
 
-/// Observes every candidate in all views and traces its specular response with `rays_per_lobe` rays for each of [`LOBES`]; candidates with fewer than two clean sights are
-/// dropped.
+/// Observes every candidate in all views and traces its specular response with `rays_per_lobe` rays for each of [`LOBES`]; candidates
+/// with fewer than two clean sights are dropped.
 #[must_use]
 pub fn gather_evidence(
     bake: &Bake,

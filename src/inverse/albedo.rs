@@ -6,6 +6,7 @@ use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::image::{Plane, RgbPlane};
 use crate::lighting::{Gaze, Levels, Reflector};
 use crate::math::luminance;
+use crate::optim::weighted_median;
 use crate::parallel;
 use crate::progress::Progress;
 use crate::sampling::hash_u64;
@@ -114,13 +115,7 @@ pub fn estimate_albedo(
             let mut mean_share = 0.0;
             let sharpest = seen.iter().map(|o| o.footprint).fold(f32::INFINITY, f32::min);
             for o in &seen {
-                let camera = &observer.views[o.view as usize].buffer.camera;
-                let wrap = if camera.projection == crate::geometry::Projection::Equirectangular {
-                    crate::image::Wrap::Repeat
-                } else {
-                    crate::image::Wrap::Clamp
-                };
-                let s = specular[o.view as usize].bilinear(o.pixel, wrap);
+                let s = specular[o.view as usize].bilinear(o.pixel, observer.views[o.view as usize].buffer.wrap());
                 // where the specular part is a large share, its own error is too
                 let share = luminance(s) / luminance(o.radiance).max(1e-12);
                 let w = (sharpest / o.footprint).powi(4) * o.n_v / (1.0 + (share / 0.15).powi(2));
@@ -173,18 +168,8 @@ fn robust_diffuse(looks: &[(Vec3, f32)]) -> (Vec3, f32, f32) {
     if looks.is_empty() {
         return (Vec3::ZERO, f32::INFINITY, 0.0);
     }
-    let mut order: Vec<(f32, f32)> = looks.iter().map(|l| (luminance(l.0), l.1)).collect();
-    order.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * order.iter().map(|o| o.1).sum::<f32>();
-    let mut acc = 0.0;
-    let mut median = order[0].0;
-    for (v, w) in &order {
-        acc += w;
-        median = *v;
-        if acc >= half {
-            break;
-        }
-    }
+    let order: Vec<(f32, f32)> = looks.iter().map(|l| (luminance(l.0), l.1)).collect();
+    let median = weighted_median(&order).map_or(0.0, |i| order[i].0);
     let tolerance = 0.06 * median.abs() + f32::MIN_POSITIVE;
     let (mut sum, mut total, mut square, mut weight2) = (Vec3::ZERO, 0.0, 0.0, 0.0);
     for (v, w) in looks {

@@ -7,6 +7,7 @@
 use crate::brdf::Reflectance;
 use crate::highlight::{Evidence, LEVELS, MODELS};
 use crate::math::luminance;
+use crate::optim::weighted_median;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -127,7 +128,8 @@ fn disagreement(evidence: &Evidence, model: Reflectance, i: usize) -> [f64; LEVE
 
 /// Weighted mean refined twice by Cauchy-like weights, per colour together.
 fn robust_centre(values: &[(Vec3, f32)], scale: f32) -> Vec3 {
-    let mut centre = weighted_median(values);
+    let by_luminance: Vec<(f32, f32)> = values.iter().map(|v| (luminance(v.0), v.1)).collect();
+    let mut centre = weighted_median(&by_luminance).map_or(Vec3::ZERO, |i| values[i].0);
     for _ in 0..2 {
         let (mut sum, mut total) = (Vec3::ZERO, 0.0);
         for (v, w) in values {
@@ -141,20 +143,6 @@ fn robust_centre(values: &[(Vec3, f32)], scale: f32) -> Vec3 {
         }
     }
     centre
-}
-
-fn weighted_median(values: &[(Vec3, f32)]) -> Vec3 {
-    let mut order: Vec<(f32, usize)> = values.iter().enumerate().map(|(i, v)| (luminance(v.0), i)).collect();
-    order.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * values.iter().map(|v| v.1).sum::<f32>();
-    let mut acc = 0.0;
-    for (_, i) in &order {
-        acc += values[*i].1;
-        if acc >= half {
-            return values[*i].0;
-        }
-    }
-    values.first().map_or(Vec3::ZERO, |v| v.0)
 }
 
 /// Vertex of the parabola through the best level and its neighbours (unequal spacing), and the second derivative there.

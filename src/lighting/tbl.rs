@@ -6,6 +6,7 @@
 
 use crate::gbuffer::{Observation, Observer, Orientation};
 use crate::math::luminance;
+use crate::optim::weighted_median;
 use crate::parallel;
 use crate::progress::Progress;
 use crate::texture::Texels;
@@ -108,17 +109,7 @@ fn robust_mean(seen: &[Observation]) -> Vec3 {
     weights.sort_by(f32::total_cmp);
     let most = weights[weights.len() / 2];
     order.iter_mut().for_each(|o| o.1 = o.1.min(most));
-    order.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * order.iter().map(|o| o.1).sum::<f32>();
-    let mut acc = 0.0;
-    let mut median = order[0].0;
-    for (value, w) in &order {
-        acc += w;
-        median = *value;
-        if acc >= half {
-            break;
-        }
-    }
+    let median = weighted_median(&order).map_or(0.0, |i| order[i].0);
     let mut spread: Vec<f32> = order.iter().map(|o| (o.0 - median).abs()).collect();
     spread.sort_by(f32::total_cmp);
     let scale = 1.5 * spread[spread.len() / 2] + 0.02 * median + f32::MIN_POSITIVE;

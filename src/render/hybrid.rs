@@ -193,7 +193,6 @@ impl<'a> HybridRenderer<'a> {
             albedo,
             roughness,
             label,
-            emission: Vec3::ZERO,
             confidence,
             normals: Some((normal, face_normal)),
             ..Point::default()
