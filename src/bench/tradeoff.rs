@@ -29,7 +29,7 @@ pub const PRESETS: [&str; 3] = ["draft", "standard", "high"];
 /// Flags of `unbake solve` that trade time for accuracy, each with the values tried besides the preset's own.
 pub const KNOBS: &[(&str, &[&str])] = &[
     ("photo-reduction", &["2"]),
-    ("irradiance-rays", &["16", "32", "128", "256"]),
+    ("irradiance-rays", &["16", "32", "64", "256"]),
     ("emitter-samples", &["16", "32", "128"]),
     ("irradiance-error", &["0.05", "0.005"]),
     ("irradiance-size", &["256", "512", "2048"]),
@@ -52,11 +52,13 @@ const QUICK: &[(&str, &[&str])] = &[
 /// Flags with their values.
 type Flags = &'static [(&'static str, &'static str)];
 
-/// Approximations and the flags that do without them.
+/// Approximations and refinements, and the flags that do without them.
 pub const APPROXIMATIONS: &[(&str, Flags)] = &[
-    ("adaptive rounds", &[("irradiance-rounds", "1")]),
+    ("a single round of samples", &[("irradiance-rounds", "2")]),
     ("irradiance filter", &[("irradiance-filter", "off")]),
     ("prefiltered lookups", &[("prefilter", "off")]),
+    ("albedo at edges", &[("edges", "off")]),
+    ("missing light", &[("missing-light", "off")]),
 ];
 
 /// Decisions that leave out what the scene does not require, and the flags that model it all the same.

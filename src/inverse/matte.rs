@@ -56,6 +56,13 @@ impl WideLobes {
         let row = |k: usize| self.table[k * COSINES + i] * (1.0 - fc) + self.table[k * COSINES + i + 1] * fc;
         row(k) * (1.0 - fr) + row(k + 1) * fr
     }
+
+    /// Specular reflectance under even light: the share of the irradiance that leaves by specular reflection, 2 ∫ response(c) c dc.
+    #[must_use]
+    pub fn mean_response(&self, roughness: f32) -> f32 {
+        let cosine = |i: usize| (i as f32 + 0.5) / COSINES as f32;
+        (0..COSINES).map(|i| 2.0 * cosine(i) * self.response(cosine(i), roughness)).sum::<f32>() / COSINES as f32
+    }
 }
 
 #[cfg(test)]
@@ -85,6 +92,27 @@ mod tests {
                 let got = f64::from(lobes.response(n_v, roughness));
                 assert!((got / exact - 1.0).abs() < 0.03, "{model:?} n·v {n_v} R {roughness}: {got} against {exact}");
             }
+        }
+    }
+
+    /// The same double integral by light and view drawn evenly over their hemispheres.
+    #[test]
+    fn mean_response_is_the_reflectance_under_even_light() {
+        const N: u32 = 1 << 17;
+        for (model, roughness) in [(Reflectance::Paper, 0.6), (Reflectance::Smith, 0.9)] {
+            let mut rng = crate::sampling::KeyedRng::new(3, 0);
+            let mut direction = || crate::sampling::square_to_uniform_hemisphere([rng.next_f32(), rng.next_f32()]);
+            let sum: f64 = (0..N)
+                .map(|_| {
+                    let (v, l) = (direction(), direction());
+                    let h = (v + l).normalize_or(Vec3::Z);
+                    let sin2 = Vec3::Z.cross(h).length_squared().min(1.0);
+                    f64::from(model.specular(l.z, v.z, sin2, v.dot(h).max(0.0), roughness) * l.z * v.z)
+                })
+                .sum();
+            let exact = 4.0 * std::f64::consts::PI * sum / f64::from(N);
+            let got = f64::from(WideLobes::new(model).mean_response(roughness));
+            assert!((got / exact - 1.0).abs() < 0.03, "{model:?} R {roughness}: {got} against {exact}");
         }
     }
 }

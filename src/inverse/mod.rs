@@ -1,11 +1,15 @@
 //! From light and observations to materials: stage I albedo, stage II roughness, stage III refinement.
 
 mod albedo;
+mod class_prior;
 mod confidence;
 mod matte;
+mod mixtures;
 mod roughness;
+mod unmix;
 
 pub use albedo::{AlbedoEstimate, DiffuseShading, estimate_albedo, specular_image};
 pub use confidence::albedo_error;
 pub use matte::{WIDE, WideLobes};
 pub use roughness::{GroupFit, choose_model, fit_groups};
+pub use unmix::{UnmixReport, Unmixing};

@@ -19,6 +19,8 @@ const EVIDENCE: f64 = 0.35;
 /// Cost of fusing a texel, and of its albedo, in lookups of a surface point in all views; measured on grey-white-room.
 const FUSING: f64 = 1.5;
 const ALBEDO: f64 = 1.12;
+/// Cost of edges and missing light, in fusions of all texels; measured on grey-white-room.
+const SECOND_LOOK: f64 = 1.7;
 /// Cost of filtering an irradiance texel once, of a pixel of the report and of a written texel, in rays of the coarse bake.
 const FILTER: f64 = 40.0;
 const REPORT_PIXEL: f64 = 10.0;
@@ -85,17 +87,17 @@ impl Budget {
         change(&mut self.measured.lock().unwrap_or_else(PoisonError::into_inner));
     }
 
-    /// What albedo, files and report will take once the fusion and the coarse bake have been measured.
+    /// What albedo, edges, missing light, files and report will take once the fusion and the coarse bake have been measured.
     fn tail(&self) -> f64 {
         let m = self.measured();
-        ALBEDO * m.fusion + m.ray * (REPORT_PIXEL * m.report_pixels + WRITTEN * m.written)
+        (ALBEDO + SECOND_LOOK) * m.fusion + m.ray * (REPORT_PIXEL * m.report_pixels + WRITTEN * m.written)
     }
 
     /// Lowers texture sizes so that what runs over texels fits: `covered` is the share of the atlas that charts cover, `lookup` the
     /// seconds one surface point takes in all views.
     pub(super) fn sizes(&self, sizes: Sizes, covered: f64, lookup: f64, report_pixels: f64, progress: &Progress) -> Sizes {
         let left = self.left();
-        let per_texel = lookup * FUSING * (1.0 + ALBEDO);
+        let per_texel = lookup * FUSING * (1.0 + ALBEDO + SECOND_LOOK);
         // a ray costs about a thirtieth of a look into sixteen views; the coarse bake will tell
         let filtered = lookup * 2.0 * FILTER / 8.0;
         let largest = |most: usize, cost: f64, share: f64| {

@@ -7,6 +7,7 @@ mod decisions;
 mod light;
 mod options;
 mod presets;
+mod second_pass;
 mod solve;
 mod surface;
 

@@ -66,6 +66,10 @@ pub struct SolveOptions {
     pub specular_rays: u32,
     /// Whether lobes too wide to show anything are replaced by the mean light around: `Auto` = where the evidence says so.
     pub matte: Switch,
+    /// Whether texels that no view sees clean are solved for from how much of each pixel they cover.
+    pub edges: Switch,
+    /// Whether light that no camera looks along is added once materials are known.
+    pub missing_light: Switch,
     /// Whether exposure and white balance of the views are solved for and taken out.
     pub exposure: Switch,
     /// Whether surfaces may emit.

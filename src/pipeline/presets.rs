@@ -42,6 +42,8 @@ impl SolveOptions {
             evidence_rays: 20,
             specular_rays: 4,
             matte: Switch::Auto,
+            edges: Switch::Auto,
+            missing_light: Switch::Auto,
             exposure: Switch::Auto,
             emission: Switch::Auto,
             environment: Switch::Auto,
@@ -139,6 +141,12 @@ pub struct SolveRequest {
     /// Replace specular lobes too wide to show anything by the mean light around: on = all from R = 0.5, off = none.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub matte: Switch,
+    /// Solve for the albedo of texels that no view sees clean from how much of each pixel they cover: off = what those pixels show.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub edges: Switch,
+    /// Add light that no camera looks along (specular reflections, far sides) once materials are known: off = as observed.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub missing_light: Switch,
     /// Take exposure and white balance that drift from view to view out of the photographs: auto = if the views ask for it, off = never.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub exposure: Switch,
@@ -192,6 +200,8 @@ impl SolveRequest {
             evidence_rays: self.evidence_rays.unwrap_or(preset.evidence_rays),
             specular_rays: self.specular_rays.unwrap_or(preset.specular_rays),
             matte: self.matte,
+            edges: self.edges,
+            missing_light: self.missing_light,
             exposure: self.exposure,
             emission: self.emission,
             environment: self.environment,

@@ -1,12 +1,17 @@
 //! The main job: light, then materials.
 
 use super::decisions::{choose_matte, choose_rooms, report_matte};
+use super::light::at_texel;
+use super::second_pass::add_missing_light;
 use super::surface::coverage;
 use super::{Light, SolveOptions, Surface, Switch, reconstruct_light};
 use crate::Result;
+use crate::brdf::Reflectance;
 use crate::highlight::{Candidate, SelectOptions, gather_evidence, select_points};
-use crate::image::{Plane, Wrap};
-use crate::inverse::{DiffuseShading, GroupFit, WideLobes, choose_model, estimate_albedo, fit_groups, specular_image};
+use crate::image::{Plane, RgbPlane, Wrap};
+use crate::inverse::{
+    AlbedoEstimate, DiffuseShading, GroupFit, Unmixing, WideLobes, choose_model, estimate_albedo, fit_groups, specular_image,
+};
 use crate::lighting::Reflector;
 use crate::progress::Progress;
 use crate::scene::Scene;
@@ -41,7 +46,7 @@ pub struct Solved {
 pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -> Result<Solved> {
     options.validate()?;
     let surface = Surface::observe(scene, options, progress)?;
-    let light = reconstruct_light(&surface, options, progress);
+    let mut light = reconstruct_light(&surface, options, progress);
     let bake = surface.bake(&light.field, &light.emitters);
     let labels = surface.texels.scatter(&surface.labels, 0);
     let normals = |t: u32, p: Vec3| surface.normals_at(t, p);
@@ -127,15 +132,59 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
             })
             .collect()
     });
-    let albedo = progress.stage("albedo", surface.texels.len() as u64, |p| {
-        let roughness = |i: usize| roughness_of.get(&surface.labels[i]).copied().unwrap_or(ROUGHNESS_PRIOR);
+    let roughness = |i: usize| roughness_of.get(&surface.labels[i]).copied().unwrap_or(ROUGHNESS_PRIOR);
+    let mut albedo = progress.stage("albedo", surface.texels.len() as u64, |p| {
         let shading = DiffuseShading { model, roughness: &roughness };
         let (observer, orientation) = (surface.observer(), &surface.orientation);
         estimate_albedo(&observer, &specular, orientation, &surface.texels, &light.irradiance, &shading, p)
     });
-    let mut solution = assemble(&surface, &light, &albedo, &fits, labels, rooms_of(&surface, options, progress));
-    solution.reflectance = model;
+    if options.edges != Switch::Off {
+        rays += solve_edges(&surface, &light, &specular, (model, &lobes, &roughness), &mut albedo, progress);
+    }
+    if options.missing_light != Switch::Off {
+        let (change, traced) = progress.stage("missing light", 0, |p| {
+            add_missing_light(&surface, &mut light, &mut albedo, (&lobes, &roughness), options.seed, p)
+        });
+        rays += traced;
+        progress.note(format!(
+            "light that no camera looks along (specular reflections, far sides) changes the irradiance by {:+.1} % on average",
+            100.0 * change
+        ));
+    }
+    let rooms = rooms_of(&surface, options, progress);
+    let solution = assemble(&surface, &light, &albedo, &fits, model, labels, rooms);
     Ok(Solved { solution, fits, rays })
+}
+
+/// Solves for the albedo of texels without a clean look; returns the rays traced.
+fn solve_edges(
+    surface: &Surface,
+    light: &Light,
+    specular: &[RgbPlane],
+    (model, lobes, roughness): (Reflectance, &WideLobes, &(dyn Fn(usize) -> f32 + Sync)),
+    albedo: &mut AlbedoEstimate,
+    progress: &Progress,
+) -> u64 {
+    let irradiance = |i: usize| at_texel(surface, &surface.texels, &light.irradiance, i);
+    let specular_guess = |i: usize, n_v: f32| irradiance(i) * (FRAC_1_PI * lobes.response(n_v, roughness(i)));
+    let unmixing = Unmixing {
+        observer: surface.observer(),
+        orientation: &surface.orientation,
+        tracer: &surface.tracer,
+        field: &light.field,
+        texels: &surface.texels,
+        labels: &surface.labels,
+        irradiance: &irradiance,
+        specular,
+        specular_guess: &specular_guess,
+        shading: DiffuseShading { model, roughness },
+    };
+    let report = progress.stage("albedo at edges", 0, |_| unmixing.solve(albedo));
+    progress.note(format!(
+        "{} pixels at edges tell of {} texels that no view sees clean (misfit {:.2})",
+        report.pixels, report.texels, report.misfit
+    ));
+    report.rays
 }
 
 /// Pixels of all views that need specular rays, counted at every fourth row and column.
@@ -177,15 +226,17 @@ fn divided(candidates: &[Candidate], few: usize) -> (Vec<Candidate>, Vec<Candida
 fn assemble(
     surface: &Surface,
     light: &Light,
-    albedo: &crate::inverse::AlbedoEstimate,
+    albedo: &AlbedoEstimate,
     fits: &[GroupFit],
+    reflectance: Reflectance,
     labels: Plane<u16>,
     rooms: Plane<u16>,
 ) -> Solution {
     let roughness_of: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.roughness)).collect();
     let roughness_error: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.error)).collect();
     let texels = &surface.texels;
-    let observed: Vec<bool> = albedo.error.iter().map(|e| e.is_finite()).collect();
+    // unseen texels have a value where their class says what to expect
+    let observed: Vec<bool> = albedo.error.iter().zip(&albedo.value).map(|(e, a)| e.is_finite() || *a != Vec3::ZERO).collect();
     let value: Vec<Vec3> = albedo.value.iter().map(|a| a.clamp(Vec3::ZERO, Vec3::ONE)).collect();
     let albedo_plane = fill_uncovered(&texels.scatter(&value, Vec3::ZERO), &texels.scatter(&observed, false));
     let confidence: Vec<Vec2> = albedo_errors(surface, light, albedo)
@@ -223,12 +274,12 @@ fn assemble(
         rooms,
         labels,
         environment: light.field.environment.map().clone(),
-        reflectance: crate::brdf::Reflectance::Paper,
+        reflectance,
     }
 }
 
 /// Standard error of the albedo per covered texel, with what irradiance and geometry contribute.
-fn albedo_errors(surface: &Surface, light: &Light, albedo: &crate::inverse::AlbedoEstimate) -> Vec<f32> {
+fn albedo_errors(surface: &Surface, light: &Light, albedo: &AlbedoEstimate) -> Vec<f32> {
     let (texels, mesh) = (&surface.texels, &surface.scene.mesh);
     // beyond the charts of the irradiance texture nothing is known of its error
     let noise = light.texels.scatter(&light.error, 1.0);

@@ -155,10 +155,9 @@ impl<'a> Surface<'a> {
 
 /// A photograph at a `factor`-th of its size: means of blocks, those at the far edges cut off.
 fn reduced(image: RgbPlane, factor: usize) -> RgbPlane {
-    if factor == 1 {
+    if factor <= 1 {
         return image;
     }
-    let factor = factor.clamp(1, image.width.min(image.height).max(1));
     let gain = 1.0 / (factor * factor) as f32;
     blocks(&image.map(|v| *v * gain), factor, |a, b| a + b)
 }
@@ -184,28 +183,50 @@ fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) ->
     Plane { width, height, data: (0..width * height).map(block).collect() }
 }
 
-/// Texels without a vote take their triangle's majority, then the nearest labelled texel of the atlas.
+/// Texels seen clean keep their vote. A pixel at an edge may carry the label of the surface next to it, so texels seen there take what
+/// the clean texels of their triangle agree on, or all of its texels if none is clean; those nobody sees, that of the nearest triangle.
 fn complete_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> {
-    let mut ballot: Vec<Vec<(u32, u32)>> = vec![Vec::new(); scene.mesh.triangles.len()];
-    for i in 0..texels.len() {
-        let l = fusion.label[i];
-        if l != UNSEEN {
-            let b = &mut ballot[texels.point[i].triangle as usize];
-            match b.iter_mut().find(|v| v.0 == l) {
-                Some(v) => v.1 += 1,
-                None => b.push((l, 1)),
-            }
+    /// Share of a triangle's clean texels that must agree: large triangles may carry several classes.
+    const AGREEMENT: f32 = 0.9;
+    let triangles = scene.mesh.triangles.len();
+    let (mut clean, mut all): (Vec<Ballot>, Vec<Ballot>) = (vec![Vec::new(); triangles], vec![Vec::new(); triangles]);
+    for i in (0..texels.len()).filter(|&i| fusion.label[i] != UNSEEN) {
+        let t = texels.point[i].triangle as usize;
+        cast(&mut all[t], fusion.label[i]);
+        if fusion.clean[i] {
+            cast(&mut clean[t], fusion.label[i]);
         }
     }
-    // triangles without any vote take that of a neighbour sharing a vertex position, ring by ring
     let mut of_triangle: Vec<u32> =
-        ballot.iter().map(|b| b.iter().fold((UNSEEN, 0u32), |best, v| if v.1 > best.1 { *v } else { best }).0).collect();
+        all.iter().zip(&clean).map(|(all, clean)| winner(clean).or(winner(all)).map_or(UNSEEN, |w| w.0)).collect();
+    let agreed = |t: usize| winner(&clean[t]).is_none_or(|w| w.1 >= AGREEMENT);
     spread_over_neighbours(scene, &mut of_triangle);
     // every other vote came from a 16-bit label
     let known = |l: u32| u16::try_from(l).unwrap_or(0);
     (0..texels.len())
-        .map(|i| known(if fusion.label[i] != UNSEEN { fusion.label[i] } else { of_triangle[texels.point[i].triangle as usize] }))
+        .map(|i| {
+            let (t, own) = (texels.point[i].triangle as usize, fusion.label[i]);
+            let keep = own != UNSEEN && (fusion.clean[i] || !agreed(t));
+            known(if keep { own } else { of_triangle[t] })
+        })
         .collect()
+}
+
+/// Labels with their numbers of votes.
+type Ballot = Vec<(u32, u32)>;
+
+fn cast(ballot: &mut Ballot, label: u32) {
+    match ballot.iter_mut().find(|v| v.0 == label) {
+        Some(v) => v.1 += 1,
+        None => ballot.push((label, 1)),
+    }
+}
+
+/// The label with the most votes, the earliest of equals, and its share.
+fn winner(ballot: &Ballot) -> Option<(u32, f32)> {
+    let total: u32 = ballot.iter().map(|v| v.1).sum();
+    let best = ballot.iter().copied().reduce(|best, v| if v.1 > best.1 { v } else { best })?;
+    Some((best.0, best.1 as f32 / total as f32))
 }
 
 fn spread_over_neighbours(scene: &Scene, labels: &mut [u32]) {

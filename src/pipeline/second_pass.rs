@@ -1,0 +1,170 @@
+//! Light that the first pass could not know of, added once materials are known.
+//!
+//! The bake takes every texel to send the radiance that cameras saw in all directions alike. Photographs look at floors and tables
+//! from above and mostly past their reflections; the robust mean over views drops what is left of those. A dielectric sends out a
+//! twentieth of the light it receives by specular reflection, a dark floor more than a quarter of all it sends out. And surfaces that
+//! face away from every camera, like the upper side of a hanging lamp, are black to it. So, with materials known, every texel gets the
+//! flux its material sends out, E (A + ρ) / π with ρ the hemispherical reflectance of the specular lobe under even light, far sides that
+//! nobody saw get what their class reflects, and the difference to the first pass is baked at a low resolution and added to E.
+
+use super::light::{at_texel, patches, texture_of};
+use super::{Light, Surface};
+use crate::image::{Plane, Wrap};
+use crate::inverse::{AlbedoEstimate, WideLobes};
+use crate::lighting::{Environment, Estimator, Irradiance, IrtOptions, LightField, Receiver, SurfaceFilter, bake_irradiance};
+use crate::math::luminance;
+use crate::progress::Progress;
+use crate::texture::Texels;
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::f32::consts::FRAC_1_PI;
+
+/// Side of the texture on which the difference is baked, relative to the irradiance texture's.
+const COARSE: usize = 4;
+/// Rays per texel for the difference: it is a few percent of the whole, and so is its noise.
+const RAYS: u32 = 256;
+/// Rays per far side; rays that meet many of them average their noise.
+const FAR_SIDE_RAYS: u32 = 32;
+/// Albedo of far sides of which nothing is known.
+const UNKNOWN_ALBEDO: f32 = 0.5;
+/// The first pass may be off by this factor at most: what goes beyond is a lack of samples, not of light.
+const LIMITS: (f32, f32) = (0.7, 1.5);
+
+/// Adds the missing light to the irradiance and takes it out of the albedo, whose product stays. Returns the mean relative change of
+/// irradiance and the rays traced.
+pub(super) fn add_missing_light(
+    surface: &Surface,
+    light: &mut Light,
+    albedo: &mut AlbedoEstimate,
+    (lobes, roughness): (&WideLobes, &(dyn Fn(usize) -> f32 + Sync)),
+    seed: u64,
+    progress: &Progress,
+) -> (f32, u64) {
+    let mesh = &surface.scene.mesh;
+    let texels = &surface.texels;
+    let irradiance = |i: usize| at_texel(surface, texels, &light.irradiance, i);
+    let missing: Vec<Vec3> = (0..texels.len())
+        .into_par_iter()
+        .map(|i| {
+            if light.emissive[texels.point[i].triangle as usize] || !albedo.error[i].is_finite() {
+                return Vec3::ZERO;
+            }
+            let specular = Vec3::splat(lobes.mean_response(roughness(i)));
+            if albedo.clean[i] {
+                let sent = irradiance(i) * (albedo.value[i].clamp(Vec3::ZERO, Vec3::ONE) + specular) * FRAC_1_PI;
+                sent - light.radiance.data[texels.cell[i] as usize]
+            } else {
+                // the first pass took the diffuse part of these from their class
+                irradiance(i) * specular * FRAC_1_PI
+            }
+        })
+        .collect();
+    let none = Plane::filled(texels.width, texels.height, false);
+    let (far_sides, far_rays) = unseen_far_sides(surface, light, albedo, seed, progress);
+    let field = LightField::new(
+        mesh,
+        &surface.orientation,
+        texture_of(texels, &missing),
+        &none,
+        &[],
+        far_sides,
+        Environment::from_map(Plane::filled(2, 1, Vec3::ZERO)),
+    );
+    let side = (light.irradiance.width / COARSE).max(1);
+    let coarse = Texels::rasterize(mesh, side, side);
+    let options =
+        IrtOptions { estimator: Estimator::Cosine, rays: RAYS, emitter_samples: 0, seed: seed ^ 2, ..IrtOptions::default() };
+    let bake = surface.bake(&field, &light.emitters);
+    let more = bake_irradiance(&bake, coarse.len(), |i| surface.receiver(&coarse, i), &options, progress);
+    let rays = more.rays;
+    // relative, it is smooth wherever the surface is, so that its noise can be filtered away
+    let relative = |i: usize, more: Vec3| {
+        let e = at_texel(surface, &coarse, &light.irradiance, i);
+        Vec3::from_array(std::array::from_fn(|c| if e[c] > 0.0 { 1.0 + more[c] / e[c] } else { 1.0 }))
+            .clamp(Vec3::splat(LIMITS.0), Vec3::splat(LIMITS.1))
+    };
+    let relative = Irradiance {
+        value: more.value.par_iter().enumerate().map(|(i, v)| relative(i, *v)).collect(),
+        halves: more.halves.par_iter().enumerate().map(|(i, h)| h.map(|v| relative(i, v))).collect(),
+        ..more
+    };
+    let patches = patches(surface, &coarse);
+    let (ratio, _) = SurfaceFilter::new(&patches).filter(&relative, &vec![0; coarse.len()]);
+    let ratio = texture_of(&coarse, &ratio.value);
+    let before = &light.irradiance;
+    let size = Vec2::new(ratio.width as f32 / before.width as f32, ratio.height as f32 / before.height as f32);
+    let after = Plane {
+        width: before.width,
+        height: before.height,
+        data: (0..before.data.len())
+            .into_par_iter()
+            .map(|k| {
+                let at = Vec2::new((k % before.width) as f32 + 0.5, (k / before.width) as f32 + 0.5);
+                before.data[k] * ratio.bilinear(at * size, Wrap::Clamp)
+            })
+            .collect(),
+    };
+    let change = |i: usize| {
+        let (a, b) = (at_texel(surface, texels, before, i), at_texel(surface, texels, &after, i));
+        Vec3::from_array(std::array::from_fn(|c| if b[c] > 0.0 { a[c] / b[c] } else { 1.0 }))
+    };
+    let changes: Vec<Vec3> = (0..texels.len()).into_par_iter().map(change).collect();
+    let mut mean = 0.0f64;
+    for (i, c) in changes.iter().enumerate() {
+        albedo.value[i] *= *c;
+        albedo.error[i] *= luminance(*c);
+        mean += f64::from(1.0 / luminance(*c) - 1.0);
+    }
+    light.irradiance = after;
+    ((mean / changes.len().max(1) as f64) as f32, rays + far_rays)
+}
+
+/// Radiance of the far sides of triangles that no view sees from there: the median albedo of their class under the light that comes in.
+/// Zero for all others.
+fn unseen_far_sides(
+    surface: &Surface,
+    light: &Light,
+    albedo: &AlbedoEstimate,
+    seed: u64,
+    progress: &Progress,
+) -> (Vec<Vec3>, u64) {
+    let (mesh, texels) = (&surface.scene.mesh, &surface.texels);
+    let mut label_of = vec![0u16; mesh.triangles.len()];
+    let mut members: BTreeMap<u16, Vec<f32>> = BTreeMap::new();
+    for i in 0..texels.len() {
+        let t = texels.point[i].triangle as usize;
+        label_of[t] = surface.labels[i];
+        if albedo.clean[i] && albedo.error[i].is_finite() && !light.emissive[t] {
+            members.entry(surface.labels[i]).or_default().push(luminance(albedo.value[i]).clamp(0.0, 1.0));
+        }
+    }
+    let usual: BTreeMap<u16, f32> = members
+        .into_iter()
+        .map(|(label, mut values)| {
+            values.sort_by(f32::total_cmp);
+            (label, values[values.len() / 2])
+        })
+        .collect();
+    let unseen: Vec<u32> = (0..mesh.triangles.len() as u32).filter(|&t| surface.back[t as usize] == Vec3::ZERO).collect();
+    let receiver = |k: usize| {
+        let t = unseen[k] as usize;
+        let normal = -mesh.face_normal(t) * surface.orientation.sign(t);
+        Receiver { position: mesh.position(t, 1.0 / 3.0, 1.0 / 3.0), normal, face_normal: normal, key: t as u64 }
+    };
+    let options = IrtOptions {
+        estimator: Estimator::Cosine,
+        rays: FAR_SIDE_RAYS,
+        emitter_samples: 0,
+        seed: seed ^ 3,
+        ..IrtOptions::default()
+    };
+    let bake = surface.bake(&light.field, &light.emitters);
+    let received = bake_irradiance(&bake, unseen.len(), receiver, &options, progress);
+    let mut out = vec![Vec3::ZERO; mesh.triangles.len()];
+    for (&t, e) in unseen.iter().zip(&received.value) {
+        let albedo = usual.get(&label_of[t as usize]).copied().unwrap_or(UNKNOWN_ALBEDO);
+        out[t as usize] = *e * (albedo * FRAC_1_PI);
+    }
+    (out, received.rays)
+}
