@@ -24,8 +24,9 @@ use std::f32::consts::FRAC_1_PI;
 const COARSE: usize = 4;
 /// Rays per texel for the difference: it is a few percent of the whole, and so is its noise.
 const RAYS: u32 = 256;
-/// Rays per far side; rays that meet many of them average their noise.
+/// Rays per far side at most, and for all far sides: rays that meet many of them average their noise.
 const FAR_SIDE_RAYS: u32 = 32;
+const ALL_FAR_SIDES: usize = 1 << 24;
 /// Albedo of far sides of which nothing is known.
 const UNKNOWN_ALBEDO: f32 = 0.5;
 /// The first pass may be off by this factor at most: what goes beyond is a lack of samples, not of light.
@@ -152,13 +153,8 @@ fn unseen_far_sides(
         let normal = -mesh.face_normal(t) * surface.orientation.sign(t);
         Receiver { position: mesh.position(t, 1.0 / 3.0, 1.0 / 3.0), normal, face_normal: normal, key: t as u64 }
     };
-    let options = IrtOptions {
-        estimator: Estimator::Cosine,
-        rays: FAR_SIDE_RAYS,
-        emitter_samples: 0,
-        seed: seed ^ 3,
-        ..IrtOptions::default()
-    };
+    let rays = (ALL_FAR_SIDES / unseen.len().max(1)).clamp(2, FAR_SIDE_RAYS as usize) as u32;
+    let options = IrtOptions { estimator: Estimator::Cosine, rays, emitter_samples: 0, seed: seed ^ 3, ..IrtOptions::default() };
     let bake = surface.bake(&light.field, &light.emitters);
     let received = bake_irradiance(&bake, unseen.len(), receiver, &options, progress);
     let mut out = vec![Vec3::ZERO; mesh.triangles.len()];
