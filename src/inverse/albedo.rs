@@ -101,14 +101,12 @@ pub fn estimate_albedo(
 ) -> AlbedoEstimate {
     const CHUNK: usize = 2048;
     let mesh = observer.mesh;
-    let size = Vec2::new(irradiance.width as f32, irradiance.height as f32);
     let parts = parallel::map_chunks(texels.len(), CHUNK, |range| {
         let mut out = AlbedoEstimate::default();
         let mut seen = Vec::new();
         let mut looks: Vec<(Vec3, f32)> = Vec::new();
         for i in range.clone() {
-            let p = texels.point[i];
-            let t = p.triangle as usize;
+            let t = texels.point[i].triangle as usize;
             observer.observe(texels.position(mesh, i), mesh.face_normal(t) * orientation.sign(t), &mut seen);
             crate::lighting::prefer_clean(&mut seen);
             looks.clear();
@@ -123,7 +121,7 @@ pub fn estimate_albedo(
                 mean_share += w * share.min(1.0);
                 looks.push(((o.radiance - s) / factor, w));
             }
-            let lit = irradiance.bilinear(mesh.uv(t, p.u, p.v) * size, crate::image::Wrap::Clamp);
+            let lit = texels.lookup(mesh, irradiance, i);
             // a channel without light keeps a finite albedo whatever the exposure
             let e = lit.max(Vec3::splat(luminance(lit) * 1e-6));
             let (diffuse, spread, effective) = robust_diffuse(&looks);

@@ -63,7 +63,7 @@ pub(super) fn class_prior(
         .map(|&i| {
             let i = i as usize;
             let Some((usual, spread)) = class.get(&labels[i]).copied().filter(|_| labels[i] != 0) else {
-                return if albedo.error[i].is_finite() { (value(i), ANYTHING * ANYTHING) } else { (all.0, ANYTHING * ANYTHING) };
+                return (if albedo.error[i].is_finite() { value(i) } else { all.0 }, ANYTHING * ANYTHING);
             };
             let Some(s) = near.get(&place(i)) else { return (usual, spread) };
             let total = s[0] as f32;

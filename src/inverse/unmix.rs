@@ -142,7 +142,7 @@ impl Unmixing<'_> {
             cells.data[c as usize] = i as u32;
         }
         let edges: usize = self.observer.views.iter().map(|v| v.clean.data.iter().filter(|c| !**c).count()).sum();
-        let stride = (edges * GRID * GRID / MOST_TERMS + 1).max(1);
+        let stride = edges * GRID * GRID / MOST_TERMS + 1;
         let rows: Vec<(usize, usize)> =
             self.observer.views.iter().enumerate().flat_map(|(v, view)| (0..view.clean.height).map(move |y| (v, y))).collect();
         let parts = parallel::map_chunks(rows.len(), 4, |range| {
@@ -177,7 +177,6 @@ impl Unmixing<'_> {
         const SAMPLES: usize = GRID * GRID;
         let view = &self.observer.views[v];
         let camera = &view.buffer.camera;
-        let texel_at = |uv: Vec2| *cells.nearest(uv * Vec2::new(cells.width as f32, cells.height as f32));
         // a clean pixel tells of unknowns too where a texel's look was too far off its centre to be clean
         let shows_unknown = |x: usize| {
             let t = view.buffer.triangle[(x, y)];
@@ -185,7 +184,7 @@ impl Unmixing<'_> {
                 return false;
             }
             let (u, v) = self.observer.mesh.barycentrics(t as usize, view.buffer.position(x, y));
-            let texel = texel_at(self.observer.mesh.uv(t as usize, u, v));
+            let texel = self.texel(cells, t, u, v);
             texel != KNOWN && unknown[texel as usize] != KNOWN
         };
         let usable = |x: usize| {
@@ -256,6 +255,11 @@ impl Unmixing<'_> {
         rays.len() as u64
     }
 
+    /// The covered texel at a surface point.
+    fn texel(&self, cells: &Plane<u32>, triangle: u32, u: f32, v: f32) -> u32 {
+        *cells.nearest(self.observer.mesh.uv(triangle as usize, u, v) * Vec2::new(cells.width as f32, cells.height as f32))
+    }
+
     /// What one ray through pixel `at` shows.
     fn shown(&self, view: &ObservedView, v: usize, at: (usize, usize), direction: Vec3, hit: &Hit, cells: &Plane<u32>) -> Shown {
         let mesh = self.observer.mesh;
@@ -265,8 +269,7 @@ impl Unmixing<'_> {
         }
         let normal = mesh.face_normal(t) * self.orientation.sign(t);
         let n_v = -normal.dot(direction);
-        let uv = mesh.uv(t, hit.u, hit.v) * Vec2::new(cells.width as f32, cells.height as f32);
-        let texel = *cells.nearest(uv);
+        let texel = self.texel(cells, hit.triangle, hit.u, hit.v);
         if n_v <= 0.0 || texel == KNOWN {
             return Shown::Radiance(self.field.arriving(hit, direction, 0.0));
         }

@@ -1,7 +1,8 @@
 //! Irradiance of a whole texture from a budget of rays: where sharing samples over the surface does not suffice, more are drawn.
 //!
 //! A first round gives every texel the same samples. After each round the filter tells what error it leaves, noise and bias; the
-//! texels where doubling the samples promises most per ray are doubled, once or several times, until the budget is spent or the target reached.
+//! texels where doubling the samples promises most per ray are doubled, once or several times, until the budget is spent or the
+//! target reached.
 
 use super::{Bake, Estimator, Irradiance, IrtOptions, Patch, Receiver, SurfaceFilter, bake_irradiance};
 use crate::math::luminance;

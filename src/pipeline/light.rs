@@ -6,7 +6,7 @@
 use super::budget::{samples_for, split_samples};
 use super::decisions::{choose_environment, report_emission};
 use super::{SolveOptions, Surface, Switch, surface::coverage};
-use crate::image::{Plane, RgbPlane, Wrap};
+use crate::image::{Plane, RgbPlane};
 use crate::lighting::{
     Bake, Budget, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField, Patch, Receiver, bake_irradiance,
     bake_surface, detect_emissive,
@@ -14,7 +14,7 @@ use crate::lighting::{
 use crate::math::luminance;
 use crate::progress::Progress;
 use crate::texture::{Texels, fill_uncovered};
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::{FRAC_1_PI, PI};
@@ -56,8 +56,7 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let first_look = trusted_radiance(surface, &known);
     let trusted: Vec<bool> = (0..observed.len()).map(|i| surface.fusion.clean[i] || lit(surface, &known, i)).collect();
     let mut radiance = filled_radiance(surface, &first_look, &trusted);
-    let side = (surface.sizes.irradiance / COARSE).max(1);
-    let coarse = Texels::rasterize(&scene.mesh, side, side);
+    let coarse = coarse_texels(surface);
     let coarse_options = IrtOptions { rays: 64, emitter_samples: 16, seed: options.seed ^ 1, ..IrtOptions::default() };
     let mut rays = 0;
 
@@ -196,6 +195,12 @@ fn filled_radiance(surface: &Surface, values: &[Vec3], observed: &[bool]) -> Rgb
     fill_uncovered(&plane, &surface.texels.scatter(observed, false))
 }
 
+/// Covered texels of the coarse irradiance texture.
+pub(super) fn coarse_texels(surface: &Surface) -> Texels {
+    let side = (surface.sizes.irradiance / COARSE).max(1);
+    Texels::rasterize(&surface.scene.mesh, side, side)
+}
+
 /// Values of covered texels as a texture, filled outside charts.
 pub(super) fn texture_of(texels: &Texels, values: &[Vec3]) -> RgbPlane {
     fill_uncovered(&texels.scatter(values, Vec3::ZERO), &coverage(texels))
@@ -239,18 +244,11 @@ fn emitting_triangles(surface: &Surface, irradiance: &RgbPlane, known: &[bool]) 
             triangle: surface.texels.point[i].triangle,
             label: surface.labels[i],
             floor: if surface.fusion.floor[i].is_finite() { surface.fusion.floor[i] } else { 0.0 },
-            white: luminance(at_texel(surface, &surface.texels, irradiance, i)) * FRAC_1_PI,
+            white: luminance(surface.texels.lookup(&surface.scene.mesh, irradiance, i)) * FRAC_1_PI,
             observed: surface.fusion.views[i] > 0,
         })
         .collect();
     detect_emissive(surface.scene.mesh.triangles.len(), &texels, known)
-}
-
-/// The value of a texture of the atlas at covered texel `i` of `texels`.
-pub(super) fn at_texel(surface: &Surface, texels: &Texels, plane: &RgbPlane, i: usize) -> Vec3 {
-    let p = texels.point[i];
-    let uv = surface.scene.mesh.uv(p.triangle as usize, p.u, p.v);
-    plane.bilinear(uv * Vec2::new(plane.width as f32, plane.height as f32), Wrap::Clamp)
 }
 
 /// Whether covered texel `i` lies on a triangle marked in `emissive`.
@@ -290,7 +288,7 @@ fn complete_radiance(surface: &Surface, irradiance: &RgbPlane, emissive: &[bool]
     let stride = (surface.texels.len() / 400_000).max(1);
     for i in (0..surface.texels.len()).step_by(stride) {
         if surface.fusion.clean[i] && !lit(surface, emissive, i) {
-            let e = at_texel(surface, &surface.texels, irradiance, i);
+            let e = surface.texels.lookup(&surface.scene.mesh, irradiance, i);
             let a = surface.fusion.radiance[i] * PI / e.max(Vec3::splat(1e-12));
             let s = samples.entry(surface.labels[i]).or_default();
             for c in 0..3 {
@@ -310,7 +308,7 @@ fn complete_radiance(surface: &Surface, irradiance: &RgbPlane, emissive: &[bool]
                 return trusted[i];
             }
             let a = albedo.get(&surface.labels[i]).copied().unwrap_or(Vec3::splat(0.5));
-            let expected = a * at_texel(surface, &surface.texels, irradiance, i) * FRAC_1_PI;
+            let expected = a * surface.texels.lookup(&surface.scene.mesh, irradiance, i) * FRAC_1_PI;
             let seen = surface.fusion.radiance[i];
             let usable = surface.fusion.views[i] > 0 && luminance(seen) < MIXTURE_LIMIT * luminance(expected);
             if usable { seen } else { expected }

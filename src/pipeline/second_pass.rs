@@ -7,21 +7,18 @@
 //! flux its material sends out, E (A + ρ) / π with ρ the hemispherical reflectance of the specular lobe under even light, far sides that
 //! nobody saw get what their class reflects, and the difference to the first pass is baked at a low resolution and added to E.
 
-use super::light::{at_texel, patches, texture_of};
+use super::light::{coarse_texels, patches, texture_of};
 use super::{Light, Surface};
 use crate::image::{Plane, Wrap};
 use crate::inverse::{AlbedoEstimate, WideLobes};
 use crate::lighting::{Environment, Estimator, Irradiance, IrtOptions, LightField, Receiver, SurfaceFilter, bake_irradiance};
 use crate::math::luminance;
 use crate::progress::Progress;
-use crate::texture::Texels;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::FRAC_1_PI;
 
-/// Side of the texture on which the difference is baked, relative to the irradiance texture's.
-const COARSE: usize = 4;
 /// Rays per texel for the difference: it is a few percent of the whole, and so is its noise.
 const RAYS: u32 = 256;
 /// Rays per far side at most, and for all far sides: rays that meet many of them average their noise.
@@ -44,7 +41,7 @@ pub(super) fn add_missing_light(
 ) -> (f32, u64) {
     let mesh = &surface.scene.mesh;
     let texels = &surface.texels;
-    let irradiance = |i: usize| at_texel(surface, texels, &light.irradiance, i);
+    let irradiance = |i: usize| texels.lookup(mesh, &light.irradiance, i);
     let missing: Vec<Vec3> = (0..texels.len())
         .into_par_iter()
         .map(|i| {
@@ -72,8 +69,7 @@ pub(super) fn add_missing_light(
         far_sides,
         Environment::from_map(Plane::filled(2, 1, Vec3::ZERO)),
     );
-    let side = (light.irradiance.width / COARSE).max(1);
-    let coarse = Texels::rasterize(mesh, side, side);
+    let coarse = coarse_texels(surface);
     let options =
         IrtOptions { estimator: Estimator::Cosine, rays: RAYS, emitter_samples: 0, seed: seed ^ 2, ..IrtOptions::default() };
     let bake = surface.bake(&field, &light.emitters);
@@ -81,7 +77,7 @@ pub(super) fn add_missing_light(
     let rays = more.rays;
     // relative, it is smooth wherever the surface is, so that its noise can be filtered away
     let relative = |i: usize, more: Vec3| {
-        let e = at_texel(surface, &coarse, &light.irradiance, i);
+        let e = coarse.lookup(mesh, &light.irradiance, i);
         Vec3::from_array(std::array::from_fn(|c| if e[c] > 0.0 { 1.0 + more[c] / e[c] } else { 1.0 }))
             .clamp(Vec3::splat(LIMITS.0), Vec3::splat(LIMITS.1))
     };
@@ -107,7 +103,7 @@ pub(super) fn add_missing_light(
             .collect(),
     };
     let change = |i: usize| {
-        let (a, b) = (at_texel(surface, texels, before, i), at_texel(surface, texels, &after, i));
+        let (a, b) = (texels.lookup(mesh, before, i), texels.lookup(mesh, &after, i));
         Vec3::from_array(std::array::from_fn(|c| if b[c] > 0.0 { a[c] / b[c] } else { 1.0 }))
     };
     let changes: Vec<Vec3> = (0..texels.len()).into_par_iter().map(change).collect();

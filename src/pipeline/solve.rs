@@ -1,7 +1,6 @@
 //! The main job: light, then materials.
 
 use super::decisions::{choose_matte, choose_rooms, report_matte};
-use super::light::at_texel;
 use super::second_pass::add_missing_light;
 use super::surface::coverage;
 use super::{Light, SolveOptions, Surface, Switch, reconstruct_light};
@@ -165,7 +164,7 @@ fn solve_edges(
     albedo: &mut AlbedoEstimate,
     progress: &Progress,
 ) -> u64 {
-    let irradiance = |i: usize| at_texel(surface, &surface.texels, &light.irradiance, i);
+    let irradiance = |i: usize| surface.texels.lookup(&surface.scene.mesh, &light.irradiance, i);
     let specular_guess = |i: usize, n_v: f32| irradiance(i) * (FRAC_1_PI * lobes.response(n_v, roughness(i)));
     let unmixing = Unmixing {
         observer: surface.observer(),

@@ -158,6 +158,7 @@ fn reduced(image: RgbPlane, factor: usize) -> RgbPlane {
     if factor <= 1 {
         return image;
     }
+    let factor = within(&image, factor);
     let gain = 1.0 / (factor * factor) as f32;
     blocks(&image.map(|v| *v * gain), factor, |a, b| a + b)
 }
@@ -172,9 +173,14 @@ fn any_of(marks: &Plane<bool>, factor: usize) -> Plane<bool> {
     blocks(marks, factor, |a, b| a || b)
 }
 
+/// The factor, but no more than leaves one block.
+fn within<T>(image: &Plane<T>, factor: usize) -> usize {
+    factor.clamp(1, image.width.min(image.height).max(1))
+}
+
 /// Square blocks of pixels joined into one each; at least one block however large the factor.
 fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) -> Plane<T> {
-    let factor = factor.clamp(1, image.width.min(image.height).max(1));
+    let factor = within(image, factor);
     let (width, height) = (image.width / factor, image.height / factor);
     let block = |i: usize| {
         let (x, y) = (i % width * factor, i / width * factor);
@@ -297,4 +303,19 @@ fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientatio
 /// A plane of texel validity for the covered texels of `texels`.
 pub(super) fn coverage(texels: &Texels) -> Plane<bool> {
     texels.scatter(&vec![true; texels.len()], false)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reduced_photograph_keeps_its_brightness_even_beyond_its_size() {
+        let image = Plane::filled(4, 2, Vec3::new(3.0, 2.0, 1.0));
+        for (factor, size) in [(0, (4, 2)), (1, (4, 2)), (2, (2, 1)), (100, (2, 1))] {
+            let small = reduced(image.clone(), factor);
+            assert_eq!((small.width, small.height), size, "factor {factor}");
+            assert!(small.data.iter().all(|v| *v == image.data[0]), "factor {factor}: {:?}", small.data[0]);
+        }
+    }
 }

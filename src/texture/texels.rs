@@ -5,7 +5,7 @@
 //! padding. Everything later runs over this compact list, not over the square image.
 
 use crate::geometry::Mesh;
-use crate::image::Plane;
+use crate::image::{Plane, RgbPlane, Wrap};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -96,6 +96,14 @@ impl Texels {
     pub fn position(&self, mesh: &Mesh, i: usize) -> Vec3 {
         let p = self.point[i];
         mesh.position(p.triangle as usize, p.u, p.v)
+    }
+
+    /// The value at texel `i` of a texture of the same atlas, of any resolution.
+    #[must_use]
+    pub fn lookup(&self, mesh: &Mesh, plane: &RgbPlane, i: usize) -> Vec3 {
+        let p = self.point[i];
+        let size = Vec2::new(plane.width as f32, plane.height as f32);
+        plane.bilinear(mesh.uv(p.triangle as usize, p.u, p.v) * size, Wrap::Clamp)
     }
 
     /// Barycentrics (u, v) of texel `i` for rays that start there: a thousandth of the triangle off its border. A point exactly on
