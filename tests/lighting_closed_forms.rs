@@ -132,6 +132,31 @@ fn a_rectangular_lamp_meets_lamberts_formula_with_every_estimator() {
     }
 }
 
+/// A lamp's glass below a plate as bright, and two lamps in one place: the light arrives once.
+#[test]
+fn what_a_lamp_covers_does_not_shine_through_it() {
+    let lamp = quad([1.2, 2.9, 1.5], [1.4, 0.0, 0.0], [0.0, 0.0, 1.8], 7.0, true);
+    let frame = quad([0.8, 2.9, 1.1], [2.2, 0.0, 0.0], [0.0, 0.0, 2.6], 7.0, true);
+    let raised = |quad: Quad, gap: f32| Quad { corner: quad.corner + Vec3::Y * gap, ..quad };
+    let cases = [
+        ("frame", raised(frame, 8e-4)),
+        ("plate", Quad { emits: false, ..raised(lamp, 8e-4) }),
+        ("thin plate", raised(lamp, 2e-5)),
+        ("twin", lamp),
+    ];
+    for (name, behind) in cases {
+        let mut quads = lamp_room(lamp);
+        quads.push(behind);
+        // (from a wall one sees through the gap)
+        let receivers = receivers_on(&quads[0], 16);
+        let light = |r: &Receiver| 7.0 * lambert(&behind.corners(), r.position, r.normal);
+        let expected: Vec<f64> = receivers.iter().map(light).collect();
+        let got = bake(&Lit::new(&quads, Environment::black()), &receivers, &options(Estimator::Mis, 256));
+        let (rms, worst) = errors(&got, &expected);
+        assert!(rms < 0.05, "{name}: {rms:.4}, at worst {worst:.3}");
+    }
+}
+
 /// 5 cm across, radiance 1e5, three metres away: 3e-5 of the hemisphere, which hemisphere rays hardly ever find.
 #[test]
 fn a_spotlight_of_five_centimetres_and_radiance_1e5() {

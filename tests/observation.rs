@@ -144,6 +144,37 @@ fn visibility_is_that_of_brute_force() {
 }
 
 /// Poses wrong by a few millimetres: clean looks may show another wall only within the error of an edge.
+/// The wall behind a picture that hangs a millimetre before it is as hidden as one a metre behind.
+#[test]
+fn a_layer_hides_what_lies_right_behind_it() {
+    let mut quads = room();
+    let wall = 0;
+    let part = |from: f32, to: f32| Quad {
+        corner: quads[wall].at(from, from) + quads[wall].normal() * 1e-3,
+        edge_u: quads[wall].edge_u * (to - from),
+        edge_v: quads[wall].edge_v * (to - from),
+        radiance: Vec3::splat(9.0),
+        emits: false,
+    };
+    let front = part(0.05, 0.3);
+    quads.push(front);
+    let mesh = mesh_of(&quads);
+    let tracer = EmbreeTracer::new(&mesh).expect("Embree");
+    let views: Vec<ObservedView> = cameras().into_iter().map(|c| photograph(&mesh, &quads, &tracer, c, c)).collect();
+    let observer = Observer { mesh: &mesh, views: &views };
+    let (mut looks, mut seen) = (Vec::new(), [0, 0]);
+    for k in 0..400u32 {
+        let [u, v] = unbake::sampling::hammersley(k, 400);
+        let (u, v) = (0.1 + 0.8 * u, 0.1 + 0.8 * v);
+        observer.observe(front.at(u, v), front.normal(), &mut looks);
+        seen[0] += looks.len();
+        observer.observe(front.at(u, v) - front.normal() * 1e-3, front.normal(), &mut looks);
+        seen[1] += looks.len();
+    }
+    assert!(seen[0] > 800, "the picture is seen {} times", seen[0]);
+    assert_eq!(seen[1], 0, "the wall behind it is not");
+}
+
 #[test]
 fn small_errors_of_pose_hardly_mix_surfaces() {
     let quads = room();

@@ -24,6 +24,11 @@ pub struct ObservedView {
     pub valid: Option<Plane<bool>>,
 }
 
+/// Parallel surfaces farther apart than this share of their distance from the camera are two: well above the rounding of positions.
+const LAYER: f32 = 5e-5;
+/// Cosine of the angle up to which triangles count as parallel.
+const PARALLEL: f32 = 0.999_99;
+
 /// One view's look at a surface point.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation {
@@ -129,7 +134,14 @@ impl Observer<'_> {
             }
             let (x, y) = (k % camera.width, k / camera.width);
             let offset = camera.position + camera.direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5)) * t - position;
-            if face_normal.dot(offset).abs() > lift + 0.15 * offset.length() || offset.length() > reach {
+            let off_plane = face_normal.dot(offset).abs();
+            if off_plane > lift + 0.15 * offset.length() || offset.length() > reach {
+                continue;
+            }
+            // what lies parallel at a distance is another layer: a lamp's glass before its frame, a picture before its wall
+            if off_plane > LAYER * t
+                && self.mesh.face_normal(view.buffer.triangle.data[k] as usize).dot(face_normal).abs() > PARALLEL
+            {
                 continue;
             }
             clean &= view.clean.data[k];

@@ -1,7 +1,9 @@
 //! Triangle meshes and cameras.
 
 mod camera;
+mod clusters;
 mod mesh;
 
 pub use camera::{Camera, Lens, Projection};
+pub use clusters::clusters;
 pub use mesh::Mesh;

@@ -9,7 +9,7 @@
 
 use super::LightField;
 use super::hull::Hull;
-use super::sources::{EmitterSample, GRAZING, Source};
+use super::sources::{EmitterSample, GRAZING, SHORT, Source};
 use crate::ffi::simd::prefetch;
 use crate::geometry::Mesh;
 use crate::math::luminance;
@@ -156,6 +156,7 @@ impl Emitters {
         let centre = |t: u32| mesh.position(t as usize, 1.0 / 3.0, 1.0 / 3.0);
         let power: Vec<f64> = (0..mesh.triangles.len()).into_par_iter().map(|t| triangle_power(mesh, field, t)).collect();
         for set in bright_sets(mesh, field, &power) {
+            let set = uncovered(mesh, field, tracer, set);
             for group in split_into_lamps(&centre, small, MAX_LAMPS, set) {
                 let items = group.iter().map(|&t| (centre(t), mesh.area(t as usize), power[t as usize])).collect::<Vec<_>>();
                 out.add_lamp(mesh, field, LampKind::Triangles(group), &items);
@@ -465,6 +466,25 @@ fn bright_sets(mesh: &Mesh, field: &LightField, power: &[f64]) -> [Vec<u32>; 2] 
     let emissive = (0..area.len()).filter(|&t| field.is_emissive(t) && area[t] > 0.0).map(|t| t as u32).collect();
     let bright = (0..area.len()).filter(|&t| reflecting(t) && power[t] > threshold * area[t]).map(|t| t as u32).collect();
     [emissive, bright]
+}
+
+/// The triangles that can be seen from right above somewhere. A shadow ray ends so close to its source that it may overlook what
+/// covers that: a hidden twin of a lamp would shine through it. Hemisphere rays meet whatever is dropped here and visible after all.
+fn uncovered(mesh: &Mesh, field: &LightField, tracer: &dyn Tracer, triangles: Vec<u32>) -> Vec<u32> {
+    const PLACES: [(f32, f32); 4] = [(1.0 / 3.0, 1.0 / 3.0), (0.7, 0.15), (0.15, 0.7), (0.15, 0.15)];
+    let (lo, hi) = mesh.bounds();
+    let above = 2.0 * SHORT * (hi - lo).length();
+    let rays: Vec<Ray> = triangles
+        .iter()
+        .flat_map(|&t| {
+            let normal = field.outward_normal(t as usize);
+            PLACES.map(|(u, v)| Ray::new(mesh.position(t as usize, u, v) + normal * above, -normal, 2.0 * above))
+        })
+        .collect();
+    let mut hits = vec![Hit::miss(); rays.len()];
+    tracer.closest(&rays, &mut hits);
+    let seen = |i: usize| hits[PLACES.len() * i..][..PLACES.len()].iter().any(|h| h.triangle == triangles[i]);
+    (0..triangles.len()).filter(|&i| seen(i)).map(|i| triangles[i]).collect()
 }
 
 /// Luminance × area, from a few points; a floor keeps dim corners possible.

@@ -17,8 +17,9 @@ pub struct EmitterSample {
     pub pdf: f32,
 }
 
-/// Shadow rays end this share of their length before the surface they aim at.
-const SHORT: f32 = 1e-3;
+/// Shadow rays end this share of their length before the surface they aim at: ten times the rounding of positions and no more, for
+/// what lies between would be overlooked.
+pub(super) const SHORT: f32 = 1e-4;
 
 /// A flat piece of a lamp.
 #[derive(Clone, Copy, Debug)]

@@ -6,6 +6,7 @@
 use super::budget::{samples_for, split_samples};
 use super::decisions::{choose_environment, report_emission};
 use super::{SolveOptions, Surface, Switch, surface::coverage};
+use crate::geometry::clusters;
 use crate::image::{Plane, RgbPlane};
 use crate::lighting::{
     Bake, Budget, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField, Patch, Receiver, bake_irradiance,
@@ -22,6 +23,9 @@ use std::time::Instant;
 
 /// Side of the coarse irradiance texture relative to the full one.
 const COARSE: usize = 4;
+
+/// Emitting triangles at most this far apart are one lamp, metres.
+const LAMP_GAP: f32 = 0.05;
 
 /// How much brighter than expected a texel seen only at edges may be before its radiance counts as a mixture with a brighter surface.
 const MIXTURE_LIMIT: f32 = 1.5;
@@ -256,28 +260,37 @@ fn lit(surface: &Surface, emissive: &[bool], i: usize) -> bool {
     emissive[surface.texels.point[i].triangle as usize]
 }
 
-/// Observed radiance; on emitters without a clean pixel the brightest view, and the median of the emitter's class where no view sees
-/// it: a lamp of few pixels must not count as dark, for all albedos hang on its light.
+/// Observed radiance; on emitters without a clean pixel the brightest view, and where no view sees them the median of their lamp, or
+/// that of their class if the whole lamp is unseen: a lamp of few pixels must not count as dark, for all albedos hang on its light.
 fn trusted_radiance(surface: &Surface, emissive: &[bool]) -> Vec<Vec3> {
     let f = &surface.fusion;
     let look = |i: usize| if lit(surface, emissive, i) && !f.clean[i] { f.peak[i] } else { f.radiance[i] };
-    let mut seen: BTreeMap<u16, Vec<Vec3>> = BTreeMap::new();
-    for i in (0..f.radiance.len()).filter(|&i| lit(surface, emissive, i) && f.views[i] > 0) {
-        seen.entry(surface.labels[i]).or_default().push(look(i));
+    let emitting: Vec<u32> = (0..emissive.len() as u32).filter(|&t| emissive[t as usize]).collect();
+    let mut lamp_of = vec![0usize; emissive.len()];
+    for (lamp, triangles) in clusters(&surface.scene.mesh, &emitting, LAMP_GAP).iter().enumerate() {
+        triangles.iter().for_each(|&t| lamp_of[t as usize] = lamp);
     }
-    let median: BTreeMap<u16, Vec3> = seen
-        .into_iter()
-        .map(|(label, mut values)| {
-            values.sort_by(|a, b| luminance(*a).total_cmp(&luminance(*b)));
-            (label, values[values.len() / 2])
-        })
-        .collect();
+    let lamp = |i: usize| lamp_of[surface.texels.point[i].triangle as usize];
+    let (mut of_lamp, mut of_class) = (BTreeMap::<usize, Vec<Vec3>>::new(), BTreeMap::<u16, Vec<Vec3>>::new());
+    for i in (0..f.radiance.len()).filter(|&i| lit(surface, emissive, i) && f.views[i] > 0) {
+        of_lamp.entry(lamp(i)).or_default().push(look(i));
+        of_class.entry(surface.labels[i]).or_default().push(look(i));
+    }
+    let of_lamp: BTreeMap<usize, Vec3> = of_lamp.into_iter().map(|(k, v)| (k, median_light(v))).collect();
+    let of_class: BTreeMap<u16, Vec3> = of_class.into_iter().map(|(k, v)| (k, median_light(v))).collect();
     (0..f.radiance.len())
-        .map(|i| match median.get(&surface.labels[i]) {
-            Some(m) if f.views[i] == 0 && lit(surface, emissive, i) => *m,
-            _ => look(i),
+        .map(|i| {
+            let unseen = f.views[i] == 0 && lit(surface, emissive, i);
+            let others = || of_lamp.get(&lamp(i)).or_else(|| of_class.get(&surface.labels[i])).copied();
+            unseen.then(others).flatten().unwrap_or_else(|| look(i))
         })
         .collect()
+}
+
+/// The colour of median luminance.
+fn median_light(mut values: Vec<Vec3>) -> Vec3 {
+    values.sort_by(|a, b| luminance(*a).total_cmp(&luminance(*b)));
+    values[values.len() / 2]
 }
 
 /// Radiance of every texel: as observed; the median albedo of its class times its irradiance where nobody sees it; and where only

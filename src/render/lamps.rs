@@ -1,16 +1,14 @@
 //! Lamps of a solution: emitting triangles that touch or nearly so are one lamp.
 
 use super::World;
+use crate::geometry::clusters;
 use crate::math::luminance;
 use glam::Vec3;
 use serde::Serialize;
-use std::collections::BTreeMap;
 use std::f32::consts::PI;
 
 /// Parts of a lamp lie at most this far apart, metres.
 const GAP: f32 = 0.05;
-/// Vertices closer than this are one, metres.
-const WELD: f32 = 1e-4;
 
 /// A lamp.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -38,44 +36,7 @@ pub fn lamp_groups(world: &World<'_>, origin: glam::DVec3) -> Vec<LampGroup> {
     let mesh = world.mesh();
     let emitting: Vec<u32> =
         (0..mesh.triangles.len()).filter(|&t| world.emits(t) && mesh.area(t) > 0.0).map(|t| t as u32).collect();
-    let mut parent: Vec<usize> = (0..emitting.len()).collect();
-    let mut at: BTreeMap<[i64; 3], usize> = BTreeMap::new();
-    for (k, &t) in emitting.iter().enumerate() {
-        for p in mesh.corners(t as usize) {
-            let key = (p / WELD).round().to_array().map(|x| x as i64);
-            let other = *at.entry(key).or_insert(k);
-            join(&mut parent, k, other);
-        }
-    }
-    let mut parts: BTreeMap<usize, Vec<u32>> = BTreeMap::new();
-    for (k, &t) in emitting.iter().enumerate() {
-        parts.entry(root(&mut parent, k)).or_default().push(t);
-    }
-    let parts: Vec<Vec<u32>> = parts.into_values().collect();
-    // pieces of one lamp whose surfaces do not touch: bounding boxes closer than the gap
-    let boxes: Vec<(Vec3, Vec3)> = parts
-        .iter()
-        .map(|g| {
-            let corners = g.iter().flat_map(|&t| mesh.corners(t as usize));
-            corners.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |b, p| (b.0.min(p), b.1.max(p)))
-        })
-        .collect();
-    let mut parent: Vec<usize> = (0..parts.len()).collect();
-    let mut order: Vec<usize> = (0..parts.len()).collect();
-    order.sort_by(|&a, &b| boxes[a].0.x.total_cmp(&boxes[b].0.x));
-    for (i, &a) in order.iter().enumerate() {
-        for &b in order[i + 1..].iter().take_while(|&&b| boxes[b].0.x <= boxes[a].1.x + GAP) {
-            let apart = (boxes[a].0 - boxes[b].1).max(boxes[b].0 - boxes[a].1).max_element();
-            if apart <= GAP {
-                join(&mut parent, a, b);
-            }
-        }
-    }
-    let mut groups: BTreeMap<usize, Vec<u32>> = BTreeMap::new();
-    for (k, triangles) in parts.into_iter().enumerate() {
-        groups.entry(root(&mut parent, k)).or_default().extend(triangles);
-    }
-    let mut out: Vec<LampGroup> = groups.into_values().map(|t| describe(world, t, origin)).collect();
+    let mut out: Vec<LampGroup> = clusters(mesh, &emitting, GAP).into_iter().map(|t| describe(world, t, origin)).collect();
     out.sort_by(|a, b| b.power.total_cmp(&a.power).then(a.triangles.first().cmp(&b.triangles.first())));
     for (i, g) in out.iter_mut().enumerate() {
         g.id = i + 1;
@@ -107,19 +68,6 @@ fn describe(world: &World<'_>, mut triangles: Vec<u32>, origin: glam::DVec3) -> 
         radiance: (flux / area).to_array(),
         triangles,
     }
-}
-
-fn root(parent: &mut [usize], mut i: usize) -> usize {
-    while parent[i] != i {
-        parent[i] = parent[parent[i]];
-        i = parent[i];
-    }
-    i
-}
-
-fn join(parent: &mut [usize], a: usize, b: usize) {
-    let (a, b) = (root(parent, a), root(parent, b));
-    parent[a.max(b)] = a.min(b);
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
 //! lamp's share of all direct light, which stands for its part of the bounces. All sliders at s give exactly s times the light.
 
 use super::encode::gzip;
-use crate::geometry::Mesh;
+use crate::geometry::{Mesh, clusters};
 use crate::image::{Plane, Wrap};
 use crate::math::{Frame, luminance};
 use crate::sampling::{Discrete, KeyedRng, square_to_cosine_hemisphere, square_to_triangle};
@@ -14,7 +14,6 @@ use crate::texture::{Texels, fill_uncovered};
 use crate::trace::{Ray, Tracer};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 use std::f32::consts::PI;
 
 /// Lamps with a slider of their own; the smaller ones join the nearest of these.
@@ -52,7 +51,7 @@ pub fn lamps(solution: &Solution) -> Vec<Lamp> {
     let emitting: Vec<u32> =
         (0..mesh.triangles.len() as u32).into_par_iter().filter(|&t| emitted(solution, t as usize) > 0.0).collect();
     let mut lamps: Vec<Lamp> =
-        connected(mesh, &emitting).into_iter().map(|group| lamp(solution, group)).filter(|l| l.power > 0.0).collect();
+        clusters(mesh, &emitting, REACH).into_iter().map(|group| lamp(solution, group)).filter(|l| l.power > 0.0).collect();
     lamps.sort_by(|a, b| b.power.total_cmp(&a.power).then(a.triangles[0].cmp(&b.triangles[0])));
     let rest = lamps.split_off(lamps.len().min(MAX_LAMPS));
     for small in rest {
@@ -106,36 +105,6 @@ fn lamp(solution: &Solution, triangles: Vec<u32>) -> Lamp {
         *solution.labels.nearest(mesh.uv(t as usize, 0.33, 0.33) * size)
     });
     Lamp { name: String::new(), triangles, centre: 0.5 * (low + high), power, class }
-}
-
-/// Groups of triangles whose corners lie in the same or neighbouring cells of side [`REACH`].
-fn connected(mesh: &Mesh, triangles: &[u32]) -> Vec<Vec<u32>> {
-    let mut parent: Vec<usize> = (0..triangles.len()).collect();
-    fn root(parent: &mut [usize], mut i: usize) -> usize {
-        while parent[i] != i {
-            parent[i] = parent[parent[i]];
-            i = parent[i];
-        }
-        i
-    }
-    let mut owner: BTreeMap<[i64; 3], usize> = BTreeMap::new();
-    for (i, &t) in triangles.iter().enumerate() {
-        for corner in mesh.corners(t as usize) {
-            let cell = (corner / REACH).floor().to_array().map(|x| x as i64);
-            for (dx, dy, dz) in (0..27).map(|n| (n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1)) {
-                if let Some(&other) = owner.get(&[cell[0] + dx, cell[1] + dy, cell[2] + dz]) {
-                    let (a, b) = (root(&mut parent, i), root(&mut parent, other));
-                    parent[a.max(b)] = a.min(b);
-                }
-            }
-            owner.insert(cell, i);
-        }
-    }
-    let mut groups: BTreeMap<usize, Vec<u32>> = BTreeMap::new();
-    for (i, &t) in triangles.iter().enumerate() {
-        groups.entry(root(&mut parent, i)).or_default().push(t);
-    }
-    groups.into_values().collect()
 }
 
 /// The shares of all lamps on a small atlas.
