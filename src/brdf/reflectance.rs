@@ -59,10 +59,19 @@ impl Reflectance {
         if self != Self::Burley {
             return 1.0;
         }
-        // 2 cos²θ_d = 1 + v·l
-        let grazing = roughness * (1.0 + v_l) - 0.5;
-        let side = |c: f32| 1.0 + grazing * (1.0 - c.clamp(0.0, 1.0)).powi(5);
-        side(n_l) * side(n_v)
+        let [a, b, c] = Self::diffuse_by_roughness(n_l, n_v, v_l);
+        a + roughness * (b + roughness * c)
+    }
+
+    /// Burley's diffuse factor for one pair of directions as a polynomial in the roughness, lowest power first; arguments as
+    /// [`Self::diffuse`].
+    #[inline]
+    #[must_use]
+    pub fn diffuse_by_roughness(n_l: f32, n_v: f32, v_l: f32) -> [f32; 3] {
+        // (1 + g·a)(1 + g·b) with g = R·(1 + v·l) − ½, for 2 cos²θ_d = 1 + v·l
+        let [a, b] = [n_l, n_v].map(|c| (1.0 - c.clamp(0.0, 1.0)).powi(5));
+        let (s, a0, b0) = (1.0 + v_l, 1.0 - 0.5 * a, 1.0 - 0.5 * b);
+        [a0 * b0, s * (a * b0 + b * a0), s * s * a * b]
     }
 
     /// Diffuse radiance towards a viewer at cosine `n_v` over that of a Lambertian surface under the same irradiance. The light is taken

@@ -50,6 +50,8 @@ pub struct Evidence {
     pub sights: Vec<Sight>,
     /// `sights.len() × MODELS.len() × LEVELS.len()` specular radiances.
     pub specular: Vec<Vec3>,
+    /// Per sight Burley's diffuse radiance over Lambert's in the light that arrives, as a polynomial in the roughness.
+    pub diffuse: Vec<[f32; 3]>,
     /// Rays traced.
     pub rays: u64,
 }
@@ -61,7 +63,15 @@ impl Evidence {
         self.points.extend(more.points.into_iter().map(|q| EvidencePoint { first: q.first + base, ..q }));
         self.sights.extend(more.sights);
         self.specular.extend(more.specular);
+        self.diffuse.extend(more.diffuse);
         self.rays += more.rays;
+    }
+
+    /// Diffuse radiance of sight `s` over that of a Lambertian surface in the same light.
+    #[must_use]
+    pub fn diffuse_factor(&self, s: usize, model: Reflectance, roughness: f32) -> f32 {
+        let [a, b, c] = self.diffuse[s];
+        if model == Reflectance::Burley { a + roughness * (b + roughness * c) } else { 1.0 }
     }
 
     /// Specular radiance of sight `s` at all levels under [`MODELS`]`[m]`.
@@ -124,8 +134,9 @@ pub fn gather_evidence(
             });
         }
         out.specular = vec![Vec3::ZERO; out.sights.len() * MODELS.len() * LEVELS.len()];
-        let traced =
-            reflector.reflect(&gazes, Levels::Shared { lobes: &LOBES, evaluate: &LEVELS, models: &MODELS }, &mut out.specular);
+        out.diffuse = vec![[0.0; 3]; out.sights.len()];
+        let levels = Levels::Shared { lobes: &LOBES, evaluate: &LEVELS, models: &MODELS };
+        let traced = reflector.reflect_and_spread(&gazes, levels, &mut out.specular, &mut out.diffuse);
         rays.fetch_add(traced, Ordering::Relaxed);
         progress.advance(range.len() as u64);
         out

@@ -110,7 +110,7 @@ fn disagreement(evidence: &Evidence, model: Reflectance, i: usize) -> [f64; LEVE
     let mut diffuse = vec![(Vec3::ZERO, 0.0f32); sights.len()];
     std::array::from_fn(|k| {
         for (d, (s, j)) in diffuse.iter_mut().zip(sights.iter().zip(range.clone())) {
-            let factor = model.diffuse_factor(s.n_v, LEVELS[k]);
+            let factor = evidence.diffuse_factor(j, model, LEVELS[k]);
             *d = ((s.radiance - evidence.response(j, m)[k]) / factor, s.weight * factor);
         }
         let centre = robust_centre(&diffuse, scale);

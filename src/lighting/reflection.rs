@@ -6,7 +6,7 @@
 
 use super::irt::Bake;
 use crate::brdf::{MIN_ROUGHNESS, Reflectance, sample_vndf, vndf_reflection_pdf};
-use crate::math::Frame;
+use crate::math::{Frame, luminance};
 use crate::sampling::{SlotTable, SobolSequence};
 use crate::trace::{Hit, Ray};
 use glam::Vec3;
@@ -73,6 +73,13 @@ struct Scratch {
 impl Reflector<'_> {
     /// Adds to `out[i · K + k]` the specular radiance of gaze i at its k-th evaluated level (K levels). Returns the rays traced.
     pub fn reflect(&self, gazes: &[Gaze], levels: Levels, out: &mut [Vec3]) -> u64 {
+        self.reflect_and_spread(gazes, levels, out, &mut [])
+    }
+
+    /// As [`Self::reflect`]; also writes for every gaze how Burley's diffuse radiance towards it compares with a Lambertian surface's
+    /// in the same light, as a polynomial in the roughness ([`Reflectance::diffuse_by_roughness`], averaged over the arriving light).
+    /// `diffuse` holds one entry per gaze, or none if nobody asks.
+    pub fn reflect_and_spread(&self, gazes: &[Gaze], levels: Levels, out: &mut [Vec3], diffuse: &mut [[f32; 3]]) -> u64 {
         let k = match levels {
             Levels::Shared { evaluate, models, .. } => evaluate.len() * models.len(),
             Levels::Own(_) => 1,
@@ -85,12 +92,13 @@ impl Reflector<'_> {
                 Levels::Own(values) => Levels::Own(&values[first..first + group.len()]),
                 shared @ Levels::Shared { .. } => shared,
             };
-            rays += self.batch(group, own, &mut scratch, &mut out[first * k..(first + group.len()) * k]);
+            let spread = if diffuse.is_empty() { &mut [][..] } else { &mut diffuse[first..first + group.len()] };
+            rays += self.batch(group, own, &mut scratch, &mut out[first * k..(first + group.len()) * k], spread);
         }
         rays
     }
 
-    fn batch(&self, gazes: &[Gaze], levels: Levels, s: &mut Scratch, out: &mut [Vec3]) -> u64 {
+    fn batch(&self, gazes: &[Gaze], levels: Levels, s: &mut Scratch, out: &mut [Vec3], diffuse: &mut [[f32; 3]]) -> u64 {
         s.rays.clear();
         s.gaze_of_ray.clear();
         s.shadow.clear();
@@ -106,6 +114,7 @@ impl Reflector<'_> {
         self.bake.tracer.closest(&s.rays, &mut s.hits);
         s.hidden.resize(s.shadow.len(), 0);
         self.bake.tracer.occluded(&s.shadow, &mut s.hidden);
+        let mut shading = vec![Spread::default(); diffuse.len()];
         for (r, hit) in s.hits.iter().enumerate() {
             let i = s.gaze_of_ray[r] as usize;
             let g = &gazes[i];
@@ -117,6 +126,7 @@ impl Reflector<'_> {
             let spread = 2.0 * (FRAC_1_PI / density.max(0.3)).sqrt();
             let radiance = self.bake.field.arriving(hit, l, spread);
             accumulate(self.model, &half, radiance / density, &levels, i, out);
+            shading.get_mut(i).into_iter().for_each(|s| s.add(&half, radiance / density));
         }
         for (k, &(i, radiance, pdf)) in s.light.iter().enumerate() {
             if s.hidden[k] == 0 {
@@ -124,8 +134,10 @@ impl Reflector<'_> {
                 let half = HalfVector::new(&gazes[i], Vec3::from_array(s.shadow[k].direction));
                 let density = self.density(&half, lobes(&levels, i), pdf);
                 accumulate(self.model, &half, radiance / density, &levels, i, out);
+                shading.get_mut(i).into_iter().for_each(|s| s.add(&half, radiance / density));
             }
         }
+        diffuse.iter_mut().zip(&shading).for_each(|(d, s)| *d = s.mean());
         (s.rays.len() + s.shadow.len()) as u64
     }
 
@@ -196,6 +208,28 @@ impl HalfVector {
             sin2_nh: g.normal.cross(h).length_squared().min(1.0),
             v_h: g.view.dot(h).max(0.0),
         }
+    }
+}
+
+/// Burley's factor summed over arriving light.
+#[derive(Clone, Copy, Default)]
+struct Spread {
+    light: f32,
+    sums: [f32; 3],
+}
+
+impl Spread {
+    fn add(&mut self, half: &HalfVector, weighted: Vec3) {
+        let light = luminance(weighted) * half.n_l;
+        // v·l = 2 (v·h)² − 1
+        let terms = Reflectance::diffuse_by_roughness(half.n_l, half.n_v, 2.0 * half.v_h * half.v_h - 1.0);
+        self.light += light;
+        self.sums.iter_mut().zip(terms).for_each(|(s, t)| *s += light * t);
+    }
+
+    /// The mean factor's polynomial; Lambert's where no light arrives.
+    fn mean(&self) -> [f32; 3] {
+        if self.light > 0.0 { self.sums.map(|s| s / self.light) } else { [1.0, 0.0, 0.0] }
     }
 }
 
