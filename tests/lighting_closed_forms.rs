@@ -2,17 +2,19 @@
 
 mod common;
 
-use common::lit::{Lit, Quad, box_quads, framed, lambert, mesh_of, quad, quadrature, receivers_on};
+use common::lit::{Lit, Quad, box_quads, framed, lambert, mesh_of, quad, quadrature, radiance_of, receivers_on};
 use glam::{DVec3, Mat3, Vec2, Vec3};
 use std::f64::consts::PI;
 use unbake::gbuffer::{Orientation, ViewBuffer};
 use unbake::geometry::{Camera, Projection};
 use unbake::image::Plane;
-use unbake::lighting::{Budget, Environment, Estimator, Irradiance, IrtOptions, Patch, Receiver, bake_irradiance, bake_surface};
+use unbake::lighting::{
+    Budget, Environment, Estimator, Irradiance, IrtOptions, LightField, Patch, Receiver, bake_irradiance, bake_surface,
+};
 use unbake::math::luminance;
 use unbake::progress::Progress;
 use unbake::texture::Texels;
-use unbake::trace::EmbreeTracer;
+use unbake::trace::{EmbreeTracer, Hit};
 
 const ALL: [Estimator; 3] = [Estimator::Uniform, Estimator::Cosine, Estimator::Mis];
 
@@ -154,6 +156,26 @@ fn what_a_lamp_covers_does_not_shine_through_it() {
         let got = bake(&Lit::new(&quads, Environment::black()), &receivers, &options(Estimator::Mis, 256));
         let (rms, worst) = errors(&got, &expected);
         assert!(rms < 0.05, "{name}: {rms:.4}, at worst {worst:.3}");
+    }
+}
+
+/// Where a wall shares a texel with a lamp, the wall is as bright for an emitter sample as for a ray that hits it.
+#[test]
+fn a_texel_shared_with_a_lamp_counts_once() {
+    let lamp = quad([1.2, 2.9, 1.5], [1.4, 0.0, 0.0], [0.0, 0.0, 1.8], 7.0, true);
+    let mut quads = lamp_room(lamp);
+    // a wall that is sampled too, for it is brighter than most, and whose texels belong to the lamp
+    quads[3].radiance = Vec3::splat(4.0);
+    let mesh = mesh_of(&quads);
+    let orientation = Orientation::of_winding(mesh.triangles.len());
+    let radiance = radiance_of(&quads, |q| if q.radiance.x > 0.0 { q.radiance } else { Vec3::ZERO });
+    let emitting = radiance.map(|r| r.x > 0.0);
+    let emissive: Vec<bool> = quads.iter().flat_map(|q| [q.emits; 2]).collect();
+    let environment = Environment::black();
+    let field = LightField::new(&mesh, &orientation, radiance, &emitting, &emissive, Vec::new(), environment);
+    for t in 0..mesh.triangles.len() {
+        let hit = Hit { t: 1.0, u: 0.3, v: 0.4, triangle: t as u32 };
+        assert_eq!(field.emitted(t, 0.3, 0.4), field.arriving(&hit, -field.outward_normal(t), 0.0), "triangle {t}");
     }
 }
 

@@ -113,6 +113,40 @@ fn one_set_of_rays_serves_every_level() {
     }
 }
 
+/// Burley's diffuse part under a lamp from one side: the same rays tell how it compares with Lambert's, for every roughness, and
+/// seen against the light it is another than seen with it.
+#[test]
+fn the_diffuse_factor_is_that_of_the_light_that_arrives() {
+    let lit = scene();
+    let bake = lit.bake();
+    let model = unbake::brdf::Reflectance::Burley;
+    let reflector = Reflector { bake: &bake, rays_per_lobe: 16, emitter_samples: 64, model, seed: 5 };
+    let (q, p) = (lamp(), Vec3::new(0.2, 0.0, 4.8));
+    let mut factors = Vec::new();
+    for view in [Vec3::new(0.9, 0.25, -0.9), Vec3::new(-0.9, 0.25, 0.9)].map(Vec3::normalize) {
+        let gaze = |key| Gaze { position: p, normal: Vec3::Y, face_normal: Vec3::Y, view, key };
+        let all: Vec<Gaze> = (0..200).map(gaze).collect();
+        let mut specular = vec![Vec3::ZERO; all.len()];
+        let mut diffuse = vec![[0.0; 3]; all.len()];
+        reflector.reflect_and_spread(&all, Levels::Own(&vec![0.8; all.len()]), &mut specular, &mut diffuse);
+        for r in ROUGHNESS {
+            let (mut light, mut reflected) = (0.0f64, 0.0f64);
+            for (i, j) in (0..100).flat_map(|i| (0..100).map(move |j| (i, j))) {
+                let d = q.at((i as f32 + 0.5) / 100.0, (j as f32 + 0.5) / 100.0) - p;
+                let l = d.normalize();
+                let weight = l.y * -q.normal().dot(l) / d.length_squared();
+                light += f64::from(weight);
+                reflected += f64::from(weight * model.diffuse(l.y, view.y, view.dot(l), r));
+            }
+            let (mean, error) = mean_and_error(&diffuse.iter().map(|[a, b, c]| a + r * (b + r * c)).collect::<Vec<f32>>());
+            let expected = reflected / light;
+            assert!((mean - expected).abs() < 4.5 * error + 2e-3, "R {r}: {mean} ± {error} against {expected}");
+            factors.push(expected);
+        }
+    }
+    assert!(factors[4] > 1.1 * factors[9], "towards the lamp's side a rough surface is brighter: {factors:?}");
+}
+
 /// The samples are fixed, so differences of the table are derivatives of one smooth function, equal to the kernel's own.
 #[test]
 fn differences_of_the_table_are_the_kernels_derivative() {

@@ -17,7 +17,7 @@ pub mod reflectance;
 mod vndf;
 
 pub use chunk::{SpecularChunk, specular_chunk};
-pub use ggx::{fresnel, ggx_d, smith_g1, specular, specular_d_roughness};
+pub use ggx::{F0, fresnel, ggx_d, smith_g1, specular, specular_d_roughness};
 pub use material::{BrdfSample, MIN_ROUGHNESS, Material};
 pub use reflectance::Reflectance;
 pub use vndf::{ggx_g1_exact, sample_vndf, vndf_reflection_pdf};

@@ -127,6 +127,18 @@ mod tests {
         assert_eq!(Reflectance::Paper.diffuse_factor(0.1, 1.0), 1.0);
     }
 
+    /// The polynomial against Burley's formula as published.
+    #[test]
+    fn diffuse_is_burleys() {
+        for (roughness, n_l, n_v, v_l) in [(0.0f32, 0.3f32, 0.8f32, 0.2f32), (0.45, 0.1, 0.2, 0.9), (1.0, 0.05, 0.05, -0.7)] {
+            let f90 = 0.5 + roughness * (1.0 + v_l);
+            let side = |c: f32| 1.0 + (f90 - 1.0) * (1.0 - c).powi(5);
+            let got = Reflectance::Burley.diffuse(n_l, n_v, v_l, roughness);
+            assert!((got - side(n_l) * side(n_v)).abs() < 1e-5, "{got} against {}", side(n_l) * side(n_v));
+            assert_eq!(Reflectance::Smith.diffuse(n_l, n_v, v_l, roughness), 1.0);
+        }
+    }
+
     #[test]
     fn exact_masking_is_brighter_than_the_papers_for_smooth_surfaces_and_equal_at_normal_incidence() {
         let args = (0.5f32, 0.5f32, 0.0f32, 0.5f32, 0.2f32);

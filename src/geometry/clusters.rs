@@ -4,10 +4,10 @@ use super::Mesh;
 use glam::Vec3;
 use std::collections::BTreeMap;
 
-/// Vertices closer than this are one, metres.
-const WELD: f32 = 1e-4;
+/// Vertices closer than this share of the gap are one.
+const WELD: f32 = 2e-3;
 
-/// Groups of `triangles` that share a corner, or whose bounding boxes lie at most `gap` metres apart. Each group lists its triangles
+/// Groups of `triangles` that share a corner, or whose bounding boxes lie at most `gap` apart (in the mesh's unit). Each group lists its triangles
 /// in the order given; groups are in the order of their first triangle.
 #[must_use]
 pub fn clusters(mesh: &Mesh, triangles: &[u32], gap: f32) -> Vec<Vec<u32>> {
@@ -15,7 +15,7 @@ pub fn clusters(mesh: &Mesh, triangles: &[u32], gap: f32) -> Vec<Vec<u32>> {
     let mut at: BTreeMap<[i64; 3], usize> = BTreeMap::new();
     for (k, &t) in triangles.iter().enumerate() {
         for p in mesh.corners(t as usize) {
-            let key = (p / WELD).round().to_array().map(|x| x as i64);
+            let key = (p / (WELD * gap).max(f32::MIN_POSITIVE)).round().to_array().map(|x| x as i64);
             touching.join(k, *at.entry(key).or_insert(k));
         }
     }

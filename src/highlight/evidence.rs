@@ -16,8 +16,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// A point and its range in [`Evidence::sights`].
 #[derive(Clone, Copy, Debug)]
 pub struct EvidencePoint {
-    /// Group (class, room).
-    pub group: (u16, u16),
+    /// Class id.
+    pub class: u16,
     /// Triangle.
     pub triangle: u32,
     /// Position.
@@ -126,7 +126,7 @@ pub fn gather_evidence(
                 gazes.push(Gaze { position: c.position, normal, face_normal, view, key });
             }
             out.points.push(EvidencePoint {
-                group: c.group,
+                class: c.class,
                 triangle: c.triangle,
                 position: c.position,
                 first,

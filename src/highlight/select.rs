@@ -1,7 +1,7 @@
 //! Which surface points carry evidence about roughness.
 //!
 //! A pixel is a virtual highlight if a mirror there would show something much brighter than the surface itself (the paper's VHL with
-//! a scale-free threshold, method §6). Per class and room the strongest ones are kept beside evenly spread ones: highlights fix the
+//! a scale-free threshold, method §6). Per class the strongest ones are kept beside evenly spread ones: highlights fix the
 //! roughness, ordinary points keep the answer honest.
 
 use crate::brdf::fresnel;
@@ -19,9 +19,9 @@ use std::collections::BTreeMap;
 pub struct SelectOptions {
     /// Pixels between candidates along rows and columns.
     pub stride: usize,
-    /// Evenly spread points per group.
+    /// Evenly spread points per class.
     pub even: usize,
-    /// Highlight points per group.
+    /// Highlight points per class.
     pub highlights: usize,
     /// Seed.
     pub seed: u64,
@@ -34,31 +34,31 @@ pub struct Candidate {
     pub triangle: u32,
     /// Position.
     pub position: Vec3,
-    /// Group (class, room).
-    pub group: (u16, u16),
+    /// Class id.
+    pub class: u16,
     /// Mirrored light over own radiance: how much of a highlight this pixel would be.
     pub strength: f32,
     order: u64,
 }
 
-/// Selects points per group. `group(triangle, position)` names the (class, room) of a surface point, or `None` for surfaces
+/// Selects points per class. `class(triangle, position)` names the class of a surface point, or `None` for surfaces
 /// without material (emitters, unlabelled).
 #[must_use]
 pub fn select_points(
     bake: &Bake,
     views: &[ObservedView],
     normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
-    group: &(dyn Fn(u32, Vec3) -> Option<(u16, u16)> + Sync),
+    class: &(dyn Fn(u32, Vec3) -> Option<u16> + Sync),
     options: &SelectOptions,
 ) -> Vec<Candidate> {
     let per_view: Vec<Vec<Candidate>> =
-        views.par_iter().enumerate().map(|(i, v)| candidates(bake, i, v, normals, group, options)).collect();
-    let mut groups: BTreeMap<(u16, u16), Vec<Candidate>> = BTreeMap::new();
+        views.par_iter().enumerate().map(|(i, v)| candidates(bake, i, v, normals, class, options)).collect();
+    let mut classes: BTreeMap<u16, Vec<Candidate>> = BTreeMap::new();
     for c in per_view.into_iter().flatten() {
-        groups.entry(c.group).or_default().push(c);
+        classes.entry(c.class).or_default().push(c);
     }
     let mut chosen = Vec::new();
-    for (_, mut members) in groups {
+    for (_, mut members) in classes {
         // a keyed shuffle, then evenly spread points first
         members.sort_by_key(|c| c.order);
         let even = options.even.min(members.len());
@@ -77,7 +77,7 @@ fn candidates(
     index: usize,
     view: &ObservedView,
     normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
-    group: &(dyn Fn(u32, Vec3) -> Option<(u16, u16)> + Sync),
+    class: &(dyn Fn(u32, Vec3) -> Option<u16> + Sync),
     options: &SelectOptions,
 ) -> Vec<Candidate> {
     let b = &view.buffer;
@@ -98,11 +98,11 @@ fn candidates(
             let position = b.camera.position + d * b.distance[(x, y)];
             let (n, face) = normals(t, position);
             let n_v = -n.dot(d);
-            let Some(g) = group(t, position).filter(|_| n_v > 0.05 && face.dot(d) < 0.0) else { continue };
+            let Some(own_class) = class(t, position).filter(|_| n_v > 0.05 && face.dot(d) < 0.0) else { continue };
             let mirror = d + n * (2.0 * n_v);
             let order = hash_u64(options.seed, hash_u64(index as u64, (y * w + x) as u64));
             rays.push(Ray::new(position + face * bake.offset, mirror, f32::INFINITY));
-            let c = Candidate { triangle: t, position, group: g, strength: 0.0, order };
+            let c = Candidate { triangle: t, position, class: own_class, strength: 0.0, order };
             kept.push((c, n_v, luminance(view.radiance[(x, y)])));
         }
         let mut hits = vec![Hit::miss(); rays.len()];

@@ -3,6 +3,7 @@
 mod albedo;
 mod class_prior;
 mod confidence;
+mod materials;
 mod matte;
 mod mixtures;
 mod roughness;
@@ -10,6 +11,7 @@ mod unmix;
 
 pub use albedo::{AlbedoEstimate, DiffuseShading, estimate_albedo, specular_image};
 pub use confidence::albedo_error;
+pub use materials::Materials;
 pub use matte::{WIDE, WideLobes};
 pub use roughness::{GroupFit, choose_model, fit_groups};
 pub use unmix::{UnmixReport, Unmixing};

@@ -1,4 +1,4 @@
-//! Stage II: one roughness per (class, room) by a pooled search over the evidence.
+//! Stage II: one roughness per class by a pooled search over the evidence.
 //!
 //! For a candidate roughness every point's views, less their specular part, must agree on one diffuse radiance. The disagreement,
 //! summed over the points of a group, is tabulated at all levels; its global minimum is the answer and its depth the confidence
@@ -18,8 +18,8 @@ const OUTLIER: f32 = 0.25;
 /// What the evidence says about one group.
 #[derive(Clone, Debug)]
 pub struct GroupFit {
-    /// (class, room).
-    pub group: (u16, u16),
+    /// Class id.
+    pub class: u16,
     /// Best roughness.
     pub roughness: f32,
     /// Standard error of the roughness from the curvature of the objective.
@@ -30,17 +30,25 @@ pub struct GroupFit {
     pub points: usize,
 }
 
+impl GroupFit {
+    /// The least mean relative disagreement of the views.
+    #[must_use]
+    pub fn disagreement(&self) -> f64 {
+        self.objective.iter().copied().fold(f64::INFINITY, f64::min)
+    }
+}
+
 /// A more elaborate model must explain the views better by this share of the disagreement.
 const MODEL_GAIN: f64 = 0.01;
 
 /// Fits every group of the evidence under one reflection model.
 #[must_use]
 pub fn fit_groups(evidence: &Evidence, model: Reflectance) -> Vec<GroupFit> {
-    let mut groups: BTreeMap<(u16, u16), Vec<usize>> = BTreeMap::new();
+    let mut groups: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
     for (i, p) in evidence.points.iter().enumerate() {
-        groups.entry(p.group).or_default().push(i);
+        groups.entry(p.class).or_default().push(i);
     }
-    groups.into_iter().map(|(group, points)| fit_group(evidence, model, group, &points)).collect()
+    groups.into_iter().map(|(class, points)| fit_points(evidence, model, class, &points)).collect()
 }
 
 /// Fits all groups under every model and keeps the simplest that explains the views; also returns the mean disagreement per model.
@@ -51,7 +59,7 @@ pub fn choose_model(evidence: &Evidence) -> (Reflectance, Vec<GroupFit>, Vec<(Re
     for model in Reflectance::ALL {
         let fits = fit_groups(evidence, model);
         let points: usize = fits.iter().map(|f| f.points).sum();
-        let total: f64 = fits.iter().map(|f| f.points as f64 * f.objective.iter().copied().fold(f64::INFINITY, f64::min)).sum();
+        let total: f64 = fits.iter().map(|f| f.points as f64 * f.disagreement()).sum();
         let score = total / points.max(1) as f64;
         scores.push((model, score));
         if best.as_ref().is_none_or(|b| score < b.2 * (1.0 - MODEL_GAIN)) {
@@ -62,8 +70,15 @@ pub fn choose_model(evidence: &Evidence) -> (Reflectance, Vec<GroupFit>, Vec<(Re
     (model, fits, scores)
 }
 
-fn fit_group(evidence: &Evidence, model: Reflectance, group: (u16, u16), points: &[usize]) -> GroupFit {
-    let rows: Vec<[f64; LEVELS.len()]> = points.par_iter().map(|&i| disagreement(evidence, model, i)).collect();
+/// Fits one roughness to some points of a class, given by their indices.
+pub(super) fn fit_points(evidence: &Evidence, model: Reflectance, class: u16, points: &[usize]) -> GroupFit {
+    let rows: Vec<[f64; LEVELS.len()]> = points
+        .par_iter()
+        .map(|&i| {
+            let mut looks = Looks::of(evidence, model, i);
+            std::array::from_fn(|k| looks.disagreement(k))
+        })
+        .collect();
     let n = rows.len().max(1) as f64;
     let objective: Vec<f64> = (0..LEVELS.len()).map(|k| rows.iter().map(|r| r[k]).sum::<f64>() / n).collect();
     let best = (0..LEVELS.len()).min_by(|&a, &b| objective[a].total_cmp(&objective[b])).unwrap_or(0);
@@ -76,7 +91,7 @@ fn fit_group(evidence: &Evidence, model: Reflectance, group: (u16, u16), points:
     let variance = slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n / n;
     let noise = if curvature > 0.0 { (variance.sqrt() / curvature) as f32 } else { 1.0 };
     let error = noise.hypot(indistinguishable(roughness, &objective)).min(1.0);
-    GroupFit { group, roughness, error, objective, points: points.len() }
+    GroupFit { class, roughness, error, objective, points: points.len() }
 }
 
 /// Standard deviation around `roughness` of a roughness known only to explain the views as well as the best does, up to what no model
@@ -98,32 +113,59 @@ fn indistinguishable(roughness: f32, objective: &[f64]) -> f32 {
     ((down.powi(3) + up.powi(3)) / (3.0 * (down + up).max(1e-6))).sqrt()
 }
 
-/// Robust relative disagreement of a point's views per level.
-fn disagreement(evidence: &Evidence, model: Reflectance, i: usize) -> [f64; LEVELS.len()] {
-    let p = &evidence.points[i];
-    let range = p.first as usize..(p.first + p.count) as usize;
-    let sights = &evidence.sights[range.clone()];
-    let mut by_luminance: Vec<f32> = sights.iter().map(|s| luminance(s.radiance)).collect();
-    by_luminance.sort_by(f32::total_cmp);
-    let scale = by_luminance[by_luminance.len() / 2].max(1e-9);
-    let m = MODELS.iter().position(|m| (*m == Reflectance::Paper) == (model == Reflectance::Paper)).unwrap_or(0);
-    let mut diffuse = vec![(Vec3::ZERO, 0.0f32); sights.len()];
-    std::array::from_fn(|k| {
-        for (d, (s, j)) in diffuse.iter_mut().zip(sights.iter().zip(range.clone())) {
+/// A point's views less their specular part: what is left should be one diffuse radiance.
+struct Looks<'a> {
+    evidence: &'a Evidence,
+    model: Reflectance,
+    sights: std::ops::Range<usize>,
+    /// Median luminance of the views.
+    scale: f32,
+    /// Diffuse radiance at the level last asked for, and its weight.
+    diffuse: Vec<(Vec3, f32)>,
+}
+
+impl<'a> Looks<'a> {
+    fn of(evidence: &'a Evidence, model: Reflectance, point: usize) -> Self {
+        let p = &evidence.points[point];
+        let sights = p.first as usize..(p.first + p.count) as usize;
+        let mut by_luminance: Vec<f32> = evidence.sights[sights.clone()].iter().map(|s| luminance(s.radiance)).collect();
+        by_luminance.sort_by(f32::total_cmp);
+        let scale = by_luminance[by_luminance.len() / 2].max(1e-9);
+        Self { evidence, model, diffuse: Vec::with_capacity(sights.len()), sights, scale }
+    }
+
+    /// The diffuse radiance the views agree on best if the roughness is that of level `k`.
+    fn centre(&mut self, k: usize) -> Vec3 {
+        let (evidence, model) = (self.evidence, self.model);
+        let m = MODELS.iter().position(|m| (*m == Reflectance::Paper) == (model == Reflectance::Paper)).unwrap_or(0);
+        self.diffuse.clear();
+        self.diffuse.extend(self.sights.clone().map(|j| {
+            let s = &evidence.sights[j];
             let factor = evidence.diffuse_factor(j, model, LEVELS[k]);
-            *d = ((s.radiance - evidence.response(j, m)[k]) / factor, s.weight * factor);
-        }
-        let centre = robust_centre(&diffuse, scale);
-        let mut sum = 0.0;
-        let mut weight = 0.0;
-        for (d, w) in &diffuse {
-            let e = (*d - centre) / scale;
+            ((s.radiance - evidence.response(j, m)[k]) / factor, s.weight * factor)
+        }));
+        robust_centre(&self.diffuse, self.scale)
+    }
+
+    /// Robust relative disagreement of the views at level `k`.
+    fn disagreement(&mut self, k: usize) -> f64 {
+        let centre = self.centre(k);
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for (d, w) in &self.diffuse {
+            let e = (*d - centre) / self.scale;
             let r = e.abs().dot(Vec3::splat(1.0 / 3.0));
             sum += f64::from(w * (r * r / (r + 0.02)).min(OUTLIER));
             weight += f64::from(*w);
         }
         sum / weight
-    })
+    }
+}
+
+/// The diffuse radiance that the views of a point agree on best, if its roughness is about `roughness`.
+pub(super) fn diffuse_radiance(evidence: &Evidence, model: Reflectance, point: usize, roughness: f32) -> Vec3 {
+    let away = |k: &usize| (LEVELS[*k] - roughness).abs();
+    let nearest = (0..LEVELS.len()).min_by(|a, b| away(a).total_cmp(&away(b))).unwrap_or(0);
+    Looks::of(evidence, model, point).centre(nearest)
 }
 
 /// Weighted mean refined twice by Cauchy-like weights, per colour together.

@@ -169,13 +169,14 @@ impl LightField {
         self.texels[address as usize].0
     }
 
-    /// Where the radiance is stored that an emissive triangle sends out at barycentrics (u, v).
+    /// Where the radiance is stored that a triangle sends out at barycentrics (u, v): where a ray that hits it there finds it.
     #[inline(always)]
     pub(super) fn emitted_address(&self, triangle: usize, u: f32, v: f32) -> u32 {
-        self.at(&self.lookups[triangle], FULL, u, v)
+        let l = &self.lookups[triangle];
+        self.at(l, l.least_level as usize, u, v)
     }
 
-    /// Radiance that an emissive triangle sends out at barycentrics (u, v).
+    /// Radiance that a triangle sends out at barycentrics (u, v).
     #[must_use]
     #[inline]
     pub fn emitted(&self, triangle: usize, u: f32, v: f32) -> Vec3 {

@@ -4,7 +4,7 @@ use super::{Quality, SolveOptions, Switch};
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::geometry::Mesh;
 use crate::highlight::Evidence;
-use crate::inverse::{WIDE, choose_model, fit_groups};
+use crate::inverse::{Materials, WIDE, choose_model, fit_groups};
 use crate::lighting::Environment;
 use crate::progress::Progress;
 use crate::sampling::{Discrete, KeyedRng};
@@ -158,10 +158,10 @@ pub(super) fn report_emission(emissive: &[bool], known: &[bool], options: &Solve
 }
 
 /// Standard errors of the roughness by which a class must lie above [`WIDE`] to count as matte.
-const CERTAIN: f32 = 2.0;
+const CERTAIN: f32 = 3.0;
 
-/// Groups whose lobes a few points show to be too wide for highlights, under the model that suits those points.
-pub(super) fn choose_matte(pilot: &Evidence, options: &SolveOptions) -> BTreeSet<(u16, u16)> {
+/// Classes whose lobes a few points show to be too wide for highlights, under the model that suits those points.
+pub(super) fn choose_matte(pilot: &Evidence, options: &SolveOptions) -> BTreeSet<u16> {
     if options.matte == Switch::Off {
         return BTreeSet::new();
     }
@@ -169,11 +169,11 @@ pub(super) fn choose_matte(pilot: &Evidence, options: &SolveOptions) -> BTreeSet
         Some(model) => fit_groups(pilot, model),
         None => choose_model(pilot).1,
     };
-    fits.iter().filter(|f| f.points > 0 && f.roughness - CERTAIN * f.error > WIDE).map(|f| f.group).collect()
+    fits.iter().filter(|f| f.points > 0 && f.roughness - CERTAIN * f.error > WIDE).map(|f| f.class).collect()
 }
 
 /// Says which classes go without specular rays.
-pub(super) fn report_matte(scene: &Scene, matte: &BTreeSet<(u16, u16)>, options: &SolveOptions, progress: &Progress) {
+pub(super) fn report_matte(scene: &Scene, matte: &BTreeSet<u16>, options: &SolveOptions, progress: &Progress) {
     let what = "specular rays";
     match options.matte {
         Switch::Off => progress.decide(what, "for all classes", "--matte off", true),
@@ -183,11 +183,23 @@ pub(super) fn report_matte(scene: &Scene, matte: &BTreeSet<(u16, u16)>, options:
         }
         Switch::Auto => {
             let name = |id: u16| scene.class(id).map_or_else(|| format!("class {id}"), |c| c.name.clone());
-            let names: BTreeSet<String> = matte.iter().map(|g| name(g.0)).collect();
+            let names: BTreeSet<String> = matte.iter().map(|c| name(*c)).collect();
             let list = names.into_iter().collect::<Vec<_>>().join(", ");
             let why = format!("their roughness exceeds {WIDE} by {CERTAIN} standard errors: no highlight can be observed");
             progress.decide(what, format!("for all classes but {list}"), why, false);
         }
+    }
+}
+
+/// Says which classes consist of two materials.
+pub(super) fn report_materials(scene: &Scene, materials: &Materials, progress: &Progress) {
+    let name = |id: u16| scene.class(id).map_or_else(|| format!("class {id}"), |c| c.name.clone());
+    let list: Vec<String> = materials.divided().map(|(id, [a, b])| format!("{} ({a:.2} and {b:.2})", name(id))).collect();
+    if list.is_empty() {
+        progress.decide("roughness", "one per class", "no class divides by colour into materials of different roughness", false);
+    } else {
+        let why = format!("divided by colour, for that explains the views better: {}", list.join(", "));
+        progress.decide("roughness", format!("one per class, two in {}", list.len()), why, false);
     }
 }
 

@@ -24,8 +24,8 @@ use std::time::Instant;
 /// Side of the coarse irradiance texture relative to the full one.
 const COARSE: usize = 4;
 
-/// Emitting triangles at most this far apart are one lamp, metres.
-const LAMP_GAP: f32 = 0.05;
+/// Emitting triangles are one lamp if they lie at most this far apart, as a share of the scene's diagonal: five centimetres in a room.
+const LAMP_GAP: f32 = 0.005;
 
 /// How much brighter than expected a texel seen only at edges may be before its radiance counts as a mixture with a brighter surface.
 const MIXTURE_LIMIT: f32 = 1.5;
@@ -265,9 +265,11 @@ fn lit(surface: &Surface, emissive: &[bool], i: usize) -> bool {
 fn trusted_radiance(surface: &Surface, emissive: &[bool]) -> Vec<Vec3> {
     let f = &surface.fusion;
     let look = |i: usize| if lit(surface, emissive, i) && !f.clean[i] { f.peak[i] } else { f.radiance[i] };
+    let (low, high) = surface.scene.mesh.bounds();
+    let gap = LAMP_GAP * (high - low).length();
     let emitting: Vec<u32> = (0..emissive.len() as u32).filter(|&t| emissive[t as usize]).collect();
     let mut lamp_of = vec![0usize; emissive.len()];
-    for (lamp, triangles) in clusters(&surface.scene.mesh, &emitting, LAMP_GAP).iter().enumerate() {
+    for (lamp, triangles) in clusters(&surface.scene.mesh, &emitting, gap).iter().enumerate() {
         triangles.iter().for_each(|&t| lamp_of[t as usize] = lamp);
     }
     let lamp = |i: usize| lamp_of[surface.texels.point[i].triangle as usize];

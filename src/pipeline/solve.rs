@@ -1,25 +1,27 @@
 //! The main job: light, then materials.
 
-use super::decisions::{choose_matte, choose_rooms, report_matte};
+use super::decisions::{choose_matte, choose_rooms, report_materials, report_matte};
 use super::second_pass::add_missing_light;
 use super::surface::coverage;
 use super::{Light, SolveOptions, Surface, Switch, reconstruct_light};
 use crate::Result;
-use crate::brdf::Reflectance;
+use crate::brdf::{F0, Reflectance};
 use crate::highlight::{Candidate, SelectOptions, gather_evidence, select_points};
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::inverse::{
-    AlbedoEstimate, DiffuseShading, GroupFit, Unmixing, WideLobes, choose_model, estimate_albedo, fit_groups, specular_image,
+    AlbedoEstimate, DiffuseShading, GroupFit, Materials, Unmixing, WIDE, WideLobes, choose_model, estimate_albedo, fit_groups,
+    specular_image,
 };
 use crate::lighting::Reflector;
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::solution::Solution;
-use crate::texture::fill_uncovered;
+use crate::texture::{Texels, fill_uncovered};
 use crate::trace::Hit;
 use glam::{Vec2, Vec3};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::f32::consts::FRAC_1_PI;
+use std::f32::consts::{FRAC_1_PI, PI};
 use std::time::Instant;
 
 /// Roughness of a class without evidence anywhere: matte, as most indoor surfaces without visible highlights are.
@@ -32,7 +34,7 @@ const PILOT: usize = 240;
 pub struct Solved {
     /// The textures.
     pub solution: Solution,
-    /// Roughness fits per (class, room).
+    /// Roughness fits per class.
     pub fits: Vec<GroupFit>,
     /// Rays traced in all.
     pub rays: u64,
@@ -53,12 +55,12 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         let uv = surface.uv_at(t, p);
         *labels.nearest(uv * Vec2::new(labels.width as f32, labels.height as f32))
     };
-    let group = |t: u32, p: Vec3| (!light.emissive[t as usize]).then(|| (label_at(t, p), 0u16));
+    let class = |t: u32, p: Vec3| (!light.emissive[t as usize]).then(|| label_at(t, p));
 
     let evidence = progress.stage("highlights", 0, |_| {
         let select =
             SelectOptions { stride: 3, even: options.evidence_points, highlights: options.evidence_points, seed: options.seed };
-        select_points(&bake, &surface.views, &normals, &group, &select)
+        select_points(&bake, &surface.views, &normals, &class, &select)
     });
     let (evidence, matte) = progress.stage("specular samples", evidence.len() as u64, |p| {
         let gather = |some: &[Candidate]| {
@@ -70,7 +72,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         let mut all = gather(&pilot);
         let seconds = begin.elapsed().as_secs_f64();
         let matte = choose_matte(&all, options);
-        let mut rest: Vec<Candidate> = rest.into_iter().filter(|c| !matte.contains(&c.group)).collect();
+        let mut rest: Vec<Candidate> = rest.into_iter().filter(|c| !matte.contains(&c.class)).collect();
         if let Some(budget) = &options.budget {
             let keep = budget.evidence(pilot.len(), seconds, all.rays, rest.len(), progress);
             let all = rest.len().max(1);
@@ -90,22 +92,35 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         None => format!("the simplest of those that explain the views; disagreement {}", list.join(", ")),
     };
     progress.decide("reflection model", format!("{model:?}"), why, options.reflectance.is_some());
-    let roughness_of: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.roughness)).collect();
-    let roughness_at = |t: u32, p: Vec3| roughness_of.get(&label_at(t, p)).copied().unwrap_or(ROUGHNESS_PRIOR);
+    let irradiance_at = |t: u32, p: Vec3| {
+        let size = Vec2::new(light.irradiance.width as f32, light.irradiance.height as f32);
+        light.irradiance.bilinear(surface.uv_at(t, p) * size, Wrap::Clamp)
+    };
+    let materials = progress.stage("materials", 1, |_| Materials::find(&evidence, fits, model, &irradiance_at));
+    report_materials(scene, &materials, progress);
+    let roughness_of_texel: Vec<f32> = first_albedo(&surface, &light)
+        .into_iter()
+        .enumerate()
+        .map(|(i, colour)| {
+            let colour = (surface.fusion.views[i] > 0).then_some(colour);
+            materials.roughness(surface.labels[i], colour).map_or(ROUGHNESS_PRIOR, |r| r.0)
+        })
+        .collect();
+    let roughness_plane = filled(&surface.texels, &roughness_of_texel);
+    let roughness_at = |t: u32, p: Vec3| {
+        *roughness_plane.nearest(surface.uv_at(t, p) * Vec2::new(roughness_plane.width as f32, roughness_plane.height as f32))
+    };
 
     let mut rays = light.rays + evidence.rays;
     let lobes = WideLobes::new(model);
     let even_light = |t: u32, p: Vec3, n_v: f32| {
         let roughness = roughness_at(t, p);
         let wide = match options.matte {
-            Switch::Auto => matte.contains(&(label_at(t, p), 0)),
+            Switch::Auto => roughness > WIDE && matte.contains(&label_at(t, p)),
             Switch::On => roughness >= 0.5,
             Switch::Off => false,
         };
-        wide.then(|| {
-            let size = Vec2::new(light.irradiance.width as f32, light.irradiance.height as f32);
-            light.irradiance.bilinear(surface.uv_at(t, p) * size, Wrap::Clamp) * (FRAC_1_PI * lobes.response(n_v, roughness))
-        })
+        wide.then(|| irradiance_at(t, p) * (FRAC_1_PI * lobes.response(n_v, roughness)))
     };
     let specular_rays = match &options.budget {
         Some(budget) => budget.specular_rays(traced_pixels(&surface, &normals, &even_light), progress),
@@ -131,7 +146,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
             })
             .collect()
     });
-    let roughness = |i: usize| roughness_of.get(&surface.labels[i]).copied().unwrap_or(ROUGHNESS_PRIOR);
+    let roughness = |i: usize| roughness_of_texel[i];
     let mut albedo = progress.stage("albedo", surface.texels.len() as u64, |p| {
         let shading = DiffuseShading { model, roughness: &roughness };
         let (observer, orientation) = (surface.observer(), &surface.orientation);
@@ -151,8 +166,8 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         ));
     }
     let rooms = rooms_of(&surface, options, progress);
-    let solution = assemble(&surface, &light, &albedo, &fits, model, labels, rooms);
-    Ok(Solved { solution, fits, rays })
+    let solution = assemble(&surface, &light, &albedo, &materials, model, labels, rooms);
+    Ok(Solved { solution, fits: materials.fits().cloned().collect(), rays })
 }
 
 /// Solves for the albedo of texels without a clean look; returns the rays traced.
@@ -212,13 +227,13 @@ fn traced_pixels(
 
 /// About `few` candidates of every class, evenly drawn, and the others.
 fn divided(candidates: &[Candidate], few: usize) -> (Vec<Candidate>, Vec<Candidate>) {
-    let mut size: BTreeMap<(u16, u16), usize> = BTreeMap::new();
-    candidates.iter().for_each(|c| *size.entry(c.group).or_default() += 1);
-    let mut at: BTreeMap<(u16, u16), usize> = BTreeMap::new();
+    let mut size: BTreeMap<u16, usize> = BTreeMap::new();
+    candidates.iter().for_each(|c| *size.entry(c.class).or_default() += 1);
+    let mut at: BTreeMap<u16, usize> = BTreeMap::new();
     candidates.iter().copied().partition(|c| {
-        let k = at.entry(c.group).or_default();
+        let k = at.entry(c.class).or_default();
         *k += 1;
-        (*k - 1).is_multiple_of(size[&c.group].div_ceil(few))
+        (*k - 1).is_multiple_of(size[&c.class].div_ceil(few))
     })
 }
 
@@ -226,23 +241,24 @@ fn assemble(
     surface: &Surface,
     light: &Light,
     albedo: &AlbedoEstimate,
-    fits: &[GroupFit],
+    materials: &Materials,
     reflectance: Reflectance,
     labels: Plane<u16>,
     rooms: Plane<u16>,
 ) -> Solution {
-    let roughness_of: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.roughness)).collect();
-    let roughness_error: BTreeMap<u16, f32> = fits.iter().map(|f| (f.group.0, f.error)).collect();
     let texels = &surface.texels;
+    let roughness: Vec<(f32, f32)> = (0..texels.len())
+        .map(|i| {
+            let colour = albedo.error[i].is_finite().then_some(albedo.value[i]);
+            materials.roughness(surface.labels[i], colour).unwrap_or((ROUGHNESS_PRIOR, 1e4))
+        })
+        .collect();
     // unseen texels have a value where their class says what to expect
     let observed: Vec<bool> = albedo.error.iter().zip(&albedo.value).map(|(e, a)| e.is_finite() || *a != Vec3::ZERO).collect();
     let value: Vec<Vec3> = albedo.value.iter().map(|a| a.clamp(Vec3::ZERO, Vec3::ONE)).collect();
     let albedo_plane = fill_uncovered(&texels.scatter(&value, Vec3::ZERO), &texels.scatter(&observed, false));
-    let confidence: Vec<Vec2> = albedo_errors(surface, light, albedo)
-        .into_iter()
-        .zip(&surface.labels)
-        .map(|(e, l)| Vec2::new(e.min(1e4), roughness_error.get(l).copied().unwrap_or(1e4)))
-        .collect();
+    let confidence: Vec<Vec2> =
+        albedo_errors(surface, light, albedo).into_iter().zip(&roughness).map(|(e, r)| Vec2::new(e.min(1e4), r.1)).collect();
     let emission: Vec<Vec3> = (0..texels.len())
         .map(|i| {
             if light.emissive[texels.point[i].triangle as usize] {
@@ -253,9 +269,7 @@ fn assemble(
         })
         .collect();
     let size = surface.sizes.roughness;
-    let covered = coverage(texels);
-    let r: Vec<f32> = surface.labels.iter().map(|l| roughness_of.get(l).copied().unwrap_or(ROUGHNESS_PRIOR)).collect();
-    let r = fill_uncovered(&texels.scatter(&r, 0.0), &covered);
+    let r = filled(texels, &roughness.iter().map(|r| r.0).collect::<Vec<f32>>());
     let roughness = Plane {
         width: size,
         height: size,
@@ -275,6 +289,20 @@ fn assemble(
         environment: light.field.environment.map().clone(),
         reflectance,
     }
+}
+
+/// A value per covered texel as a texture, filled outside charts.
+fn filled(texels: &Texels, values: &[f32]) -> Plane<f32> {
+    fill_uncovered(&texels.scatter(values, 0.0), &coverage(texels))
+}
+
+/// A first guess of the albedo of every covered texel: of what it reflects, a dielectric's share at normal incidence is specular.
+fn first_albedo(surface: &Surface, light: &Light) -> Vec<Vec3> {
+    let albedo = |i: usize| {
+        let e = surface.texels.lookup(&surface.scene.mesh, &light.irradiance, i);
+        surface.fusion.radiance[i] * PI / e.max(Vec3::splat(1e-12)) - F0 as f32
+    };
+    (0..surface.texels.len()).into_par_iter().map(albedo).collect()
 }
 
 /// Standard error of the albedo per covered texel, with what irradiance and geometry contribute.
