@@ -3,7 +3,7 @@
 use super::AlbedoEstimate;
 use crate::geometry::Mesh;
 use crate::math::luminance;
-use crate::optim::weighted_median;
+use crate::optim::{median, weighted_median};
 use crate::texture::Texels;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -35,17 +35,14 @@ pub(super) fn class_prior(
         (0..texels.len()).step_by(stride).filter(|&i| albedo.clean[i] && albedo.error[i].is_finite()).collect();
     let value = |i: usize| albedo.value[i].clamp(Vec3::ZERO, Vec3::ONE);
     // a wide footprint is a distant or a slanting look
-    let mut sizes: Vec<f32> = clean.iter().map(|&i| albedo.footprint[i]).collect();
-    sizes.sort_by(f32::total_cmp);
-    let sharp = sizes.get(sizes.len() / 2).copied().unwrap_or(1.0);
+    let sharp = median(clean.iter().map(|&i| albedo.footprint[i]).collect()).unwrap_or(1.0);
     let trust = |i: usize| (sharp / albedo.footprint[i].max(f32::MIN_POSITIVE)).powi(2).min(1.0);
     let mut members: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
     clean.iter().for_each(|&i| members.entry(labels[i]).or_default().push(i));
     let class: BTreeMap<u16, (Vec3, f32)> = members.iter().map(|(l, m)| (*l, typical(m, &value, &trust))).collect();
     let all = typical(&clean, &value, &trust);
-    let mut sides: Vec<f32> = clean.iter().step_by(clean.len() / 4096 + 1).map(|&i| side(i)).collect();
-    sides.sort_by(f32::total_cmp);
-    let cube = sides.get(sides.len() / 2).copied().unwrap_or(1.0).max(f32::MIN_POSITIVE) * REACH;
+    let usual_side = median(clean.iter().step_by(clean.len() / 4096 + 1).map(|&i| side(i)).collect()).unwrap_or(1.0);
+    let cube = usual_side.max(f32::MIN_POSITIVE) * REACH;
     let place = |i: usize| (labels[i], (texels.position(mesh, i) / cube).floor().as_ivec3().to_array());
     let mut near: BTreeMap<(u16, [i32; 3]), [f64; 5]> = BTreeMap::new();
     for &i in &clean {
@@ -82,12 +79,12 @@ pub(super) fn class_prior(
 /// Weighted median of the albedos, channel by channel, and the variance of their luminance by its median deviation.
 fn typical(members: &[usize], value: &dyn Fn(usize) -> Vec3, trust: &dyn Fn(usize) -> f32) -> (Vec3, f32) {
     let some: Vec<usize> = members.iter().copied().step_by(members.len() / 40_000 + 1).collect();
-    let median = |of: &dyn Fn(Vec3) -> f32| {
+    let middle = |of: &dyn Fn(Vec3) -> f32| {
         let pairs: Vec<(f32, f32)> = some.iter().map(|&i| (of(value(i)), trust(i))).collect();
         weighted_median(&pairs).map(|k| pairs[k].0)
     };
-    let Some(x) = median(&|a| a.x) else { return (Vec3::splat(0.5), 0.1) };
-    let centre = Vec3::new(x, median(&|a| a.y).unwrap_or(x), median(&|a| a.z).unwrap_or(x));
-    let deviation = median(&|a| (luminance(a) - luminance(centre)).abs()).unwrap_or(0.0);
+    let Some(x) = middle(&|a| a.x) else { return (Vec3::splat(0.5), 0.1) };
+    let centre = Vec3::new(x, middle(&|a| a.y).unwrap_or(x), middle(&|a| a.z).unwrap_or(x));
+    let deviation = middle(&|a| (luminance(a) - luminance(centre)).abs()).unwrap_or(0.0);
     (centre, (1.4826 * deviation).max(PRIOR_SPREAD * luminance(centre)).max(1e-3).powi(2))
 }

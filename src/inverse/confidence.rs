@@ -13,6 +13,7 @@
 use super::AlbedoEstimate;
 use crate::image::Plane;
 use crate::math::luminance;
+use crate::optim::median;
 use crate::texture::Texels;
 use std::collections::BTreeMap;
 
@@ -80,11 +81,12 @@ fn statistics(
     for (label, ids) in members {
         let stride = (ids.len() / SAMPLES).max(1);
         let chosen: Vec<usize> = ids.iter().copied().step_by(stride).collect();
-        typical.insert(label, median(chosen.iter().map(|&i| spread(i)).collect()));
+        typical.insert(label, median(chosen.iter().map(|&i| spread(i)).collect()).unwrap_or(0.0));
         let logs: Vec<f32> = chosen.iter().map(|&i| value[i].ln()).collect();
-        let centre = median(logs.clone());
+        let centre = median(logs.clone()).unwrap_or(0.0);
         // 1.4826 turns a median absolute deviation into a Gaussian's standard deviation
-        scatter.push((1.4826 * median(logs.iter().map(|l| (l - centre).abs()).collect()), ids.len()));
+        let deviation = median(logs.iter().map(|l| (l - centre).abs()).collect()).unwrap_or(0.0);
+        scatter.push((1.4826 * deviation, ids.len()));
     }
     scatter.sort_by(|a, b| a.0.total_cmp(&b.0));
     let total: usize = scatter.iter().map(|s| s.1).sum();
@@ -94,11 +96,6 @@ fn statistics(
         below as f64 >= QUIET_SHARE * total as f64
     });
     (typical, quiet.map_or(MOST_UNEXPLAINED, |q| q.0.min(MOST_UNEXPLAINED)))
-}
-
-fn median(mut values: Vec<f32>) -> f32 {
-    values.sort_by(f32::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Root mean square difference between a texel and its eight neighbours `footprint` texels away (one at least); its own value, which

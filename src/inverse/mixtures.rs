@@ -17,6 +17,7 @@ const STEPS: usize = 12;
 const SHARED_ERROR: f32 = 0.15;
 /// Factor of the prior's variance in the first round.
 const FIRST_PRIOR: f32 = 25.0;
+
 /// One pixel: what it shows beyond the unknowns, and its noise.
 #[derive(Clone, Copy)]
 pub(super) struct Pixel {
@@ -64,7 +65,7 @@ impl Mixtures {
                 })
                 .collect();
             data = columns.information(&weight, light);
-            self.conjugate_gradients(&columns, &weight, &data, light, (prior, &pull), &mut x);
+            self.conjugate_gradients(&columns, (&residual, &weight), &data, light, (prior, &pull), &mut x);
             if round + 1 == ROUNDS {
                 data.iter_mut().zip(&pull).for_each(|(d, p)| *d += p);
             }
@@ -116,17 +117,16 @@ impl Mixtures {
         Columns { begin, term }
     }
 
-    /// Conjugate gradients with a diagonal preconditioner, the three channels side by side.
+    /// Conjugate gradients with a diagonal preconditioner, the three channels side by side, from `x`, whose residuals are given.
     fn conjugate_gradients(
         &self,
         columns: &Columns,
-        weight: &[f32],
+        (residual, weight): (&[Vec3], &[f32]),
         information: &[f32],
         light: &[Vec3],
         (prior, pull): (&[(Vec3, f32)], &[f32]),
         x: &mut [Vec3],
     ) {
-        let residual = self.residuals(x, light);
         let mut r: Vec<Vec3> = (0..x.len())
             .into_par_iter()
             .map(|u| columns.gather(u, |k| residual[k] * weight[k]) * light[u] + (prior[u].0 - x[u]) * pull[u])

@@ -7,7 +7,7 @@
 use crate::brdf::Reflectance;
 use crate::highlight::{Evidence, LEVELS, MODELS};
 use crate::math::luminance;
-use crate::optim::weighted_median;
+use crate::optim::{median, weighted_median};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -128,9 +128,8 @@ impl<'a> Looks<'a> {
     fn of(evidence: &'a Evidence, model: Reflectance, point: usize) -> Self {
         let p = &evidence.points[point];
         let sights = p.first as usize..(p.first + p.count) as usize;
-        let mut by_luminance: Vec<f32> = evidence.sights[sights.clone()].iter().map(|s| luminance(s.radiance)).collect();
-        by_luminance.sort_by(f32::total_cmp);
-        let scale = by_luminance[by_luminance.len() / 2].max(1e-9);
+        let scale =
+            median(evidence.sights[sights.clone()].iter().map(|s| luminance(s.radiance)).collect()).unwrap_or(0.0).max(1e-9);
         Self { evidence, model, diffuse: Vec::with_capacity(sights.len()), sights, scale }
     }
 

@@ -10,7 +10,7 @@ use super::class_prior::class_prior;
 use super::mixtures::{Mixtures, Pixel};
 use super::{AlbedoEstimate, DiffuseShading};
 use crate::gbuffer::{ObservedView, Observer, Orientation};
-use crate::image::{Plane, RgbPlane};
+use crate::image::{Plane, RgbPlane, Wrap};
 use crate::lighting::LightField;
 use crate::math::luminance;
 use crate::parallel;
@@ -287,10 +287,12 @@ impl Unmixing<'_> {
         let mut best: Option<(f32, (usize, usize))> = None;
         for dy in -1..=1 {
             for dx in -1..=1 {
-                let (x, y) = ((at.0 as i64 + dx).rem_euclid(w) as usize, at.1 as i64 + dy);
-                if y < 0 || y >= h {
+                let (x, y) = (at.0 as i64 + dx, at.1 as i64 + dy);
+                let x = if b.wrap() == Wrap::Repeat { x.rem_euclid(w) } else { x };
+                if x < 0 || x >= w || y < 0 || y >= h {
                     continue;
                 }
+                let x = x as usize;
                 let t = b.triangle[(x, y as usize)];
                 if t == Hit::MISS {
                     continue;

@@ -473,7 +473,7 @@ fn bright_sets(mesh: &Mesh, field: &LightField, power: &[f64]) -> [Vec<u32>; 2] 
 fn uncovered(mesh: &Mesh, field: &LightField, tracer: &dyn Tracer, triangles: Vec<u32>) -> Vec<u32> {
     const PLACES: [(f32, f32); 4] = [(1.0 / 3.0, 1.0 / 3.0), (0.7, 0.15), (0.15, 0.7), (0.15, 0.15)];
     let (lo, hi) = mesh.bounds();
-    let above = 2.0 * SHORT * (hi - lo).length();
+    let above = 0.5 * SHORT * (hi - lo).length();
     let rays: Vec<Ray> = triangles
         .iter()
         .flat_map(|&t| {

@@ -18,9 +18,23 @@ pub fn weighted_median(pairs: &[(f32, f32)]) -> Option<usize> {
         .or(order.last().copied())
 }
 
+/// The middle one of some values in order (the upper of two); `None` for an empty list. NaN counts as largest.
+#[must_use]
+pub fn median(mut values: Vec<f32>) -> Option<f32> {
+    values.sort_by(f32::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn median_is_the_middle_value() {
+        assert_eq!(median(vec![]), None);
+        assert_eq!(median(vec![5.0, 1.0, 3.0]), Some(3.0));
+        assert_eq!(median(vec![5.0, f32::NAN, 3.0, 1.0]), Some(5.0));
+    }
 
     #[test]
     fn median_splits_the_weight_in_halves() {

@@ -13,6 +13,7 @@ use crate::lighting::{
     bake_surface, detect_emissive,
 };
 use crate::math::luminance;
+use crate::optim::median;
 use crate::progress::Progress;
 use crate::texture::{Texels, fill_uncovered};
 use glam::Vec3;
@@ -24,8 +25,8 @@ use std::time::Instant;
 /// Side of the coarse irradiance texture relative to the full one.
 const COARSE: usize = 4;
 
-/// Emitting triangles are one lamp if they lie at most this far apart, as a share of the scene's diagonal: five centimetres in a room.
-const LAMP_GAP: f32 = 0.005;
+/// Emitting triangles are one lamp if they lie at most this far apart, as a share of the scene's diagonal: a few centimetres in a flat.
+const LAMP_GAP: f32 = 0.002;
 
 /// How much brighter than expected a texel seen only at edges may be before its radiance counts as a mixture with a brighter surface.
 const MIXTURE_LIMIT: f32 = 1.5;
@@ -311,12 +312,8 @@ fn complete_radiance(surface: &Surface, irradiance: &RgbPlane, emissive: &[bool]
             }
         }
     }
-    let median = |values: &mut Vec<f32>| {
-        values.sort_by(f32::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.5)
-    };
     let albedo: BTreeMap<u16, Vec3> =
-        samples.iter_mut().map(|(k, v)| (*k, Vec3::new(median(&mut v[0]), median(&mut v[1]), median(&mut v[2])))).collect();
+        samples.into_iter().map(|(k, v)| (k, Vec3::from_array(v.map(|values| median(values).unwrap_or(0.5))))).collect();
     (0..surface.texels.len())
         .map(|i| {
             if surface.fusion.clean[i] || lit(surface, emissive, i) {

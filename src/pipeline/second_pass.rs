@@ -13,6 +13,7 @@ use crate::image::{Plane, Wrap};
 use crate::inverse::{AlbedoEstimate, WideLobes};
 use crate::lighting::{Environment, Estimator, Irradiance, IrtOptions, LightField, Receiver, SurfaceFilter, bake_irradiance};
 use crate::math::luminance;
+use crate::optim::median;
 use crate::progress::Progress;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -136,13 +137,7 @@ fn unseen_far_sides(
             members.entry(surface.labels[i]).or_default().push(luminance(albedo.value[i]).clamp(0.0, 1.0));
         }
     }
-    let usual: BTreeMap<u16, f32> = members
-        .into_iter()
-        .map(|(label, mut values)| {
-            values.sort_by(f32::total_cmp);
-            (label, values[values.len() / 2])
-        })
-        .collect();
+    let usual: BTreeMap<u16, f32> = members.into_iter().filter_map(|(label, values)| Some((label, median(values)?))).collect();
     let unseen: Vec<u32> = (0..mesh.triangles.len() as u32).filter(|&t| surface.back[t as usize] == Vec3::ZERO).collect();
     let receiver = |k: usize| {
         let t = unseen[k] as usize;
