@@ -59,7 +59,13 @@ impl Reflectance {
         if self != Self::Burley {
             return 1.0;
         }
-        let [a, b, c] = Self::diffuse_by_roughness(n_l, n_v, v_l);
+        Self::diffuse_at(Self::diffuse_by_roughness(n_l, n_v, v_l), roughness)
+    }
+
+    /// The value at a roughness of a polynomial of [`Self::diffuse_by_roughness`], or of a mean of several.
+    #[inline]
+    #[must_use]
+    pub fn diffuse_at([a, b, c]: [f32; 3], roughness: f32) -> f32 {
         a + roughness * (b + roughness * c)
     }
 

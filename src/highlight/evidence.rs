@@ -70,8 +70,7 @@ impl Evidence {
     /// Diffuse radiance of sight `s` over that of a Lambertian surface in the same light.
     #[must_use]
     pub fn diffuse_factor(&self, s: usize, model: Reflectance, roughness: f32) -> f32 {
-        let [a, b, c] = self.diffuse[s];
-        if model == Reflectance::Burley { a + roughness * (b + roughness * c) } else { 1.0 }
+        if model == Reflectance::Burley { Reflectance::diffuse_at(self.diffuse[s], roughness) } else { 1.0 }
     }
 
     /// Specular radiance of sight `s` at all levels under [`MODELS`]`[m]`.

@@ -4,11 +4,12 @@
 //! differ by more than their errors, and together they explain the views better than one value does. Between the two colours, where a
 //! texel holds both materials, the roughness is in between.
 
-use super::roughness::{GroupFit, diffuse_radiance, fit_points};
+use super::roughness::{GroupFit, diffuse_radiance, fit_points, points_by_class};
 use crate::brdf::Reflectance;
 use crate::highlight::Evidence;
 use crate::math::luminance;
 use glam::Vec3;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::PI;
 
@@ -57,7 +58,7 @@ struct Axis {
 }
 
 impl Axis {
-    /// 0 at the first colour, 1 at the second.
+    /// 0 at the rarer colour, 1 at the usual one.
     fn place(&self, colour: Vec3) -> f32 {
         (colour - self.from).dot(self.step).clamp(0.0, 1.0)
     }
@@ -72,8 +73,7 @@ impl Materials {
         model: Reflectance,
         irradiance: &(dyn Fn(u32, Vec3) -> Vec3 + Sync),
     ) -> Self {
-        let mut members: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
-        evidence.points.iter().enumerate().for_each(|(i, p)| members.entry(p.class).or_default().push(i));
+        let members = points_by_class(evidence);
         let classes = fits
             .into_iter()
             .map(|whole| {
@@ -83,7 +83,7 @@ impl Materials {
                     let e = irradiance(p.triangle, p.position).max(Vec3::splat(1e-12));
                     (diffuse_radiance(evidence, model, i, whole.roughness) * PI / e).clamp(Vec3::ZERO, Vec3::ONE)
                 };
-                let colours: Vec<Vec3> = points.iter().map(albedo).collect();
+                let colours: Vec<Vec3> = points.par_iter().map(albedo).collect();
                 let parts = divide(&colours).and_then(|axis| Parts::fit(evidence, model, axis, points, &colours));
                 (whole.class, Class { whole, parts })
             })

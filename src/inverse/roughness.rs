@@ -44,11 +44,14 @@ const MODEL_GAIN: f64 = 0.01;
 /// Fits every group of the evidence under one reflection model.
 #[must_use]
 pub fn fit_groups(evidence: &Evidence, model: Reflectance) -> Vec<GroupFit> {
-    let mut groups: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
-    for (i, p) in evidence.points.iter().enumerate() {
-        groups.entry(p.class).or_default().push(i);
-    }
-    groups.into_iter().map(|(class, points)| fit_points(evidence, model, class, &points)).collect()
+    points_by_class(evidence).into_iter().map(|(class, points)| fit_points(evidence, model, class, &points)).collect()
+}
+
+/// Indices of the evidence's points, class by class.
+pub(super) fn points_by_class(evidence: &Evidence) -> BTreeMap<u16, Vec<usize>> {
+    let mut classes: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
+    evidence.points.iter().enumerate().for_each(|(i, p)| classes.entry(p.class).or_default().push(i));
+    classes
 }
 
 /// Fits all groups under every model and keeps the simplest that explains the views; also returns the mean disagreement per model.

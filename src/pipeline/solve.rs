@@ -51,10 +51,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     let bake = surface.bake(&light.field, &light.emitters);
     let labels = surface.texels.scatter(&surface.labels, 0);
     let normals = |t: u32, p: Vec3| surface.normals_at(t, p);
-    let label_at = |t: u32, p: Vec3| {
-        let uv = surface.uv_at(t, p);
-        *labels.nearest(uv * Vec2::new(labels.width as f32, labels.height as f32))
-    };
+    let label_at = |t: u32, p: Vec3| surface.nearest(&labels, t, p);
     let class = |t: u32, p: Vec3| (!light.emissive[t as usize]).then(|| label_at(t, p));
 
     let evidence = progress.stage("highlights", 0, |_| {
@@ -99,7 +96,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     let materials = progress.stage("materials", 1, |_| Materials::find(&evidence, fits, model, &irradiance_at));
     report_materials(scene, &materials, progress);
     let roughness_of_texel: Vec<f32> = first_albedo(&surface, &light)
-        .into_iter()
+        .into_par_iter()
         .enumerate()
         .map(|(i, colour)| {
             let colour = (surface.fusion.views[i] > 0).then_some(colour);
@@ -107,9 +104,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         })
         .collect();
     let roughness_plane = filled(&surface.texels, &roughness_of_texel);
-    let roughness_at = |t: u32, p: Vec3| {
-        *roughness_plane.nearest(surface.uv_at(t, p) * Vec2::new(roughness_plane.width as f32, roughness_plane.height as f32))
-    };
+    let roughness_at = |t: u32, p: Vec3| surface.nearest(&roughness_plane, t, p);
 
     let mut rays = light.rays + evidence.rays;
     let lobes = WideLobes::new(model);
@@ -248,6 +243,7 @@ fn assemble(
 ) -> Solution {
     let texels = &surface.texels;
     let roughness: Vec<(f32, f32)> = (0..texels.len())
+        .into_par_iter()
         .map(|i| {
             let colour = albedo.error[i].is_finite().then_some(albedo.value[i]);
             materials.roughness(surface.labels[i], colour).unwrap_or((ROUGHNESS_PRIOR, 1e4))

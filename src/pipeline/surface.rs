@@ -145,6 +145,12 @@ impl<'a> Surface<'a> {
         self.scene.mesh.uv(triangle as usize, u, v)
     }
 
+    /// The texel of an atlas texture of any size at the point of a triangle nearest to `position`.
+    #[must_use]
+    pub fn nearest<T: Copy>(&self, plane: &Plane<T>, triangle: u32, position: Vec3) -> T {
+        *plane.nearest(self.uv_at(triangle, position) * glam::Vec2::new(plane.width as f32, plane.height as f32))
+    }
+
     /// Shading and geometric normal at a surface point, on the side the cameras see.
     #[must_use]
     pub fn normals(&self, triangle: usize, u: f32, v: f32) -> (Vec3, Vec3) {
