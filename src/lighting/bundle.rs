@@ -4,10 +4,11 @@
 //! receiver runs in vector registers, and a ray costs no allocation, no library call and few branches.
 
 use super::irt::{Bake, Estimator, IrtOptions, Receiver};
+use super::lamp_choice::LampChoice;
 use crate::ffi::simd::with_widest;
 use crate::math::Frame;
 use crate::sampling::{
-    KeyedRng, SlotTable, SobolBlock, SobolSequence, hammersley, square_to_cosine_hemisphere, square_to_uniform_hemisphere,
+    KeyedRng, SobolBlock, SobolSequence, hammersley, square_to_cosine_hemisphere, square_to_uniform_hemisphere,
 };
 use crate::trace::{Hit, Ray};
 use glam::Vec3;
@@ -91,8 +92,10 @@ impl Round {
 
 /// Buffers of one thread's batches.
 #[derive(Default)]
-pub(super) struct Bundle<'a> {
-    spans: Vec<Span<'a>>,
+pub(super) struct Bundle {
+    spans: Vec<Span>,
+    /// Per receiver: which lamps it asks; nobody's where no lamps are sampled.
+    choices: Vec<LampChoice>,
     rays: Vec<Ray>,
     cosines: Vec<f32>,
     hits: Vec<Hit>,
@@ -116,8 +119,9 @@ pub(super) struct Bundle<'a> {
 }
 
 /// Where the rays of one receiver lie in the batch.
-struct Span<'a> {
-    choice: Option<&'a SlotTable>,
+struct Span {
+    /// Whether lamps are sampled.
+    lit: bool,
     /// Hemisphere rays of the first half, of the second.
     rays: [Range<usize>; 2],
 }
@@ -133,11 +137,11 @@ struct Aimed {
     owner: u32,
 }
 
-impl<'a> Bundle<'a> {
+impl Bundle {
     /// Traces one round of samples of every receiver; `add(k, halves)` takes the contributions of the k-th. Returns the rays traced.
     pub(super) fn run(
         &mut self,
-        bake: &'a Bake,
+        bake: &Bake,
         round: &Round,
         receivers: &[Receiver],
         mut add: impl FnMut(usize, [Vec3; 2]),
@@ -145,15 +149,16 @@ impl<'a> Bundle<'a> {
         let n = receivers.len();
         self.reserve(n * round.hemisphere.len(), n * round.lights.len(), round);
         self.spans.clear();
+        grow(&mut self.choices, n, LampChoice::default());
         let (mut rays, mut lights) = (0, 0);
         for r in receivers {
-            let choice = bake.emitters.choice_at(r.position).filter(|_| !round.lights.is_empty());
             let halves = self.draw_hemisphere(bake, round, r, rays);
             rays = halves[1].end;
-            if let Some(c) = choice {
-                lights = self.draw_lights(bake, round, r, c, lights);
+            let lit = !round.lights.is_empty() && !bake.emitters.is_empty() && self.choose(bake, r);
+            if lit {
+                lights = self.draw_lights(bake, round, r, lights);
             }
-            self.spans.push(Span { choice, rays: halves });
+            self.spans.push(Span { lit, rays: halves });
         }
         bake.tracer.closest(&self.rays[..rays], &mut self.hits[..rays]);
         bake.tracer.occluded(&self.shadow[..lights], &mut self.hidden[..lights]);
@@ -227,9 +232,16 @@ impl<'a> Bundle<'a> {
         [keep(0..split), keep(split..n)]
     }
 
-    /// Writes the shadow rays of a receiver from index `at` on, in the order of the lamps: neighbours in a packet then go the same
-    /// way. Returns where they end.
-    fn draw_lights(&mut self, bake: &Bake, round: &Round, r: &Receiver, choice: &SlotTable, at: usize) -> usize {
+    /// Finds which lamps the next receiver asks; false if none can send it light.
+    fn choose(&mut self, bake: &Bake, r: &Receiver) -> bool {
+        let k = self.spans.len();
+        bake.emitters.choose(r.position, r.normal, &mut self.choices[k]);
+        !self.choices[k].is_empty()
+    }
+
+    /// Writes the shadow rays of the next receiver from index `at` on, in the order of the lamps: neighbours in a packet then go the
+    /// same way. Returns where they end.
+    fn draw_lights(&mut self, bake: &Bake, round: &Round, r: &Receiver, at: usize) -> usize {
         let n = round.lights.len();
         let [u, v, w, ..] = self.columns.each_mut().map(|c| &mut c[..n]);
         let sequence = SobolSequence::new(round.seed ^ 0x5eed_1a3b, r.key);
@@ -246,9 +258,12 @@ impl<'a> Bundle<'a> {
         let first = 2 * self.spans.len() as u32;
         // choosing first, computing then: the sources arrive from memory side by side
         self.picks.clear();
+        let choice = &self.choices[self.spans.len()];
+        let mut lamp = 0;
         // (an interval may have no sample)
         for s in self.order.iter().map(|&s| s as usize).filter(|&s| s < n) {
-            let (slot, probability) = bake.emitters.pick(choice, u[s]);
+            let (slot, probability, found) = bake.emitters.pick(choice, u[s], lamp);
+            lamp = found;
             let owner = first + u32::from(s >= n / 2);
             self.picks.push((probability, Aimed { weight: 0.0, place: [v[s], w[s]], slot, owner }));
         }
@@ -279,7 +294,7 @@ impl<'a> Bundle<'a> {
             bake.emitters.expect_hit(hit.triangle);
         };
         self.hits.iter().take(AHEAD).for_each(expect);
-        for span in &self.spans {
+        for (span, choice) in self.spans.iter().zip(&self.choices) {
             for k in span.rays[0].start..span.rays[1].end {
                 if let Some(later) = self.hits.get(k + AHEAD) {
                     expect(later);
@@ -288,7 +303,7 @@ impl<'a> Bundle<'a> {
                 // a single texel: the mean over the ray's cone mixes charts and gains nothing beside this many rays (CHANGELOG)
                 let (address, facing) = bake.field.address(hit, Vec3::from_array(self.rays[k].direction), 0.0);
                 bake.field.expect_texel(address);
-                let weight = match (round.estimator, span.choice) {
+                let weight = match (round.estimator, span.lit.then_some(choice)) {
                     (Estimator::Uniform, _) => TAU * cosine / n,
                     (Estimator::Mis, Some(choice)) => {
                         cosine / (n * (cosine * FRAC_1_PI) + lights * bake.emitters.hit_pdf(choice, hit, facing))
@@ -306,7 +321,8 @@ impl<'a> Bundle<'a> {
             }
         }
         self.look_outside(outside, |b, k| &b.rays[k]);
-        let (mut owner, sums, spans) = (0, &mut self.sums, &self.spans);
+        let (mut owner, sums) = (0, &mut self.sums);
+        let (spans, choices) = (&self.spans, &self.choices);
         let [x, y, z] = self.sky.each_mut().map(|c| &mut c[..outside]);
         bake.field.environment.radiances([x, y, z], |i, radiance| {
             let k = self.outside[i] as usize;
@@ -314,7 +330,7 @@ impl<'a> Bundle<'a> {
                 owner += 1;
             }
             let span = &spans[owner];
-            let weight = match (round.estimator, span.choice) {
+            let weight = match (round.estimator, span.lit.then_some(&choices[owner])) {
                 (Estimator::Mis, Some(choice)) => {
                     let ray = &self.rays[k];
                     let (origin, direction) = (Vec3::from_array(ray.origin), Vec3::from_array(ray.direction));

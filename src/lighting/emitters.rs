@@ -3,12 +3,13 @@
 //! Light from outside enters through openings. Where rays leave the scene, the patches of its bounding box they cross become portals:
 //! area lights through which the environment is seen (Bitterli et al. 2015, "Portal-Masked Environment Map Sampling", in spirit).
 //!
-//! Emissive triangles are gathered into lamps; space into cells. Per cell the lamps are chosen with probability proportional to
-//! the irradiance they are found to send there, with traced visibility, so that lamps in other rooms cost no samples. A defensive
-//! share keeps every lamp possible, hence the estimate unbiased.
+//! Emissive triangles are gathered into lamps; space into cells. Every point chooses lamps with probability proportional to the
+//! irradiance they are expected to send there ([`LampChoice`]), times what rays found of their visibility from the point's cell, so
+//! that lamps in other rooms and behind the surface cost no samples.
 
 use super::LightField;
 use super::hull::Hull;
+use super::lamp_choice::{LampChoice, LampShapes, Piece};
 use super::sources::{EmitterSample, GRAZING, SHORT, Source};
 use crate::ffi::simd::prefetch;
 use crate::geometry::Mesh;
@@ -32,10 +33,10 @@ const PORTAL_RAYS: u32 = 32;
 const CELLS_LONGEST: f32 = 20.0;
 /// Receivers per cell used to find which lamps reach it.
 const PROBES: usize = 32;
-/// Share of samples spread over all lamps by unoccluded irradiance.
-const DEFENSIVE: f64 = 0.3;
-/// Share of samples spread as the neighbouring cells found.
-const NEIGHBOURS: f64 = 0.3;
+/// Share of the expected irradiance that a lamp is believed to send where no ray from it arrived.
+const DEFENSIVE: f32 = 0.03;
+/// What a neighbouring cell's findings count beside a cell's own.
+const NEIGHBOURS: f32 = 0.2;
 
 /// A texel emits if its least bright clean view exceeds this multiple of what a white surface could reflect there.
 const MIN_EXCESS: f32 = 2.0;
@@ -97,8 +98,6 @@ struct Lamp {
     /// Its first entry in [`Emitters::slots`], and how many it has.
     first: u32,
     slots: f32,
-    centre: Vec3,
-    power: f64,
 }
 
 impl Lamp {
@@ -120,6 +119,7 @@ enum LampKind {
 /// Samples emissive triangles and portals.
 pub struct Emitters {
     lamps: Vec<Lamp>,
+    shapes: LampShapes,
     /// The pieces of all lamps, lamp by lamp.
     sources: Vec<Source>,
     /// The pieces again, lamp by lamp, each as often as it is likely.
@@ -129,8 +129,7 @@ pub struct Emitters {
     /// The same per cell of the hull; empty without portals.
     portal_slot: Vec<(u32, f32)>,
     hull: Hull,
-    everywhere: Option<SlotTable>,
-    cells: CellTable,
+    reach: ReachTable,
     cell_size: f32,
 }
 
@@ -143,13 +142,13 @@ impl Emitters {
         let cell_size = ((hi - lo).max_element() / CELLS_LONGEST).max(f32::MIN_POSITIVE);
         let mut out = Self {
             lamps: Vec::new(),
+            shapes: LampShapes::default(),
             sources: Vec::new(),
             slots: Vec::new(),
             triangle_slot: vec![(0, 0.0); mesh.triangles.len() + 1],
             portal_slot: Vec::new(),
             hull: Hull::around(lo, hi),
-            everywhere: None,
-            cells: CellTable::default(),
+            reach: ReachTable::default(),
             cell_size,
         };
         let small = 0.02 * (hi - lo).length();
@@ -158,25 +157,29 @@ impl Emitters {
         for set in bright_sets(mesh, field, &power) {
             let set = uncovered(mesh, field, tracer, set);
             for group in split_into_lamps(&centre, small, MAX_LAMPS, set) {
-                let items = group.iter().map(|&t| (centre(t), mesh.area(t as usize), power[t as usize])).collect::<Vec<_>>();
+                let out_of = |t: u32| field.outward_normal(t as usize);
+                let item = |t: u32| {
+                    let (area, power) = (mesh.area(t as usize), power[t as usize]);
+                    (Piece { centre: centre(t), normal: out_of(t), power }, area, power)
+                };
+                let items = group.iter().map(|&t| item(t)).collect::<Vec<_>>();
                 out.add_lamp(mesh, field, LampKind::Triangles(group), &items);
             }
         }
         if !field.environment.is_black() {
             out.add_portals(mesh, field, tracer, receivers);
         }
-        out.everywhere = SlotTable::new(&out.lamps.iter().map(|l| l.power).collect::<Vec<_>>());
+        out.reach.everywhere = vec![1.0; out.lamps.len()];
         if out.lamps.len() > 1 {
-            out.learn_cells(field, tracer, receivers);
+            out.learn_reach(field, tracer, receivers);
         }
         out
     }
 
-    /// Adds a lamp of items given as (centre, area, power).
-    fn add_lamp(&mut self, mesh: &Mesh, field: &LightField, kind: LampKind, items: &[(Vec3, f32, f64)]) {
+    /// Adds a lamp of pieces with their areas and the weights by which they are drawn.
+    fn add_lamp(&mut self, mesh: &Mesh, field: &LightField, kind: LampKind, items: &[(Piece, f32, f64)]) {
         let Some(table) = SlotTable::new(&items.iter().map(|i| i.2).collect::<Vec<_>>()) else { return };
-        let area: f32 = items.iter().map(|i| i.1).sum();
-        let centre = items.iter().map(|i| i.0 * i.1).sum::<Vec3>() / area;
+        self.shapes.push(&items.iter().map(|i| i.0).collect::<Vec<_>>());
         let (lamp, base) = (self.lamps.len() as u32, self.sources.len() as u32);
         if matches!(kind, LampKind::Portal(_)) {
             self.portal_slot.resize(Hull::NUMBERS, (0, 0.0));
@@ -194,7 +197,7 @@ impl Emitters {
         }
         let first = self.slots.len() as u32;
         self.slots.extend(table.owners().iter().map(|i| base + i));
-        self.lamps.push(Lamp { first, slots: table.owners().len() as f32, centre, power: items.iter().map(|i| i.2).sum() });
+        self.lamps.push(Lamp { first, slots: table.owners().len() as f32 });
     }
 
     /// Finds where rays from the receivers leave the scene and groups those cells of the bounding box into portals.
@@ -226,12 +229,15 @@ impl Emitters {
             out
         });
         let mut light: BTreeMap<u32, f64> = BTreeMap::new();
+        let (mut sum, mut crossings) = (0.0, 0.0);
         for (cell, l) in found.into_iter().flatten() {
             *light.entry(cell).or_default() += l;
+            (sum, crossings) = (sum + l, crossings + 1.0);
         }
         if light.is_empty() {
             return;
         }
+        let radiance = sum / crossings;
         let mean = light.values().sum::<f64>() / light.len() as f64;
         // an opening goes on a little where no probe happened to cross it
         for cell in light.keys().copied().collect::<Vec<_>>() {
@@ -245,69 +251,73 @@ impl Emitters {
         let centre = |c: u32| hull.cell_centre(c);
         for group in split_into_lamps(&centre, small, MAX_PORTALS, cells) {
             // a floor keeps cells that few probes crossed possible; unseen cells stay with the hemisphere rays
-            let items: Vec<_> = group.iter().map(|&c| (centre(c), hull.cell_area(c), light[&c].max(0.2 * mean))).collect();
+            let item = |c: u32| {
+                let area = hull.cell_area(c);
+                let piece = Piece { centre: centre(c), normal: hull.cell_frame(c)[3], power: radiance * f64::from(area) };
+                (piece, area, light[&c].max(0.2 * mean))
+            };
+            let items: Vec<_> = group.iter().map(|&c| item(c)).collect();
             self.add_lamp(mesh, field, LampKind::Portal(group), &items);
         }
     }
 
-    fn learn_cells(&mut self, field: &LightField, tracer: &dyn Tracer, receivers: &[(Vec3, Vec3)]) {
+    /// Learns how much of the expected irradiance of each lamp arrives in each cell.
+    fn learn_reach(&mut self, field: &LightField, tracer: &dyn Tracer, receivers: &[(Vec3, Vec3)]) {
         let mut members: BTreeMap<[i32; 3], Vec<usize>> = BTreeMap::new();
         for (i, (p, _)) in receivers.iter().enumerate() {
             members.entry(self.cell(*p)).or_default().push(i);
         }
-        let learned: BTreeMap<[i32; 3], (Vec<f64>, Vec<f64>)> = members
+        let lamps = self.lamps.len();
+        let nothing = || vec![[0.0f32; 2]; lamps];
+        // per lamp: what arrives, what was expected
+        let probed: BTreeMap<[i32; 3], Vec<[f32; 2]>> = members
             .par_iter()
             .map(|(cell, ids)| {
-                let mut reached = vec![0.0f64; self.lamps.len()];
-                let mut possible = vec![0.0f64; self.lamps.len()];
+                let mut found = nothing();
                 let stride = (ids.len() / PROBES).max(1);
                 let sequence = SobolSequence::new(
                     0x1a3b,
                     crate::sampling::hash_u64(cell[0] as u64, crate::sampling::hash_u64(cell[1] as u64, cell[2] as u64)),
                 );
-                let (mut rays, mut owners) = (Vec::new(), Vec::new());
+                let (mut rays, mut owners, mut expected) = (Vec::new(), Vec::new(), Vec::new());
                 for (probe, &i) in ids.iter().step_by(stride).take(PROBES).enumerate() {
                     let (p, n) = receivers[i];
                     let origin = p + n * (1e-4 * self.cell_size);
+                    self.shapes.expected(p, n, &self.reach.everywhere, &mut expected);
+                    found.iter_mut().zip(&expected).for_each(|(f, e)| f[1] += e);
                     for (k, lamp) in self.lamps.iter().enumerate() {
-                        let u = sequence.point3((probe * self.lamps.len() + k) as u32);
+                        let u = sequence.point3((probe * lamps + k) as u32);
                         let source = self.source(lamp.slot(u[0]));
                         let aim = source.aim(origin, [u[1], u[2]]);
-                        if !aim.in_front() {
-                            continue;
+                        let cosine = n.dot(Vec3::from_array(aim.ray.direction));
+                        if aim.in_front() && cosine > 0.0 {
+                            // at most what was expected: one sample of a lamp nearby says little of the others
+                            let light = (luminance(source.radiance(field, &aim)) * cosine / aim.pdf).max(0.0);
+                            rays.push(aim.ray);
+                            owners.push((k, light.min(expected[k])));
                         }
-                        let cosine = n.dot(Vec3::from_array(aim.ray.direction)).max(0.05);
-                        let light = f64::from((luminance(source.radiance(field, &aim)) * cosine / aim.pdf).max(0.0));
-                        possible[k] += light;
-                        rays.push(aim.ray);
-                        owners.push((k, light));
                     }
                 }
                 let mut hidden = vec![0u8; rays.len()];
                 tracer.occluded(&rays, &mut hidden);
                 for ((k, light), h) in owners.into_iter().zip(hidden) {
-                    if h == 0 {
-                        reached[k] += light;
-                    }
+                    found[k][0] += if h == 0 { light } else { 0.0 };
                 }
-                (*cell, (shares(reached), shares(possible)))
+                (*cell, found)
             })
             .collect();
         // a few probes may miss a lamp that the cell does see: its neighbours' findings count too
-        let tables = learned
+        let learned = probed
             .iter()
-            .filter_map(|(cell, (reached, possible))| {
-                let around = neighbours(*cell).filter_map(|c| learned.get(&c)).map(|l| &l.0);
-                let mut near = vec![0.0; self.lamps.len()];
-                around.for_each(|l| near.iter_mut().zip(l).for_each(|(n, x)| *n += x));
-                let near = shares(near);
-                let weights: Vec<f64> = (0..self.lamps.len())
-                    .map(|k| (1.0 - DEFENSIVE - NEIGHBOURS) * reached[k] + NEIGHBOURS * near[k] + DEFENSIVE * possible[k])
-                    .collect();
-                SlotTable::new(&weights).map(|t| (*cell, t))
+            .map(|(cell, own)| {
+                let mut sum = own.clone();
+                for near in neighbours(*cell).filter_map(|c| probed.get(&c)) {
+                    sum.iter_mut().zip(near).for_each(|(s, n)| (0..2).for_each(|j| s[j] += NEIGHBOURS * n[j]));
+                }
+                (*cell, sum.iter().map(|[a, e]| if *e > 0.0 { DEFENSIVE + a / e } else { 1.0 }).collect())
             })
             .collect();
-        self.cells = CellTable::new(tables);
+        self.reach.set(learned);
     }
 
     fn cell(&self, p: Vec3) -> [i32; 3] {
@@ -326,17 +336,16 @@ impl Emitters {
         self.lamps.len()
     }
 
-    /// The lamp choice that suits points around `p`; pass it to [`Self::sample`] and [`Self::pdf`].
-    #[must_use]
-    pub fn choice_at(&self, p: Vec3) -> Option<&SlotTable> {
-        self.cells.get(self.cell(p)).or(self.everywhere.as_ref())
+    /// Writes into `choice` which lamps suit a point with a unit normal; pass it to [`Self::sample`] and [`Self::pdf`].
+    pub fn choose(&self, p: Vec3, normal: Vec3, choice: &mut LampChoice) {
+        choice.set(|weights| self.shapes.expected(p, normal, self.reach.at(self.cell(p)), weights));
     }
 
     /// Draws a direction from `origin` towards an emitter; `None` where the drawn point faces away.
     #[must_use]
     #[inline]
-    pub fn sample(&self, field: &LightField, choice: &SlotTable, origin: Vec3, u: [f32; 3]) -> Option<EmitterSample> {
-        let (source, probability) = self.pick(choice, u[0]);
+    pub fn sample(&self, field: &LightField, choice: &LampChoice, origin: Vec3, u: [f32; 3]) -> Option<EmitterSample> {
+        let (source, probability, _) = self.pick(choice, u[0], 0);
         let aim = self.source(source).aim(origin, [u[1], u[2]]);
         aim.in_front().then(|| EmitterSample {
             ray: aim.ray,
@@ -345,14 +354,14 @@ impl Emitters {
         })
     }
 
-    /// The slot of a source that `u` in [0, 1) stands for, and the probability of its lamp. The slot itself is on its way into the
-    /// cache.
+    /// The slot of a source that `u` in [0, 1) stands for, the probability of its lamp, and that lamp; for `from` see
+    /// [`LampChoice::sample`]. The slot itself is on its way into the cache.
     #[inline(always)]
-    pub(super) fn pick(&self, choice: &SlotTable, u: f32) -> (u32, f32) {
-        let (lamp, rest) = choice.sample(u);
+    pub(super) fn pick(&self, choice: &LampChoice, u: f32, from: usize) -> (u32, f32, usize) {
+        let (lamp, rest) = choice.sample(u, from);
         let slot = self.lamps[lamp].slot(rest);
         prefetch(&self.slots, slot as usize);
-        (slot, choice.pmf(lamp))
+        (slot, choice.pmf(lamp), lamp)
     }
 
     /// Tells the cache that [`Self::source`] will be asked for soon.
@@ -370,8 +379,10 @@ impl Emitters {
     /// Density per steradian with which [`Self::sample`] draws the direction of a ray from `origin` that ended in `hit`.
     #[must_use]
     #[inline]
-    pub fn pdf(&self, field: &LightField, choice: &SlotTable, origin: Vec3, direction: Vec3, hit: &Hit) -> f32 {
-        if hit.is_hit() {
+    pub fn pdf(&self, field: &LightField, choice: &LampChoice, origin: Vec3, direction: Vec3, hit: &Hit) -> f32 {
+        if choice.is_empty() {
+            0.0
+        } else if hit.is_hit() {
             let cosine = -field.outward_normal(hit.triangle as usize).dot(direction);
             self.hit_pdf(choice, hit, cosine)
         } else {
@@ -387,7 +398,7 @@ impl Emitters {
 
     /// [`Self::pdf`] of a ray that meets a triangle under `cosine`; 0 for a miss.
     #[inline(always)]
-    pub(super) fn hit_pdf(&self, choice: &SlotTable, hit: &Hit, cosine: f32) -> f32 {
+    pub(super) fn hit_pdf(&self, choice: &LampChoice, hit: &Hit, cosine: f32) -> f32 {
         // the last slot is that of no triangle
         let (lamp, density) = self.triangle_slot[(hit.triangle as usize).min(self.triangle_slot.len() - 1)];
         let pdf = choice.pmf(lamp as usize) * density * hit.t * hit.t / cosine;
@@ -396,7 +407,7 @@ impl Emitters {
 
     /// [`Self::pdf`] of a ray that leaves the scene.
     #[inline]
-    pub(super) fn miss_pdf(&self, choice: &SlotTable, origin: Vec3, direction: Vec3) -> f32 {
+    pub(super) fn miss_pdf(&self, choice: &LampChoice, origin: Vec3, direction: Vec3) -> f32 {
         if self.portal_slot.is_empty() {
             return 0.0;
         }
@@ -406,30 +417,31 @@ impl Emitters {
     }
 }
 
-/// The lamp choice of each cell of space, in a dense grid around the cells that hold receivers.
+/// Per cell of space and lamp: how much of the expected irradiance arrives; in a dense grid around the cells that hold receivers.
 #[derive(Default)]
-struct CellTable {
+struct ReachTable {
     base: [i32; 3],
     size: [usize; 3],
-    /// One more than the table's index; 0 where nothing was learned.
+    /// One more than the place in `tables`; 0 where nothing was learned.
     index: Vec<u32>,
-    tables: Vec<SlotTable>,
+    tables: Vec<Vec<f32>>,
+    /// What holds where nothing was learned.
+    everywhere: Vec<f32>,
 }
 
-impl CellTable {
-    fn new(learned: Vec<([i32; 3], SlotTable)>) -> Self {
+impl ReachTable {
+    fn set(&mut self, learned: Vec<([i32; 3], Vec<f32>)>) {
         let bound = |pick: fn(i32, i32) -> i32, a: usize| learned.iter().map(|(c, _)| c[a]).reduce(pick).unwrap_or(0);
-        let base = std::array::from_fn(|a| bound(i32::min, a));
+        self.base = std::array::from_fn(|a| bound(i32::min, a));
         // receivers lie in the scene's box, which has about CELLS_LONGEST cells a side
-        let size = std::array::from_fn(|a| (bound(i32::max, a).saturating_sub(base[a]) as usize + 1).min(256));
-        let mut out = Self { base, size, index: vec![0; size.iter().product()], tables: Vec::new() };
+        self.size = std::array::from_fn(|a| (bound(i32::max, a).saturating_sub(self.base[a]) as usize + 1).min(256));
+        self.index = vec![0; self.size.iter().product()];
         for (cell, table) in learned {
-            if let Some(i) = out.slot(cell) {
-                out.tables.push(table);
-                out.index[i] = out.tables.len() as u32;
+            if let Some(i) = self.slot(cell) {
+                self.tables.push(table);
+                self.index[i] = self.tables.len() as u32;
             }
         }
-        out
     }
 
     fn slot(&self, cell: [i32; 3]) -> Option<usize> {
@@ -437,18 +449,10 @@ impl CellTable {
         (0..3).all(|a| at[a] < self.size[a]).then(|| (at[2] * self.size[1] + at[1]) * self.size[0] + at[0])
     }
 
-    fn get(&self, cell: [i32; 3]) -> Option<&SlotTable> {
-        self.tables.get((*self.index.get(self.slot(cell)?)? as usize).wrapping_sub(1))
+    fn at(&self, cell: [i32; 3]) -> &[f32] {
+        let place = self.slot(cell).and_then(|s| self.index.get(s)).map_or(0, |i| *i as usize);
+        self.tables.get(place.wrapping_sub(1)).unwrap_or(&self.everywhere)
     }
-}
-
-/// Weights as shares of their sum; all zero if nothing is positive.
-fn shares(mut weights: Vec<f64>) -> Vec<f64> {
-    let sum: f64 = weights.iter().sum();
-    if sum > 0.0 {
-        weights.iter_mut().for_each(|w| *w /= sum);
-    }
-    weights
 }
 
 /// The 26 cells around one.
@@ -541,6 +545,6 @@ impl Emitters {
     /// Centres and powers of the lamps, for reports.
     #[must_use]
     pub fn lamps(&self) -> Vec<(Vec3, f64)> {
-        self.lamps.iter().map(|l| (l.centre, l.power)).collect()
+        self.shapes.centres_and_powers().collect()
     }
 }

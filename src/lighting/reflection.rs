@@ -5,9 +5,10 @@
 //! ray stands for.
 
 use super::irt::Bake;
+use super::lamp_choice::LampChoice;
 use crate::brdf::{MIN_ROUGHNESS, Reflectance, sample_vndf, vndf_reflection_pdf};
 use crate::math::{Frame, luminance};
-use crate::sampling::{SlotTable, SobolSequence};
+use crate::sampling::SobolSequence;
 use crate::trace::{Hit, Ray};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
@@ -68,6 +69,8 @@ struct Scratch {
     shadow: Vec<Ray>,
     hidden: Vec<u8>,
     light: Vec<(u32, Vec3, f32)>,
+    /// Per gaze: which lamps it asks.
+    choices: Vec<LampChoice>,
 }
 
 impl Reflector<'_> {
@@ -103,11 +106,13 @@ impl Reflector<'_> {
         s.gaze_of_ray.clear();
         s.shadow.clear();
         s.light.clear();
-        let choices: Vec<Option<&SlotTable>> = gazes.iter().map(|g| self.bake.emitters.choice_at(g.position)).collect();
+        let mut choices = std::mem::take(&mut s.choices);
+        choices.resize(choices.len().max(gazes.len()), LampChoice::default());
+        choices.iter_mut().zip(gazes).for_each(|(c, g)| self.bake.emitters.choose(g.position, g.normal, c));
         for (i, g) in gazes.iter().enumerate() {
             self.lobe_rays(i, g, lobes(&levels, i), s);
-            if let Some(choice) = choices[i] {
-                self.emitter_rays(i, g, choice, s);
+            if !choices[i].is_empty() {
+                self.emitter_rays(i, g, &choices[i], s);
             }
         }
         s.hits.resize(s.rays.len(), Hit::miss());
@@ -120,7 +125,7 @@ impl Reflector<'_> {
             let g = &gazes[i];
             let l = Vec3::from_array(s.rays[r].direction);
             let origin = Vec3::from_array(s.rays[r].origin);
-            let emitter_pdf = choices[i].map_or(0.0, |c| self.bake.emitters.pdf(self.bake.field, c, origin, l, hit));
+            let emitter_pdf = self.bake.emitters.pdf(self.bake.field, &choices[i], origin, l, hit);
             let half = HalfVector::new(g, l);
             let density = self.density(&half, lobes(&levels, i), emitter_pdf);
             let spread = 2.0 * (FRAC_1_PI / density.max(0.3)).sqrt();
@@ -138,6 +143,7 @@ impl Reflector<'_> {
             }
         }
         diffuse.iter_mut().zip(&shading).for_each(|(d, s)| *d = s.mean());
+        s.choices = choices;
         (s.rays.len() + s.shadow.len()) as u64
     }
 
@@ -167,7 +173,7 @@ impl Reflector<'_> {
         }
     }
 
-    fn emitter_rays(&self, i: usize, g: &Gaze, choice: &SlotTable, s: &mut Scratch) {
+    fn emitter_rays(&self, i: usize, g: &Gaze, choice: &LampChoice, s: &mut Scratch) {
         let origin = g.position + g.face_normal * self.bake.offset;
         let sequence = SobolSequence::new(self.seed ^ 0x11_9474, g.key);
         for j in 0..self.emitter_samples {

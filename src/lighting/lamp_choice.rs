@@ -1,0 +1,205 @@
+//! Which lamp a surface point asks for light: every lamp with a probability proportional to the irradiance it is expected to send
+//! there, by its shape and by what was learned about its visibility in that part of space.
+
+use crate::ffi::simd::with_widest;
+use glam::Vec3;
+
+/// Lamps as their light is judged from afar, a column per property.
+#[derive(Default)]
+pub(super) struct LampShapes {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+    /// Mean distance of a lamp's pieces from its centre, metres.
+    radius: Vec<f32>,
+    /// Luminance × area.
+    power: Vec<f32>,
+    /// Mean of the pieces' outward normals: a unit vector for a flat lamp, zero for a closed one.
+    axis: [Vec<f32>; 3],
+    /// Share of the power that a lamp sends to all sides alike.
+    round: Vec<f32>,
+}
+
+/// A flat piece of a lamp.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Piece {
+    pub centre: Vec3,
+    /// Unit normal of the side that sends out light.
+    pub normal: Vec3,
+    /// Luminance × area.
+    pub power: f64,
+}
+
+/// Flat pieces of a lamp seen under a grazing angle still shine as much as this share of its angular size.
+const SLACK: f32 = 0.3;
+
+impl LampShapes {
+    /// Adds a lamp.
+    pub(super) fn push(&mut self, pieces: &[Piece]) {
+        let power = pieces.iter().map(|p| p.power).sum::<f64>();
+        let share = |p: &Piece| (p.power / power) as f32;
+        let centre = pieces.iter().map(|p| p.centre * share(p)).sum::<Vec3>();
+        let axis = pieces.iter().map(|p| p.normal * share(p)).sum::<Vec3>();
+        let radius = pieces.iter().map(|p| p.centre.distance_squared(centre) * share(p)).sum::<f32>().sqrt();
+        self.x.push(centre.x);
+        self.y.push(centre.y);
+        self.z.push(centre.z);
+        self.radius.push(radius);
+        self.power.push(power as f32);
+        self.axis.iter_mut().zip(axis.to_array()).for_each(|(column, a)| column.push(a));
+        // what a convex body shows to one side is a quarter of its surface
+        self.round.push(0.25 * (1.0 - axis.length()).max(0.0));
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.x.len()
+    }
+
+    pub(super) fn centres_and_powers(&self) -> impl Iterator<Item = (Vec3, f64)> + '_ {
+        (0..self.len()).map(|k| (Vec3::new(self.x[k], self.y[k], self.z[k]), f64::from(self.power[k])))
+    }
+
+    /// Writes the unoccluded irradiance that each lamp is expected to send to a point, times `reach`.
+    pub(super) fn expected(&self, p: Vec3, normal: Vec3, reach: &[f32], out: &mut Vec<f32>) {
+        let n = self.len();
+        out.clear();
+        out.resize(n, 0.0);
+        let [x, y, z, radius, power, round] =
+            [&self.x, &self.y, &self.z, &self.radius, &self.power, &self.round].map(|c| &c[..n]);
+        let [ax, ay, az] = self.axis.each_ref().map(|c| &c[..n]);
+        let (reach, out) = (&reach[..n], &mut out[..n]);
+        with_widest(|| {
+            for k in 0..n {
+                let d = Vec3::new(x[k], y[k], z[k]) - p;
+                let d2 = d.length_squared() + radius[k] * radius[k] + f32::MIN_POSITIVE;
+                let inverse = 1.0 / d2.sqrt();
+                let size = radius[k] * inverse;
+                let cosine = ((normal.dot(d) * inverse + size) / (1.0 + size)).max(0.0);
+                let facing = (-(ax[k] * d.x + ay[k] * d.y + az[k] * d.z) * inverse).max(0.0) + round[k] + SLACK * size;
+                out[k] = power[k] * reach[k] * cosine * facing * (inverse * inverse);
+            }
+        });
+    }
+}
+
+/// The probability of each lamp at one point. What is sampled is exactly what [`Self::pmf`] says; lamps keep the order of the numbers
+/// they are drawn by, hence their stratification.
+#[derive(Clone, Debug, Default)]
+pub struct LampChoice {
+    /// Sums of the weights up to and with each lamp.
+    ends: Vec<f32>,
+    weights: Vec<f32>,
+    inverse: f32,
+}
+
+impl LampChoice {
+    /// Takes the weights that `fill` writes, one per lamp.
+    pub(super) fn set(&mut self, fill: impl FnOnce(&mut Vec<f32>)) {
+        fill(&mut self.weights);
+        self.ends.clear();
+        let mut sum = 0.0f32;
+        self.ends.extend(self.weights.iter_mut().map(|w| {
+            let before = sum;
+            sum += *w;
+            // what is left of it after rounding
+            *w = sum - before;
+            sum
+        }));
+        self.inverse = if sum > 0.0 && sum.is_finite() { 1.0 / sum } else { 0.0 };
+    }
+
+    /// Whether no lamp can send light to the point.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.inverse == 0.0
+    }
+
+    /// Draws a lamp from `u` in [0, 1), not below `from`; also the rest of `u`, again uniform in [0, 1) and in the same order.
+    /// Numbers in increasing order find their lamps in one pass if `from` is what the one before found; else it is 0.
+    #[inline(always)]
+    pub(super) fn sample(&self, u: f32, from: usize) -> (usize, f32) {
+        let last = self.ends.len() - 1;
+        let x = u * self.ends[last];
+        let mut k = from;
+        while k < last && (self.ends[k] <= x || self.weights[k] == 0.0) {
+            k += 1;
+        }
+        let start = self.ends[k] - self.weights[k];
+        (k, ((x - start) / self.weights[k]).clamp(0.0, 1.0 - f32::EPSILON))
+    }
+
+    /// Probability of lamp `k`.
+    #[must_use]
+    #[inline(always)]
+    pub fn pmf(&self, k: usize) -> f32 {
+        self.weights[k] * self.inverse
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lamps_are_drawn_as_often_as_stated_and_in_order() {
+        let mut choice = LampChoice::default();
+        let weights = [0.0, 3.0, 1e-9, 0.0, 5.0, 0.25, 0.0];
+        choice.set(|w| *w = weights.to_vec());
+        assert!(!choice.is_empty());
+        let n = 1 << 16;
+        let (mut count, mut rest_sum, mut last) = ([0u32; 7], 0.0f64, 0);
+        for i in 0..n {
+            let u = (i as f32 + 0.5) / n as f32;
+            let (k, rest) = choice.sample(u, last);
+            assert_eq!((k, rest), choice.sample(u, 0), "where the search starts changes nothing");
+            assert!(k >= last && (0.0..1.0).contains(&rest));
+            last = k;
+            count[k] += 1;
+            rest_sum += f64::from(rest);
+        }
+        for (k, w) in weights.iter().enumerate() {
+            assert!((choice.pmf(k) - w / 8.25).abs() < 1e-6, "lamp {k}");
+            assert!((f64::from(count[k]) / f64::from(n) - f64::from(choice.pmf(k))).abs() < 2.0 / f64::from(n), "lamp {k}");
+        }
+        assert!((rest_sum / f64::from(n) - 0.5).abs() < 1e-3);
+        choice.set(|w| w.fill(0.0));
+        assert!(choice.is_empty());
+    }
+
+    #[test]
+    fn what_is_expected_of_a_small_flat_lamp_is_its_irradiance() {
+        let mut shapes = LampShapes::default();
+        shapes.push(&[Piece { centre: Vec3::new(0.0, 0.0, 2.0), normal: Vec3::NEG_Z, power: 3.0 }]);
+        let mut expected = Vec::new();
+        let mut of = |p: Vec3, n: Vec3| {
+            shapes.expected(p, n, &[1.0], &mut expected);
+            expected[0]
+        };
+        assert!((of(Vec3::ZERO, Vec3::Z) - 3.0 / 4.0).abs() < 1e-6);
+        let p = Vec3::new(1.5, 0.0, 0.0);
+        // both cosines are 2/2.5
+        assert!((of(p, Vec3::Z) - 3.0 * 0.64 / 6.25).abs() < 1e-6);
+        // from behind the lamp, and behind the surface
+        assert_eq!(of(Vec3::new(0.0, 0.0, 4.0), Vec3::NEG_Z), 0.0);
+        assert_eq!(of(Vec3::ZERO, Vec3::NEG_Z), 0.0);
+    }
+
+    #[test]
+    fn a_round_lamp_shines_to_all_sides_and_a_large_one_around_the_horizon() {
+        let mut shapes = LampShapes::default();
+        let axes = [Vec3::X, Vec3::Y, Vec3::Z];
+        let ball: Vec<Piece> =
+            axes.iter().flat_map(|a| [*a, -*a]).map(|a| Piece { centre: 0.5 * a, normal: a, power: 1.0 }).collect();
+        shapes.push(&ball);
+        let mut expected = Vec::new();
+        let mut of = |p: Vec3, n: Vec3| {
+            shapes.expected(p, n, &[1.0], &mut expected);
+            expected[0]
+        };
+        for a in axes {
+            assert!((of(3.0 * a, -a) - of(-3.0 * Vec3::X, Vec3::X)).abs() < 1e-5);
+        }
+        // its upper half rises above the horizon of a surface that looks up
+        assert!(of(Vec3::new(3.0, 0.0, 0.0), Vec3::Z) > 0.0);
+    }
+}
