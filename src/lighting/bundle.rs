@@ -259,11 +259,9 @@ impl Bundle {
         // choosing first, computing then: the sources arrive from memory side by side
         self.picks.clear();
         let choice = &self.choices[self.spans.len()];
-        let mut lamp = 0;
         // (an interval may have no sample)
         for s in self.order.iter().map(|&s| s as usize).filter(|&s| s < n) {
-            let (slot, probability, found) = bake.emitters.pick(choice, u[s], lamp);
-            lamp = found;
+            let (slot, probability) = bake.emitters.pick(choice, u[s]);
             let owner = first + u32::from(s >= n / 2);
             self.picks.push((probability, Aimed { weight: 0.0, place: [v[s], w[s]], slot, owner }));
         }

@@ -38,6 +38,10 @@ const DEFENSIVE: f32 = 0.03;
 /// What a neighbouring cell's findings count beside a cell's own.
 const NEIGHBOURS: f32 = 0.2;
 
+/// Distance in cells and cosine between normals within which two points ask the same lamps.
+const ALIKE: f32 = 0.1;
+const ALIKE_NORMALS: f32 = 0.95;
+
 /// A texel emits if its least bright clean view exceeds this multiple of what a white surface could reflect there.
 const MIN_EXCESS: f32 = 2.0;
 /// How much brighter than the brightest reflecting surfaces (99 % quantile of E/π) an unlabelled emitter must be.
@@ -341,11 +345,17 @@ impl Emitters {
         choice.set(|weights| self.shapes.expected(p, normal, self.reach.at(self.cell(p)), weights));
     }
 
+    /// Whether two points (position, unit normal) lie so close together that one's choice of lamps serves the other as well.
+    #[must_use]
+    pub fn alike(&self, [a, b]: [(Vec3, Vec3); 2]) -> bool {
+        a.0.distance_squared(b.0) < (ALIKE * self.cell_size).powi(2) && a.1.dot(b.1) > ALIKE_NORMALS
+    }
+
     /// Draws a direction from `origin` towards an emitter; `None` where the drawn point faces away.
     #[must_use]
     #[inline]
     pub fn sample(&self, field: &LightField, choice: &LampChoice, origin: Vec3, u: [f32; 3]) -> Option<EmitterSample> {
-        let (source, probability, _) = self.pick(choice, u[0], 0);
+        let (source, probability) = self.pick(choice, u[0]);
         let aim = self.source(source).aim(origin, [u[1], u[2]]);
         aim.in_front().then(|| EmitterSample {
             ray: aim.ray,
@@ -354,14 +364,14 @@ impl Emitters {
         })
     }
 
-    /// The slot of a source that `u` in [0, 1) stands for, the probability of its lamp, and that lamp; for `from` see
-    /// [`LampChoice::sample`]. The slot itself is on its way into the cache.
+    /// The slot of a source that `u` in [0, 1) stands for, and the probability of its lamp. The slot itself is on its way into the
+    /// cache.
     #[inline(always)]
-    pub(super) fn pick(&self, choice: &LampChoice, u: f32, from: usize) -> (u32, f32, usize) {
-        let (lamp, rest) = choice.sample(u, from);
+    pub(super) fn pick(&self, choice: &LampChoice, u: f32) -> (u32, f32) {
+        let (lamp, rest) = choice.sample(u);
         let slot = self.lamps[lamp].slot(rest);
         prefetch(&self.slots, slot as usize);
-        (slot, choice.pmf(lamp), lamp)
+        (slot, choice.pmf(lamp))
     }
 
     /// Tells the cache that [`Self::source`] will be asked for soon.

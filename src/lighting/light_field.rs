@@ -15,7 +15,7 @@ use rayon::prelude::*;
 /// Prefiltered copies of the TBL beyond the full resolution: footprints up to 8 texels; coarser ones would mix charts.
 const MIP_LEVELS: usize = 4;
 
-/// The level that holds full radiance, unfiltered, for emissive triangles.
+/// The level that holds the radiance of emissive texels, unfiltered, for emissive triangles.
 const FULL: usize = MIP_LEVELS;
 
 /// Address of the texel that stands for no surface.
@@ -55,7 +55,8 @@ struct Level {
 pub struct LightField {
     /// One per triangle, and a last one for rays that hit none.
     lookups: Vec<Lookup>,
-    /// Black; reflected radiance with emissive texels filled from their surroundings, level by level; full radiance; the far sides.
+    /// Black; reflected radiance with emissive texels filled from their surroundings, level by level; emitted radiance with all others
+    /// filled; the far sides.
     texels: Vec<Texel>,
     levels: [Level; MIP_LEVELS + 1],
     /// Where the mean radiance of each triangle's side away from the cameras' main side begins; zero where nobody saw it.
@@ -106,10 +107,11 @@ impl LightField {
             };
             texels.par_extend(plane.data.par_iter().map(|v| Texel(*v)));
         };
-        store(&radiance, &mut levels[FULL]);
-        let keep = emissive.map(|e| !e);
-        let mut plane =
-            if emissive.data.iter().any(|e| *e) { crate::texture::fill_uncovered(&radiance, &keep) } else { radiance };
+        // a triangle also covers parts of texels that belong to its neighbours: a lamp must not darken there, nor a wall shine
+        let any = emissive.data.iter().any(|e| *e);
+        let of = |keep: Plane<bool>| if any { crate::texture::fill_uncovered(&radiance, &keep) } else { radiance.clone() };
+        store(&of(emissive.clone()), &mut levels[FULL]);
+        let mut plane = of(emissive.map(|e| !e));
         for level in &mut levels[..MIP_LEVELS] {
             store(&plane, level);
             plane = plane.half();

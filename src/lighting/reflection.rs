@@ -69,8 +69,9 @@ struct Scratch {
     shadow: Vec<Ray>,
     hidden: Vec<u8>,
     light: Vec<(u32, Vec3, f32)>,
-    /// Per gaze: which lamps it asks.
+    /// Which lamps are asked, and by which gaze.
     choices: Vec<LampChoice>,
+    choice_of: Vec<usize>,
 }
 
 impl Reflector<'_> {
@@ -106,13 +107,13 @@ impl Reflector<'_> {
         s.gaze_of_ray.clear();
         s.shadow.clear();
         s.light.clear();
-        let mut choices = std::mem::take(&mut s.choices);
-        choices.resize(choices.len().max(gazes.len()), LampChoice::default());
-        choices.iter_mut().zip(gazes).for_each(|(c, g)| self.bake.emitters.choose(g.position, g.normal, c));
+        let (mut choices, mut choice_of) = (std::mem::take(&mut s.choices), std::mem::take(&mut s.choice_of));
+        self.choose(gazes, &mut choices, &mut choice_of);
         for (i, g) in gazes.iter().enumerate() {
             self.lobe_rays(i, g, lobes(&levels, i), s);
-            if !choices[i].is_empty() {
-                self.emitter_rays(i, g, &choices[i], s);
+            let choice = &choices[choice_of[i]];
+            if !choice.is_empty() {
+                self.emitter_rays(i, g, choice, s);
             }
         }
         s.hits.resize(s.rays.len(), Hit::miss());
@@ -125,7 +126,7 @@ impl Reflector<'_> {
             let g = &gazes[i];
             let l = Vec3::from_array(s.rays[r].direction);
             let origin = Vec3::from_array(s.rays[r].origin);
-            let emitter_pdf = self.bake.emitters.pdf(self.bake.field, &choices[i], origin, l, hit);
+            let emitter_pdf = self.bake.emitters.pdf(self.bake.field, &choices[choice_of[i]], origin, l, hit);
             let half = HalfVector::new(g, l);
             let density = self.density(&half, lobes(&levels, i), emitter_pdf);
             let spread = 2.0 * (FRAC_1_PI / density.max(0.3)).sqrt();
@@ -143,8 +144,25 @@ impl Reflector<'_> {
             }
         }
         diffuse.iter_mut().zip(&shading).for_each(|(d, s)| *d = s.mean());
-        s.choices = choices;
+        (s.choices, s.choice_of) = (choices, choice_of);
         (s.rays.len() + s.shadow.len()) as u64
+    }
+
+    /// Finds the lamps that each gaze asks; neighbours share a choice.
+    fn choose(&self, gazes: &[Gaze], choices: &mut Vec<LampChoice>, choice_of: &mut Vec<usize>) {
+        choice_of.clear();
+        let mut chosen: Option<(Vec3, Vec3)> = None;
+        let mut count = 0;
+        for g in gazes {
+            let place = (g.position, g.normal);
+            if !chosen.is_some_and(|c| self.bake.emitters.alike([c, place])) {
+                choices.resize(choices.len().max(count + 1), LampChoice::default());
+                self.bake.emitters.choose(g.position, g.normal, &mut choices[count]);
+                count += 1;
+                chosen = Some(place);
+            }
+            choice_of.push(count - 1);
+        }
     }
 
     /// Expected number of samples per steradian of the whole mixture.

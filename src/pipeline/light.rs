@@ -6,7 +6,7 @@
 use super::budget::{samples_for, split_samples};
 use super::decisions::{choose_environment, report_emission};
 use super::{SolveOptions, Surface, Switch, surface::coverage};
-use crate::geometry::clusters;
+use crate::geometry::{Mesh, clusters};
 use crate::image::{Plane, RgbPlane};
 use crate::lighting::{
     Bake, Budget, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField, Patch, Receiver, bake_irradiance,
@@ -16,7 +16,7 @@ use crate::math::luminance;
 use crate::optim::median;
 use crate::progress::Progress;
 use crate::texture::{Texels, fill_uncovered};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::{FRAC_1_PI, PI};
@@ -56,7 +56,7 @@ pub struct Light {
 pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &Progress) -> Light {
     let scene = surface.scene;
     let environment = choose_environment(&surface.views, options, progress);
-    let known = known_lights(surface, options);
+    let known = with_slivers(&scene.mesh, &surface.texels, known_lights(surface, options));
     let observed: Vec<bool> = surface.fusion.views.iter().map(|v| *v > 0).collect();
     let first_look = trusted_radiance(surface, &known);
     let trusted: Vec<bool> = (0..observed.len()).map(|i| surface.fusion.clean[i] || lit(surface, &known, i)).collect();
@@ -75,7 +75,9 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let coarse_irradiance = texture_of(&coarse, &first.value);
     let emissive = match options.emission {
         Switch::Off => known.clone(),
-        Switch::Auto | Switch::On => emitting_triangles(surface, &coarse_irradiance, &known),
+        Switch::Auto | Switch::On => {
+            with_slivers(&scene.mesh, &surface.texels, emitting_triangles(surface, &coarse_irradiance, &known))
+        }
     };
     report_emission(&emissive, &known, options, progress);
 
@@ -193,6 +195,27 @@ fn known_lights(surface: &Surface, options: &SolveOptions) -> Vec<bool> {
         v.0 += u32::from(surface.scene.classes.iter().any(|c| c.is_light && c.id == label));
     }
     votes.iter().map(|v| v.0 > 0 && 2 * v.0 >= v.1).collect()
+}
+
+/// Adds to emitting triangles those too small for a texel of their own whose place in the atlas belongs to an emitting one: a lamp
+/// of many facets must not lose what falls between the texels.
+fn with_slivers(mesh: &Mesh, texels: &Texels, mut emissive: Vec<bool>) -> Vec<bool> {
+    let owner: Vec<u32> = texels.point.iter().map(|p| p.triangle).collect();
+    let mut has_texel = vec![false; emissive.len()];
+    owner.iter().for_each(|&t| has_texel[t as usize] = true);
+    let owner = texels.scatter(&owner, u32::MAX);
+    let size = Vec2::new(owner.width as f32, owner.height as f32);
+    let adopted: Vec<usize> = (0..emissive.len())
+        .into_par_iter()
+        .filter(|&t| {
+            let corners = mesh.corner_uvs(t);
+            let centre = corners.iter().sum::<Vec2>() / 3.0;
+            let near = std::iter::once(centre).chain(corners).map(|uv| *owner.nearest(uv * size)).find(|&o| o != u32::MAX);
+            !has_texel[t] && near.is_some_and(|o| emissive[o as usize])
+        })
+        .collect();
+    adopted.into_iter().for_each(|t| emissive[t] = true);
+    emissive
 }
 
 fn filled_radiance(surface: &Surface, values: &[Vec3], observed: &[bool]) -> RgbPlane {
@@ -326,4 +349,38 @@ fn complete_radiance(surface: &Surface, irradiance: &RgbPlane, emissive: &[bool]
             if usable { seen } else { expected }
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn facets_between_the_texels_of_a_lamp_emit_too() {
+        // two squares of 32 × 32 facets, a lamp and a wall, in an atlas of 8 × 8 texels: most facets have no texel of their own
+        const N: u32 = 32;
+        let mut mesh = Mesh { positions: vec![], normals: vec![], uvs: vec![], triangles: vec![] };
+        for left in [0.02f32, 0.52] {
+            let first = mesh.positions.len() as u32;
+            for (y, x) in (0..=N).flat_map(|y| (0..=N).map(move |x| (y, x))) {
+                let p = Vec2::new(x as f32, y as f32) / N as f32;
+                mesh.positions.push(p.extend(0.0));
+                mesh.normals.push(Vec3::Z);
+                mesh.uvs.push(Vec2::new(left, 0.02) + p * Vec2::new(0.46, 0.96));
+            }
+            for (y, x) in (0..N).flat_map(|y| (0..N).map(move |x| (y, x))) {
+                let a = first + y * (N + 1) + x;
+                mesh.triangles.extend([[a, a + 1, a + N + 2], [a, a + N + 2, a + N + 1]]);
+            }
+        }
+        let texels = Texels::rasterize(&mesh, 8, 8);
+        let lamp = mesh.triangles.len() / 2;
+        let mut known = vec![false; mesh.triangles.len()];
+        texels.point.iter().map(|p| p.triangle as usize).filter(|&t| t < lamp).for_each(|t| known[t] = true);
+        assert!(known.iter().filter(|k| **k).count() < lamp / 10);
+        let emissive = with_slivers(&mesh, &texels, known);
+        let marked = |range: std::ops::Range<usize>| emissive[range].iter().filter(|e| **e).count();
+        assert_eq!(marked(0..lamp), lamp, "every facet of the lamp");
+        assert_eq!(marked(lamp..2 * lamp), 0, "none of the wall");
+    }
 }
