@@ -1,6 +1,7 @@
 """Lays a scene's ground-truth images onto the atlas of its reconstruction: true_materials.py UNBAKE SCENE OUT TRUTH
 
-TRUTH becomes a copy of OUT with the true albedo and roughness wherever an image of gt/ looks. Texture coordinates per pixel come from
+TRUTH becomes a copy of OUT with the true albedo and roughness wherever an image of gt/ looks at a labelled surface (elsewhere the
+images of gt/ hold zeros, and `unbake eval` leaves those pixels out too). Texture coordinates per pixel come from
 `unbake render --show albedo` of a copy whose albedo is (u, v, 1). For evaluation only.
 """
 import json, shutil, subprocess, sys, tempfile
@@ -50,7 +51,9 @@ with tempfile.TemporaryDirectory(dir=truth.parent) as work:
             if len(uv) != len(values):
                 sys.exit(f"{image}: another size than the view")
             at = np.floor(uv[:, :2] * [w, h]).astype(int)
-            seen = (uv[:, 2] > 0.5) & (at >= 0).all(1) & (at < [w, h]).all(1)
+            label = frame.get("label_path")
+            labelled = np.array(mi.Bitmap(str(scene / label))).reshape(len(uv), -1).any(1) if label else True
+            seen = labelled & (uv[:, 2] > 0.5) & (at >= 0).all(1) & (at < [w, h]).all(1)
             cell = at[seen, 1] * w + at[seen, 0]
             np.add.at(sums, cell, values[seen])
             np.add.at(counts, cell, 1)
