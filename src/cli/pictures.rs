@@ -158,8 +158,12 @@ pub fn edit(out: &Path, edits: Option<&Path>, scene: Option<&Path>, clear: bool,
     }
     let before = std::fs::read(&list).ok();
     if let Some(file) = edits {
-        EditList::read(file)?;
-        let text = std::fs::read(file).map_err(|e| Error::io(file, e))?;
+        let mut taken = EditList::read(file)?;
+        let text = if taken.anchor(file)? {
+            toml::to_string(&taken).map_err(|e| Error::Failed(format!("{}: {e}", file.display())))?.into_bytes()
+        } else {
+            std::fs::read(file).map_err(|e| Error::io(file, e))?
+        };
         crate::formats::atomic_write(&list, &text)?;
     } else if !list.is_file() {
         return Err(Error::Usage(format!("{} does not exist: give the edits with --edits FILE", list.display())));

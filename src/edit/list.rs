@@ -132,7 +132,30 @@ impl EditList {
     }
 }
 
+impl EditList {
+    /// Makes pictures that are named relative to the list's own `file` absolute, for a list that moves elsewhere; true if there were
+    /// any.
+    ///
+    /// # Errors
+    /// The current folder is gone.
+    pub fn anchor(&mut self, file: &Path) -> Result<bool> {
+        let file = std::path::absolute(file).map_err(|e| Error::io(file, e))?;
+        let folder = file.parent().unwrap_or(Path::new("/"));
+        let mut any = false;
+        for file in self.edits.iter_mut().flat_map(Edit::files_mut).filter(|f| f.is_relative()) {
+            *file = folder.join(&*file);
+            any = true;
+        }
+        Ok(any)
+    }
+}
+
 impl Edit {
+    fn files_mut(&mut self) -> impl Iterator<Item = &mut PathBuf> {
+        let (albedo, roughness) = self.texture.as_mut().map_or((None, None), |t| (t.albedo.as_mut(), t.roughness.as_mut()));
+        self.mask.iter_mut().chain(albedo).chain(roughness)
+    }
+
     /// The pictures it names.
     pub fn files(&self) -> impl Iterator<Item = &PathBuf> {
         let set = self.texture.as_ref();

@@ -141,3 +141,16 @@ fn a_folder_keeps_its_solution_and_knows_when_its_edits_are_stale() {
     let e = load_edited(folder.path(), &quiet).expect_err("out of range");
     assert!(e.exit_code() == 2 && e.to_string().contains("edit[0].set.albedo"), "{e}");
 }
+
+#[test]
+fn pictures_stay_where_they_are_when_a_list_moves() {
+    let text = "[[edit]]\nmask = \"m.png\"\n[edit.texture]\nalbedo = \"wood/a.png\"\nroughness = \"/srv/r.png\"\n";
+    let mut list: EditList = toml::from_str(text).expect("a list");
+    let folder = std::path::absolute("lists").expect("a folder");
+    assert!(list.anchor(std::path::Path::new("lists/edits.toml")).expect("anchors"));
+    let files: Vec<_> = list.edits[0].files().cloned().collect();
+    assert_eq!(files, [folder.join("m.png"), folder.join("wood/a.png"), "/srv/r.png".into()]);
+    let again = list.clone();
+    assert!(!list.anchor(std::path::Path::new("edits.toml")).expect("anchors"));
+    assert_eq!(list, again);
+}

@@ -73,7 +73,10 @@ pub struct ImageInfo {
 pub(super) fn sniff(path: &Path) -> Result<ImageFormat> {
     let mut head = Vec::new();
     let open = |e: std::io::Error| match e.kind() {
-        std::io::ErrorKind::NotFound => Error::input(path, "no such file; expected an image (check the path in transforms.json)"),
+        std::io::ErrorKind::NotFound => Error::input(
+            path,
+            "no such file; expected an image (check the path where it is named: transforms.json, a list of edits or lights)",
+        ),
         _ => Error::input(path, format!("cannot be read: {e}")),
     };
     File::open(path).map_err(open)?.take(32).read_to_end(&mut head).map_err(open)?;
