@@ -159,12 +159,12 @@ pub fn edit(out: &Path, edits: Option<&Path>, scene: Option<&Path>, clear: bool,
     let before = std::fs::read(&list).ok();
     if let Some(file) = edits {
         let mut taken = EditList::read(file)?;
-        let text = if taken.anchor(file)? {
-            toml::to_string(&taken).map_err(|e| Error::Failed(format!("{}: {e}", file.display())))?.into_bytes()
+        if taken.anchor(file)? {
+            taken.save(&list)?;
         } else {
-            std::fs::read(file).map_err(|e| Error::io(file, e))?
-        };
-        crate::formats::atomic_write(&list, &text)?;
+            let text = std::fs::read(file).map_err(|e| Error::io(file, e))?;
+            crate::formats::atomic_write(&list, &text)?;
+        }
     } else if !list.is_file() {
         return Err(Error::Usage(format!("{} does not exist: give the edits with --edits FILE", list.display())));
     }
@@ -187,8 +187,7 @@ fn apply_list(out: &Path, list: &Path, scene: Option<&Path>, context: &Context) 
     // names are turned into ids once, so that the list can be applied where the scene is not at hand
     let mut resolved = EditList::read(list)?;
     if resolved.name_classes(&classes) {
-        let text = toml::to_string(&resolved).map_err(|e| Error::Failed(format!("{}: {e}", list.display())))?;
-        crate::formats::atomic_write(list, text.as_bytes())?;
+        resolved.save(list)?;
     }
     let clock = Instant::now();
     let edited = apply_to_folder(out, &classes, context.seed(), &context.progress)?;

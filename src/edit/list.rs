@@ -130,9 +130,7 @@ impl EditList {
         }
         any
     }
-}
 
-impl EditList {
     /// Makes pictures that are named relative to the list's own `file` absolute, for a list that moves elsewhere; true if there were
     /// any.
     ///
@@ -147,6 +145,15 @@ impl EditList {
             any = true;
         }
         Ok(any)
+    }
+
+    /// Writes the list, whole or not at all.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let text = toml::to_string(self).map_err(|e| Error::Failed(format!("{}: {e}", path.display())))?;
+        crate::formats::atomic_write(path, text.as_bytes())
     }
 }
 

@@ -154,7 +154,7 @@ impl Bundle {
         for r in receivers {
             let halves = self.draw_hemisphere(bake, round, r, rays);
             rays = halves[1].end;
-            let lit = !round.lights.is_empty() && !bake.emitters.is_empty() && self.choose(bake, r);
+            let lit = !round.lights.is_empty() && self.choose(bake, r);
             if lit {
                 lights = self.draw_lights(bake, round, r, lights);
             }

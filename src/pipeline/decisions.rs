@@ -182,8 +182,7 @@ pub(super) fn report_matte(scene: &Scene, matte: &BTreeSet<u16>, options: &Solve
             progress.decide(what, "for all classes", "no class is certain to have lobes too wide for highlights", false);
         }
         Switch::Auto => {
-            let name = |id: u16| scene.class(id).map_or_else(|| format!("class {id}"), |c| c.name.clone());
-            let names: BTreeSet<String> = matte.iter().map(|c| name(*c)).collect();
+            let names: BTreeSet<String> = matte.iter().map(|c| class_name(scene, *c)).collect();
             let list = names.into_iter().collect::<Vec<_>>().join(", ");
             let why = format!("their roughness exceeds {WIDE} by {CERTAIN} standard errors: no highlight can be observed");
             progress.decide(what, format!("for all classes but {list}"), why, false);
@@ -191,10 +190,14 @@ pub(super) fn report_matte(scene: &Scene, matte: &BTreeSet<u16>, options: &Solve
     }
 }
 
+fn class_name(scene: &Scene, id: u16) -> String {
+    scene.class(id).map_or_else(|| format!("class {id}"), |c| c.name.clone())
+}
+
 /// Says which classes consist of two materials.
 pub(super) fn report_materials(scene: &Scene, materials: &Materials, progress: &Progress) {
-    let name = |id: u16| scene.class(id).map_or_else(|| format!("class {id}"), |c| c.name.clone());
-    let list: Vec<String> = materials.divided().map(|(id, [a, b])| format!("{} ({a:.2} and {b:.2})", name(id))).collect();
+    let list: Vec<String> =
+        materials.divided().map(|(id, [a, b])| format!("{} ({a:.2} and {b:.2})", class_name(scene, id))).collect();
     if list.is_empty() {
         progress.decide("roughness", "one per class", "no class divides by colour into materials of different roughness", false);
     } else {
