@@ -64,6 +64,7 @@ pub const APPROXIMATIONS: &[(&str, Flags)] = &[
 /// Decisions that leave out what the scene does not require, and the flags that model it all the same.
 pub const NEEDS: &[(&str, Flags)] = &[
     ("even light for matte classes", &[("matte", "off")]),
+    ("several roughness values per class", &[("divide-classes", "off")]),
     ("textures fitted to the photographs", &[("fit-textures", "off")]),
     ("any such decision", &[("matte", "off"), ("fit-textures", "off")]),
 ];

@@ -1,10 +1,11 @@
-//! One class, several materials: tiles and their grout share a label, not a roughness.
+//! One class, several materials: tiles and their grout share a label, not a roughness; nor does the wood of two rooms.
 //!
-//! The points of a class are divided by colour. The division stands if each side has evidence of its own, the two roughness values
-//! differ by more than their errors, and together they explain the views better than one value does. Between the two colours, where a
-//! texel holds both materials, the roughness is in between.
+//! A class has one roughness unless the evidence asks for more: one per room, or one that follows the colour from texel to texel. A
+//! division stands if each side has evidence of its own, the roughness values differ by more than their errors, and views that had no
+//! part in the fit are explained better by them than by one value (cross-validation); of two such, the one that explains more.
+//! Between two colours, where a texel holds both materials, the roughness is in between.
 
-use super::roughness::{GroupFit, diffuse_radiance, fit_points, points_by_class};
+use super::roughness::{GroupFit, Row, diffuse_radiance, disagreements, fit_rows, held_out, points_by_class};
 use crate::brdf::Reflectance;
 use crate::highlight::Evidence;
 use crate::math::luminance;
@@ -18,9 +19,9 @@ const FEWEST: usize = 40;
 /// Distance of the two mean colours in standard deviations around them, from which a class counts as two-coloured: halves of a normal
 /// distribution are 2.7 apart.
 const APART: f32 = 3.0;
-/// Share of the views' disagreement that a division must explain: tiles and grout explain 9 %, surfaces of one roughness whose colour
+/// Share of the held-out views' disagreement that a division must explain: tiles and grout explain 9 %, surfaces of one roughness whose colour
 /// merely follows their place up to 4 %.
-const GAIN: f64 = 0.05;
+pub const DIVISION_GAIN: f64 = 0.05;
 /// Standard errors by which the two roughness values must differ.
 const DIFFERENT: f32 = 3.0;
 /// Share of the way from one colour to the other on which points tell of the first, and of the second.
@@ -39,7 +40,23 @@ pub struct Materials {
 #[derive(Clone, Debug)]
 struct Class {
     whole: GroupFit,
-    parts: Option<Parts>,
+    division: Option<Division>,
+}
+
+/// What tells the materials of a class apart.
+#[derive(Clone, Debug)]
+enum Division {
+    Colour(Parts),
+    /// One fit per room with evidence of its own.
+    Room(BTreeMap<u16, GroupFit>),
+}
+
+/// What is known of the evidence's points besides their views.
+pub struct Places<'a> {
+    /// Irradiance at a point of a triangle.
+    pub irradiance: &'a (dyn Fn(u32, Vec3) -> Vec3 + Sync),
+    /// The room that it faces, 0 = none.
+    pub room: &'a (dyn Fn(u32, Vec3) -> u16 + Sync),
 }
 
 /// Two materials by colour: the rarer one, which is the thinner one too, and the usual one.
@@ -65,48 +82,72 @@ impl Axis {
 }
 
 impl Materials {
-    /// Divides the classes fitted by `fits` where the evidence asks for it; `irradiance(triangle, position)` is that of the points.
+    /// Divides the classes fitted by `fits` where that explains more than the share `least` of the held-out views' disagreement.
     #[must_use]
-    pub fn find(
-        evidence: &Evidence,
-        fits: Vec<GroupFit>,
-        model: Reflectance,
-        irradiance: &(dyn Fn(u32, Vec3) -> Vec3 + Sync),
-    ) -> Self {
+    pub fn find(evidence: &Evidence, fits: Vec<GroupFit>, model: Reflectance, places: &Places, least: f64) -> Self {
         let members = points_by_class(evidence);
         let classes = fits
             .into_iter()
             .map(|whole| {
                 let points = members.get(&whole.class).map_or(&[][..], Vec::as_slice);
+                let rows = disagreements(evidence, model, points);
                 let albedo = |&i: &usize| {
                     let p = &evidence.points[i];
-                    let e = irradiance(p.triangle, p.position).max(Vec3::splat(1e-12));
+                    let e = (places.irradiance)(p.triangle, p.position).max(Vec3::splat(1e-12));
                     (diffuse_radiance(evidence, model, i, whole.roughness) * PI / e).clamp(Vec3::ZERO, Vec3::ONE)
                 };
                 let colours: Vec<Vec3> = points.par_iter().map(albedo).collect();
-                let parts = divide(&colours).and_then(|axis| Parts::fit(evidence, model, axis, points, &colours));
-                (whole.class, Class { whole, parts })
+                let rooms: Vec<u16> =
+                    points.iter().map(|&i| (places.room)(evidence.points[i].triangle, evidence.points[i].position)).collect();
+                let by_colour = divide(&colours).and_then(|axis| by_colour(whole.class, axis, &rows, &colours));
+                let by_room = by_room(whole.class, &rows, &rooms);
+                let enough = |d: &(Division, f64)| d.1 > least;
+                let better = |a: (Division, f64), b: (Division, f64)| if b.1 > a.1 { b } else { a };
+                let division = by_colour.into_iter().chain(by_room).filter(enough).reduce(better).map(|d| d.0);
+                (whole.class, Class { whole, division })
             })
             .collect();
         Self { classes }
     }
 
-    /// Roughness of a class at a point of albedo `colour` (`None`: unknown) and its standard error; `None` for a class without evidence.
+    /// One roughness per class, whatever the evidence says.
     #[must_use]
-    pub fn roughness(&self, class: u16, colour: Option<Vec3>) -> Option<(f32, f32)> {
-        let Class { whole, parts } = self.classes.get(&class)?;
-        let Some(p) = parts else { return Some((whole.roughness, whole.error)) };
-        // the usual colour scatters from tile to tile; what lies beyond the rare one is just that
-        let t = colour.map_or(1.0, |c| (p.axis.place(c) / (1.0 - PURE)).min(1.0));
-        let between = |f: fn(&GroupFit) -> f32| f(&p.fits[0]) * (1.0 - t) + f(&p.fits[1]) * t;
-        Some((between(|f| f.roughness), between(|f| f.error)))
+    pub fn undivided(fits: Vec<GroupFit>) -> Self {
+        Self { classes: fits.into_iter().map(|whole| (whole.class, Class { whole, division: None })).collect() }
     }
 
-    /// Classes of two materials, with the roughness of both.
-    pub fn divided(&self) -> impl Iterator<Item = (u16, [f32; 2])> {
-        self.classes
-            .iter()
-            .filter_map(|(&class, c)| c.parts.as_ref().map(|p| (class, [p.fits[0].roughness, p.fits[1].roughness])))
+    /// Roughness of a class in a room at a point of albedo `colour` (`None`: unknown) and its standard error; `None` for a class
+    /// without evidence.
+    #[must_use]
+    pub fn roughness(&self, class: u16, room: u16, colour: Option<Vec3>) -> Option<(f32, f32)> {
+        let Class { whole, division } = self.classes.get(&class)?;
+        let of = |f: &GroupFit| (f.roughness, f.error);
+        Some(match division {
+            None => of(whole),
+            Some(Division::Room(fits)) => of(fits.get(&room).unwrap_or(whole)),
+            Some(Division::Colour(p)) => {
+                // the usual colour scatters from tile to tile; what lies beyond the rare one is just that
+                let t = colour.map_or(1.0, |c| (p.axis.place(c) / (1.0 - PURE)).min(1.0));
+                let ([r0, e0], [r1, e1]) = (<[f32; 2]>::from(of(&p.fits[0])), <[f32; 2]>::from(of(&p.fits[1])));
+                (r0 * (1.0 - t) + r1 * t, e0 * (1.0 - t) + e1 * t)
+            }
+        })
+    }
+
+    /// Classes of two colours, with the roughness of both.
+    pub fn by_colour(&self) -> impl Iterator<Item = (u16, [f32; 2])> {
+        self.classes.iter().filter_map(|(&class, c)| match &c.division {
+            Some(Division::Colour(p)) => Some((class, [p.fits[0].roughness, p.fits[1].roughness])),
+            _ => None,
+        })
+    }
+
+    /// Classes whose roughness differs from room to room, with the rooms' values.
+    pub fn by_room(&self) -> impl Iterator<Item = (u16, Vec<(u16, f32)>)> {
+        self.classes.iter().filter_map(|(&class, c)| match &c.division {
+            Some(Division::Room(fits)) => Some((class, fits.iter().map(|(room, f)| (*room, f.roughness)).collect())),
+            _ => None,
+        })
     }
 
     /// The fits of whole classes.
@@ -115,23 +156,40 @@ impl Materials {
     }
 }
 
-impl Parts {
-    fn fit(evidence: &Evidence, model: Reflectance, axis: Axis, points: &[usize], colours: &[Vec3]) -> Option<Self> {
-        let of = |lies: &dyn Fn(f32) -> bool| -> Vec<usize> {
-            points.iter().zip(colours).filter(|(_, c)| lies(axis.place(**c))).map(|(i, _)| *i).collect()
-        };
-        let sides = [of(&|place| place <= PURE), of(&|place| place >= 1.0 - PURE)];
-        if sides.iter().any(|s| s.len() < FEWEST) {
-            return None;
-        }
-        let class = evidence.points[points[0]].class;
-        let fits = [0, 1].map(|k| fit_points(evidence, model, class, &sides[k]));
-        let together = fit_points(evidence, model, class, &sides.concat());
-        let apart: f64 = fits.iter().map(|f| f.points as f64 * f.disagreement()).sum();
-        let explains = apart < together.points as f64 * together.disagreement() * (1.0 - GAIN);
-        let differ = (fits[0].roughness - fits[1].roughness).abs() > DIFFERENT * fits[0].error.hypot(fits[1].error);
-        (explains && differ).then_some(Self { axis, fits })
+/// Divides a class by colour; also the share of the held-out views' disagreement that the division explains.
+fn by_colour(class: u16, axis: Axis, rows: &[Row], colours: &[Vec3]) -> Option<(Division, f64)> {
+    let of = |lies: &dyn Fn(f32) -> bool| -> Vec<Row> {
+        rows.iter().zip(colours).filter(|(_, c)| lies(axis.place(**c))).map(|(r, _)| *r).collect()
+    };
+    let sides = [of(&|place| place <= PURE), of(&|place| place >= 1.0 - PURE)];
+    let (fits, gain) = explained(class, &sides)?;
+    let fits = <[GroupFit; 2]>::try_from(fits).ok()?;
+    Some((Division::Colour(Parts { axis, fits }), gain))
+}
+
+/// The same room by room.
+fn by_room(class: u16, rows: &[Row], rooms: &[u16]) -> Option<(Division, f64)> {
+    let mut members: BTreeMap<u16, Vec<Row>> = BTreeMap::new();
+    rows.iter().zip(rooms).filter(|(_, room)| **room != 0).for_each(|(r, room)| members.entry(*room).or_default().push(*r));
+    members.retain(|_, rows| rows.len() >= FEWEST);
+    let (names, sides): (Vec<u16>, Vec<Vec<Row>>) = members.into_iter().unzip();
+    let (fits, gain) = explained(class, &sides)?;
+    Some((Division::Room(names.into_iter().zip(fits).collect()), gain))
+}
+
+/// Fits each side of a division; `None` unless the sides differ. Also the share of the held-out views' disagreement that the division
+/// explains.
+fn explained(class: u16, sides: &[Vec<Row>]) -> Option<(Vec<GroupFit>, f64)> {
+    if sides.len() < 2 || sides.iter().any(|s| s.len() < FEWEST) {
+        return None;
     }
+    let apart: f64 = sides.iter().map(|s| held_out(s)).sum();
+    let gain = 1.0 - apart / held_out(&sides.concat());
+    let fits: Vec<GroupFit> = sides.iter().map(|s| fit_rows(class, s)).collect();
+    let by_value = |a: &&GroupFit, b: &&GroupFit| a.roughness.total_cmp(&b.roughness);
+    let (low, high) = (fits.iter().min_by(by_value)?, fits.iter().max_by(by_value)?);
+    let differ = high.roughness - low.roughness > DIFFERENT * low.error.hypot(high.error);
+    differ.then_some((fits, gain))
 }
 
 fn logarithm(albedo: Vec3) -> Vec3 {
@@ -247,14 +305,44 @@ mod tests {
             points.extend(scattered(&mut rng, grout, 0.05, 80).into_iter().map(|c| (c, second)));
             let evidence = evidence_of(&mut rng, &points);
             let model = Reflectance::Paper;
-            let materials = Materials::find(&evidence, fit_groups(&evidence, model), model, &|_, _| LIGHT);
-            assert_eq!(materials.divided().count(), usize::from(divides), "grout of roughness {second}");
-            let roughness = |c: Option<Vec3>| materials.roughness(7, c).expect("evidence").0;
+            let places = Places { irradiance: &|_, _| LIGHT, room: &|_, _| 1 };
+            let materials = Materials::find(&evidence, fit_groups(&evidence, model), model, &places, DIVISION_GAIN);
+            assert_eq!(materials.by_colour().count(), usize::from(divides), "grout of roughness {second}");
+            assert_eq!(materials.by_room().count(), 0);
+            let roughness = |c: Option<Vec3>| materials.roughness(7, 1, c).expect("evidence").0;
             assert!((roughness(Some(tile)) - 0.15).abs() < 0.02 && (roughness(None) - 0.15).abs() < 0.02);
             assert!((roughness(Some(grout)) - second).abs() < 0.1, "{}", roughness(Some(grout)));
             let between = roughness(Some(grout.lerp(tile, 0.4)));
             assert!(!divides || (between > 0.3 && between < 0.75), "half of each: {between}");
-            assert!(materials.roughness(8, None).is_none());
+            assert!(materials.roughness(8, 1, None).is_none());
+        }
+    }
+
+    #[test]
+    fn a_class_divides_by_room_where_its_roughness_differs_from_room_to_room_and_only_there() {
+        let wood = Vec3::new(0.4, 0.3, 0.2);
+        for (second, divides) in [(0.6, true), (0.2, false)] {
+            let mut rng = KeyedRng::new(5, 6);
+            let points: Vec<(Vec3, f32)> = scattered(&mut rng, wood, 0.1, 400)
+                .into_iter()
+                .enumerate()
+                .map(|(i, c)| (c, if i < 250 { 0.2 } else { second }))
+                .collect();
+            let evidence = evidence_of(&mut rng, &points);
+            let model = Reflectance::Paper;
+            // (points lie along x; a third room has too few of them)
+            let places =
+                Places { irradiance: &|_, _| LIGHT, room: &|_, p| if p.x < 250.0 { 1 } else { 2 + u16::from(p.x >= 380.0) } };
+            let materials = Materials::find(&evidence, fit_groups(&evidence, model), model, &places, DIVISION_GAIN);
+            assert_eq!(materials.by_room().count(), usize::from(divides), "second room of roughness {second}");
+            assert_eq!(materials.by_colour().count(), 0);
+            let roughness = |room: u16| materials.roughness(7, room, Some(wood)).expect("evidence").0;
+            assert!((roughness(1) - 0.2).abs() < 0.03, "{}", roughness(1));
+            assert!((roughness(2) - second).abs() < 0.05, "{}", roughness(2));
+            let whole = materials.fits().next().expect("a class").roughness;
+            assert_eq!(roughness(3), whole, "too few points of its own");
+            let one = Materials::undivided(fit_groups(&evidence, model));
+            assert_eq!(one.roughness(7, 2, None).expect("evidence").0, whole);
         }
     }
 }

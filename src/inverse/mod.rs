@@ -11,7 +11,7 @@ mod unmix;
 
 pub use albedo::{AlbedoEstimate, DiffuseShading, estimate_albedo, specular_image};
 pub use confidence::albedo_error;
-pub use materials::Materials;
+pub use materials::{DIVISION_GAIN, Materials, Places};
 pub use matte::{WIDE, WideLobes};
 pub use roughness::{GroupFit, choose_model, fit_groups};
 pub use unmix::{UnmixReport, Unmixing};

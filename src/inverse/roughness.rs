@@ -74,17 +74,57 @@ pub fn choose_model(evidence: &Evidence) -> (Reflectance, Vec<GroupFit>, Vec<(Re
 }
 
 /// Fits one roughness to some points of a class, given by their indices.
-pub(super) fn fit_points(evidence: &Evidence, model: Reflectance, class: u16, points: &[usize]) -> GroupFit {
-    let rows: Vec<[f64; LEVELS.len()]> = points
-        .par_iter()
-        .map(|&i| {
-            let mut looks = Looks::of(evidence, model, i);
-            std::array::from_fn(|k| looks.disagreement(k))
+fn fit_points(evidence: &Evidence, model: Reflectance, class: u16, points: &[usize]) -> GroupFit {
+    fit_rows(class, &disagreements(evidence, model, points))
+}
+
+/// How far the views of one point disagree at every level.
+pub(super) type Row = [f64; LEVELS.len()];
+
+/// The disagreement of points, given by their indices.
+pub(super) fn disagreements(evidence: &Evidence, model: Reflectance, points: &[usize]) -> Vec<Row> {
+    let row = |&i: &usize| {
+        let mut looks = Looks::of(evidence, model, i);
+        std::array::from_fn(|k| looks.disagreement(k))
+    };
+    points.par_iter().map(row).collect()
+}
+
+/// Sum over the points of how far their views disagree at the roughness that the other points ask for: each of [`FOLDS`] parts is
+/// judged by what is fitted to the rest (Stone 1974, cross-validation), so that more values explain nothing by their number alone.
+pub(super) fn held_out(rows: &[Row]) -> f64 {
+    let sum = |keep: &dyn Fn(usize) -> bool| -> Vec<f64> {
+        (0..LEVELS.len()).map(|k| rows.iter().enumerate().filter(|(i, _)| keep(*i)).map(|(_, r)| r[k]).sum()).collect()
+    };
+    (0..FOLDS.min(rows.len()))
+        .map(|fold| {
+            let (rest, held) = (sum(&|i| i % FOLDS != fold), sum(&|i| i % FOLDS == fold));
+            at_roughness(&held, parabola_minimum(lowest(&rest), &rest).0)
         })
-        .collect();
+        .sum()
+}
+
+/// Parts of the points in turn left out of a fit.
+const FOLDS: usize = 5;
+
+/// The level of the least value.
+fn lowest(objective: &[f64]) -> usize {
+    (0..objective.len()).min_by(|&a, &b| objective[a].total_cmp(&objective[b])).unwrap_or(0)
+}
+
+/// A table over the levels between two of them.
+fn at_roughness(table: &[f64], roughness: f32) -> f64 {
+    let above = LEVELS.partition_point(|l| *l < roughness).clamp(1, LEVELS.len() - 1);
+    let [low, high] = [LEVELS[above - 1], LEVELS[above]];
+    let t = f64::from(((roughness - low) / (high - low)).clamp(0.0, 1.0));
+    table[above - 1] * (1.0 - t) + table[above] * t
+}
+
+/// Fits one roughness to the points of a class, given by their disagreement.
+pub(super) fn fit_rows(class: u16, rows: &[Row]) -> GroupFit {
     let n = rows.len().max(1) as f64;
     let objective: Vec<f64> = (0..LEVELS.len()).map(|k| rows.iter().map(|r| r[k]).sum::<f64>() / n).collect();
-    let best = (0..LEVELS.len()).min_by(|&a, &b| objective[a].total_cmp(&objective[b])).unwrap_or(0);
+    let best = lowest(&objective);
     let (roughness, curvature) = parabola_minimum(best, &objective);
     // spread of the points' slopes around the minimum: sandwich estimate
     let (lo, hi) = (best.saturating_sub(1), (best + 1).min(LEVELS.len() - 1));
@@ -94,7 +134,7 @@ pub(super) fn fit_points(evidence: &Evidence, model: Reflectance, class: u16, po
     let variance = slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n / n;
     let noise = if curvature > 0.0 { (variance.sqrt() / curvature) as f32 } else { 1.0 };
     let error = noise.hypot(indistinguishable(roughness, &objective)).min(1.0);
-    GroupFit { class, roughness, error, objective, points: points.len() }
+    GroupFit { class, roughness, error, objective, points: rows.len() }
 }
 
 /// Standard deviation around `roughness` of a roughness known only to explain the views as well as the best does, up to what no model
@@ -102,7 +142,7 @@ pub(super) fn fit_points(evidence: &Evidence, model: Reflectance, class: u16, po
 /// points' scatter this does not shrink with their number: the model's own error is common to all points.
 fn indistinguishable(roughness: f32, objective: &[f64]) -> f32 {
     let limit = objective.iter().copied().fold(f64::INFINITY, f64::min) * (1.0 + MODEL_GAIN);
-    let best = (0..LEVELS.len()).min_by(|&a, &b| objective[a].total_cmp(&objective[b])).unwrap_or(0);
+    let best = lowest(objective);
     // where the objective crosses the limit between an outside level and its inside neighbour
     let crossing = |inside: usize, outside: usize| {
         let (a, b) = (objective[inside], objective[outside]);

@@ -10,26 +10,58 @@ use crate::progress::Progress;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-/// Sides of textures that a budget can choose, in steps of √2.
-const SIDES: [usize; 11] = [128, 192, 256, 384, 512, 704, 1024, 1472, 2048, 2944, 4096];
-/// Shares of the time left after the texture sizes are settled.
-const TEXTURES: f64 = 0.3;
-const IRRADIANCE: f64 = 0.5;
+/// Texture sides are multiples of this, and at least [`LEAST_SIDE`].
+const STEP: usize = 64;
+const LEAST_SIDE: usize = 128;
+/// Shares of the time left besides edges, report and files: what `standard` spends where (grey-white-room and aws-house agree).
+const TEXTURES: f64 = 0.28;
+const IRRADIANCE_TEXELS: f64 = 0.42;
+/// Shares of the time left before the tail that go to irradiance and to evidence when their turn comes.
+const IRRADIANCE: f64 = 0.58;
 const EVIDENCE: f64 = 0.35;
-/// Cost of fusing a texel, and of its albedo, in lookups of a surface point in all views; measured on grey-white-room.
-const FUSING: f64 = 1.5;
-const ALBEDO: f64 = 1.12;
-/// Cost of edges and missing light, in fusions of all texels; measured on grey-white-room.
-const SECOND_LOOK: f64 = 1.7;
-/// Cost of filtering an irradiance texel once, of a pixel of the report and of a written texel, in rays of the coarse bake.
+/// Costs in looks at a surface point in all views: fusing a texel, and its albedo. (All costs below: measured on grey-white-room,
+/// checked on aws-house and the synthetic apartment.)
+const FUSING: f64 = 0.25;
+const ALBEDO: f64 = 1.28 * FUSING;
+/// Rays of the coarse bake in the time of a look: what counts until that bake tells.
+const RAYS_PER_LOOK: f64 = 52.0;
+/// Costs in rays of the coarse bake: filtering an irradiance texel once, its missing light, an edge pixel of the views, a pixel of
+/// the report, a written value.
 const FILTER: f64 = 40.0;
-const REPORT_PIXEL: f64 = 10.0;
-const WRITTEN: f64 = 0.12;
+const MISSING_LIGHT: f64 = 30.0;
+const EDGES: f64 = 66.0;
+const REPORT_PIXEL: f64 = 28.0;
+const WRITTEN: f64 = 0.25;
+/// Cost of a specular ray in the images, of which one in three goes to an emitter, in rays of the evidence.
+const SPECULAR_RAY: f64 = 1.2;
 /// Share of an irradiance texel's samples that go to emitters, in ninths; the hemisphere gets the others.
 const TO_EMITTERS: u32 = 2;
-/// Samples per irradiance texel and rays per pixel between which a budget chooses.
+/// Samples per irradiance texel and rays per pixel between which a budget chooses, and the former in `standard`.
 const SAMPLES: [f64; 2] = [4.0, 2048.0];
 const SPECULAR: [f64; 2] = [1.0, 256.0];
+const STANDARD_SAMPLES: f64 = 160.0;
+
+/// Cost of what a run does in any case, in rays per pixel of the views: highlights, pilots, specular images of one ray.
+const LEAST: f64 = 4.0;
+/// Share of the time left that must remain besides that, edges, report and files; edges are left out where it would not.
+const LEAST_FREE: f64 = 0.35;
+/// Share of the whole budget by which the solution at edges may exceed it.
+const OVERDRAFT: f64 = 0.08;
+
+/// What there is to do, and how fast a look is.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Workload {
+    /// Share of the atlas that charts cover.
+    pub covered: f64,
+    /// Seconds that one surface point takes in all views.
+    pub lookup: f64,
+    /// Pixels of all views.
+    pub pixels: f64,
+    /// Pixels at edges among them; 0 if they are not solved for.
+    pub edge_pixels: f64,
+    /// Pixels that the report renders.
+    pub report_pixels: f64,
+}
 
 /// A time to spend.
 #[derive(Clone, Debug)]
@@ -45,21 +77,21 @@ impl PartialEq for Budget {
     }
 }
 
-/// Costs of this run, seconds.
+/// Costs of this run, seconds, and what is still to do.
 #[derive(Clone, Copy, Debug, Default)]
 struct Measured {
-    /// Lookup of a surface point in all views.
-    lookup: f64,
     /// Fusion of all texels.
     fusion: f64,
     /// A ray of the coarse bake.
     ray: f64,
     /// A ray of the specular evidence.
     specular_ray: f64,
-    /// Pixels that the report will render.
-    report_pixels: f64,
-    /// Texels that will be written.
-    written: f64,
+    /// Irradiance texels, edge pixels of the views, pixels of the report and values to write, in rays of the coarse bake.
+    missing_light: f64,
+    edges: f64,
+    files: f64,
+    /// Whether edges were given up for want of time.
+    without_edges: bool,
 }
 
 impl Budget {
@@ -90,33 +122,36 @@ impl Budget {
     /// What albedo, edges, missing light, files and report will take once the fusion and the coarse bake have been measured.
     fn tail(&self) -> f64 {
         let m = self.measured();
-        (ALBEDO + SECOND_LOOK) * m.fusion + m.ray * (REPORT_PIXEL * m.report_pixels + WRITTEN * m.written)
+        ALBEDO / FUSING * m.fusion + m.ray * (m.missing_light + m.edges + m.files)
     }
 
-    /// Lowers texture sizes so that what runs over texels fits: `covered` is the share of the atlas that charts cover, `lookup` the
-    /// seconds one surface point takes in all views.
-    pub(super) fn sizes(&self, sizes: Sizes, covered: f64, lookup: f64, report_pixels: f64, progress: &Progress) -> Sizes {
+    /// Lowers texture sizes so that what runs over texels fits.
+    pub(super) fn sizes(&self, sizes: Sizes, work: &Workload, progress: &Progress) -> Sizes {
         let left = self.left();
-        let per_texel = lookup * FUSING * (1.0 + ALBEDO + SECOND_LOOK);
-        // a ray costs about a thirtieth of a look into sixteen views; the coarse bake will tell
-        let filtered = lookup * 2.0 * FILTER / 8.0;
+        let ray = work.lookup / RAYS_PER_LOOK;
+        let fixed = |edges: f64| ray * (EDGES * edges + LEAST * work.pixels + REPORT_PIXEL * work.report_pixels);
+        let edges = if left - fixed(work.edge_pixels) > LEAST_FREE * left { work.edge_pixels } else { 0.0 };
+        let free = left - fixed(edges);
         let largest = |most: usize, cost: f64, share: f64| {
-            let fits = |side: usize| (side * side) as f64 * covered * cost <= share * left;
-            SIDES.into_iter().rev().find(|&s| s <= most && fits(s)).unwrap_or(SIDES[0]).min(most)
+            let side = (share * free.max(0.0) / (work.covered * cost)).sqrt() as usize;
+            (side / STEP * STEP).max(LEAST_SIDE).min(most)
         };
-        let albedo = largest(sizes.albedo, per_texel, TEXTURES);
-        let irradiance = largest(sizes.irradiance.min(albedo), filtered, 0.5 * TEXTURES);
+        let albedo = largest(sizes.albedo, work.lookup * (FUSING + ALBEDO), TEXTURES);
+        let texel = STANDARD_SAMPLES + FILTER + MISSING_LIGHT;
+        let irradiance = largest(sizes.irradiance.min(albedo), ray * texel, IRRADIANCE_TEXELS);
         let out = Sizes { albedo, roughness: sizes.roughness.min(albedo), irradiance };
+        let values = (4 * out.albedo * out.albedo + out.roughness * out.roughness + out.irradiance * out.irradiance) as f64;
         self.note(|m| {
-            m.lookup = lookup;
-            m.report_pixels = report_pixels;
-            m.written = (4 * out.albedo * out.albedo + out.roughness * out.roughness + out.irradiance * out.irradiance) as f64;
+            m.missing_light = MISSING_LIGHT * work.covered * (out.irradiance * out.irradiance) as f64;
+            m.edges = EDGES * edges;
+            m.without_edges = edges < work.edge_pixels;
+            m.files = REPORT_PIXEL * work.report_pixels + WRITTEN * values;
         });
         if out != sizes {
             progress.decide(
                 "texture sizes",
                 format!("--albedo-size {} --roughness-size {} --irradiance-size {}", out.albedo, out.roughness, out.irradiance),
-                format!("{left:.1} s left, a look at a surface point takes {:.1} µs", 1e6 * lookup),
+                format!("{left:.1} s left, a look at a surface point takes {:.1} µs", 1e6 * work.lookup),
                 true,
             );
         }
@@ -159,13 +194,25 @@ impl Budget {
         n
     }
 
+    /// Whether there is time to solve for the texels at edges, after the albedo.
+    pub(super) fn allows_edges(&self, progress: &Progress) -> bool {
+        let m = self.measured();
+        let left = self.left();
+        let [edges, others] = [m.edges, m.missing_light + m.files].map(|rays| rays * m.ray);
+        let fits = !m.without_edges && edges + others < left + OVERDRAFT * self.seconds;
+        if !fits {
+            let why = format!("{left:.1} s left; missing light, files and report will take {others:.1} s");
+            progress.decide("albedo at edges", "left out: --edges off", why, true);
+        }
+        fits
+    }
+
     /// Rays per pixel for `pixels` pixels of the specular images.
     pub(super) fn specular_rays(&self, pixels: usize, progress: &Progress) -> u32 {
         let m = self.measured();
         let left = self.left() - self.tail();
         let ray = if m.specular_ray > 0.0 { m.specular_ray } else { m.ray };
-        // half as many emitter samples as rays
-        let n = (left / (1.5 * ray * pixels.max(1) as f64)).clamp(SPECULAR[0], SPECULAR[1]) as u32;
+        let n = (left / (SPECULAR_RAY * ray * pixels.max(1) as f64)).clamp(SPECULAR[0], SPECULAR[1]) as u32;
         let tail = self.tail();
         progress.decide(
             "specular images",
@@ -246,10 +293,11 @@ mod tests {
         let p = Progress::silent();
         let at = |seconds: f64| Budget::new(Instant::now(), seconds);
         let most = Sizes { albedo: 2048, roughness: 4096, irradiance: 1024 };
-        let sizes = |s: f64| at(s).sizes(most, 0.6, 4e-6, 1e6, &p);
+        let work = Workload { covered: 0.6, lookup: 8e-6, pixels: 8e6, edge_pixels: 1e6, report_pixels: 2e6 };
+        let sizes = |s: f64| at(s).sizes(most, &work, &p);
         assert_eq!(sizes(1e4), Sizes { roughness: 2048, ..most });
-        assert!(sizes(20.0).albedo < sizes(60.0).albedo);
-        assert_eq!(sizes(-1.0).albedo, SIDES[0]);
+        assert!(sizes(30.0).albedo < sizes(50.0).albedo);
+        assert_eq!(sizes(-1.0).albedo, LEAST_SIDE);
         let samples = |s: f64| at(s).irradiance_samples(500_000, 5_000_000, 1.0, 3, &p);
         assert_eq!(samples(1.0), 4);
         assert!(samples(60.0) > 8 && samples(120.0) > samples(60.0));

@@ -1,5 +1,6 @@
 //! Model only what a scene requires: each choice is made from evidence, says why, and can be forced.
 
+use super::budget::Workload;
 use super::{Quality, SolveOptions, Switch};
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::geometry::Mesh;
@@ -9,7 +10,7 @@ use crate::lighting::Environment;
 use crate::progress::Progress;
 use crate::sampling::{Discrete, KeyedRng};
 use crate::scene::{RoomGrid, Scene};
-use crate::trace::Tracer;
+use crate::trace::{Hit, Tracer};
 use std::collections::BTreeSet;
 use std::time::Instant;
 
@@ -65,7 +66,19 @@ pub(super) fn choose_sizes(observer: &Observer, orientation: &Orientation, optio
     let Some(budget) = &options.budget else { return sizes };
     let mesh = observer.mesh;
     let covered: f64 = (0..mesh.triangles.len()).map(|t| atlas_area(mesh, t)).filter(|a| a.is_finite()).sum();
-    let cheaper = budget.sizes(sizes, covered.clamp(0.01, 1.0), lookup, report_pixels(observer), progress);
+    let edge_pixels: usize = observer
+        .views
+        .iter()
+        .map(|v| v.clean.data.iter().zip(&v.buffer.triangle.data).filter(|(clean, t)| !**clean && **t != Hit::MISS).count())
+        .sum();
+    let work = Workload {
+        covered: covered.clamp(0.01, 1.0),
+        lookup,
+        pixels: observer.views.iter().map(|v| v.radiance.data.len()).sum::<usize>() as f64,
+        edge_pixels: if options.edges == Switch::Off { 0.0 } else { edge_pixels as f64 },
+        report_pixels: report_pixels(observer),
+    };
+    let cheaper = budget.sizes(sizes, &work, progress);
     let keep = |i: usize, size: usize, lower: usize| if fit[i] { lower } else { size };
     Sizes {
         albedo: keep(0, sizes.albedo, cheaper.albedo),
@@ -194,15 +207,24 @@ fn class_name(scene: &Scene, id: u16) -> String {
     scene.class(id).map_or_else(|| format!("class {id}"), |c| c.name.clone())
 }
 
-/// Says which classes consist of two materials.
-pub(super) fn report_materials(scene: &Scene, materials: &Materials, progress: &Progress) {
-    let list: Vec<String> =
-        materials.divided().map(|(id, [a, b])| format!("{} ({a:.2} and {b:.2})", class_name(scene, id))).collect();
+/// Says which classes have more than one roughness.
+pub(super) fn report_materials(scene: &Scene, materials: &Materials, options: &SolveOptions, progress: &Progress) {
+    if options.divide == Switch::Off {
+        progress.decide("roughness", "one per class", "--divide-classes off", true);
+        return;
+    }
+    let by_colour = materials.by_colour().map(|(id, [a, b])| format!("{} by colour ({a:.2}, {b:.2})", class_name(scene, id)));
+    let by_room = materials.by_room().map(|(id, rooms)| {
+        let values: Vec<String> = rooms.iter().map(|(room, r)| format!("room {room}: {r:.2}")).collect();
+        format!("{} by room ({})", class_name(scene, id), values.join(", "))
+    });
+    let list: Vec<String> = by_colour.chain(by_room).collect();
     if list.is_empty() {
-        progress.decide("roughness", "one per class", "no class divides by colour into materials of different roughness", false);
+        let why = "neither by room nor by colour do several values explain held-out views better than one";
+        progress.decide("roughness", "one per class", why, false);
     } else {
-        let why = format!("divided by colour, for that explains the views better: {}", list.join(", "));
-        progress.decide("roughness", format!("one per class, two in {}", list.len()), why, false);
+        let why = format!("held-out views are explained better so: {}", list.join("; "));
+        progress.decide("roughness", format!("one per class, several in {}", list.len()), why, false);
     }
 }
 

@@ -42,6 +42,7 @@ impl SolveOptions {
             evidence_rays: 20,
             specular_rays: 4,
             matte: Switch::Auto,
+            divide: Switch::Auto,
             edges: Switch::Auto,
             missing_light: Switch::Auto,
             exposure: Switch::Auto,
@@ -141,6 +142,10 @@ pub struct SolveRequest {
     /// Replace specular lobes too wide to show anything by the mean light around: on = all from R = 0.5, off = none.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub matte: Switch,
+    /// Give a class several roughness values, by room or by colour, where held-out views are explained better so: on = wherever they
+    /// differ, off = one per class.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub divide_classes: Switch,
     /// Solve for the albedo of texels that no view sees clean from how much of each pixel they cover: off = what those pixels show.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub edges: Switch,
@@ -200,6 +205,7 @@ impl SolveRequest {
             evidence_rays: self.evidence_rays.unwrap_or(preset.evidence_rays),
             specular_rays: self.specular_rays.unwrap_or(preset.specular_rays),
             matte: self.matte,
+            divide: self.divide_classes,
             edges: self.edges,
             missing_light: self.missing_light,
             exposure: self.exposure,

@@ -9,8 +9,8 @@ use crate::brdf::{F0, Reflectance};
 use crate::highlight::{Candidate, SelectOptions, gather_evidence, select_points};
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::inverse::{
-    AlbedoEstimate, DiffuseShading, GroupFit, Materials, Unmixing, WIDE, WideLobes, choose_model, estimate_albedo, fit_groups,
-    specular_image,
+    AlbedoEstimate, DIVISION_GAIN, DiffuseShading, GroupFit, Materials, Places, Unmixing, WIDE, WideLobes, choose_model,
+    estimate_albedo, fit_groups, specular_image,
 };
 use crate::lighting::Reflector;
 use crate::progress::Progress;
@@ -93,14 +93,21 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         let size = Vec2::new(light.irradiance.width as f32, light.irradiance.height as f32);
         light.irradiance.bilinear(surface.uv_at(t, p) * size, Wrap::Clamp)
     };
-    let materials = progress.stage("materials", 1, |_| Materials::find(&evidence, fits, model, &irradiance_at));
-    report_materials(scene, &materials, progress);
+    let rooms = rooms_of(&surface, options, progress);
+    let places = Places { irradiance: &irradiance_at, room: &|t, p| surface.nearest(&rooms, t, p) };
+    let materials = progress.stage("materials", 1, |_| match options.divide {
+        Switch::Off => Materials::undivided(fits),
+        Switch::Auto => Materials::find(&evidence, fits, model, &places, DIVISION_GAIN),
+        Switch::On => Materials::find(&evidence, fits, model, &places, f64::NEG_INFINITY),
+    });
+    report_materials(scene, &materials, options, progress);
     let roughness_of_texel: Vec<f32> = first_albedo(&surface, &light)
         .into_par_iter()
         .enumerate()
         .map(|(i, colour)| {
             let colour = (surface.fusion.views[i] > 0).then_some(colour);
-            materials.roughness(surface.labels[i], colour).map_or(ROUGHNESS_PRIOR, |r| r.0)
+            let room = rooms.data[surface.texels.cell[i] as usize];
+            materials.roughness(surface.labels[i], room, colour).map_or(ROUGHNESS_PRIOR, |r| r.0)
         })
         .collect();
     let roughness_plane = filled(&surface.texels, &roughness_of_texel);
@@ -147,7 +154,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         let (observer, orientation) = (surface.observer(), &surface.orientation);
         estimate_albedo(&observer, &specular, orientation, &surface.texels, &light.irradiance, &shading, p)
     });
-    if options.edges != Switch::Off {
+    if options.edges != Switch::Off && options.budget.as_ref().is_none_or(|b| b.allows_edges(progress)) {
         rays += solve_edges(&surface, &light, &specular, (model, &lobes, &roughness), &mut albedo, progress);
     }
     if options.missing_light != Switch::Off {
@@ -160,7 +167,6 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
             100.0 * change
         ));
     }
-    let rooms = rooms_of(&surface, options, progress);
     let solution = assemble(&surface, &light, &albedo, &materials, model, labels, rooms);
     Ok(Solved { solution, fits: materials.fits().cloned().collect(), rays })
 }
@@ -246,7 +252,7 @@ fn assemble(
         .into_par_iter()
         .map(|i| {
             let colour = albedo.error[i].is_finite().then_some(albedo.value[i]);
-            materials.roughness(surface.labels[i], colour).unwrap_or((ROUGHNESS_PRIOR, 1e4))
+            materials.roughness(surface.labels[i], rooms.data[texels.cell[i] as usize], colour).unwrap_or((ROUGHNESS_PRIOR, 1e4))
         })
         .collect();
     // unseen texels have a value where their class says what to expect

@@ -15,6 +15,7 @@ mod routes;
 mod server;
 
 pub use content::Content;
+pub use http::parse as parse_request;
 pub use server::{Server, Stopper};
 
 use crate::error::Result;
