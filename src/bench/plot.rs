@@ -31,6 +31,12 @@ pub(super) struct Chart {
     pub series: Vec<Series>,
 }
 
+impl Chart {
+    fn names(&self) -> impl Iterator<Item = &str> {
+        self.series.iter().map(|s| s.name.as_str())
+    }
+}
+
 /// Size of one chart in pixels.
 const SIZE: (u32, u32) = (620, 430);
 /// Colour-blind-safe colours (Okabe & Ito 2008).
@@ -57,8 +63,10 @@ pub(super) fn svg(charts: &[Chart]) -> Result<String> {
     {
         let area = SVGBackend::with_string(&mut out, (SIZE.0 * columns as u32, SIZE.1 * rows as u32)).into_drawing_area();
         area.fill(&WHITE).map_err(failed)?;
-        for (chart, cell) in charts.iter().zip(area.split_evenly((rows, columns))) {
-            draw(chart, &cell).map_err(failed)?;
+        for (i, (chart, cell)) in charts.iter().zip(area.split_evenly((rows, columns))).enumerate() {
+            // charts of the same curves share the legend of the last
+            let named = charts.get(i + 1).is_none_or(|next| !chart.names().eq(next.names()));
+            draw(chart, named, &cell).map_err(failed)?;
         }
         area.present().map_err(failed)?;
     }
@@ -71,7 +79,7 @@ fn failed(e: impl std::fmt::Display) -> Error {
 
 type Drawn = std::result::Result<(), DrawingAreaErrorKind<std::io::Error>>;
 
-fn draw(chart: &Chart, area: &DrawingArea<SVGBackend<'_>, plotters::coord::Shift>) -> Drawn {
+fn draw(chart: &Chart, named: bool, area: &DrawingArea<SVGBackend<'_>, plotters::coord::Shift>) -> Drawn {
     let place = |&(x, y): &(f64, f64)| (scaled(x, chart.log_x), scaled(y, chart.log_y));
     let curves: Vec<Vec<(f64, f64)>> = chart
         .series
@@ -104,13 +112,19 @@ fn draw(chart: &Chart, area: &DrawingArea<SVGBackend<'_>, plotters::coord::Shift
         .draw()?;
     for (i, (series, points)) in chart.series.iter().zip(&curves).enumerate() {
         let colour = COLOURS[i % COLOURS.len()];
-        let mark = move |(x, y): (i32, i32)| Circle::new((x + 10, y), 4, colour.filled());
         if series.line {
             context.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2)))?;
         }
-        context.draw_series(points.iter().map(|&p| Circle::new(p, 4, colour.filled())))?.label(series.name.clone()).legend(mark);
+        // where colours repeat, the marks differ
+        if i < COLOURS.len() {
+            let drawn = context.draw_series(points.iter().map(|&p| Circle::new(p, 4, colour.filled())))?;
+            drawn.label(series.name.clone()).legend(move |(x, y)| Circle::new((x + 10, y), 4, colour.filled()));
+        } else {
+            let drawn = context.draw_series(points.iter().map(|&p| TriangleMarker::new(p, 6, colour.filled())))?;
+            drawn.label(series.name.clone()).legend(move |(x, y)| TriangleMarker::new((x + 10, y), 6, colour.filled()));
+        }
     }
-    if chart.series.len() > 1 {
+    if named && chart.series.len() > 1 {
         context.configure_series_labels().background_style(WHITE.mix(0.85)).border_style(BLACK.mix(0.3)).draw()?;
     }
     Ok(())

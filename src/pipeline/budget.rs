@@ -32,13 +32,14 @@ const MISSING_LIGHT: f64 = 30.0;
 const EDGES: f64 = 66.0;
 const REPORT_PIXEL: f64 = 28.0;
 const WRITTEN: f64 = 0.25;
-/// Cost of a specular ray in the images, of which one in three goes to an emitter, in rays of the evidence.
-const SPECULAR_RAY: f64 = 1.2;
+/// Cost of a pixel of the specular images, and of each of its rays with its share of emitter samples, in rays of the evidence.
+const SPECULAR_PIXEL: f64 = 4.0;
+const SPECULAR_RAY: f64 = 0.75;
 /// Share of an irradiance texel's samples that go to emitters, in ninths; the hemisphere gets the others.
 const TO_EMITTERS: u32 = 2;
 /// Samples per irradiance texel and rays per pixel between which a budget chooses, and the former in `standard`.
 const SAMPLES: [f64; 2] = [4.0, 2048.0];
-const SPECULAR: [f64; 2] = [1.0, 256.0];
+const SPECULAR: [f64; 2] = [1.0, 4096.0];
 const STANDARD_SAMPLES: f64 = 160.0;
 
 /// Cost of what a run does in any case, in rays per pixel of the views: highlights, pilots, specular images of one ray.
@@ -212,7 +213,8 @@ impl Budget {
         let m = self.measured();
         let left = self.left() - self.tail();
         let ray = if m.specular_ray > 0.0 { m.specular_ray } else { m.ray };
-        let n = (left / (SPECULAR_RAY * ray * pixels.max(1) as f64)).clamp(SPECULAR[0], SPECULAR[1]) as u32;
+        let per_pixel = left / (ray * pixels.max(1) as f64);
+        let n = ((per_pixel - SPECULAR_PIXEL) / SPECULAR_RAY).clamp(SPECULAR[0], SPECULAR[1]) as u32;
         let tail = self.tail();
         progress.decide(
             "specular images",
