@@ -2,11 +2,10 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
+use unbake_fuzz::with_file;
 
 fuzz_target!(|bytes: &[u8]| {
-    // the reader takes a path: one file per process, rewritten for every input
-    let path = std::env::temp_dir().join(format!("unbake-fuzz-{}.json", std::process::id()));
-    if std::fs::write(&path, bytes).is_ok() {
-        let _ = unbake::render::read_cameras(&path, Default::default(), Some([64, 32]));
-    }
+    with_file(bytes, "json", |path| {
+        let _ = unbake::render::read_cameras(path, Default::default(), Some([64, 32]));
+    });
 });

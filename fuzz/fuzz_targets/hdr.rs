@@ -2,12 +2,11 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
+use unbake_fuzz::with_file;
 
 fuzz_target!(|bytes: &[u8]| {
-    // the reader takes a path: one file per process, rewritten for every input
-    let path = std::env::temp_dir().join(format!("unbake-fuzz-{}.hdr", std::process::id()));
-    if std::fs::write(&path, bytes).is_ok() {
-        let _ = unbake::formats::image_info(&path);
-        let _ = unbake::formats::read_rgb(&path);
-    }
+    with_file(bytes, "hdr", |path| {
+        let _ = unbake::formats::image_info(path);
+        let _ = unbake::formats::read_rgb(path);
+    });
 });

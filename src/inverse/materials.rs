@@ -128,8 +128,8 @@ impl Materials {
             Some(Division::Colour(p)) => {
                 // the usual colour scatters from tile to tile; what lies beyond the rare one is just that
                 let t = colour.map_or(1.0, |c| (p.axis.place(c) / (1.0 - PURE)).min(1.0));
-                let ([r0, e0], [r1, e1]) = (<[f32; 2]>::from(of(&p.fits[0])), <[f32; 2]>::from(of(&p.fits[1])));
-                (r0 * (1.0 - t) + r1 * t, e0 * (1.0 - t) + e1 * t)
+                let between = |f: fn(&GroupFit) -> f32| f(&p.fits[0]) * (1.0 - t) + f(&p.fits[1]) * t;
+                (between(|f| f.roughness), between(|f| f.error))
             }
         })
     }

@@ -44,7 +44,10 @@ const MODEL_GAIN: f64 = 0.01;
 /// Fits every group of the evidence under one reflection model.
 #[must_use]
 pub fn fit_groups(evidence: &Evidence, model: Reflectance) -> Vec<GroupFit> {
-    points_by_class(evidence).into_iter().map(|(class, points)| fit_points(evidence, model, class, &points)).collect()
+    points_by_class(evidence)
+        .into_iter()
+        .map(|(class, points)| fit_rows(class, &disagreements(evidence, model, &points)))
+        .collect()
 }
 
 /// Indices of the evidence's points, class by class.
@@ -71,11 +74,6 @@ pub fn choose_model(evidence: &Evidence) -> (Reflectance, Vec<GroupFit>, Vec<(Re
     }
     let (model, fits, _) = best.unwrap_or((Reflectance::Paper, Vec::new(), 0.0));
     (model, fits, scores)
-}
-
-/// Fits one roughness to some points of a class, given by their indices.
-fn fit_points(evidence: &Evidence, model: Reflectance, class: u16, points: &[usize]) -> GroupFit {
-    fit_rows(class, &disagreements(evidence, model, points))
 }
 
 /// How far the views of one point disagree at every level.
