@@ -523,9 +523,35 @@ fn continued_bakes_equal_one_of_all_their_samples() {
 
 /// The receivers as a surface of texels of 5 cm, baked by a budget of `rounds` rounds.
 fn surface(lit: &Lit, receivers: &[Receiver], rounds: u32) -> Irradiance {
+    surface_where(lit, receivers, &vec![true; receivers.len()], rounds)
+}
+
+/// The same with further samples only where they matter.
+fn surface_where(lit: &Lit, receivers: &[Receiver], matters: &[bool], rounds: u32) -> Irradiance {
     let patches: Vec<Patch> = receivers.iter().map(|r| Patch { position: r.position, normal: r.normal, size: 0.05 }).collect();
     let budget = Budget { samples: [96, 48], rounds, filter: true, target: 0.001, seed: 3 };
-    bake_surface(&lit.bake(), &patches, |i| receivers[i], &budget, &Progress::silent())
+    bake_surface(&lit.bake(), &patches, |i| receivers[i], matters, &budget, &Progress::silent())
+}
+
+/// What does not matter gets the first round and no more; what does gets its share.
+#[test]
+fn samples_go_where_they_matter() {
+    let (mut quads, _) = window_room();
+    quads.push(quad([0.5, 2.7, 0.5], [0.6, 0.0, 0.0], [0.0, 0.0, 0.6], 15.0, true));
+    let receivers = texel_receivers(&quads, 64);
+    let lit = Lit::new(&quads, sky().0);
+    let exact = bake(&lit, &receivers, &options(Estimator::Mis, 8192)).value;
+    let half = receivers.len() / 2;
+    let error = |o: &Irradiance| -> f32 { (0..half).map(|i| (o.value[i] - exact[i]).length_squared()).sum() };
+    let of = |matters: &dyn Fn(usize) -> bool| {
+        let matters: Vec<bool> = (0..receivers.len()).map(matters).collect();
+        surface_where(&lit, &receivers, &matters, 2)
+    };
+    let (none, some, all) = (of(&|_| false), of(&|i| i < half), of(&|_| true));
+    // 64 + 32 samples, fewer where rays start below the horizon
+    assert!(none.rays <= 96 * receivers.len() as u64, "{} rays", none.rays);
+    assert!(some.rays > none.rays && some.rays <= 144 * receivers.len() as u64, "{} rays", some.rays);
+    assert!(error(&some) < error(&all) && error(&all) < error(&none), "{} {} {}", error(&some), error(&all), error(&none));
 }
 
 #[test]

@@ -49,22 +49,6 @@ impl<'a> Ground<'a> {
         bake_irradiance(&self.bake(&self.surface.tracer), ids.len(), receiver, options, progress)
     }
 
-    /// Whether some view sees the place of each texel of `texels`.
-    #[must_use]
-    pub fn seen(&self, texels: &Texels) -> Vec<bool> {
-        let observed: Vec<bool> = self.surface.fusion.views.iter().map(|v| *v > 0).collect();
-        let plane = self.surface.texels.scatter(&observed, false);
-        texels
-            .cell
-            .iter()
-            .map(|&c| {
-                let (x, y) = (c as usize % texels.width, c as usize / texels.width);
-                let at = |k: usize, from: usize, to: usize| ((2 * k + 1) * to / (2 * from)).min(to - 1);
-                plane[(at(x, texels.width, plane.width), at(y, texels.height, plane.height))]
-            })
-            .collect()
-    }
-
     /// Runs of neighbouring texels spread at random over the texture, about `count` texels in all.
     #[must_use]
     pub fn runs(&self, texels: &Texels, count: usize) -> Vec<usize> {

@@ -60,7 +60,7 @@ pub struct Reference {
 /// Bakes the reference at `count` texels that some view sees.
 #[must_use]
 pub(super) fn reference(ground: &Ground, texels: &Texels, count: usize, progress: &Progress) -> Reference {
-    let seen = ground.seen(texels);
+    let seen = ground.surface.seen(texels);
     let ids = ground.sample(texels, |i| seen[i] && texels.interior[i], count);
     let options = IrtOptions {
         estimator: Estimator::Mis,

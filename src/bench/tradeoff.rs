@@ -54,7 +54,7 @@ type Flags = &'static [(&'static str, &'static str)];
 
 /// Approximations and refinements, and the flags that do without them.
 pub const APPROXIMATIONS: &[(&str, Flags)] = &[
-    ("a single round of samples", &[("irradiance-rounds", "2")]),
+    ("samples where they are wanted", &[("irradiance-rounds", "1")]),
     ("irradiance filter", &[("irradiance-filter", "off")]),
     ("prefiltered lookups", &[("prefilter", "off")]),
     ("albedo at edges", &[("edges", "off")]),

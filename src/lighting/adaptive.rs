@@ -1,8 +1,8 @@
 //! Irradiance of a whole texture from a budget of rays: where sharing samples over the surface does not suffice, more are drawn.
 //!
-//! A first round gives every texel the same samples. After each round the filter tells what error it leaves, noise and bias; the
-//! texels where doubling the samples promises most per ray are doubled, once or several times, until the budget is spent or the
-//! target reached.
+//! A first round gives every texel the same samples. After each round the filter tells what error it leaves, noise and bias; of the
+//! texels that matter, those where doubling the samples promises most per ray are doubled, once or several times, until the budget is
+//! spent or the target reached. Samples come in powers of two, whatever the budget: Sobol' points in other numbers are no nets.
 
 use super::{Bake, Estimator, Irradiance, IrtOptions, Patch, Receiver, SurfaceFilter, bake_irradiance};
 use crate::math::luminance;
@@ -33,12 +33,14 @@ pub struct Budget {
     pub seed: u64,
 }
 
-/// Bakes and filters the irradiance of texels given by `patches` and `receiver(i)`.
+/// Bakes and filters the irradiance of texels given by `patches` and `receiver(i)`. Where `matters` is false, the first of several
+/// rounds is all a texel gets.
 #[must_use]
 pub fn bake_surface(
     bake: &Bake,
     patches: &[Patch],
     receiver: impl Fn(usize) -> Receiver + Sync + Send,
+    matters: &[bool],
     budget: &Budget,
     progress: &Progress,
 ) -> Irradiance {
@@ -66,7 +68,8 @@ pub fn bake_surface(
         / u64::from(more_rounds.max(1));
     for _ in 0..more_rounds {
         let cost = round_budget / u64::from(first.iter().sum::<u32>().max(1));
-        let wanted = most_promising(&filtered.value, &certain, &level, budget.target, cost);
+        let promising = |i: usize| if matters[i] && certain[i] > budget.target { certain[i] } else { 0.0 };
+        let wanted = most_promising(&filtered.value, &promising, &level, cost);
         if wanted == level {
             break;
         }
@@ -81,19 +84,19 @@ pub fn bake_surface(
     filtered
 }
 
-/// The level that each texel should reach. Those whose `certain` relative error is above `target` are doubled in the order in which
-/// their squared error falls most per sample, taking it to halve each time; `cost` is what may be spent, in first rounds of one texel.
-fn most_promising(value: &[Vec3], certain: &[f32], level: &[u8], target: f32, cost: u64) -> Vec<u8> {
+/// The level that each texel should reach. Those with a relative `error` are doubled in the order in which their squared error falls
+/// most per sample, taking it to halve each time; `cost` is what may be spent, in first rounds of one texel.
+fn most_promising(value: &[Vec3], error: &(impl Fn(usize) -> f32 + Sync), level: &[u8], cost: u64) -> Vec<u8> {
     let light: Vec<f32> = value.par_iter().map(|e| luminance(*e)).collect();
     let mean = (crate::parallel::sum_f64(light.len(), |i| f64::from(light[i])) / light.len().max(1) as f64) as f32;
     let mut order: Vec<(f32, u32)> = (0..light.len())
         .into_par_iter()
-        .filter(|&i| certain[i] > target)
+        .filter(|&i| error(i) > 0.0)
         .flat_map_iter(|i| {
             // between relative error, which albedos inherit, and absolute error, by which irradiance is judged
             let share = light[i] / mean.max(f32::MIN_POSITIVE);
             let weight = share * share * share / (share * share + DIM * DIM);
-            let gain = weight * certain[i].powi(2) / f32::from(1u16 << level[i]);
+            let gain = weight * error(i).powi(2) / f32::from(1u16 << level[i]);
             (0..MAX_STEPS.min(MAX_LEVEL - level[i])).map(move |s| (gain / f32::from(1u16 << (2 * s)), i as u32))
         })
         .filter(|(gain, _)| *gain > 0.0)

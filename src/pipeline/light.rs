@@ -146,9 +146,9 @@ pub fn bake_irradiance_texels(
         seed: options.seed,
     };
     let bake = surface.bake(field, emitters);
-    let patches = patches(surface, texels);
-    progress
-        .stage("irradiance", texels.len() as u64, |p| bake_surface(&bake, &patches, |i| surface.receiver(texels, i), &budget, p))
+    let (patches, seen) = (patches(surface, texels), surface.seen(texels));
+    let receiver = |i: usize| surface.receiver(texels, i);
+    progress.stage("irradiance", texels.len() as u64, |p| bake_surface(&bake, &patches, receiver, &seen, &budget, p))
 }
 
 /// The texels as pieces of surface.
@@ -171,6 +171,19 @@ impl Surface<'_> {
     #[must_use]
     pub fn bake<'b>(&'b self, field: &'b LightField, emitters: &'b Emitters) -> Bake<'b> {
         Bake { mesh: &self.scene.mesh, tracer: &self.tracer, field, emitters, offset: self.offset }
+    }
+
+    /// Whether some view sees the place of each texel of `texels`.
+    #[must_use]
+    pub fn seen(&self, texels: &Texels) -> Vec<bool> {
+        let observed: Vec<bool> = self.fusion.views.iter().map(|v| *v > 0).collect();
+        let plane = self.texels.scatter(&observed, false);
+        let place = |c: u32| {
+            let (x, y) = (c as usize % texels.width, c as usize / texels.width);
+            let at = |k: usize, from: usize, to: usize| ((2 * k + 1) * to / (2 * from)).min(to - 1);
+            plane[(at(x, texels.width, plane.width), at(y, texels.height, plane.height))]
+        };
+        texels.cell.iter().map(|&c| place(c)).collect()
     }
 
     /// Texel `i` as a receiver of light: its rays start at its ray point, its key is its place in the texture.

@@ -34,7 +34,7 @@ impl SolveOptions {
             photo_reduction: 1,
             irradiance_rays: 128,
             emitter_samples: 32,
-            irradiance_rounds: 1,
+            irradiance_rounds: 2,
             irradiance_error: 0.01,
             irradiance_filter: true,
             prefilter: true,
@@ -117,8 +117,8 @@ pub struct SolveRequest {
     /// Emitter samples per irradiance texel, on average [default: 32].
     #[arg(long, value_name = "N")]
     pub emitter_samples: Option<u32>,
-    /// Rounds in which they are spent: after each, the texels with the largest errors are chosen, which takes fewer rays but longer than
-    /// more samples for all; 1 = all texels alike [default: 1].
+    /// Rounds in which they are spent: after each, more go to those texels seen by some view whose errors are largest; 1 = all texels
+    /// alike [default: 2].
     #[arg(long, value_name = "N")]
     pub irradiance_rounds: Option<u32>,
     /// Relative error of irradiance at which a texel is done [default: 0.01].
