@@ -63,12 +63,12 @@ pub fn bake_surface(
     let filter = SurfaceFilter::new(patches);
     let mut level = vec![0u8; count];
     let mut baked = bake_irradiance(bake, count, &receiver, &options(0), progress);
-    let (mut filtered, mut certain) = filter.filter(&baked, &level);
     let round_budget = u64::from(budget.samples.iter().sum::<u32>().saturating_sub(first.iter().sum())) * count as u64
         / u64::from(more_rounds.max(1));
     for _ in 0..more_rounds {
-        let cost = round_budget / u64::from(first.iter().sum::<u32>().max(1));
+        let (filtered, certain) = filter.filter(&baked, &level, |i| matters[i]);
         let promising = |i: usize| if matters[i] && certain[i] > budget.target { certain[i] } else { 0.0 };
+        let cost = round_budget / u64::from(first.iter().sum::<u32>().max(1));
         let wanted = most_promising(&filtered.value, &promising, &level, cost);
         if wanted == level {
             break;
@@ -79,9 +79,8 @@ pub fn bake_surface(
             baked.double(&ids, &more);
             ids.iter().for_each(|&i| level[i as usize] = l + 1);
         }
-        (filtered, certain) = filter.filter(&baked, &level);
     }
-    filtered
+    filter.filter(&baked, &level, |_| true).0
 }
 
 /// The level that each texel should reach. Those with a relative `error` are doubled in the order in which their squared error falls

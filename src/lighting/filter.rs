@@ -9,6 +9,7 @@
 
 use super::Irradiance;
 use super::neighbourhood::{Candidates, Neighbourhood, Patch};
+use crate::ffi::simd::with_widest;
 use crate::math::{Frame, luminance};
 use glam::{Vec2, Vec3, Vec4};
 use nalgebra::{SMatrix, SVector};
@@ -77,9 +78,9 @@ impl<'a> SurfaceFilter<'a> {
 
     /// The filtered irradiance of `baked` (one value per texel, from 2^`level` times as many samples as the fewest); its `error` tells
     /// the relative error that remains, bias included. Beside it the part of that error that is
-    /// not itself noise: what should decide where samples are added.
+    /// not itself noise: what should decide where samples are added. Texels not `asked` for keep their own estimate.
     #[must_use]
-    pub fn filter(&self, baked: &Irradiance, level: &[u8]) -> (Irradiance, Vec<f32>) {
+    pub fn filter(&self, baked: &Irradiance, level: &[u8], asked: impl Fn(usize) -> bool + Sync) -> (Irradiance, Vec<f32>) {
         let noise = self.noise(baked, level);
         let guides = self.disc.map(self.patches, &noise, |i, near| guide(&self.patches[i], &noise[i], near));
         let nodes: Vec<Node> = baked
@@ -89,7 +90,9 @@ impl<'a> SurfaceFilter<'a> {
             .zip(level)
             .map(|((half, g), l)| Node { half: *half, guide: g.half, variance: g.variance, samples: f32::from(1u16 << l) })
             .collect();
-        let smooth = self.wide.map(self.patches, &nodes, |i, around| regress(&self.patches[i], &nodes[i], around));
+        let smooth = self.wide.map(self.patches, &nodes, |i, around| {
+            if asked(i) { with_widest(|| regress(&self.patches[i], &nodes[i], around)) } else { baked.halves[i] }
+        });
         let halves: Vec<[Vec3; 2]> = (0..smooth.len())
             .into_par_iter()
             .map(|i| {
@@ -97,7 +100,7 @@ impl<'a> SurfaceFilter<'a> {
                 [0, 1].map(|k| smooth[i][k].lerp(baked.halves[i][k], own))
             })
             .collect();
-        let (error, certain) = self.remaining_error(&noise, &halves).into_iter().unzip();
+        let (error, certain) = self.remaining_error(&noise, &halves, &asked).into_iter().unzip();
         let value = halves.iter().map(|h| 0.5 * (h[0] + h[1])).collect();
         (Irradiance { value, halves, error, rays: baked.rays }, certain)
     }
@@ -123,11 +126,15 @@ impl<'a> SurfaceFilter<'a> {
     /// Relative error of the filtered texels: what a filtered half misses of the other, unfiltered one beyond that one's noise (noise
     /// and bias), averaged over the disc; at least what the filtered halves differ. Then the same with the first estimate less one
     /// standard error: where the noise shared is large and what is left small, it is mostly chance.
-    fn remaining_error(&self, noise: &[Noise], halves: &[[Vec3; 2]]) -> Vec<(f32, f32)> {
+    fn remaining_error(&self, noise: &[Noise], halves: &[[Vec3; 2]], asked: &(impl Fn(usize) -> bool + Sync)) -> Vec<(f32, f32)> {
         let own: Vec<[f32; 4]> = noise
             .par_iter()
             .zip(halves)
-            .map(|(n, h)| {
+            .enumerate()
+            .map(|(i, (n, h))| {
+                if !asked(i) {
+                    return [0.0; 4];
+                }
                 let f = h.map(luminance);
                 let missed = 0.5 * ((f[0] - n.half[1]).powi(2) + (f[1] - n.half[0]).powi(2)) - n.variance;
                 [missed, 0.25 * (f[0] - f[1]).powi(2), (0.5 * (f[0] + f[1])).powi(2), n.variance * n.variance]
@@ -177,44 +184,69 @@ fn falloff(d: f32) -> f32 {
     a2 * a2 * a2
 }
 
-/// Sums of a weighted regression of one half: normal matrix (lower triangle) and right sides.
+/// Sums of a weighted regression of one half, in rows that fill vector registers: the lower triangle of the normal matrix, and the
+/// right sides of the three channels.
 #[derive(Clone, Copy, Default)]
 struct Sums {
-    matrix: [[f32; TERMS]; TERMS],
-    right: [Vec3; TERMS],
+    matrix: [f32; ROW],
+    right: [f32; ROW],
+}
+
+/// Products of terms, and of terms and channels, rounded up.
+const ROW: usize = 16;
+const _: () = assert!(TERMS * (TERMS + 1) / 2 <= ROW && TERMS * 3 <= ROW);
+
+/// Where the product of two terms is stored, the later one first.
+const fn place(r: usize, c: usize) -> usize {
+    r * (r + 1) / 2 + c
+}
+
+/// Products of every two terms.
+#[inline(always)]
+fn squares(terms: &[f32; TERMS]) -> [f32; ROW] {
+    let mut out = [0.0; ROW];
+    for r in 0..TERMS {
+        for c in 0..=r {
+            out[place(r, c)] = terms[r] * terms[c];
+        }
+    }
+    out
 }
 
 impl Sums {
-    #[inline]
-    fn add(&mut self, w: f32, terms: &[f32; TERMS], value: Vec3) {
-        for (r, (row, right)) in self.matrix.iter_mut().zip(&mut self.right).enumerate() {
-            let wr = w * terms[r];
-            for (m, term) in row.iter_mut().zip(terms).take(r + 1) {
-                *m += wr * term;
-            }
-            *right += value * wr;
+    #[inline(always)]
+    fn add(&mut self, w: f32, terms: &[f32; TERMS], squares: &[f32; ROW], value: Vec3) {
+        let mut right = [0.0; ROW];
+        for (out, term) in right.chunks_exact_mut(3).zip(terms) {
+            (out[0], out[1], out[2]) = (term * value.x, term * value.y, term * value.z);
+        }
+        for k in 0..ROW {
+            self.matrix[k] += w * squares[k];
+            self.right[k] += w * right[k];
         }
     }
 
     /// The regression's value where all terms but the constant vanish.
     fn intercept(&self) -> Option<Vec3> {
-        let total = self.matrix[0][0];
+        let total = self.matrix[0];
         if total <= 0.0 {
             return None;
         }
         let a = SMatrix::<f32, TERMS, TERMS>::from_fn(|r, c| {
-            let v = self.matrix[r.max(c)][r.min(c)];
+            let v = self.matrix[place(r.max(c), r.min(c))];
             if r == c && r > 0 { v + RIDGE * total } else { v }
         });
         let mut unit = SVector::<f32, TERMS>::zeros();
         unit[0] = 1.0;
         // the first row of the inverse times the right side
         let row = a.cholesky()?.solve(&unit);
-        Some((0..TERMS).fold(Vec3::ZERO, |s, r| s + self.right[r] * row[r]).max(Vec3::ZERO))
+        let right = |r: usize| Vec3::from_slice(&self.right[3 * r..]);
+        Some((0..TERMS).fold(Vec3::ZERO, |s, r| s + right(r) * row[r]).max(Vec3::ZERO))
     }
 }
 
 /// The regression's value at a texel for both halves.
+#[inline(always)]
 fn regress(patch: &Patch, own: &Node, around: &Candidates<Node>) -> [Vec3; 2] {
     let frame = Frame::from_normal(patch.normal);
     let scale = 1.0 / (REACH * patch.size).max(f32::MIN_POSITIVE);
@@ -226,12 +258,13 @@ fn regress(patch: &Patch, own: &Node, around: &Candidates<Node>) -> [Vec3; 2] {
         let step = Vec2::new(step.dot(frame.t), step.dot(frame.b)) * scale;
         let turn = Vec2::new(q.normal.dot(frame.t), q.normal.dot(frame.b)) * 4.0;
         let terms = [1.0, step.x, step.y, turn.x, turn.y];
+        let squares = squares(&terms);
         let kernel = (1.0 - distance2).powi(2);
         for source in 0..2 {
             let d = ((own.guide[source] - other.guide[source]).powi(2) - noise).max(0.0) / (noise + floor);
             let w = kernel * other.samples * falloff(d);
             if w > 0.0 {
-                sums[1 - source].add(w, &terms, other.half[1 - source]);
+                sums[1 - source].add(w, &terms, &squares, other.half[1 - source]);
             }
         }
     });

@@ -129,7 +129,7 @@ impl Octave {
 impl<T> Candidates<T> {
     /// Calls `f(patch, data, squared distance as a share of the reach's square)` for every texel on the same smooth surface as `p`
     /// and within its reach, `p` itself among them.
-    #[inline]
+    #[inline(always)]
     pub(super) fn each(&self, p: &Patch, mut f: impl FnMut(&Patch, &T, f32)) {
         let limit = (self.reach * p.size).powi(2);
         for (q, data) in &self.list {
