@@ -115,19 +115,19 @@ fn draw(chart: &Chart, named: bool, area: &DrawingArea<SVGBackend<'_>, plotters:
         if series.line {
             context.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2)))?;
         }
-        // where colours repeat, the marks differ
-        if i < COLOURS.len() {
-            let drawn = context.draw_series(points.iter().map(|&p| Circle::new(p, 4, colour.filled())))?;
-            drawn.label(series.name.clone()).legend(move |(x, y)| Circle::new((x + 10, y), 4, colour.filled()));
-        } else {
-            let drawn = context.draw_series(points.iter().map(|&p| TriangleMarker::new(p, 6, colour.filled())))?;
-            drawn.label(series.name.clone()).legend(move |(x, y)| TriangleMarker::new((x + 10, y), 6, colour.filled()));
-        }
+        let drawn = context.draw_series(points.iter().map(|&p| mark(i, p)))?;
+        drawn.label(series.name.clone()).legend(move |(x, y)| mark(i, (x + 10, y)));
     }
     if named && chart.series.len() > 1 {
         context.configure_series_labels().background_style(WHITE.mix(0.85)).border_style(BLACK.mix(0.3)).draw()?;
     }
     Ok(())
+}
+
+/// The mark of a point of series `i`: where colours repeat, the shapes differ.
+fn mark<'a, C: Clone + 'static>(i: usize, at: C) -> DynElement<'static, SVGBackend<'a>, C> {
+    let style = COLOURS[i % COLOURS.len()].filled();
+    if i < COLOURS.len() { Circle::new(at, 4, style).into_dyn() } else { TriangleMarker::new(at, 6, style).into_dyn() }
 }
 
 fn scaled(v: f64, log: bool) -> f64 {

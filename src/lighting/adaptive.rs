@@ -2,7 +2,7 @@
 //!
 //! A first round gives every texel the same samples. After each round the filter tells what error it leaves, noise and bias; of the
 //! texels that matter, those where doubling the samples promises most per ray are doubled, once or several times, until the budget is
-//! spent or the target reached. Samples come in powers of two, whatever the budget: Sobol' points in other numbers are no nets.
+//! spent or the target reached. Several rounds draw powers of two, whatever the budget: Sobol' points in other numbers are no nets.
 
 use super::{Bake, Estimator, Irradiance, IrtOptions, Patch, Receiver, SurfaceFilter, bake_irradiance};
 use crate::math::luminance;

@@ -90,16 +90,14 @@ impl<'a> SurfaceFilter<'a> {
             .zip(level)
             .map(|((half, g), l)| Node { half: *half, guide: g.half, variance: g.variance, samples: f32::from(1u16 << l) })
             .collect();
-        let smooth = self.wide.map(self.patches, &nodes, |i, around| {
-            if asked(i) { with_widest(|| regress(&self.patches[i], &nodes[i], around)) } else { baked.halves[i] }
+        let halves = self.wide.map(self.patches, &nodes, |i, around| {
+            if !asked(i) {
+                return baked.halves[i];
+            }
+            let smooth = with_widest(|| regress(&self.patches[i], &nodes[i], around));
+            let own = noise[i].own_share();
+            [0, 1].map(|k| smooth[k].lerp(baked.halves[i][k], own))
         });
-        let halves: Vec<[Vec3; 2]> = (0..smooth.len())
-            .into_par_iter()
-            .map(|i| {
-                let own = noise[i].own_share();
-                [0, 1].map(|k| smooth[i][k].lerp(baked.halves[i][k], own))
-            })
-            .collect();
         let (error, certain) = self.remaining_error(&noise, &halves, &asked).into_iter().unzip();
         let value = halves.iter().map(|h| 0.5 * (h[0] + h[1])).collect();
         (Irradiance { value, halves, error, rays: baked.rays }, certain)
