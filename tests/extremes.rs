@@ -433,6 +433,7 @@ proptest! {
             prefilter: forced[1] != 1,
             evidence_points: 20,
             evidence_rays: rays[2],
+            roughness_levels: 3 + rays[2] as usize,
             specular_rays: rays[3],
             matte: switch(0),
             emission: switch(1),

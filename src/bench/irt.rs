@@ -1,6 +1,6 @@
 //! `unbake bench irt`: how fast irradiance is computed, and how accurate it is for its time.
 
-use super::irt_error::{ladders, pipeline_point, reference, seconds_to_reach};
+use super::irt_error::{ladders, pipeline_point, reference, seconds_to_reach, target_point};
 use super::plot::{Chart, Series, svg};
 use super::{ErrorPoint, Ground, Growth, NirfReport, Rates, Reference, growth, irt_nirf, irt_rates, timed};
 use crate::Result;
@@ -37,6 +37,9 @@ pub struct IrtBench {
     /// Write the mesh and the rays of the closest-hit measurement to a folder as raw arrays, for comparison with other programs.
     #[arg(long, value_name = "FOLDER")]
     pub export_rays: Option<std::path::PathBuf>,
+    /// Also bake as `solve --target-error RATIO` would and say which error that reaches; may be given several times.
+    #[arg(long, value_name = "RATIO")]
+    pub target_error: Vec<f32>,
     /// Train the paper's neural irradiance field for so many epochs (the paper: 2000) and add its error and time.
     #[arg(long, value_name = "EPOCHS", num_args = 0..=1, default_missing_value = "40", require_equals = true)]
     pub nirf: Option<u32>,
@@ -128,6 +131,7 @@ fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &P
         points.push(pipeline_point(&ground, texels, &reference, o, progress));
     }
     points.push(ours.clone());
+    points.extend(bench.target_error.iter().map(|&target| target_point(&ground, &reference, target, progress)));
     let nirf = bench.nirf.map(|epochs| {
         progress
             .stage("neural irradiance field", u64::from(epochs), |p| irt_nirf::measure(&ground, texels, &reference, epochs, p))
@@ -286,15 +290,15 @@ impl IrtReport {
         )?;
         writeln!(
             out,
-            "  {:10} {:>12} {:>11} {:>10} {:>10} {:>10}",
+            "  {:14} {:>12} {:>11} {:>10} {:>10} {:>10}",
             "", "rays + lamps", "rays/texel", "seconds", "rel. RMSE", "median"
         )?;
         for p in &self.points {
             writeln!(
                 out,
-                "  {:10} {:>12} {:>11.0} {:>9.2}{} {:>9.2}% {:>9.2}%",
+                "  {:14} {:>12} {:>11.0} {:>9.2}{} {:>9.2}% {:>9.2}%",
                 p.curve,
-                format!("{} + {}", p.rays, p.emitter_samples),
+                if p.rays == 0 { "as chosen".to_owned() } else { format!("{} + {}", p.rays, p.emitter_samples) },
                 p.rays_per_texel,
                 p.seconds,
                 if p.measured_whole { " " } else { "~" },

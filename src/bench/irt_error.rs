@@ -7,6 +7,7 @@
 use super::ground::relative_errors;
 use super::{Ground, timed};
 use crate::lighting::{Estimator, IrtOptions};
+use crate::pipeline::{SolveOptions, reconstruct_light};
 use crate::progress::Progress;
 use crate::texture::Texels;
 use glam::Vec3;
@@ -18,11 +19,11 @@ const REFERENCE: u32 = 16_384;
 /// One point of a curve.
 #[derive(Clone, Debug, Serialize)]
 pub struct ErrorPoint {
-    /// Curve: `uniform`, `cosine`, `mis`, `pipeline` or `nirf`.
+    /// Curve: `uniform`, `cosine`, `mis`, `pipeline`, `nirf` or `target RATIO`.
     pub curve: String,
-    /// Hemisphere rays per texel in the first round.
+    /// Hemisphere rays per texel asked for; 0 where a target chose them.
     pub rays: u32,
-    /// Emitter samples per texel in the first round.
+    /// Emitter samples per texel asked for; 0 where a target chose them.
     pub emitter_samples: u32,
     /// Rays per texel really traced, on average.
     pub rays_per_texel: f64,
@@ -149,7 +150,7 @@ pub(super) fn pipeline_point(
     [rays, emitter_samples]: [u32; 2],
     progress: &Progress,
 ) -> ErrorPoint {
-    let options = crate::pipeline::SolveOptions { irradiance_rays: rays, emitter_samples, ..ground.options.clone() };
+    let options = SolveOptions { irradiance_rays: rays, emitter_samples, ..ground.options.clone() };
     let (baked, seconds) = timed(|| {
         crate::pipeline::bake_irradiance_texels(
             &ground.surface,
@@ -167,6 +168,25 @@ pub(super) fn pipeline_point(
         rays,
         emitter_samples,
         rays_per_texel: baked.rays as f64 / texels.len().max(1) as f64,
+        seconds,
+        measured_whole: true,
+        relative_rmse,
+        median_relative_error,
+    }
+}
+
+/// The bake that `unbake solve --target-error` chooses: the error it reaches, and the time of all of the light's stages.
+#[must_use]
+pub(super) fn target_point(ground: &Ground, reference: &Reference, target: f32, progress: &Progress) -> ErrorPoint {
+    let options = SolveOptions { target_error: Some(target), ..ground.options.clone() };
+    let (light, seconds) = timed(|| reconstruct_light(&ground.surface, &options, progress));
+    let value: Vec<Vec3> = reference.ids.iter().map(|&i| light.irradiance.data[light.texels.cell[i] as usize]).collect();
+    let (relative_rmse, median_relative_error) = relative_errors(&value, &reference.value);
+    ErrorPoint {
+        curve: format!("target {target}"),
+        rays: 0,
+        emitter_samples: 0,
+        rays_per_texel: light.rays as f64 / light.texels.len().max(1) as f64,
         seconds,
         measured_whole: true,
         relative_rmse,

@@ -36,6 +36,7 @@ pub const KNOBS: &[(&str, &[&str])] = &[
     ("albedo-size", &["512", "1024", "4096"]),
     ("evidence-points", &["300", "600", "2400"]),
     ("evidence-rays", &["5", "10", "40"]),
+    ("roughness-levels", &["9", "35"]),
     ("specular-rays", &["1", "2", "8", "16"]),
 ];
 
@@ -57,6 +58,7 @@ pub const APPROXIMATIONS: &[(&str, Flags)] = &[
     ("samples where they are wanted", &[("irradiance-rounds", "1")]),
     ("irradiance filter", &[("irradiance-filter", "off")]),
     ("prefiltered lookups", &[("prefilter", "off")]),
+    ("a coarse table of responses", &[("roughness-levels", "72")]),
     ("albedo at edges", &[("edges", "off")]),
     ("missing light", &[("missing-light", "off")]),
 ];

@@ -3,7 +3,7 @@
 //! A point seen from several views pins down roughness without knowing its albedo or irradiance: its diffuse radiance is the same in
 //! all views, so whatever differs between them must be the specular part.
 
-use super::{Candidate, LEVELS, LOBES};
+use super::{Candidate, LOBES};
 use crate::brdf::Reflectance;
 use crate::gbuffer::{Observation, Observer};
 use crate::lighting::{Bake, Gaze, Levels, Reflector};
@@ -41,14 +41,16 @@ pub struct Sight {
     pub weight: f32,
 }
 
-/// Evidence points, their sights, and per sight the specular radiance at every level of [`LEVELS`].
+/// Evidence points, their sights, and per sight the specular radiance at every level of a table.
 #[derive(Clone, Debug, Default)]
 pub struct Evidence {
+    /// Roughness levels of the table, ascending.
+    pub levels: Vec<f32>,
     /// Points.
     pub points: Vec<EvidencePoint>,
     /// Sights of all points, point by point.
     pub sights: Vec<Sight>,
-    /// `sights.len() × MODELS.len() × LEVELS.len()` specular radiances.
+    /// `sights.len() × MODELS.len() × levels.len()` specular radiances.
     pub specular: Vec<Vec3>,
     /// Per sight Burley's diffuse radiance over Lambert's in the light that arrives, as a polynomial in the roughness.
     pub diffuse: Vec<[f32; 3]>,
@@ -57,8 +59,11 @@ pub struct Evidence {
 }
 
 impl Evidence {
-    /// Takes over the points of `more` behind its own.
+    /// Takes over the points of `more`, tabulated at the same levels, behind its own.
     pub fn append(&mut self, more: Self) {
+        if self.levels.is_empty() {
+            self.levels = more.levels;
+        }
         let base = self.sights.len() as u32;
         self.points.extend(more.points.into_iter().map(|q| EvidencePoint { first: q.first + base, ..q }));
         self.sights.extend(more.sights);
@@ -76,31 +81,41 @@ impl Evidence {
     /// Specular radiance of sight `s` at all levels under [`MODELS`]`[m]`.
     #[must_use]
     pub fn response(&self, s: usize, m: usize) -> &[Vec3] {
-        let first = (s * MODELS.len() + m) * LEVELS.len();
-        &self.specular[first..first + LEVELS.len()]
+        let n = self.levels.len();
+        &self.specular[(s * MODELS.len() + m) * n..][..n]
     }
 }
 
 /// Specular models tabulated: the masking terms to choose from. Diffuse parts need no rays.
 pub const MODELS: [Reflectance; 2] = [Reflectance::Paper, Reflectance::Smith];
 
-/// Observes every candidate in all views and traces its specular response with `rays_per_lobe` rays for each of [`LOBES`]; candidates
-/// with fewer than two clean sights are dropped.
+/// How finely responses are tabulated.
+#[derive(Clone, Copy, Debug)]
+pub struct Tabulation<'a> {
+    /// Roughness levels, ascending.
+    pub levels: &'a [f32],
+    /// Rays for each of [`LOBES`].
+    pub rays_per_lobe: u32,
+}
+
+/// Observes every candidate in all views and traces its specular response as `tabulation` says; candidates with fewer than two clean
+/// sights are dropped.
 #[must_use]
 pub fn gather_evidence(
     bake: &Bake,
     observer: &Observer,
     candidates: &[Candidate],
     normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
-    rays_per_lobe: u32,
+    tabulation: Tabulation,
     seed: u64,
     progress: &Progress,
 ) -> Evidence {
     const CHUNK: usize = 64;
+    let Tabulation { levels, rays_per_lobe } = tabulation;
     let rays = AtomicU64::new(0);
     let reflector = Reflector { bake, rays_per_lobe, emitter_samples: rays_per_lobe * 12 / 5, model: Reflectance::Paper, seed };
     let parts = parallel::map_chunks(candidates.len(), CHUNK, |range| {
-        let mut out = Evidence::default();
+        let mut out = Evidence { levels: levels.to_vec(), ..Evidence::default() };
         let mut gazes = Vec::new();
         let mut seen: Vec<Observation> = Vec::new();
         for i in range.clone() {
@@ -132,15 +147,15 @@ pub fn gather_evidence(
                 count: seen.len() as u32,
             });
         }
-        out.specular = vec![Vec3::ZERO; out.sights.len() * MODELS.len() * LEVELS.len()];
+        out.specular = vec![Vec3::ZERO; out.sights.len() * MODELS.len() * levels.len()];
         out.diffuse = vec![[0.0; 3]; out.sights.len()];
-        let levels = Levels::Shared { lobes: &LOBES, evaluate: &LEVELS, models: &MODELS };
-        let traced = reflector.reflect_and_spread(&gazes, levels, &mut out.specular, &mut out.diffuse);
+        let table = Levels::Shared { lobes: &LOBES, evaluate: levels, models: &MODELS };
+        let traced = reflector.reflect_and_spread(&gazes, table, &mut out.specular, &mut out.diffuse);
         rays.fetch_add(traced, Ordering::Relaxed);
         progress.advance(range.len() as u64);
         out
     });
-    let mut all = Evidence { rays: rays.into_inner(), ..Evidence::default() };
+    let mut all = Evidence { levels: levels.to_vec(), rays: rays.into_inner(), ..Evidence::default() };
     parts.into_iter().for_each(|p| all.append(p));
     all
 }

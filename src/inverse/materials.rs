@@ -99,8 +99,8 @@ impl Materials {
                 let colours: Vec<Vec3> = points.par_iter().map(albedo).collect();
                 let rooms: Vec<u16> =
                     points.iter().map(|&i| (places.room)(evidence.points[i].triangle, evidence.points[i].position)).collect();
-                let by_colour = divide(&colours).and_then(|axis| by_colour(whole.class, axis, &rows, &colours));
-                let by_room = by_room(whole.class, &rows, &rooms);
+                let by_colour = divide(&colours).and_then(|axis| by_colour(&evidence.levels, whole.class, axis, &rows, &colours));
+                let by_room = by_room(&evidence.levels, whole.class, &rows, &rooms);
                 let enough = |d: &(Division, f64)| d.1 > least;
                 let better = |a: (Division, f64), b: (Division, f64)| if b.1 > a.1 { b } else { a };
                 let division = by_colour.into_iter().chain(by_room).filter(enough).reduce(better).map(|d| d.0);
@@ -157,35 +157,38 @@ impl Materials {
 }
 
 /// Divides a class by colour; also the share of the held-out views' disagreement that the division explains.
-fn by_colour(class: u16, axis: Axis, rows: &[Row], colours: &[Vec3]) -> Option<(Division, f64)> {
+fn by_colour(levels: &[f32], class: u16, axis: Axis, rows: &[Row], colours: &[Vec3]) -> Option<(Division, f64)> {
     let of = |lies: &dyn Fn(f32) -> bool| -> Vec<Row> {
-        rows.iter().zip(colours).filter(|(_, c)| lies(axis.place(**c))).map(|(r, _)| *r).collect()
+        rows.iter().zip(colours).filter(|(_, c)| lies(axis.place(**c))).map(|(r, _)| r.clone()).collect()
     };
     let sides = [of(&|place| place <= PURE), of(&|place| place >= 1.0 - PURE)];
-    let (fits, gain) = explained(class, &sides)?;
+    let (fits, gain) = explained(levels, class, &sides)?;
     let fits = <[GroupFit; 2]>::try_from(fits).ok()?;
     Some((Division::Colour(Parts { axis, fits }), gain))
 }
 
 /// The same room by room.
-fn by_room(class: u16, rows: &[Row], rooms: &[u16]) -> Option<(Division, f64)> {
+fn by_room(levels: &[f32], class: u16, rows: &[Row], rooms: &[u16]) -> Option<(Division, f64)> {
     let mut members: BTreeMap<u16, Vec<Row>> = BTreeMap::new();
-    rows.iter().zip(rooms).filter(|(_, room)| **room != 0).for_each(|(r, room)| members.entry(*room).or_default().push(*r));
+    rows.iter()
+        .zip(rooms)
+        .filter(|(_, room)| **room != 0)
+        .for_each(|(r, room)| members.entry(*room).or_default().push(r.clone()));
     members.retain(|_, rows| rows.len() >= FEWEST);
     let (names, sides): (Vec<u16>, Vec<Vec<Row>>) = members.into_iter().unzip();
-    let (fits, gain) = explained(class, &sides)?;
+    let (fits, gain) = explained(levels, class, &sides)?;
     Some((Division::Room(names.into_iter().zip(fits).collect()), gain))
 }
 
 /// Fits each side of a division; `None` unless the sides differ. Also the share of the held-out views' disagreement that the division
 /// explains.
-fn explained(class: u16, sides: &[Vec<Row>]) -> Option<(Vec<GroupFit>, f64)> {
+fn explained(levels: &[f32], class: u16, sides: &[Vec<Row>]) -> Option<(Vec<GroupFit>, f64)> {
     if sides.len() < 2 || sides.iter().any(|s| s.len() < FEWEST) {
         return None;
     }
-    let apart: f64 = sides.iter().map(|s| held_out(s)).sum();
-    let gain = 1.0 - apart / held_out(&sides.concat());
-    let fits: Vec<GroupFit> = sides.iter().map(|s| fit_rows(class, s)).collect();
+    let apart: f64 = sides.iter().map(|s| held_out(levels, s)).sum();
+    let gain = 1.0 - apart / held_out(levels, &sides.concat());
+    let fits: Vec<GroupFit> = sides.iter().map(|s| fit_rows(levels, class, s)).collect();
     let by_value = |a: &&GroupFit, b: &&GroupFit| a.roughness.total_cmp(&b.roughness);
     let (low, high) = (fits.iter().min_by(by_value)?, fits.iter().max_by(by_value)?);
     let differ = high.roughness - low.roughness > DIFFERENT * low.error.hypot(high.error);
@@ -279,7 +282,7 @@ mod tests {
 
     /// Evidence of one class: per point its albedo and roughness; six views each, of which two meet a highlight.
     fn evidence_of(rng: &mut KeyedRng, points: &[(Vec3, f32)]) -> Evidence {
-        let mut out = Evidence::default();
+        let mut out = Evidence { levels: LEVELS.to_vec(), ..Evidence::default() };
         for (i, &(albedo, roughness)) in points.iter().enumerate() {
             let first = out.sights.len() as u32;
             for view in 0..6 {

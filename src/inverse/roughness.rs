@@ -5,7 +5,7 @@
 //! (method §12.3 point 7; variable projection, Golub & Pereyra 1973: the diffuse radiance is eliminated in closed form).
 
 use crate::brdf::Reflectance;
-use crate::highlight::{Evidence, LEVELS, MODELS};
+use crate::highlight::{Evidence, MODELS};
 use crate::math::luminance;
 use crate::optim::{median, weighted_median};
 use glam::Vec3;
@@ -46,7 +46,7 @@ const MODEL_GAIN: f64 = 0.01;
 pub fn fit_groups(evidence: &Evidence, model: Reflectance) -> Vec<GroupFit> {
     points_by_class(evidence)
         .into_iter()
-        .map(|(class, points)| fit_rows(class, &disagreements(evidence, model, &points)))
+        .map(|(class, points)| fit_rows(&evidence.levels, class, &disagreements(evidence, model, &points)))
         .collect()
 }
 
@@ -76,28 +76,28 @@ pub fn choose_model(evidence: &Evidence) -> (Reflectance, Vec<GroupFit>, Vec<(Re
     (model, fits, scores)
 }
 
-/// How far the views of one point disagree at every level.
-pub(super) type Row = [f64; LEVELS.len()];
+/// How far the views of one point disagree at every level of the evidence.
+pub(super) type Row = Vec<f64>;
 
 /// The disagreement of points, given by their indices.
 pub(super) fn disagreements(evidence: &Evidence, model: Reflectance, points: &[usize]) -> Vec<Row> {
     let row = |&i: &usize| {
         let mut looks = Looks::of(evidence, model, i);
-        std::array::from_fn(|k| looks.disagreement(k))
+        (0..evidence.levels.len()).map(|k| looks.disagreement(k)).collect()
     };
     points.par_iter().map(row).collect()
 }
 
 /// Sum over the points of how far their views disagree at the roughness that the other points ask for: each of [`FOLDS`] parts is
 /// judged by what is fitted to the rest (Stone 1974, cross-validation), so that more values explain nothing by their number alone.
-pub(super) fn held_out(rows: &[Row]) -> f64 {
+pub(super) fn held_out(levels: &[f32], rows: &[Row]) -> f64 {
     let sum = |keep: &dyn Fn(usize) -> bool| -> Vec<f64> {
-        (0..LEVELS.len()).map(|k| rows.iter().enumerate().filter(|(i, _)| keep(*i)).map(|(_, r)| r[k]).sum()).collect()
+        (0..levels.len()).map(|k| rows.iter().enumerate().filter(|(i, _)| keep(*i)).map(|(_, r)| r[k]).sum()).collect()
     };
     (0..FOLDS.min(rows.len()))
         .map(|fold| {
             let (rest, held) = (sum(&|i| i % FOLDS != fold), sum(&|i| i % FOLDS == fold));
-            at_roughness(&held, parabola_minimum(lowest(&rest), &rest).0)
+            at_roughness(levels, &held, parabola_minimum(levels, lowest(&rest), &rest).0)
         })
         .sum()
 }
@@ -111,44 +111,44 @@ fn lowest(objective: &[f64]) -> usize {
 }
 
 /// A table over the levels between two of them.
-fn at_roughness(table: &[f64], roughness: f32) -> f64 {
-    let above = LEVELS.partition_point(|l| *l < roughness).clamp(1, LEVELS.len() - 1);
-    let [low, high] = [LEVELS[above - 1], LEVELS[above]];
+fn at_roughness(levels: &[f32], table: &[f64], roughness: f32) -> f64 {
+    let above = levels.partition_point(|l| *l < roughness).clamp(1, levels.len() - 1);
+    let [low, high] = [levels[above - 1], levels[above]];
     let t = f64::from(((roughness - low) / (high - low)).clamp(0.0, 1.0));
     table[above - 1] * (1.0 - t) + table[above] * t
 }
 
 /// Fits one roughness to the points of a class, given by their disagreement.
-pub(super) fn fit_rows(class: u16, rows: &[Row]) -> GroupFit {
+pub(super) fn fit_rows(levels: &[f32], class: u16, rows: &[Row]) -> GroupFit {
     let n = rows.len().max(1) as f64;
-    let objective: Vec<f64> = (0..LEVELS.len()).map(|k| rows.iter().map(|r| r[k]).sum::<f64>() / n).collect();
+    let objective: Vec<f64> = (0..levels.len()).map(|k| rows.iter().map(|r| r[k]).sum::<f64>() / n).collect();
     let best = lowest(&objective);
-    let (roughness, curvature) = parabola_minimum(best, &objective);
+    let (roughness, curvature) = parabola_minimum(levels, best, &objective);
     // spread of the points' slopes around the minimum: sandwich estimate
-    let (lo, hi) = (best.saturating_sub(1), (best + 1).min(LEVELS.len() - 1));
-    let step = f64::from(LEVELS[hi] - LEVELS[lo]);
+    let (lo, hi) = (best.saturating_sub(1), (best + 1).min(levels.len() - 1));
+    let step = f64::from(levels[hi] - levels[lo]);
     let slopes: Vec<f64> = rows.iter().map(|r| (r[hi] - r[lo]) / step).collect();
     let mean = slopes.iter().sum::<f64>() / n;
     let variance = slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n / n;
     let noise = if curvature > 0.0 { (variance.sqrt() / curvature) as f32 } else { 1.0 };
-    let error = noise.hypot(indistinguishable(roughness, &objective)).min(1.0);
+    let error = noise.hypot(indistinguishable(levels, roughness, &objective)).min(1.0);
     GroupFit { class, roughness, error, objective, points: rows.len() }
 }
 
 /// Standard deviation around `roughness` of a roughness known only to explain the views as well as the best does, up to what no model
 /// can be trusted to tell apart: uniform over the levels around the best whose disagreement is within [`MODEL_GAIN`] of it. Unlike the
 /// points' scatter this does not shrink with their number: the model's own error is common to all points.
-fn indistinguishable(roughness: f32, objective: &[f64]) -> f32 {
+fn indistinguishable(levels: &[f32], roughness: f32, objective: &[f64]) -> f32 {
     let limit = objective.iter().copied().fold(f64::INFINITY, f64::min) * (1.0 + MODEL_GAIN);
     let best = lowest(objective);
     // where the objective crosses the limit between an outside level and its inside neighbour
     let crossing = |inside: usize, outside: usize| {
         let (a, b) = (objective[inside], objective[outside]);
         let t = if b > a { ((limit - a) / (b - a)).clamp(0.0, 1.0) as f32 } else { 1.0 };
-        LEVELS[inside] + t * (LEVELS[outside] - LEVELS[inside])
+        levels[inside] + t * (levels[outside] - levels[inside])
     };
-    let low = (0..best).rev().find(|&k| objective[k] > limit).map_or(LEVELS[0], |k| crossing(k + 1, k));
-    let high = (best + 1..LEVELS.len()).find(|&k| objective[k] > limit).map_or(LEVELS[LEVELS.len() - 1], |k| crossing(k - 1, k));
+    let low = (0..best).rev().find(|&k| objective[k] > limit).map_or(levels[0], |k| crossing(k + 1, k));
+    let high = (best + 1..levels.len()).find(|&k| objective[k] > limit).map_or(levels[levels.len() - 1], |k| crossing(k - 1, k));
     let (down, up) = ((roughness - low).max(0.0), (high - roughness).max(0.0));
     // mean square distance of a uniform distribution over [low, high] from the estimate
     ((down.powi(3) + up.powi(3)) / (3.0 * (down + up).max(1e-6))).sqrt()
@@ -181,7 +181,7 @@ impl<'a> Looks<'a> {
         self.diffuse.clear();
         self.diffuse.extend(self.sights.clone().map(|j| {
             let s = &evidence.sights[j];
-            let factor = evidence.diffuse_factor(j, model, LEVELS[k]);
+            let factor = evidence.diffuse_factor(j, model, evidence.levels[k]);
             ((s.radiance - evidence.response(j, m)[k]) / factor, s.weight * factor)
         }));
         robust_centre(&self.diffuse, self.scale)
@@ -203,8 +203,8 @@ impl<'a> Looks<'a> {
 
 /// The diffuse radiance that the views of a point agree on best, if its roughness is about `roughness`.
 pub(super) fn diffuse_radiance(evidence: &Evidence, model: Reflectance, point: usize, roughness: f32) -> Vec3 {
-    let away = |k: &usize| (LEVELS[*k] - roughness).abs();
-    let nearest = (0..LEVELS.len()).min_by(|a, b| away(a).total_cmp(&away(b))).unwrap_or(0);
+    let away = |k: &usize| (evidence.levels[*k] - roughness).abs();
+    let nearest = (0..evidence.levels.len()).min_by(|a, b| away(a).total_cmp(&away(b))).unwrap_or(0);
     Looks::of(evidence, model, point).centre(nearest)
 }
 
@@ -228,25 +228,26 @@ fn robust_centre(values: &[(Vec3, f32)], scale: f32) -> Vec3 {
 }
 
 /// Vertex of the parabola through the best level and its neighbours (unequal spacing), and the second derivative there.
-fn parabola_minimum(best: usize, objective: &[f64]) -> (f32, f64) {
-    let last = LEVELS.len() - 1;
+fn parabola_minimum(levels: &[f32], best: usize, objective: &[f64]) -> (f32, f64) {
+    let last = levels.len() - 1;
     let mid = best.clamp(1, last - 1);
-    let x = [mid - 1, mid, mid + 1].map(|i| f64::from(LEVELS[i]));
+    let x = [mid - 1, mid, mid + 1].map(|i| f64::from(levels[i]));
     let y = [mid - 1, mid, mid + 1].map(|i| objective[i]);
     let (d1, d2) = ((y[1] - y[0]) / (x[1] - x[0]), (y[2] - y[1]) / (x[2] - x[1]));
     let curvature = 2.0 * (d2 - d1) / (x[2] - x[0]);
     if curvature <= 0.0 {
-        return (LEVELS[best], curvature);
+        return (levels[best], curvature);
     }
     let slope_mid = d1 + (x[1] - x[0]) * curvature * 0.5;
     let vertex = x[1] - slope_mid / curvature;
-    let bounds = (f64::from(LEVELS[best.saturating_sub(1)]), f64::from(LEVELS[(best + 1).min(last)]));
+    let bounds = (f64::from(levels[best.saturating_sub(1)]), f64::from(levels[(best + 1).min(last)]));
     (vertex.clamp(bounds.0, bounds.1) as f32, curvature)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::highlight::LEVELS;
 
     fn bowl(centre: f32, depth: f64) -> Vec<f64> {
         LEVELS.iter().map(|r| 0.02 * (1.0 + depth * f64::from(r - centre).powi(2))).collect()
@@ -259,7 +260,7 @@ mod tests {
             let nearest = |f: &dyn Fn(f64) -> f64| {
                 let objective: Vec<f64> = LEVELS.iter().map(|r| f(f64::from(*r))).collect();
                 let best = (0..LEVELS.len()).min_by(|&a, &b| objective[a].total_cmp(&objective[b])).expect("levels");
-                parabola_minimum(best, &objective)
+                parabola_minimum(&LEVELS, best, &objective)
             };
             let (vertex, curvature) = nearest(&|r| 0.3 + 2.5 * (r - centre).powi(2));
             assert!((f64::from(vertex) - centre).abs() < 1e-6 && (curvature - 5.0).abs() < 1e-5, "{vertex} {curvature}");
@@ -271,13 +272,13 @@ mod tests {
 
     #[test]
     fn a_sharp_minimum_is_sure_and_a_flat_one_is_not() {
-        let sharp = indistinguishable(0.42, &bowl(0.42, 100.0));
-        let flat = indistinguishable(0.42, &bowl(0.42, 0.0));
+        let sharp = indistinguishable(&LEVELS, 0.42, &bowl(0.42, 100.0));
+        let flat = indistinguishable(&LEVELS, 0.42, &bowl(0.42, 0.0));
         assert!(sharp < 0.02, "{sharp}");
         // uniform over all levels: √((0.39³ + 0.58³) / (3 · 0.97))
         assert!((flat - ((0.39f32.powi(3) + 0.58f32.powi(3)) / (3.0 * 0.97)).sqrt()).abs() < 1e-4, "{flat}");
         // 1 % above the minimum lies √(0.01 / 1) = 0.1 away on both sides: ±0.1 uniform, but for the chords between levels
-        let known = indistinguishable(0.42, &bowl(0.42, 1.0));
+        let known = indistinguishable(&LEVELS, 0.42, &bowl(0.42, 1.0));
         assert!((known - 0.1 / 3f32.sqrt()).abs() < 0.012, "{known}");
     }
 }

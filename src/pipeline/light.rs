@@ -93,21 +93,18 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     ));
     let texels = Texels::rasterize(&scene.mesh, surface.sizes.irradiance, surface.sizes.irradiance);
     let mut options = options.clone();
-    let samples = match (&options.budget, options.target_error) {
-        (Some(b), _) => Some(b.irradiance_samples(
-            texels.len(),
-            first.rays,
-            coarse_seconds,
-            if options.irradiance_filter { options.irradiance_rounds } else { 0 },
-            progress,
-        )),
+    let rounds = if options.irradiance_filter { options.irradiance_rounds } else { 0 };
+    let chosen = match (&options.budget, options.target_error) {
+        (Some(b), _) => Some(b.irradiance_samples(texels.len(), first.rays, coarse_seconds, rounds, progress)),
         (None, Some(target)) => {
-            Some(samples_for(target, unfiltered_error(&first), coarse_options.rays + coarse_options.emitter_samples, progress))
+            let coarse = coarse_options.rays + coarse_options.emitter_samples;
+            Some((samples_for(target, unfiltered_error(&first), coarse, progress), rounds))
         }
         (None, None) => None,
     };
-    if let Some(n) = samples {
-        [options.irradiance_rays, options.emitter_samples] = split_samples(n);
+    if let Some((samples, rounds)) = chosen {
+        [options.irradiance_rays, options.emitter_samples] = split_samples(samples);
+        options.irradiance_rounds = rounds.max(1);
     }
     let baked = options
         .checkpoints

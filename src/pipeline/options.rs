@@ -62,6 +62,8 @@ pub struct SolveOptions {
     pub evidence_points: usize,
     /// Rays per lobe and look at those points.
     pub evidence_rays: u32,
+    /// Roughness values at which the specular response of those points is tabulated.
+    pub roughness_levels: usize,
     /// Rays per pixel along the specular lobe of its roughness.
     pub specular_rays: u32,
     /// Whether lobes too wide to show anything are replaced by the mean light around: `Auto` = where the evidence says so.
@@ -128,6 +130,9 @@ impl SolveOptions {
         }
         if !(1..=16).contains(&self.irradiance_rounds) {
             return wrong(format!("--irradiance-rounds {}: must be from 1 to 16", self.irradiance_rounds));
+        }
+        if !(3..=1024).contains(&self.roughness_levels) {
+            return wrong(format!("--roughness-levels {}: must be from 3 to 1024", self.roughness_levels));
         }
         if !(1..=64).contains(&self.photo_reduction) {
             return wrong(format!("--photo-reduction {}: must be from 1 to 64", self.photo_reduction));

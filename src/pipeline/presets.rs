@@ -5,6 +5,7 @@
 use super::budget::parse_seconds;
 use super::{Budget, Checkpoints, Fit, SolveOptions, Switch};
 use crate::brdf::Reflectance;
+use crate::highlight::LEVELS;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
@@ -40,6 +41,7 @@ impl SolveOptions {
             prefilter: true,
             evidence_points: 1200,
             evidence_rays: 20,
+            roughness_levels: LEVELS.len(),
             specular_rays: 4,
             matte: Switch::Auto,
             divide: Switch::Auto,
@@ -136,6 +138,9 @@ pub struct SolveRequest {
     /// Rays per lobe and look at those points [default: 20].
     #[arg(long, value_name = "N")]
     pub evidence_rays: Option<u32>,
+    /// Roughness values at which the specular response of those points is tabulated [default: 18].
+    #[arg(long, value_name = "N")]
+    pub roughness_levels: Option<usize>,
     /// Rays per pixel along the specular lobe of its roughness [default: 4].
     #[arg(long, value_name = "N")]
     pub specular_rays: Option<u32>,
@@ -203,6 +208,7 @@ impl SolveRequest {
             prefilter: or(self.prefilter, preset.prefilter),
             evidence_points: self.evidence_points.unwrap_or(preset.evidence_points),
             evidence_rays: self.evidence_rays.unwrap_or(preset.evidence_rays),
+            roughness_levels: self.roughness_levels.unwrap_or(preset.roughness_levels),
             specular_rays: self.specular_rays.unwrap_or(preset.specular_rays),
             matte: self.matte,
             divide: self.divide_classes,

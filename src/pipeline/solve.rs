@@ -6,7 +6,7 @@ use super::surface::coverage;
 use super::{Light, SolveOptions, Surface, Switch, reconstruct_light};
 use crate::Result;
 use crate::brdf::{F0, Reflectance};
-use crate::highlight::{Candidate, SelectOptions, gather_evidence, select_points};
+use crate::highlight::{Candidate, SelectOptions, Tabulation, gather_evidence, roughness_levels, select_points};
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::inverse::{
     AlbedoEstimate, DIVISION_GAIN, DiffuseShading, GroupFit, Materials, Places, Unmixing, WIDE, WideLobes, choose_model,
@@ -60,9 +60,10 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         select_points(&bake, &surface.views, &normals, &class, &select)
     });
     let (evidence, matte) = progress.stage("specular samples", evidence.len() as u64, |p| {
-        let gather = |some: &[Candidate]| {
-            gather_evidence(&bake, &surface.observer(), some, &normals, options.evidence_rays, options.seed, p)
-        };
+        let levels = roughness_levels(options.roughness_levels);
+        let tabulation = Tabulation { levels: &levels, rays_per_lobe: options.evidence_rays };
+        let gather =
+            |some: &[Candidate]| gather_evidence(&bake, &surface.observer(), some, &normals, tabulation, options.seed, p);
         // a few points per class tell whether the others can add anything
         let (pilot, rest) = divided(&evidence, PILOT);
         let begin = Instant::now();
