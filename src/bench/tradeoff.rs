@@ -113,7 +113,8 @@ pub struct TradePoint {
     /// Cost and quality.
     #[serde(flatten)]
     pub outcome: Outcome,
-    /// √(Σ‖E−E'‖²/Σ‖E'‖²) of the irradiance texture, looked up at the reference's texels.
+    /// √(Σ‖E−E'‖²/Σ‖E'‖²) of the irradiance texture, looked up at the reference's texels. The reference is of the light that views
+    /// show: missing light counts as error.
     pub irradiance_rmse: f64,
     /// Whether no faster point has as high a mean PSNR.
     pub pareto: bool,
