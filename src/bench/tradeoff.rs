@@ -61,6 +61,7 @@ pub const APPROXIMATIONS: &[(&str, Flags)] = &[
     ("a coarse table of responses", &[("roughness-levels", "72")]),
     ("albedo at edges", &[("edges", "off")]),
     ("missing light", &[("missing-light", "off")]),
+    ("colours of painted classes", &[("painted", "off")]),
 ];
 
 /// Decisions that leave out what the scene does not require, and the flags that model it all the same.

@@ -6,6 +6,7 @@ mod confidence;
 mod materials;
 mod matte;
 mod mixtures;
+mod paint;
 mod roughness;
 mod unmix;
 
@@ -13,5 +14,6 @@ pub use albedo::{AlbedoEstimate, DiffuseShading, estimate_albedo, specular_image
 pub use confidence::albedo_error;
 pub use materials::{DIVISION_GAIN, Materials, Places};
 pub use matte::{WIDE, WideLobes};
+pub use paint::{Paint, Painting};
 pub use roughness::{GroupFit, choose_model, fit_groups};
 pub use unmix::{UnmixReport, Unmixing};

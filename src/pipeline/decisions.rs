@@ -5,7 +5,7 @@ use super::{Quality, SolveOptions, Switch};
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::geometry::Mesh;
 use crate::highlight::Evidence;
-use crate::inverse::{Materials, WIDE, choose_model, fit_groups};
+use crate::inverse::{Materials, Paint, WIDE, choose_model, fit_groups};
 use crate::lighting::Environment;
 use crate::progress::Progress;
 use crate::sampling::{Discrete, KeyedRng};
@@ -225,6 +225,25 @@ pub(super) fn report_materials(scene: &Scene, materials: &Materials, options: &S
     } else {
         let why = format!("held-out views are explained better so: {}", list.join("; "));
         progress.decide("roughness", format!("one per class, several in {}", list.len()), why, false);
+    }
+}
+
+/// Says which classes are painted.
+pub(super) fn report_paint(scene: &Scene, paints: &[Paint], options: &SolveOptions, progress: &Progress) {
+    let list: Vec<String> = paints
+        .iter()
+        .map(|p| match p.colours.len() {
+            1 => class_name(scene, p.class),
+            n => format!("{} ({n} colours)", class_name(scene, p.class)),
+        })
+        .collect();
+    let forced = options.painted == Switch::On;
+    let why =
+        if forced { "--painted on" } else { "their flat surface shows no texture, and few colours explain nearly all of it" };
+    if list.is_empty() {
+        progress.decide("painted in few colours", "no class", "all show texture, or too many colours", forced);
+    } else {
+        progress.decide("painted in few colours", list.join(", "), why, forced);
     }
 }
 

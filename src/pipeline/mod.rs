@@ -6,6 +6,7 @@ mod checkpoint;
 mod decisions;
 mod light;
 mod options;
+mod painted;
 mod presets;
 mod second_pass;
 mod solve;

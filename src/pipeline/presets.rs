@@ -47,6 +47,7 @@ impl SolveOptions {
             divide: Switch::Auto,
             edges: Switch::Auto,
             missing_light: Switch::Auto,
+            painted: Switch::Auto,
             exposure: Switch::Auto,
             emission: Switch::Auto,
             environment: Switch::Auto,
@@ -157,6 +158,10 @@ pub struct SolveRequest {
     /// Add light that no camera looks along (specular reflections, far sides) once materials are known: off = as observed.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub missing_light: Switch,
+    /// Give classes the few colours they are painted in: auto = where flat surface shows no texture, on = whatever it shows, off = every
+    /// texel has what its own pixels show.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub painted: Switch,
     /// Take exposure and white balance that drift from view to view out of the photographs: auto = if the views ask for it, off = never.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub exposure: Switch,
@@ -214,6 +219,7 @@ impl SolveRequest {
             divide: self.divide_classes,
             edges: self.edges,
             missing_light: self.missing_light,
+            painted: self.painted,
             exposure: self.exposure,
             emission: self.emission,
             environment: self.environment,

@@ -1,6 +1,7 @@
 //! The main job: light, then materials.
 
 use super::decisions::{choose_matte, choose_rooms, report_materials, report_matte};
+use super::painted::settle_paint;
 use super::second_pass::add_missing_light;
 use super::surface::coverage;
 use super::{Light, SolveOptions, Surface, Switch, reconstruct_light};
@@ -168,7 +169,11 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
             100.0 * change
         ));
     }
-    let solution = assemble(&surface, &light, &albedo, &materials, model, labels, rooms);
+    let mut errors = albedo_errors(&surface, &light, &albedo);
+    if options.painted != Switch::Off {
+        progress.stage("paint", 0, |p| settle_paint(&surface, &mut light, &mut albedo, &mut errors, options, p));
+    }
+    let solution = assemble(&surface, &light, (&albedo, &errors), &materials, model, labels, rooms);
     Ok(Solved { solution, fits: materials.fits().cloned().collect(), rays })
 }
 
@@ -242,7 +247,7 @@ fn divided(candidates: &[Candidate], few: usize) -> (Vec<Candidate>, Vec<Candida
 fn assemble(
     surface: &Surface,
     light: &Light,
-    albedo: &AlbedoEstimate,
+    (albedo, errors): (&AlbedoEstimate, &[f32]),
     materials: &Materials,
     reflectance: Reflectance,
     labels: Plane<u16>,
@@ -260,8 +265,7 @@ fn assemble(
     let observed: Vec<bool> = albedo.error.iter().zip(&albedo.value).map(|(e, a)| e.is_finite() || *a != Vec3::ZERO).collect();
     let value: Vec<Vec3> = albedo.value.iter().map(|a| a.clamp(Vec3::ZERO, Vec3::ONE)).collect();
     let albedo_plane = fill_uncovered(&texels.scatter(&value, Vec3::ZERO), &texels.scatter(&observed, false));
-    let confidence: Vec<Vec2> =
-        albedo_errors(surface, light, albedo).into_iter().zip(&roughness).map(|(e, r)| Vec2::new(e.min(1e4), r.1)).collect();
+    let confidence: Vec<Vec2> = errors.iter().zip(&roughness).map(|(e, r)| Vec2::new(e.min(1e4), r.1)).collect();
     let emission: Vec<Vec3> = (0..texels.len())
         .map(|i| {
             if light.emissive[texels.point[i].triangle as usize] {

@@ -197,12 +197,14 @@ fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) ->
 
 /// Texels seen clean keep their vote. A pixel at an edge may carry the label of the surface next to it, so texels seen there take what
 /// the clean texels of their triangle agree on, or all of its texels if none is clean; those nobody sees, that of the nearest triangle.
+/// At an edge no label says nothing: it is the sky's beside a window bar.
 fn complete_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> {
     /// Share of a triangle's clean texels that must agree: large triangles may carry several classes.
     const AGREEMENT: f32 = 0.9;
     let triangles = scene.mesh.triangles.len();
     let (mut clean, mut all): (Vec<Ballot>, Vec<Ballot>) = (vec![Vec::new(); triangles], vec![Vec::new(); triangles]);
-    for i in (0..texels.len()).filter(|&i| fusion.label[i] != UNSEEN) {
+    let voted = |i: usize| fusion.label[i] != UNSEEN && (fusion.label[i] != 0 || fusion.clean[i]);
+    for i in (0..texels.len()).filter(|&i| voted(i)) {
         let t = texels.point[i].triangle as usize;
         cast(&mut all[t], fusion.label[i]);
         if fusion.clean[i] {
@@ -218,7 +220,7 @@ fn complete_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> 
     (0..texels.len())
         .map(|i| {
             let (t, own) = (texels.point[i].triangle as usize, fusion.label[i]);
-            let keep = own != UNSEEN && (fusion.clean[i] || !agreed(t));
+            let keep = voted(i) && (fusion.clean[i] || !agreed(t));
             known(if keep { own } else { of_triangle[t] })
         })
         .collect()

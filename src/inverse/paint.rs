@@ -1,0 +1,496 @@
+//! Surfaces painted in few colours: what a whole class of surfaces says about each of its texels.
+//!
+//! Most of a room has no texture: walls, ceilings, mouldings and doors are painted evenly, a class in one colour or in a few. Their
+//! albedo still comes out uneven, for every error of the light is in it: a few percent everywhere, much more at edges and in corners.
+//! That unevenness is smooth or lies at edges, while texture shows on flat surface far from any edge. So the contrast of such texels
+//! tells how much texture a class has. Where it is hardly any, the colours of the class are the modes of its albedo (mean shift,
+//! Comaniciu and Meer 2002), and every texel becomes its posterior mean: its own value and the colours around it, each weighed by its
+//! precision. A texel that is none of the colours keeps its value, and so does every class with texture.
+
+use super::AlbedoEstimate;
+use crate::geometry::Mesh;
+use crate::math::luminance;
+use crate::optim::median;
+use crate::texture::Texels;
+use glam::Vec3;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Relative contrast of flat surface up to which a class is painted: estimates of paint vary by 0.6 to 2.5 %, wood by 4 to 15 %.
+const MOST_TEXTURE: f32 = 0.03;
+/// Texels around one that must be flat and clean for it to tell of texture: this far if there are enough such texels, else half.
+const REACH: i64 = 4;
+const ENOUGH_FLAT: usize = 200;
+/// Distance of the texels compared.
+const LAG: i64 = 2;
+/// Least relative error of an albedo: what lies nearer together is one colour.
+const LEAST_ERROR: f32 = 0.05;
+/// Most relative error where a view sees a texel clean: what is further from a colour of its class is something else.
+const MOST_CLEAN_ERROR: f32 = 0.15;
+/// Relative error added where no view sees a texel clean.
+const EDGE_ERROR: f32 = 0.1;
+/// Error of a colour's hue and saturation relative to that of its luminance: light errs in brightness rather than in colour.
+const CHROMA: f32 = 0.4;
+/// A class has at most this many colours, each of at least this share of its clean texels, and together this share.
+const MOST_COLOURS: usize = 6;
+const LEAST_SHARE: f32 = 0.02;
+const COVERED: f32 = 0.9;
+/// What lies within that many errors of a colour may be it.
+const WITHIN: f32 = 3.0;
+/// Clean texels per class that the colours are found from, and modes tried.
+const SAMPLES: usize = 4000;
+const STARTS: usize = 24;
+/// Density of albedos that are no paint, per unit of (ln albedo)³: even from black to white.
+const ANYTHING: f32 = 1.0 / 60.0;
+/// Share of labels that belong to the surface next to a texel.
+const WRONG_LABEL: f32 = 0.05;
+/// Side of the cubes, in texels, within which colours are known to lie, and how many clean texels outweigh the class.
+const CUBE: f32 = 32.0;
+const ENOUGH_NEAR: f32 = 50.0;
+/// Share of the error that all texels of a colour have in common.
+const COMMON: f32 = 0.5;
+/// Albedo below which ln albedo means nothing.
+const BLACK: f32 = 2e-3;
+
+/// The paint of one class.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Paint {
+    /// Class.
+    pub class: u16,
+    /// Albedo and share of each colour.
+    pub colours: Vec<(Vec3, f32)>,
+    /// Relative standard deviation of the albedo within a colour.
+    pub texture: f32,
+}
+
+/// What is known of every covered texel before its class is asked.
+pub struct Painting<'a> {
+    /// Albedo as observed.
+    pub albedo: &'a AlbedoEstimate,
+    /// Standard error of its luminance; infinite where unobserved.
+    pub error: &'a [f32],
+    /// Texels of the atlas.
+    pub texels: &'a Texels,
+    /// Mesh they lie on.
+    pub mesh: &'a Mesh,
+    /// Class per texel; 0 where unknown.
+    pub labels: &'a [u16],
+}
+
+impl Painting<'_> {
+    /// The classes that are painted and their colours; with `any`, whatever their texture.
+    #[must_use]
+    pub fn paints(&self, any: bool) -> Vec<Paint> {
+        let mut clean: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
+        (0..self.texels.len()).filter(|&i| self.is_clean(i)).for_each(|i| clean.entry(self.labels[i]).or_default().push(i));
+        let texture = self.textures();
+        clean
+            .into_par_iter()
+            .filter_map(|(class, members)| {
+                let texture = *texture.get(&class).filter(|t| any || **t <= MOST_TEXTURE)?;
+                let stride = members.len().div_ceil(SAMPLES);
+                let looks: Vec<Look> = members.iter().step_by(stride).map(|&i| self.look(i, texture)).collect();
+                Some(Paint { class, colours: colours(&looks)?, texture })
+            })
+            .collect()
+    }
+
+    /// The posterior mean of every texel's albedo and its standard error.
+    #[must_use]
+    pub fn settle(&self, paints: &[Paint]) -> Vec<(Vec3, f32)> {
+        let paint: BTreeMap<u16, &Paint> = paints.iter().map(|p| (p.class, p)).collect();
+        let near = self.neighbours(&paint);
+        (0..self.texels.len())
+            .into_par_iter()
+            .map(|i| {
+                let own = (self.albedo.value[i], self.error[i]);
+                let Some(paint) = paint.get(&self.labels[i]).filter(|_| self.error[i].is_finite()) else { return own };
+                let look = self.look(i, paint.texture);
+                let around = near.get(&self.cube(i)).map_or(&[][..], |c| c);
+                let here = around.iter().find(|n| n.class == paint.class);
+                let share = |k: usize| {
+                    let (count, total) = here.map_or((0.0, 0.0), |n| (n.colours[k], n.colours.iter().sum::<f32>()));
+                    (count + ENOUGH_NEAR * paint.colours[k].1) / (total + ENOUGH_NEAR)
+                };
+                // its label may be that of the surface next to it
+                let all: f32 = around.iter().map(|n| n.texels).sum();
+                let others = around.iter().filter(|n| n.class != paint.class);
+                let mislabelled: f32 = others
+                    .map(|n| {
+                        let look = Look { error: look.error.hypot(MOST_TEXTURE), ..look };
+                        n.texels / all * look.density(look.distance2(n.sum / n.texels))
+                    })
+                    .sum();
+                posterior(&look, paint, share, WRONG_LABEL * mislabelled).map_or(own, |p| p.over(own))
+            })
+            .collect()
+    }
+
+    fn is_clean(&self, i: usize) -> bool {
+        self.albedo.clean[i] && self.error[i].is_finite() && self.labels[i] != 0
+    }
+
+    fn look(&self, i: usize, texture: f32) -> Look {
+        let value = self.albedo.value[i].clamp(Vec3::splat(BLACK), Vec3::ONE);
+        let error = (self.error[i] / luminance(value)).max(LEAST_ERROR);
+        let error = if self.albedo.clean[i] { error.min(MOST_CLEAN_ERROR) } else { error.hypot(EDGE_ERROR) };
+        Look { log: ln(value), error: error.hypot(texture) }
+    }
+
+    fn cube(&self, i: usize) -> [i32; 3] {
+        let side = self.texels.texel_area(self.mesh, self.texels.point[i].triangle as usize).sqrt();
+        // texels of about the same size share cubes
+        let side = CUBE * side.max(f32::MIN_POSITIVE).log2().round().exp2();
+        (self.texels.position(self.mesh, i) / side).floor().as_ivec3().to_array()
+    }
+
+    /// What the clean texels around are, by cube and class.
+    fn neighbours(&self, paint: &BTreeMap<u16, &Paint>) -> BTreeMap<[i32; 3], Vec<Neighbours>> {
+        let mut near: BTreeMap<[i32; 3], Vec<Neighbours>> = BTreeMap::new();
+        for i in (0..self.texels.len()).filter(|&i| self.is_clean(i)) {
+            let class = self.labels[i];
+            let look = self.look(i, 0.0);
+            let cube = near.entry(self.cube(i)).or_default();
+            let known = cube.iter().position(|n| n.class == class).unwrap_or_else(|| {
+                cube.push(Neighbours { class, texels: 0.0, sum: Vec3::ZERO, colours: [0.0; MOST_COLOURS] });
+                cube.len() - 1
+            });
+            let n = &mut cube[known];
+            n.texels += 1.0;
+            n.sum += look.log;
+            if let Some(k) = paint.get(&class).and_then(|p| nearest(&look, &p.colours)) {
+                n.colours[k] += 1.0;
+            }
+        }
+        near
+    }
+
+    /// Median contrast of the flat surface of every class that has enough of it.
+    fn textures(&self) -> BTreeMap<u16, f32> {
+        let (texels, w, h) = (self.texels, self.texels.width as i64, self.texels.height as i64);
+        let mut cells = vec![u32::MAX; texels.width * texels.height];
+        texels.cell.iter().enumerate().for_each(|(i, c)| cells[*c as usize] = i as u32);
+        let log: Vec<f32> = self.albedo.value.iter().map(|a| luminance(*a).max(BLACK).ln()).collect();
+        let normal = |i: usize| self.mesh.face_normal(texels.point[i].triangle as usize);
+        let at = |i: usize, dx: i64, dy: i64| {
+            let (x, y) = (i64::from(texels.cell[i]) % w + dx, i64::from(texels.cell[i]) / w + dy);
+            let inside = x >= 0 && y >= 0 && x < w && y < h;
+            inside.then(|| cells[(y * w + x) as usize]).filter(|j| *j != u32::MAX).map(|j| j as usize)
+        };
+        let flat = |i: usize, reach: i64| {
+            let n = normal(i);
+            (1..=reach).all(|r| {
+                [(r, 0), (-r, 0), (0, r), (0, -r), (r, r), (-r, r), (r, -r), (-r, -r)].iter().all(|&(dx, dy)| {
+                    at(i, dx, dy)
+                        .is_some_and(|j| self.is_clean(j) && self.labels[j] == self.labels[i] && normal(j).dot(n) > 0.999)
+                })
+            })
+        };
+        let contrast = |i: usize| {
+            let others = [(LAG, 0), (-LAG, 0), (0, LAG), (0, -LAG)].into_iter().filter_map(|(dx, dy)| at(i, dx, dy));
+            (0.25 * others.map(|j| (log[j] - log[i]).powi(2)).sum::<f32>()).sqrt()
+        };
+        let found: Vec<(u16, bool, f32)> = (0..texels.len())
+            .into_par_iter()
+            .filter(|&i| self.is_clean(i) && flat(i, REACH / 2))
+            .map(|i| (self.labels[i], flat(i, REACH), contrast(i)))
+            .collect();
+        let mut classes: BTreeMap<u16, [Vec<f32>; 2]> = BTreeMap::new();
+        for (class, wide, contrast) in found {
+            let [all, far] = classes.entry(class).or_default();
+            all.push(contrast);
+            if wide {
+                far.push(contrast);
+            }
+        }
+        let typical = |[all, far]: [Vec<f32>; 2]| median(if far.len() >= ENOUGH_FLAT { far } else { all });
+        classes.into_iter().filter(|(_, [all, _])| all.len() >= ENOUGH_FLAT).filter_map(|(c, l)| Some((c, typical(l)?))).collect()
+    }
+}
+
+/// The clean texels of one class in a cube: their number, the sum of their ln albedo, and how many have which colour.
+struct Neighbours {
+    class: u16,
+    texels: f32,
+    sum: Vec3,
+    colours: [f32; MOST_COLOURS],
+}
+
+/// ln albedo and its standard error in luminance.
+#[derive(Clone, Copy)]
+struct Look {
+    log: Vec3,
+    error: f32,
+}
+
+impl Look {
+    /// Squared distance to a colour in standard errors.
+    fn distance2(&self, log: Vec3) -> f32 {
+        let d = self.log - log;
+        let bright = d.element_sum() / 3.0;
+        let hue = d - Vec3::splat(bright);
+        (bright * bright + hue.length_squared() / (CHROMA * CHROMA)) / (self.error * self.error)
+    }
+
+    /// Density of looks at this distance: Gaussian, of unit mass over (ln albedo)³.
+    fn density(&self, distance2: f32) -> f32 {
+        let volume = (2.0 * std::f32::consts::PI).powf(1.5) * 3f32.sqrt() * CHROMA * CHROMA * self.error.powi(3);
+        (-0.5 * distance2).exp() / volume
+    }
+}
+
+fn ln(v: Vec3) -> Vec3 {
+    Vec3::new(v.x.ln(), v.y.ln(), v.z.ln())
+}
+
+/// The colour a look is nearest to, if it may be it.
+fn nearest(look: &Look, colours: &[(Vec3, f32)]) -> Option<usize> {
+    let distance: Vec<f32> = colours.iter().map(|c| look.distance2(ln(c.0))).collect();
+    (0..distance.len()).min_by(|&a, &b| distance[a].total_cmp(&distance[b])).filter(|&k| distance[k] < WITHIN * WITHIN)
+}
+
+/// The modes of the looks, the largest first, if few of them explain nearly all looks.
+fn colours(looks: &[Look]) -> Option<Vec<(Vec3, f32)>> {
+    let mut cells: BTreeMap<[i32; 3], (u32, Vec3)> = BTreeMap::new();
+    for l in looks {
+        let cell = cells.entry((l.log / LEAST_ERROR).floor().as_ivec3().to_array()).or_default();
+        *cell = (cell.0 + 1, cell.1 + l.log);
+    }
+    let mut starts: Vec<(u32, Vec3)> = cells.into_values().collect();
+    starts.sort_by_key(|s| std::cmp::Reverse(s.0));
+    let mut modes: Vec<Vec3> = Vec::new();
+    for (count, sum) in starts.into_iter().take(STARTS) {
+        let mode = climb(looks, sum / count as f32);
+        // modes nearer than the errors are one
+        let same = |m: &Vec3| Look { log: mode, error: LEAST_ERROR }.distance2(*m) < 4.0;
+        if !modes.iter().any(same) {
+            modes.push(mode);
+        }
+    }
+    let assign = |modes: &[Vec3]| -> Vec<Option<usize>> {
+        let as_colours: Vec<(Vec3, f32)> = modes.iter().map(|m| (m.exp(), 0.0)).collect();
+        looks.iter().map(|l| nearest(l, &as_colours)).collect()
+    };
+    let shares = |of: &[Option<usize>], n: usize| -> Vec<f32> {
+        (0..n).map(|k| of.iter().filter(|o| **o == Some(k)).count() as f32 / looks.len() as f32).collect()
+    };
+    let all = shares(&assign(&modes), modes.len());
+    let mut kept: Vec<(Vec3, f32)> = modes.into_iter().zip(all).filter(|(_, s)| *s >= LEAST_SHARE).collect();
+    kept.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let modes: Vec<Vec3> = kept.into_iter().map(|(m, _)| m).collect();
+    let of = assign(&modes);
+    let share = shares(&of, modes.len());
+    if modes.len() > MOST_COLOURS || share.iter().sum::<f32>() < COVERED {
+        return None;
+    }
+    let mean = |k: usize| {
+        let (sum, total) = looks.iter().zip(&of).filter(|(_, o)| **o == Some(k)).fold((Vec3::ZERO, 0.0), |(s, t), (l, _)| {
+            let w = 1.0 / (l.error * l.error);
+            (s + l.log * w, t + w)
+        });
+        (sum / total).exp()
+    };
+    Some((0..modes.len()).map(|k| (mean(k), share[k])).collect())
+}
+
+/// The mode that mean shift reaches from `log`.
+fn climb(looks: &[Look], mut log: Vec3) -> Vec3 {
+    const STEPS: usize = 30;
+    for _ in 0..STEPS {
+        let (mut sum, mut total) = (Vec3::ZERO, 0.0);
+        for l in looks {
+            let d2 = l.distance2(log);
+            let w = l.density(d2) / (l.error * l.error);
+            sum += l.log * w;
+            total += w;
+        }
+        let next = sum / total.max(f32::MIN_POSITIVE);
+        let moved = (next - log).length();
+        log = next;
+        if moved < 1e-4 {
+            break;
+        }
+    }
+    log
+}
+
+/// What a texel is if it is paint, and how likely it is.
+struct Posterior {
+    /// Probability that the texel is one of the colours.
+    paint: f32,
+    /// Mean ln albedo of the colours, weighed by how likely each is.
+    log: Vec3,
+    /// Relative variance of that.
+    variance: f32,
+}
+
+impl Posterior {
+    /// Mean albedo and standard error, `own` being those of the texel if it is no paint.
+    fn over(&self, own: (Vec3, f32)) -> (Vec3, f32) {
+        let value = own.0.max(Vec3::splat(BLACK));
+        let mean = (self.log * self.paint + ln(value) * (1.0 - self.paint)).exp();
+        let apart = luminance(value).ln() - luminance(self.log.exp()).ln();
+        let relative = own.1 / luminance(value);
+        let variance = self.paint * self.variance
+            + (1.0 - self.paint) * relative * relative
+            + self.paint * (1.0 - self.paint) * apart * apart;
+        (mean, luminance(mean) * variance.sqrt())
+    }
+}
+
+/// What a look is if it is paint; none if nothing is known of it. `share(k)` is how common colour k is where it lies, `mislabelled` the
+/// density of looks like it on other classes there.
+fn posterior(look: &Look, paint: &Paint, share: impl Fn(usize) -> f32, mislabelled: f32) -> Option<Posterior> {
+    let logs: Vec<Vec3> = paint.colours.iter().map(|c| ln(c.0)).collect();
+    let weight: Vec<f32> = logs.iter().enumerate().map(|(k, l)| share(k) * look.density(look.distance2(*l))).collect();
+    let known: f32 = paint.colours.iter().map(|c| c.1).sum();
+    let other = (1.0 - known).max(LEAST_SHARE) * ANYTHING + mislabelled;
+    let total: f32 = weight.iter().sum();
+    if total <= f32::MIN_POSITIVE || !(total + other).is_finite() {
+        return None;
+    }
+    // of the deviation from a colour, what texture explains is the texel's own
+    let (own2, texture2) = (look.error * look.error, paint.texture * paint.texture);
+    let keep = texture2 / own2;
+    let log = logs.iter().zip(&weight).map(|(l, w)| (*l + (look.log - *l) * keep) * (w / total)).sum::<Vec3>();
+    let spread: f32 = logs.iter().zip(&weight).map(|(l, w)| ((*l - log).element_sum() / 3.0).powi(2) * w / total).sum();
+    let variance = keep * (own2 - texture2) + (COMMON * LEAST_ERROR).powi(2) + spread;
+    Some(Posterior { paint: total / (total + other), log, variance })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec2;
+
+    const SIDE: usize = 128;
+
+    fn square() -> Mesh {
+        Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y],
+            normals: vec![Vec3::Z; 4],
+            uvs: vec![Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y],
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+        }
+    }
+
+    /// A square of `SIDE`² texels with an albedo, a standard error and cleanness per place.
+    struct Wall {
+        mesh: Mesh,
+        texels: Texels,
+        albedo: AlbedoEstimate,
+        error: Vec<f32>,
+        labels: Vec<u16>,
+    }
+
+    impl Wall {
+        fn new(albedo: impl Fn(usize, usize) -> Vec3) -> Self {
+            let mesh = square();
+            let texels = Texels::rasterize(&mesh, SIDE, SIDE);
+            let value: Vec<Vec3> = texels.cell.iter().map(|&c| albedo(c as usize % SIDE, c as usize / SIDE)).collect();
+            let n = value.len();
+            let albedo = AlbedoEstimate {
+                error: vec![0.01; n],
+                looks: vec![3.0; n],
+                specular_share: vec![0.0; n],
+                clean: vec![true; n],
+                footprint: vec![0.01; n],
+                value,
+            };
+            Self { error: vec![0.02; n], labels: vec![1; n], mesh, texels, albedo }
+        }
+
+        fn painting(&self) -> Painting<'_> {
+            let Self { mesh, texels, albedo, error, labels } = self;
+            Painting { albedo, error, texels, mesh, labels }
+        }
+
+        fn settled(&self) -> Vec<(Vec3, f32)> {
+            self.painting().settle(&self.painting().paints(false))
+        }
+
+        fn at(&self, x: usize, y: usize) -> usize {
+            self.texels.cell.iter().position(|c| *c as usize == y * SIDE + x).expect("covered")
+        }
+    }
+
+    /// Uneven by a few percent, smoothly, as errors of the light are.
+    fn shade(x: usize, y: usize) -> f32 {
+        1.0 + 0.04 * (x as f32 / 30.0).sin() * (y as f32 / 25.0).cos()
+    }
+
+    #[test]
+    fn paint_loses_the_unevenness_of_its_light() {
+        let grey = Vec3::new(0.6, 0.58, 0.55);
+        let wall = Wall::new(|x, y| grey * shade(x, y));
+        let paints = wall.painting().paints(false);
+        assert_eq!((paints.len(), paints[0].colours.len()), (1, 1));
+        assert!((paints[0].colours[0].0 - grey).abs().max_element() < 0.005, "{paints:?}");
+        for (value, error) in wall.settled() {
+            assert!((value - grey).abs().max_element() < 0.008, "{value}");
+            assert!(error > 0.0 && error < 0.02, "{error}");
+        }
+    }
+
+    #[test]
+    fn two_colours_stay_two_and_a_picture_on_the_wall_stays() {
+        let (red, blue) = (Vec3::new(0.6, 0.3, 0.3), Vec3::new(0.3, 0.35, 0.6));
+        let picture = |x: usize, y: usize| (50..58).contains(&x) && (50..58).contains(&y);
+        let wall = Wall::new(|x, y| {
+            let colour = if picture(x, y) {
+                Vec3::splat(0.05)
+            } else if x < 80 {
+                red
+            } else {
+                blue
+            };
+            colour * shade(x, y)
+        });
+        assert_eq!(wall.painting().paints(false)[0].colours.len(), 2);
+        let settled = wall.settled();
+        for (x, y, truth) in [(20, 20, red), (120, 90, blue), (54, 54, Vec3::splat(0.05))] {
+            let value = settled[wall.at(x, y)].0;
+            assert!(
+                ((value - truth) / truth).abs().max_element() < 0.03 + 0.03 * f32::from(u8::from(picture(x, y))),
+                "{x} {y}: {value}"
+            );
+        }
+    }
+
+    #[test]
+    fn wood_keeps_its_grain_whatever_its_light() {
+        let grain = |x: usize, y: usize| 0.3 * (1.0 + 0.15 * ((x * 7 + y / 9) as f32).sin()) * shade(x, y);
+        let wall = Wall::new(|x, y| Vec3::splat(grain(x, y)));
+        assert!(wall.painting().paints(false).is_empty());
+        assert!(wall.settled().iter().zip(&wall.albedo.value).all(|(s, v)| s.0 == *v));
+    }
+
+    #[test]
+    fn an_edge_takes_the_colour_around_it_but_not_that_of_another_class() {
+        let (white, wood) = (Vec3::splat(0.8), Vec3::new(0.4, 0.2, 0.05));
+        let mut wall = Wall::new(|x, _| if x < 64 { white } else { wood });
+        wall.labels = wall.texels.cell.iter().map(|c| if *c as usize % SIDE < 64 { 1 } else { 2 }).collect();
+        let (mixed, stray) = (wall.at(62, 40), wall.at(61, 90));
+        for (i, value, error) in [(mixed, 0.65 * Vec3::ONE, 0.2), (stray, wood, 0.12)] {
+            wall.albedo.value[i] = value;
+            wall.albedo.clean[i] = false;
+            wall.error[i] = error;
+        }
+        let settled = wall.settled();
+        assert!((settled[mixed].0 - white).abs().max_element() < 0.02, "{:?}", settled[mixed]);
+        // labelled as paint, but it looks like the wood beside it
+        assert!((settled[stray].0 - wood).abs().max_element() < 0.05, "{:?}", settled[stray]);
+    }
+
+    #[test]
+    fn what_nobody_saw_and_empty_input_pass() {
+        let mut wall = Wall::new(|_, _| Vec3::splat(0.5));
+        wall.error[9] = f32::INFINITY;
+        assert!(wall.settled()[9].1.is_infinite());
+        wall.error.fill(f32::INFINITY);
+        assert!(wall.painting().paints(false).is_empty());
+        wall.albedo.value.fill(Vec3::ZERO);
+        wall.error.fill(0.0);
+        assert!(wall.settled().iter().all(|s| s.0.is_finite() && s.1.is_finite()));
+    }
+}
