@@ -95,7 +95,11 @@ pub fn evaluate(
     progress.stage("evaluation", views.len() as u64, |progress| {
         for view in &views {
             let (photograph, valid) = photograph(scene, view)?;
-            let rendered = renderer.render(&view.camera)?;
+            let classes = labels_of(scene, view)?;
+            let rendered = match &classes {
+                Some(classes) => renderer.render_classes(&view.camera, classes)?,
+                None => renderer.render(&view.camera)?,
+            };
             if let Some(aside) = &aside {
                 files.extend(write_view(&aside.folder, &view.stem, &rendered)?);
             }
@@ -103,7 +107,7 @@ pub fn evaluate(
             let accumulator = if view.split == Split::Test { &mut test } else { &mut train };
             let truth = truth.as_ref();
             let mut scores = score_rendering(view, (&photograph, &valid), &rendered, options, accumulator)?;
-            let labels = labels_of(scene, view, &rendered)?;
+            let labels = classes.unwrap_or_else(|| rendered.labels.clone());
             if let Some(emission) = EmissionTruth::of(scene, view, &photograph, &labels, &accumulator.lights)? {
                 accumulator.emission.add(&emission, &rendered);
             }
@@ -208,11 +212,12 @@ pub fn comparable(
 }
 
 /// Class ids at the frame's size: the scene's, or those the renderer sees where the scene labels nothing.
-fn labels_of(scene: &Scene, view: &View, rendered: &RenderedView) -> Result<Plane<u16>> {
-    let Some(file) = scene.load_labels(view)? else { return Ok(rendered.labels.clone()) };
-    let (w, h) = (rendered.labels.width, rendered.labels.height);
-    let data = (0..w * h).map(|i| *nearest_of(&file, &rendered.labels, i % w, i / w)).collect();
-    Ok(Plane { width: w, height: h, data })
+fn labels_of(scene: &Scene, view: &View) -> Result<Option<Plane<u16>>> {
+    let Some(file) = scene.load_labels(view)? else { return Ok(None) };
+    let (width, height) = (view.camera.width, view.camera.height);
+    let frame: Plane<()> = Plane::filled(width, height, ());
+    let data = (0..width * height).map(|i| *nearest_of(&file, &frame, i % width, i / width)).collect();
+    Ok(Some(Plane { width, height, data }))
 }
 
 fn score_materials(

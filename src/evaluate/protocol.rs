@@ -19,7 +19,8 @@ pub fn descriptions(options: &EvalOptions) -> Vec<String> {
              SSIM as pytorch_msssim (11x11 Gaussian, sigma 1.5, K 0.01/0.03, windows inside the image)",
             options.exposure
         ),
-        "materials: at the frame's size; pixels without geometry (label 0) and of classes of kind light are left out; values clipped \
+        "materials: at the frame's size, each pixel's being the mean over the surfaces in it of the class its label names, as the ground \
+         truth is; pixels without geometry (label 0) and of classes of kind light are left out; values clipped \
          to [0, 1]; nothing is overwritten; PSNR has peak 1 and is at most 100 dB"
             .into(),
         "linear: no alignment of any kind".into(),

@@ -3,13 +3,13 @@
 //! path tracer.
 
 use super::denoise::{SpecularFeature, filter_specular};
-use crate::Result;
 use crate::geometry::Camera;
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::lighting::{Bake, Emitters, Environment, Gaze, Levels, LightField, Reflector};
 use crate::sampling::hash_u64;
 use crate::solution::Solution;
 use crate::trace::{EmbreeTracer, Hit, Ray, Tracer};
+use crate::{Error, Result};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::f32::consts::FRAC_1_PI;
@@ -38,6 +38,15 @@ pub trait ViewRenderer {
     /// # Errors
     /// Whatever the implementation needs and cannot get.
     fn render(&self, camera: &Camera) -> Result<RenderedView>;
+
+    /// The same, each pixel's materials being those of the surfaces of its class in `classes` (of the camera's image size) where it shows
+    /// any: at an edge a pixel shows several, and a photograph's labels say which one it counts for.
+    ///
+    /// # Errors
+    /// As [`Self::render`].
+    fn render_classes(&self, camera: &Camera, _classes: &Plane<u16>) -> Result<RenderedView> {
+        self.render(camera)
+    }
 }
 
 /// Samples of the hybrid renderer.
@@ -113,7 +122,7 @@ impl<'a> HybridRenderer<'a> {
         Ok(Self { solution, tracer, field, emitters, offset: (hi - lo).length() * 1e-5, options })
     }
 
-    fn render_row(&self, camera: &Camera, y: usize) -> Row {
+    fn render_row(&self, camera: &Camera, classes: Option<&Plane<u16>>, y: usize) -> Row {
         let n = self.options.supersampling.max(1) as usize;
         let samples = n * n;
         let w = camera.width;
@@ -164,7 +173,7 @@ impl<'a> HybridRenderer<'a> {
                 p.specular = specular[*g as usize];
             }
         }
-        Row::resolve(&points, samples)
+        Row::resolve(&points, samples, |x| classes.map(|c| c[(x, y)]))
     }
 
     fn shade_point(&self, hit: &Hit, direction: Vec3) -> Point {
@@ -202,8 +211,24 @@ impl<'a> HybridRenderer<'a> {
 
 impl ViewRenderer for HybridRenderer<'_> {
     fn render(&self, camera: &Camera) -> Result<RenderedView> {
+        Ok(self.render_rows(camera, None))
+    }
+
+    fn render_classes(&self, camera: &Camera, classes: &Plane<u16>) -> Result<RenderedView> {
+        if (classes.width, classes.height) != (camera.width, camera.height) {
+            return Err(Error::Usage(format!(
+                "labels of {}x{} for a camera of {}x{}",
+                classes.width, classes.height, camera.width, camera.height
+            )));
+        }
+        Ok(self.render_rows(camera, Some(classes)))
+    }
+}
+
+impl HybridRenderer<'_> {
+    fn render_rows(&self, camera: &Camera, classes: Option<&Plane<u16>>) -> RenderedView {
         let (w, h) = (camera.width, camera.height);
-        let rows: Vec<Row> = (0..h).into_par_iter().map(|y| self.render_row(camera, y)).collect();
+        let rows: Vec<Row> = (0..h).into_par_iter().map(|y| self.render_row(camera, classes, y)).collect();
         let mut out = RenderedView {
             radiance: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
             albedo: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
@@ -230,7 +255,7 @@ impl ViewRenderer for HybridRenderer<'_> {
         for (l, s) in out.radiance.data.iter_mut().zip(&specular.data) {
             *l += *s;
         }
-        Ok(out)
+        out
     }
 }
 
@@ -262,15 +287,14 @@ struct Row {
 }
 
 impl Row {
-    /// Averages the samples of each pixel; materials only over the samples with the pixel's most frequent label.
-    fn resolve(points: &[Point], samples: usize) -> Self {
+    /// Averages the samples of each pixel; materials only over the samples of the `wanted` class of its column, or of the most frequent
+    /// class if there is none.
+    fn resolve(points: &[Point], samples: usize, wanted: impl Fn(usize) -> Option<u16>) -> Self {
         let mut row = Self::default();
-        for pixel in points.chunks(samples) {
-            let label = pixel
-                .iter()
-                .map(|p| (pixel.iter().filter(|q| q.label == p.label).count(), p.label))
-                .max()
-                .map_or(0, |best| best.1);
+        for (x, pixel) in points.chunks(samples).enumerate() {
+            let counts = pixel.iter().map(|p| (pixel.iter().filter(|q| q.label == p.label).count(), p.label));
+            let frequent = counts.max().map_or(0, |best| best.1);
+            let label = wanted(x).filter(|w| pixel.iter().any(|p| p.label == *w)).unwrap_or(frequent);
             let same: Vec<&Point> = pixel.iter().filter(|p| p.label == label).collect();
             let share = 1.0 / same.len().max(1) as f32;
             row.radiance.push(pixel.iter().map(|p| p.radiance).sum::<Vec3>() / samples as f32);
@@ -286,11 +310,40 @@ impl Row {
                 label,
                 roughness: same.iter().map(|p| p.roughness).sum::<f32>() * share,
             });
-            row.emission.push(same.iter().map(|p| p.emission).sum::<Vec3>() * share);
+            // a label must not tell which pixels emit
+            let most: Vec<Vec3> = pixel.iter().filter(|p| p.label == frequent).map(|p| p.emission).collect();
+            row.emission.push(most.iter().sum::<Vec3>() / most.len().max(1) as f32);
             // errors of neighbouring texels go together: their root mean square, not that of independent ones
             let square = same.iter().map(|p| p.confidence * p.confidence).sum::<Vec2>() * share;
             row.confidence.push(Vec2::new(square.x.sqrt(), square.y.sqrt()));
         }
         row
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pixel_shows_the_material_of_its_class_where_it_shows_any() {
+        let point = |label, albedo: f32| Point { label, albedo: Vec3::splat(albedo), roughness: albedo, ..Point::default() };
+        let lamp = Point { label: 3, emission: Vec3::ONE, ..Point::default() };
+        // two samples of each class, a pixel of which a lamp has a quarter, and one without the class asked for
+        let pixels = [
+            [point(1, 0.2), point(1, 0.4), point(2, 0.8), point(2, 0.9)],
+            [point(1, 0.2), point(1, 0.4), point(1, 0.6), lamp],
+            [point(2, 0.8); 4],
+        ];
+        let points: Vec<Point> = pixels.into_iter().flatten().collect();
+        let row = Row::resolve(&points, 4, |x| Some([1, 3, 1][x]));
+        assert_eq!(row.labels, [1, 3, 2]);
+        for (got, want) in row.roughness.iter().zip([0.3, 0.0, 0.8]) {
+            assert!((got - want).abs() < 1e-6, "{got} {want}");
+        }
+        assert_eq!(row.emission, [Vec3::ZERO; 3], "its label must not make a pixel emit");
+        let row = Row::resolve(&points, 4, |_| None);
+        assert_eq!(row.labels[1..], [1, 2]);
+        assert!((row.albedo[1].x - 0.4).abs() < 1e-6);
     }
 }
