@@ -25,7 +25,7 @@ fn gazes(target: Vec3, count: u64) -> Vec<Gaze> {
     let position = Vec3::new(1.0, 0.0, 3.9);
     let l = (target - position).normalize();
     let view = Vec3::new(-l.x, l.y, -l.z);
-    (0..count).map(|key| Gaze { position, normal: Vec3::Y, face_normal: Vec3::Y, view, key }).collect()
+    (0..count).map(|key| Gaze { position, normal: Vec3::Y, face_normal: Vec3::Y, view, key, turn: 0 }).collect()
 }
 
 /// ∫ L f_s (n·l) dω over the lamp and its derivative in R, in f64.
@@ -124,7 +124,7 @@ fn the_diffuse_factor_is_that_of_the_light_that_arrives() {
     let (q, p) = (lamp(), Vec3::new(0.2, 0.0, 4.8));
     let mut factors = Vec::new();
     for view in [Vec3::new(0.9, 0.25, -0.9), Vec3::new(-0.9, 0.25, 0.9)].map(Vec3::normalize) {
-        let gaze = |key| Gaze { position: p, normal: Vec3::Y, face_normal: Vec3::Y, view, key };
+        let gaze = |key| Gaze { position: p, normal: Vec3::Y, face_normal: Vec3::Y, view, key, turn: 0 };
         let all: Vec<Gaze> = (0..200).map(gaze).collect();
         let mut specular = vec![Vec3::ZERO; all.len()];
         let mut diffuse = vec![[0.0; 3]; all.len()];

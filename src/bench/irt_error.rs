@@ -37,6 +37,30 @@ pub struct ErrorPoint {
     pub median_relative_error: f64,
 }
 
+impl ErrorPoint {
+    /// A bake of the whole texture: `value(i)` is the irradiance of texel i, `rays` were traced for `texels` texels.
+    fn of_whole(
+        (curve, samples): (String, [u32; 2]),
+        reference: &Reference,
+        value: impl Fn(usize) -> Vec3,
+        (rays, texels): (u64, usize),
+        seconds: f64,
+    ) -> Self {
+        let value: Vec<Vec3> = reference.ids.iter().map(|&i| value(i)).collect();
+        let (relative_rmse, median_relative_error) = relative_errors(&value, &reference.value);
+        Self {
+            curve,
+            rays: samples[0],
+            emitter_samples: samples[1],
+            rays_per_texel: rays as f64 / texels.max(1) as f64,
+            seconds,
+            measured_whole: true,
+            relative_rmse,
+            median_relative_error,
+        }
+    }
+}
+
 /// The reference irradiance.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Reference {
@@ -161,18 +185,8 @@ pub(super) fn pipeline_point(
             progress,
         )
     });
-    let value: Vec<Vec3> = reference.ids.iter().map(|&i| baked.value[i]).collect();
-    let (relative_rmse, median_relative_error) = relative_errors(&value, &reference.value);
-    ErrorPoint {
-        curve: "pipeline".to_owned(),
-        rays,
-        emitter_samples,
-        rays_per_texel: baked.rays as f64 / texels.len().max(1) as f64,
-        seconds,
-        measured_whole: true,
-        relative_rmse,
-        median_relative_error,
-    }
+    let curve = ("pipeline".to_owned(), [rays, emitter_samples]);
+    ErrorPoint::of_whole(curve, reference, |i| baked.value[i], (baked.rays, texels.len()), seconds)
 }
 
 /// The bake that `unbake solve --target-error` chooses: the error it reaches, and the time of all of the light's stages.
@@ -180,18 +194,8 @@ pub(super) fn pipeline_point(
 pub(super) fn target_point(ground: &Ground, reference: &Reference, target: f32, progress: &Progress) -> ErrorPoint {
     let options = SolveOptions { target_error: Some(target), ..ground.options.clone() };
     let (light, seconds) = timed(|| reconstruct_light(&ground.surface, &options, progress));
-    let value: Vec<Vec3> = reference.ids.iter().map(|&i| light.irradiance.data[light.texels.cell[i] as usize]).collect();
-    let (relative_rmse, median_relative_error) = relative_errors(&value, &reference.value);
-    ErrorPoint {
-        curve: format!("target {target}"),
-        rays: 0,
-        emitter_samples: 0,
-        rays_per_texel: light.rays as f64 / light.texels.len().max(1) as f64,
-        seconds,
-        measured_whole: true,
-        relative_rmse,
-        median_relative_error,
-    }
+    let value = |i: usize| light.irradiance.data[light.texels.cell[i] as usize];
+    ErrorPoint::of_whole((format!("target {target}"), [0, 0]), reference, value, (light.rays, light.texels.len()), seconds)
 }
 
 /// Seconds at which a curve reaches `error`, by straight lines between its points in the logarithms of both; with its first

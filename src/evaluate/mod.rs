@@ -211,7 +211,7 @@ pub fn comparable(
     (tone_mapped(&render_small, gain), tone_mapped(&photo_small, gain), counted)
 }
 
-/// Class ids at the frame's size: the scene's, or those the renderer sees where the scene labels nothing.
+/// The scene's class ids at the frame's size; none where it labels nothing.
 fn labels_of(scene: &Scene, view: &View) -> Result<Option<Plane<u16>>> {
     let Some(file) = scene.load_labels(view)? else { return Ok(None) };
     let (width, height) = (view.camera.width, view.camera.height);

@@ -5,12 +5,16 @@
 
 use super::{Candidate, LOBES};
 use crate::brdf::Reflectance;
-use crate::gbuffer::{Observation, Observer};
+use crate::gbuffer::{Observation, Observer, ViewBuffer};
+use crate::image::bilinear_taps;
 use crate::lighting::{Bake, Gaze, Levels, Reflector};
+use crate::math::luminance;
 use crate::parallel;
 use crate::progress::Progress;
-use crate::sampling::hash_u64;
-use glam::Vec3;
+use crate::sampling::{SobolSequence, hash_u64};
+use crate::trace::{Hit, Ray};
+use glam::{Vec2, Vec3};
+use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A point and its range in [`Evidence::sights`].
@@ -50,8 +54,10 @@ pub struct Evidence {
     pub points: Vec<EvidencePoint>,
     /// Sights of all points, point by point.
     pub sights: Vec<Sight>,
-    /// `sights.len() × MODELS.len() × levels.len()` specular radiances.
+    /// `sights.len() × MODELS.len() × levels.len()` specular radiances: means of two independent estimates.
     pub specular: Vec<Vec3>,
+    /// Half the difference of the luminance of the two estimates: what the mean is off by, but for its sign.
+    pub noise: Vec<f32>,
     /// Per sight Burley's diffuse radiance over Lambert's in the light that arrives, as a polynomial in the roughness.
     pub diffuse: Vec<[f32; 3]>,
     /// Rays traced.
@@ -61,13 +67,11 @@ pub struct Evidence {
 impl Evidence {
     /// Takes over the points of `more`, tabulated at the same levels, behind its own.
     pub fn append(&mut self, more: Self) {
-        if self.levels.is_empty() {
-            self.levels = more.levels;
-        }
         let base = self.sights.len() as u32;
         self.points.extend(more.points.into_iter().map(|q| EvidencePoint { first: q.first + base, ..q }));
         self.sights.extend(more.sights);
         self.specular.extend(more.specular);
+        self.noise.extend(more.noise);
         self.diffuse.extend(more.diffuse);
         self.rays += more.rays;
     }
@@ -81,8 +85,18 @@ impl Evidence {
     /// Specular radiance of sight `s` at all levels under [`MODELS`]`[m]`.
     #[must_use]
     pub fn response(&self, s: usize, m: usize) -> &[Vec3] {
+        &self.specular[self.row(s, m)]
+    }
+
+    /// What the luminance of [`Self::response`] is off by, but for its sign.
+    #[must_use]
+    pub fn noise(&self, s: usize, m: usize) -> &[f32] {
+        &self.noise[self.row(s, m)]
+    }
+
+    fn row(&self, s: usize, m: usize) -> Range<usize> {
         let n = self.levels.len();
-        &self.specular[(s * MODELS.len() + m) * n..][..n]
+        (s * MODELS.len() + m) * n..(s * MODELS.len() + m + 1) * n
     }
 }
 
@@ -97,6 +111,10 @@ pub struct Tabulation<'a> {
     /// Rays for each of [`LOBES`].
     pub rays_per_lobe: u32,
 }
+
+/// Points of a pixel's footprint that a sight is traced from, an even number: a pixel on a curved surface mirrors many directions.
+const FOOTPRINT: usize = 16;
+const HALF: usize = FOOTPRINT / 2;
 
 /// Observes every candidate in all views and traces its specular response as `tabulation` says; candidates with fewer than two clean
 /// sights are dropped.
@@ -113,10 +131,11 @@ pub fn gather_evidence(
     const CHUNK: usize = 64;
     let Tabulation { levels, rays_per_lobe } = tabulation;
     let rays = AtomicU64::new(0);
+    let rays_per_lobe = rays_per_lobe.div_ceil(FOOTPRINT as u32);
     let reflector = Reflector { bake, rays_per_lobe, emitter_samples: rays_per_lobe * 12 / 5, model: Reflectance::Paper, seed };
     let parts = parallel::map_chunks(candidates.len(), CHUNK, |range| {
-        let mut out = Evidence { levels: levels.to_vec(), ..Evidence::default() };
-        let mut gazes = Vec::new();
+        let mut out = Evidence::default();
+        let mut footprints = Footprints::default();
         let mut seen: Vec<Observation> = Vec::new();
         for i in range.clone() {
             let c = &candidates[i];
@@ -137,7 +156,8 @@ pub fn gather_evidence(
                     weight: (o.n_v / o.footprint).sqrt(),
                 });
                 let key = hash_u64(hash_u64(u64::from(o.view), u64::from(c.triangle)), i as u64);
-                gazes.push(Gaze { position: c.position, normal, face_normal, view, key });
+                let centre = Gaze { position: c.position, normal, face_normal, view, key, turn: 0 };
+                footprints.push(&observer.views[o.view as usize].buffer, o, centre);
             }
             out.points.push(EvidencePoint {
                 class: c.class,
@@ -147,11 +167,14 @@ pub fn gather_evidence(
                 count: seen.len() as u32,
             });
         }
-        out.specular = vec![Vec3::ZERO; out.sights.len() * MODELS.len() * levels.len()];
-        out.diffuse = vec![[0.0; 3]; out.sights.len()];
+        let gazes = footprints.gazes(bake, normals);
+        let row = MODELS.len() * levels.len();
+        let mut specular = vec![Vec3::ZERO; gazes.len() * row];
+        let mut diffuse = vec![[0.0; 3]; gazes.len()];
         let table = Levels::Shared { lobes: &LOBES, evaluate: levels, models: &MODELS };
-        let traced = reflector.reflect_and_spread(&gazes, table, &mut out.specular, &mut out.diffuse);
-        rays.fetch_add(traced, Ordering::Relaxed);
+        let traced = reflector.reflect_and_spread(&gazes, table, &mut specular, &mut diffuse);
+        out.fill(&specular, &diffuse, row);
+        rays.fetch_add(traced + gazes.len() as u64, Ordering::Relaxed);
         progress.advance(range.len() as u64);
         out
     });
@@ -159,3 +182,76 @@ pub fn gather_evidence(
     parts.into_iter().for_each(|p| all.append(p));
     all
 }
+
+impl Evidence {
+    /// Takes the responses and diffuse factors of [`FOOTPRINT`] gazes per sight, `row` responses each.
+    fn fill(&mut self, specular: &[Vec3], diffuse: &[[f32; 3]], row: usize) {
+        for sight in specular.chunks_exact(FOOTPRINT * row) {
+            for k in 0..row {
+                let mean = |from: usize| (from..from + HALF).map(|g| sight[g * row + k]).sum::<Vec3>() / HALF as f32;
+                let [a, b] = [mean(0), mean(HALF)];
+                self.specular.push(0.5 * (a + b));
+                self.noise.push(0.5 * luminance(a - b));
+            }
+        }
+        let mean = |of: &[[f32; 3]]| std::array::from_fn(|c| of.iter().map(|d| d[c]).sum::<f32>() / FOOTPRINT as f32);
+        self.diffuse.extend(diffuse.chunks_exact(FOOTPRINT).map(mean));
+    }
+}
+
+/// Rays through the places of the image that sights are interpolated from.
+#[derive(Default)]
+struct Footprints {
+    rays: Vec<Ray>,
+    /// Per sight the gaze at its point, and how far from it the footprint may reach.
+    centres: Vec<(Gaze, f32)>,
+}
+
+impl Footprints {
+    /// Adds the sight `seen` in the view of `buffer`.
+    fn push(&mut self, buffer: &ViewBuffer, seen: &Observation, centre: Gaze) {
+        let camera = &buffer.camera;
+        let taps = bilinear_taps(camera.width, camera.height, seen.pixel, buffer.wrap());
+        for s in 0..FOOTPRINT as u32 {
+            // the image is interpolated between pixels, and each is a mean over its square
+            let sequence = SobolSequence::new(0xf007 + u64::from(s) / HALF as u64, centre.key);
+            let [x, y, mut u, _] = sequence.point4(s % HALF as u32);
+            let total: f32 = taps.iter().map(|t| t.1).sum();
+            let tap = taps.iter().find(|t| {
+                u -= t.1 / total;
+                u < 0.0
+            });
+            let k = tap.unwrap_or(&taps[0]).0;
+            let at = Vec2::new((k % camera.width) as f32 + x, (k / camera.width) as f32 + y);
+            self.rays.push(Ray::new(camera.position, camera.direction(at), f32::INFINITY));
+        }
+        self.centres.push((centre, REACH * seen.footprint / seen.n_v.max(0.1).sqrt()));
+    }
+
+    /// [`FOOTPRINT`] gazes per sight; where another surface is met, the one at its point.
+    fn gazes(&self, bake: &Bake, normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync)) -> Vec<Gaze> {
+        let mut hits = vec![Hit::miss(); self.rays.len()];
+        bake.tracer.closest(&self.rays, &mut hits);
+        let gaze = |(k, (ray, hit)): (usize, (&Ray, &Hit))| {
+            let (centre, reach) = self.centres[k / FOOTPRINT];
+            let (half, turn) = (k % FOOTPRINT / HALF, (k % HALF) as u32);
+            let key = hash_u64(centre.key, half as u64);
+            let direction = Vec3::from_array(ray.direction);
+            let position = Vec3::from_array(ray.origin) + direction * hit.t;
+            if !hit.is_hit() || position.distance(centre.position) > reach {
+                return Gaze { key, turn, ..centre };
+            }
+            let (normal, face_normal) = normals(hit.triangle, position);
+            let turned = normal.dot(direction) >= 0.0 || face_normal.dot(direction) >= 0.0;
+            if turned {
+                Gaze { key, turn, ..centre }
+            } else {
+                Gaze { position, normal, face_normal, view: -direction, key, turn }
+            }
+        };
+        self.rays.iter().zip(&hits).enumerate().map(gaze).collect()
+    }
+}
+
+/// Pixels' footprints beyond which a place of the image shows another surface.
+const REACH: f32 = 2.5;

@@ -67,7 +67,14 @@ pub fn specular_image(
                 *out = value;
                 continue;
             }
-            gazes.push(Gaze { position, normal, face_normal, view: -d, key: hash_u64(view_index as u64, (y * w + x) as u64) });
+            gazes.push(Gaze {
+                position,
+                normal,
+                face_normal,
+                view: -d,
+                key: hash_u64(view_index as u64, (y * w + x) as u64),
+                turn: 0,
+            });
             levels.push(roughness(t, position));
             columns.push(x);
         }

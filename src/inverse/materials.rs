@@ -5,7 +5,8 @@
 //! part in the fit are explained better by them than by one value (cross-validation); of two such, the one that explains more.
 //! Between two colours, where a texel holds both materials, the roughness is in between.
 
-use super::roughness::{GroupFit, Row, diffuse_radiance, disagreements, fit_rows, held_out, points_by_class};
+use super::disagreement::{Disagreement, diffuse_radiance, points_by_class};
+use super::roughness::{GroupFit, fit, held_out};
 use crate::brdf::Reflectance;
 use crate::highlight::Evidence;
 use crate::math::luminance;
@@ -90,7 +91,7 @@ impl Materials {
             .into_iter()
             .map(|whole| {
                 let points = members.get(&whole.class).map_or(&[][..], Vec::as_slice);
-                let rows = disagreements(evidence, model, points);
+                let table = Disagreement::of(evidence, model, points);
                 let albedo = |&i: &usize| {
                     let p = &evidence.points[i];
                     let e = (places.irradiance)(p.triangle, p.position).max(Vec3::splat(1e-12));
@@ -99,8 +100,8 @@ impl Materials {
                 let colours: Vec<Vec3> = points.par_iter().map(albedo).collect();
                 let rooms: Vec<u16> =
                     points.iter().map(|&i| (places.room)(evidence.points[i].triangle, evidence.points[i].position)).collect();
-                let by_colour = divide(&colours).and_then(|axis| by_colour(&evidence.levels, whole.class, axis, &rows, &colours));
-                let by_room = by_room(&evidence.levels, whole.class, &rows, &rooms);
+                let by_colour = divide(&colours).and_then(|axis| by_colour(whole.class, axis, &table, &colours));
+                let by_room = by_room(whole.class, &table, &rooms);
                 let enough = |d: &(Division, f64)| d.1 > least;
                 let better = |a: (Division, f64), b: (Division, f64)| if b.1 > a.1 { b } else { a };
                 let division = by_colour.into_iter().chain(by_room).filter(enough).reduce(better).map(|d| d.0);
@@ -157,38 +158,34 @@ impl Materials {
 }
 
 /// Divides a class by colour; also the share of the held-out views' disagreement that the division explains.
-fn by_colour(levels: &[f32], class: u16, axis: Axis, rows: &[Row], colours: &[Vec3]) -> Option<(Division, f64)> {
-    let of = |lies: &dyn Fn(f32) -> bool| -> Vec<Row> {
-        rows.iter().zip(colours).filter(|(_, c)| lies(axis.place(**c))).map(|(r, _)| r.clone()).collect()
-    };
+fn by_colour(class: u16, axis: Axis, table: &Disagreement, colours: &[Vec3]) -> Option<(Division, f64)> {
+    let of = |lies: &dyn Fn(f32) -> bool| table.of_points(|k| lies(axis.place(colours[k])));
     let sides = [of(&|place| place <= PURE), of(&|place| place >= 1.0 - PURE)];
-    let (fits, gain) = explained(levels, class, &sides)?;
+    let (fits, gain) = explained(class, &sides)?;
     let fits = <[GroupFit; 2]>::try_from(fits).ok()?;
     Some((Division::Colour(Parts { axis, fits }), gain))
 }
 
 /// The same room by room.
-fn by_room(levels: &[f32], class: u16, rows: &[Row], rooms: &[u16]) -> Option<(Division, f64)> {
-    let mut members: BTreeMap<u16, Vec<Row>> = BTreeMap::new();
-    rows.iter()
-        .zip(rooms)
-        .filter(|(_, room)| **room != 0)
-        .for_each(|(r, room)| members.entry(*room).or_default().push(r.clone()));
-    members.retain(|_, rows| rows.len() >= FEWEST);
-    let (names, sides): (Vec<u16>, Vec<Vec<Row>>) = members.into_iter().unzip();
-    let (fits, gain) = explained(levels, class, &sides)?;
+fn by_room(class: u16, table: &Disagreement, rooms: &[u16]) -> Option<(Division, f64)> {
+    let mut size: BTreeMap<u16, usize> = BTreeMap::new();
+    rooms.iter().filter(|room| **room != 0).for_each(|room| *size.entry(*room).or_default() += 1);
+    let names: Vec<u16> = size.into_iter().filter(|(_, n)| *n >= FEWEST).map(|(room, _)| room).collect();
+    let sides: Vec<Disagreement> = names.iter().map(|room| table.of_points(|k| rooms[k] == *room)).collect();
+    let (fits, gain) = explained(class, &sides)?;
     Some((Division::Room(names.into_iter().zip(fits).collect()), gain))
 }
 
 /// Fits each side of a division; `None` unless the sides differ. Also the share of the held-out views' disagreement that the division
 /// explains.
-fn explained(levels: &[f32], class: u16, sides: &[Vec<Row>]) -> Option<(Vec<GroupFit>, f64)> {
-    if sides.len() < 2 || sides.iter().any(|s| s.len() < FEWEST) {
+fn explained(class: u16, sides: &[Disagreement]) -> Option<(Vec<GroupFit>, f64)> {
+    if sides.len() < 2 || sides.iter().any(|s| s.rows.len() < FEWEST) {
         return None;
     }
-    let apart: f64 = sides.iter().map(|s| held_out(levels, s)).sum();
-    let gain = 1.0 - apart / held_out(levels, &sides.concat());
-    let fits: Vec<GroupFit> = sides.iter().map(|s| fit_rows(levels, class, s)).collect();
+    let apart: f64 = sides.iter().map(held_out).sum();
+    let together = Disagreement { levels: sides[0].levels, rows: sides.iter().flat_map(|s| s.rows.iter().cloned()).collect() };
+    let gain = 1.0 - apart / held_out(&together);
+    let fits: Vec<GroupFit> = sides.iter().map(|s| fit(class, s)).collect();
     let by_value = |a: &&GroupFit, b: &&GroupFit| a.roughness.total_cmp(&b.roughness);
     let (low, high) = (fits.iter().min_by(by_value)?, fits.iter().max_by(by_value)?);
     let differ = high.roughness - low.roughness > DIFFERENT * low.error.hypot(high.error);
@@ -292,6 +289,7 @@ mod tests {
                 out.sights.push(Sight { view, radiance, n_v: 0.8, weight: 1.0 });
                 out.diffuse.push([1.0, 0.0, 0.0]);
                 MODELS.iter().for_each(|_| out.specular.extend(LEVELS.map(response)));
+                MODELS.iter().for_each(|_| out.noise.extend(LEVELS.map(|_| 0.0)));
             }
             let position = Vec3::X * i as f32;
             out.points.push(EvidencePoint { class: 7, triangle: 0, position, first, count: 6 });

@@ -3,6 +3,7 @@
 mod albedo;
 mod class_prior;
 mod confidence;
+mod disagreement;
 mod materials;
 mod matte;
 mod mixtures;

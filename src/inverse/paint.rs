@@ -63,6 +63,15 @@ pub struct Paint {
     pub texture: f32,
 }
 
+impl Paint {
+    fn logs(&self) -> Vec<Vec3> {
+        self.colours.iter().map(|c| c.0.ln()).collect()
+    }
+}
+
+/// A class's paint and the ln albedo of its colours.
+type Palette<'a> = BTreeMap<u16, (&'a Paint, Vec<Vec3>)>;
+
 /// What is known of every covered texel before its class is asked.
 pub struct Painting<'a> {
     /// Albedo as observed.
@@ -98,13 +107,13 @@ impl Painting<'_> {
     /// The posterior mean of every texel's albedo and its standard error.
     #[must_use]
     pub fn settle(&self, paints: &[Paint]) -> Vec<(Vec3, f32)> {
-        let paint: BTreeMap<u16, &Paint> = paints.iter().map(|p| (p.class, p)).collect();
-        let near = self.neighbours(&paint);
+        let palette: Palette = paints.iter().map(|p| (p.class, (p, p.logs()))).collect();
+        let near = self.neighbours(&palette);
         (0..self.texels.len())
             .into_par_iter()
             .map(|i| {
                 let own = (self.albedo.value[i], self.error[i]);
-                let Some(paint) = paint.get(&self.labels[i]).filter(|_| self.error[i].is_finite()) else { return own };
+                let Some((paint, logs)) = palette.get(&self.labels[i]).filter(|_| self.error[i].is_finite()) else { return own };
                 let look = self.look(i, paint.texture);
                 let around = near.get(&self.cube(i)).map_or(&[][..], |c| c);
                 let here = around.iter().find(|n| n.class == paint.class);
@@ -121,7 +130,7 @@ impl Painting<'_> {
                         n.texels / all * look.density(look.distance2(n.sum / n.texels))
                     })
                     .sum();
-                posterior(&look, paint, share, WRONG_LABEL * mislabelled).map_or(own, |p| p.over(own))
+                posterior(&look, (paint, logs), share, WRONG_LABEL * mislabelled).map_or(own, |p| p.over(own))
             })
             .collect()
     }
@@ -134,7 +143,7 @@ impl Painting<'_> {
         let value = self.albedo.value[i].clamp(Vec3::splat(BLACK), Vec3::ONE);
         let error = (self.error[i] / luminance(value)).max(LEAST_ERROR);
         let error = if self.albedo.clean[i] { error.min(MOST_CLEAN_ERROR) } else { error.hypot(EDGE_ERROR) };
-        Look { log: ln(value), error: error.hypot(texture) }
+        Look { log: value.ln(), error: error.hypot(texture) }
     }
 
     fn cube(&self, i: usize) -> [i32; 3] {
@@ -145,7 +154,7 @@ impl Painting<'_> {
     }
 
     /// What the clean texels around are, by cube and class.
-    fn neighbours(&self, paint: &BTreeMap<u16, &Paint>) -> BTreeMap<[i32; 3], Vec<Neighbours>> {
+    fn neighbours(&self, palette: &Palette) -> BTreeMap<[i32; 3], Vec<Neighbours>> {
         let mut near: BTreeMap<[i32; 3], Vec<Neighbours>> = BTreeMap::new();
         for i in (0..self.texels.len()).filter(|&i| self.is_clean(i)) {
             let class = self.labels[i];
@@ -158,7 +167,7 @@ impl Painting<'_> {
             let n = &mut cube[known];
             n.texels += 1.0;
             n.sum += look.log;
-            if let Some(k) = paint.get(&class).and_then(|p| nearest(&look, &p.colours)) {
+            if let Some(k) = palette.get(&class).and_then(|(_, logs)| nearest(&look, logs)) {
                 n.colours[k] += 1.0;
             }
         }
@@ -239,13 +248,9 @@ impl Look {
     }
 }
 
-fn ln(v: Vec3) -> Vec3 {
-    Vec3::new(v.x.ln(), v.y.ln(), v.z.ln())
-}
-
-/// The colour a look is nearest to, if it may be it.
-fn nearest(look: &Look, colours: &[(Vec3, f32)]) -> Option<usize> {
-    let distance: Vec<f32> = colours.iter().map(|c| look.distance2(ln(c.0))).collect();
+/// Which of the colours, as ln albedo, a look is nearest to, if it may be it.
+fn nearest(look: &Look, logs: &[Vec3]) -> Option<usize> {
+    let distance: Vec<f32> = logs.iter().map(|l| look.distance2(*l)).collect();
     (0..distance.len()).min_by(|&a, &b| distance[a].total_cmp(&distance[b])).filter(|&k| distance[k] < WITHIN * WITHIN)
 }
 
@@ -267,10 +272,7 @@ fn colours(looks: &[Look]) -> Option<Vec<(Vec3, f32)>> {
             modes.push(mode);
         }
     }
-    let assign = |modes: &[Vec3]| -> Vec<Option<usize>> {
-        let as_colours: Vec<(Vec3, f32)> = modes.iter().map(|m| (m.exp(), 0.0)).collect();
-        looks.iter().map(|l| nearest(l, &as_colours)).collect()
-    };
+    let assign = |modes: &[Vec3]| -> Vec<Option<usize>> { looks.iter().map(|l| nearest(l, modes)).collect() };
     let shares = |of: &[Option<usize>], n: usize| -> Vec<f32> {
         (0..n).map(|k| of.iter().filter(|o| **o == Some(k)).count() as f32 / looks.len() as f32).collect()
     };
@@ -328,7 +330,7 @@ impl Posterior {
     /// Mean albedo and standard error, `own` being those of the texel if it is no paint.
     fn over(&self, own: (Vec3, f32)) -> (Vec3, f32) {
         let value = own.0.max(Vec3::splat(BLACK));
-        let mean = (self.log * self.paint + ln(value) * (1.0 - self.paint)).exp();
+        let mean = (self.log * self.paint + value.ln() * (1.0 - self.paint)).exp();
         let apart = luminance(value).ln() - luminance(self.log.exp()).ln();
         let relative = own.1 / luminance(value);
         let variance = self.paint * self.variance
@@ -340,8 +342,7 @@ impl Posterior {
 
 /// What a look is if it is paint; none if nothing is known of it. `share(k)` is how common colour k is where it lies, `mislabelled` the
 /// density of looks like it on other classes there.
-fn posterior(look: &Look, paint: &Paint, share: impl Fn(usize) -> f32, mislabelled: f32) -> Option<Posterior> {
-    let logs: Vec<Vec3> = paint.colours.iter().map(|c| ln(c.0)).collect();
+fn posterior(look: &Look, (paint, logs): (&Paint, &[Vec3]), share: impl Fn(usize) -> f32, mislabelled: f32) -> Option<Posterior> {
     let weight: Vec<f32> = logs.iter().enumerate().map(|(k, l)| share(k) * look.density(look.distance2(*l))).collect();
     let known: f32 = paint.colours.iter().map(|c| c.1).sum();
     let other = (1.0 - known).max(LEAST_SHARE) * ANYTHING + mislabelled;

@@ -1,19 +1,11 @@
 //! Stage II: one roughness per class by a pooled search over the evidence.
 //!
-//! For a candidate roughness every point's views, less their specular part, must agree on one diffuse radiance. The disagreement,
-//! summed over the points of a group, is tabulated at all levels; its global minimum is the answer and its depth the confidence
-//! (method §12.3 point 7; variable projection, Golub & Pereyra 1973: the diffuse radiance is eliminated in closed form).
+//! The disagreement of the views ([`super::disagreement`]), summed over the points of a group, is tabulated at all levels; its global
+//! minimum is the answer and its depth the confidence (method §12.3 point 7).
 
+use super::disagreement::{Disagreement, points_by_class};
 use crate::brdf::Reflectance;
-use crate::highlight::{Evidence, MODELS};
-use crate::math::luminance;
-use crate::optim::{median, weighted_median};
-use glam::Vec3;
-use rayon::prelude::*;
-use std::collections::BTreeMap;
-
-/// Relative disagreement beyond which a view counts as an outlier (moving object, misregistration).
-const OUTLIER: f32 = 0.25;
+use crate::highlight::Evidence;
 
 /// What the evidence says about one group.
 #[derive(Clone, Debug)]
@@ -44,17 +36,7 @@ const MODEL_GAIN: f64 = 0.01;
 /// Fits every group of the evidence under one reflection model.
 #[must_use]
 pub fn fit_groups(evidence: &Evidence, model: Reflectance) -> Vec<GroupFit> {
-    points_by_class(evidence)
-        .into_iter()
-        .map(|(class, points)| fit_rows(&evidence.levels, class, &disagreements(evidence, model, &points)))
-        .collect()
-}
-
-/// Indices of the evidence's points, class by class.
-pub(super) fn points_by_class(evidence: &Evidence) -> BTreeMap<u16, Vec<usize>> {
-    let mut classes: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
-    evidence.points.iter().enumerate().for_each(|(i, p)| classes.entry(p.class).or_default().push(i));
-    classes
+    points_by_class(evidence).into_iter().map(|(class, points)| fit(class, &Disagreement::of(evidence, model, &points))).collect()
 }
 
 /// Fits all groups under every model and keeps the simplest that explains the views; also returns the mean disagreement per model.
@@ -76,28 +58,13 @@ pub fn choose_model(evidence: &Evidence) -> (Reflectance, Vec<GroupFit>, Vec<(Re
     (model, fits, scores)
 }
 
-/// How far the views of one point disagree at every level of the evidence.
-pub(super) type Row = Vec<f64>;
-
-/// The disagreement of points, given by their indices.
-pub(super) fn disagreements(evidence: &Evidence, model: Reflectance, points: &[usize]) -> Vec<Row> {
-    let row = |&i: &usize| {
-        let mut looks = Looks::of(evidence, model, i);
-        (0..evidence.levels.len()).map(|k| looks.disagreement(k)).collect()
-    };
-    points.par_iter().map(row).collect()
-}
-
 /// Sum over the points of how far their views disagree at the roughness that the other points ask for: each of [`FOLDS`] parts is
 /// judged by what is fitted to the rest (Stone 1974, cross-validation), so that more values explain nothing by their number alone.
-pub(super) fn held_out(levels: &[f32], rows: &[Row]) -> f64 {
-    let sum = |keep: &dyn Fn(usize) -> bool| -> Vec<f64> {
-        (0..levels.len()).map(|k| rows.iter().enumerate().filter(|(i, _)| keep(*i)).map(|(_, r)| r[k]).sum()).collect()
-    };
-    (0..FOLDS.min(rows.len()))
+pub(super) fn held_out(table: &Disagreement) -> f64 {
+    (0..FOLDS.min(table.rows.len()))
         .map(|fold| {
-            let (rest, held) = (sum(&|i| i % FOLDS != fold), sum(&|i| i % FOLDS == fold));
-            at_roughness(levels, &held, parabola_minimum(levels, lowest(&rest), &rest).0)
+            let (rest, held) = (table.sum(|i| i % FOLDS != fold), table.sum(|i| i % FOLDS == fold));
+            at_roughness(table.levels, &held, parabola_minimum(table.levels, lowest(&rest), &rest).0)
         })
         .sum()
 }
@@ -119,9 +86,10 @@ fn at_roughness(levels: &[f32], table: &[f64], roughness: f32) -> f64 {
 }
 
 /// Fits one roughness to the points of a class, given by their disagreement.
-pub(super) fn fit_rows(levels: &[f32], class: u16, rows: &[Row]) -> GroupFit {
+pub(super) fn fit(class: u16, table: &Disagreement) -> GroupFit {
+    let Disagreement { levels, rows } = table;
     let n = rows.len().max(1) as f64;
-    let objective: Vec<f64> = (0..levels.len()).map(|k| rows.iter().map(|r| r[k]).sum::<f64>() / n).collect();
+    let objective: Vec<f64> = table.sum(|_| true).into_iter().map(|sum| sum / n).collect();
     let best = lowest(&objective);
     let (roughness, curvature) = parabola_minimum(levels, best, &objective);
     // spread of the points' slopes around the minimum: sandwich estimate
@@ -152,79 +120,6 @@ fn indistinguishable(levels: &[f32], roughness: f32, objective: &[f64]) -> f32 {
     let (down, up) = ((roughness - low).max(0.0), (high - roughness).max(0.0));
     // mean square distance of a uniform distribution over [low, high] from the estimate
     ((down.powi(3) + up.powi(3)) / (3.0 * (down + up).max(1e-6))).sqrt()
-}
-
-/// A point's views less their specular part: what is left should be one diffuse radiance.
-struct Looks<'a> {
-    evidence: &'a Evidence,
-    model: Reflectance,
-    sights: std::ops::Range<usize>,
-    /// Median luminance of the views.
-    scale: f32,
-    /// Diffuse radiance at the level last asked for, and its weight.
-    diffuse: Vec<(Vec3, f32)>,
-}
-
-impl<'a> Looks<'a> {
-    fn of(evidence: &'a Evidence, model: Reflectance, point: usize) -> Self {
-        let p = &evidence.points[point];
-        let sights = p.first as usize..(p.first + p.count) as usize;
-        let scale =
-            median(evidence.sights[sights.clone()].iter().map(|s| luminance(s.radiance)).collect()).unwrap_or(0.0).max(1e-9);
-        Self { evidence, model, diffuse: Vec::with_capacity(sights.len()), sights, scale }
-    }
-
-    /// The diffuse radiance the views agree on best if the roughness is that of level `k`.
-    fn centre(&mut self, k: usize) -> Vec3 {
-        let (evidence, model) = (self.evidence, self.model);
-        let m = MODELS.iter().position(|m| (*m == Reflectance::Paper) == (model == Reflectance::Paper)).unwrap_or(0);
-        self.diffuse.clear();
-        self.diffuse.extend(self.sights.clone().map(|j| {
-            let s = &evidence.sights[j];
-            let factor = evidence.diffuse_factor(j, model, evidence.levels[k]);
-            ((s.radiance - evidence.response(j, m)[k]) / factor, s.weight * factor)
-        }));
-        robust_centre(&self.diffuse, self.scale)
-    }
-
-    /// Robust relative disagreement of the views at level `k`.
-    fn disagreement(&mut self, k: usize) -> f64 {
-        let centre = self.centre(k);
-        let (mut sum, mut weight) = (0.0, 0.0);
-        for (d, w) in &self.diffuse {
-            let e = (*d - centre) / self.scale;
-            let r = e.abs().dot(Vec3::splat(1.0 / 3.0));
-            sum += f64::from(w * (r * r / (r + 0.02)).min(OUTLIER));
-            weight += f64::from(*w);
-        }
-        sum / weight
-    }
-}
-
-/// The diffuse radiance that the views of a point agree on best, if its roughness is about `roughness`.
-pub(super) fn diffuse_radiance(evidence: &Evidence, model: Reflectance, point: usize, roughness: f32) -> Vec3 {
-    let away = |k: &usize| (evidence.levels[*k] - roughness).abs();
-    let nearest = (0..evidence.levels.len()).min_by(|a, b| away(a).total_cmp(&away(b))).unwrap_or(0);
-    Looks::of(evidence, model, point).centre(nearest)
-}
-
-/// Weighted mean refined twice by Cauchy-like weights, per colour together.
-fn robust_centre(values: &[(Vec3, f32)], scale: f32) -> Vec3 {
-    let by_luminance: Vec<(f32, f32)> = values.iter().map(|v| (luminance(v.0), v.1)).collect();
-    let mut centre = weighted_median(&by_luminance).map_or(Vec3::ZERO, |i| values[i].0);
-    for _ in 0..2 {
-        let (mut sum, mut total) = (Vec3::ZERO, 0.0);
-        for (v, w) in values {
-            let r = (*v - centre).abs().dot(Vec3::splat(1.0 / 3.0)) / scale;
-            let k = w / (1.0 + (r / 0.03).powi(2));
-            sum += *v * k;
-            total += k;
-        }
-        if total > 0.0 {
-            centre = sum / total;
-        }
-    }
-    centre
 }
 
 /// Vertex of the parabola through the best level and its neighbours (unequal spacing), and the second derivative there.

@@ -29,6 +29,8 @@ pub struct Gaze {
     pub view: Vec3,
     /// Key of its random numbers.
     pub key: u64,
+    /// Which block of that key's sample points it takes: gazes may share a key and take turns.
+    pub turn: u32,
 }
 
 /// The roughness values (and models) rays are drawn for and responses evaluated at.
@@ -179,7 +181,7 @@ impl Reflector<'_> {
         let origin = g.position + g.face_normal * self.bake.offset;
         for (k, &roughness) in lobes.iter().enumerate() {
             let sequence = SobolSequence::new(self.seed.wrapping_add(k as u64), g.key);
-            for j in 0..self.rays_per_lobe {
+            for j in g.turn * self.rays_per_lobe..(g.turn + 1) * self.rays_per_lobe {
                 let h = sample_vndf(view, alpha(roughness), sequence.point2(j));
                 let l_local = h * (2.0 * view.dot(h)) - view;
                 let l = frame.world_from_local(l_local);
@@ -194,7 +196,7 @@ impl Reflector<'_> {
     fn emitter_rays(&self, i: usize, g: &Gaze, choice: &LampChoice, s: &mut Scratch) {
         let origin = g.position + g.face_normal * self.bake.offset;
         let sequence = SobolSequence::new(self.seed ^ 0x11_9474, g.key);
-        for j in 0..self.emitter_samples {
+        for j in g.turn * self.emitter_samples..(g.turn + 1) * self.emitter_samples {
             let Some(e) = self.bake.emitters.sample(self.bake.field, choice, origin, sequence.point3(j)) else {
                 continue;
             };

@@ -18,7 +18,7 @@ use crate::progress::Progress;
 use crate::texture::{Texels, fill_uncovered};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::time::Instant;
 
@@ -286,7 +286,30 @@ fn emitting_triangles(surface: &Surface, irradiance: &RgbPlane, known: &[bool]) 
             observed: surface.fusion.views[i] > 0,
         })
         .collect();
-    detect_emissive(surface.scene.mesh.triangles.len(), &texels, known)
+    let emissive = detect_emissive(surface.scene.mesh.triangles.len(), &texels, known);
+    let (mut sure, mut label) = (known.to_vec(), vec![0u16; emissive.len()]);
+    for (i, p) in surface.texels.point.iter().enumerate() {
+        label[p.triangle as usize] = surface.labels[i];
+        sure[p.triangle as usize] |= surface.fusion.clean[i];
+    }
+    without_halos(&surface.scene.mesh, emissive, &sure, &label)
+}
+
+/// Takes out triangles of another class than the lamp they lie at unless they are `sure`: what only pixels at edges see shows the lamp.
+fn without_halos(mesh: &Mesh, mut emissive: Vec<bool>, sure: &[bool], label: &[u16]) -> Vec<bool> {
+    let found: Vec<u32> = (0..emissive.len() as u32).filter(|&t| emissive[t as usize]).collect();
+    for lamp in clusters(mesh, &found, lamp_gap(mesh)) {
+        let classes: BTreeSet<u16> = lamp.iter().filter(|&&t| sure[t as usize]).map(|&t| label[t as usize]).collect();
+        let halo = |t: &&u32| !sure[**t as usize] && !classes.is_empty() && !classes.contains(&label[**t as usize]);
+        lamp.iter().filter(halo).for_each(|&t| emissive[t as usize] = false);
+    }
+    emissive
+}
+
+/// Distance up to which emitting triangles are one lamp, metres.
+fn lamp_gap(mesh: &Mesh) -> f32 {
+    let (low, high) = mesh.bounds();
+    LAMP_GAP * (high - low).length()
 }
 
 /// Whether covered texel `i` lies on a triangle marked in `emissive`.
@@ -299,11 +322,9 @@ fn lit(surface: &Surface, emissive: &[bool], i: usize) -> bool {
 fn trusted_radiance(surface: &Surface, emissive: &[bool]) -> Vec<Vec3> {
     let f = &surface.fusion;
     let look = |i: usize| if lit(surface, emissive, i) && !f.clean[i] { f.peak[i] } else { f.radiance[i] };
-    let (low, high) = surface.scene.mesh.bounds();
-    let gap = LAMP_GAP * (high - low).length();
     let emitting: Vec<u32> = (0..emissive.len() as u32).filter(|&t| emissive[t as usize]).collect();
     let mut lamp_of = vec![0usize; emissive.len()];
-    for (lamp, triangles) in clusters(&surface.scene.mesh, &emitting, gap).iter().enumerate() {
+    for (lamp, triangles) in clusters(&surface.scene.mesh, &emitting, lamp_gap(&surface.scene.mesh)).iter().enumerate() {
         triangles.iter().for_each(|&t| lamp_of[t as usize] = lamp);
     }
     let lamp = |i: usize| lamp_of[surface.texels.point[i].triangle as usize];
@@ -364,6 +385,22 @@ fn complete_radiance(surface: &Surface, irradiance: &RgbPlane, emissive: &[bool]
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_lamp_does_not_make_its_frame_shine() {
+        // a lamp, its frame, another facet of the lamp, and a lamp of its own far away
+        let corners = |x: f32| [Vec3::new(x, 0.0, 0.0), Vec3::new(x + 0.1, 0.0, 0.0), Vec3::new(x, 0.1, 0.0)];
+        let positions: Vec<Vec3> = [0.0, 0.1, -0.1, 90.0].into_iter().flat_map(corners).collect();
+        let mesh = Mesh {
+            normals: vec![Vec3::Z; positions.len()],
+            uvs: vec![Vec2::ZERO; positions.len()],
+            triangles: (0..4).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
+            positions,
+        };
+        let sure = [true, false, false, false];
+        assert_eq!(without_halos(&mesh, vec![true; 4], &sure, &[30, 27, 30, 27]), [true, false, true, true]);
+        assert_eq!(without_halos(&mesh, vec![true; 4], &[true; 4], &[30, 27, 30, 27]), [true; 4], "seen clean");
+    }
 
     #[test]
     fn facets_between_the_texels_of_a_lamp_emit_too() {

@@ -29,7 +29,7 @@ use std::time::Instant;
 const ROUGHNESS_PRIOR: f32 = 0.8;
 
 /// Points per class that tell whether its highlights can be observed.
-const PILOT: usize = 240;
+const PILOT: usize = 600;
 
 /// A reconstruction and what is known about it.
 pub struct Solved {
@@ -277,11 +277,10 @@ fn assemble(
         .collect();
     let size = surface.sizes.roughness;
     let r = filled(texels, &roughness.iter().map(|r| r.0).collect::<Vec<f32>>());
-    let roughness = Plane {
-        width: size,
-        height: size,
-        data: (0..size * size).map(|i| r[((i % size) * r.width / size, (i / size) * r.height / size)]).collect(),
-    };
+    let scale = Vec2::new(r.width as f32, r.height as f32) / size as f32;
+    let at = |i: usize| Vec2::new((i % size) as f32 + 0.5, (i / size) as f32 + 0.5) * scale;
+    let data = (0..size * size).into_par_iter().map(|i| r.bilinear(at(i), Wrap::Clamp)).collect();
+    let roughness = Plane { width: size, height: size, data };
     Solution {
         mesh: surface.oriented_mesh(),
         origin: surface.scene.origin,

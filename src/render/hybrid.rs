@@ -6,6 +6,7 @@ use super::denoise::{SpecularFeature, filter_specular};
 use crate::geometry::Camera;
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::lighting::{Bake, Emitters, Environment, Gaze, Levels, LightField, Reflector};
+use crate::math::luminance;
 use crate::sampling::hash_u64;
 use crate::solution::Solution;
 use crate::trace::{EmbreeTracer, Hit, Ray, Tracer};
@@ -52,7 +53,7 @@ pub trait ViewRenderer {
 /// Samples of the hybrid renderer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HybridOptions {
-    /// Primary rays per pixel along each axis.
+    /// Primary rays per pixel along each axis; twice as many where a pixel shows an edge.
     pub supersampling: u32,
     /// Specular rays per primary ray.
     pub specular_rays: u32,
@@ -124,34 +125,53 @@ impl<'a> HybridRenderer<'a> {
 
     fn render_row(&self, camera: &Camera, classes: Option<&Plane<u16>>, y: usize) -> Row {
         let n = self.options.supersampling.max(1) as usize;
+        let columns: Vec<usize> = (0..camera.width).collect();
+        let points = self.points(camera, y, &columns, n);
+        let pixel = |x: usize| &points[x * n * n..(x + 1) * n * n];
+        let (edges, smooth): (Vec<usize>, Vec<usize>) = columns.iter().partition(|&&x| shows_edge(pixel(x)));
+        let mut even: Vec<Point> = smooth.iter().flat_map(|&x| pixel(x).iter().copied()).collect();
+        let mut fine = self.points(camera, y, &edges, n * EDGE_FACTOR);
+        let rays = [self.options.specular_rays, self.options.emitter_samples];
+        self.add_specular(&mut even, rays);
+        self.add_specular(&mut fine, rays.map(|r| r.div_ceil((EDGE_FACTOR * EDGE_FACTOR) as u32)));
+        let mut even = even.chunks_exact(n * n);
+        let mut fine = fine.chunks_exact(n * n * EDGE_FACTOR * EDGE_FACTOR);
+        let pixels = columns.iter().filter_map(|x| if edges.binary_search(x).is_ok() { fine.next() } else { even.next() });
+        Row::resolve(pixels, |x| classes.map(|c| c[(x, y)]))
+    }
+
+    /// What n × n rays through each of some pixels of row `y` meet, without their specular part.
+    fn points(&self, camera: &Camera, y: usize, columns: &[usize], n: usize) -> Vec<Point> {
         let samples = n * n;
-        let w = camera.width;
-        let rays: Vec<Ray> = (0..w * samples)
-            .map(|i| {
-                let (x, s) = (i / samples, i % samples);
-                let offset = Vec2::new((s % n) as f32 + 0.5, (s / n) as f32 + 0.5) / n as f32;
-                Ray::new(camera.position, camera.direction(Vec2::new(x as f32, y as f32) + offset), f32::INFINITY)
+        let rays: Vec<Ray> = columns
+            .iter()
+            .flat_map(|&x| {
+                (0..samples).map(move |s| {
+                    let offset = Vec2::new((s % n) as f32 + 0.5, (s / n) as f32 + 0.5) / n as f32;
+                    Ray::new(camera.position, camera.direction(Vec2::new(x as f32, y as f32) + offset), f32::INFINITY)
+                })
             })
             .collect();
         let mut hits = vec![Hit::miss(); rays.len()];
         self.tracer.closest(&rays, &mut hits);
-        let mut gazes = Vec::new();
-        let mut levels = Vec::new();
-        let mut gaze_of = vec![u32::MAX; rays.len()];
-        let mut points = Vec::with_capacity(rays.len());
-        for (i, (ray, hit)) in rays.iter().zip(&hits).enumerate() {
+        let point = |(i, (ray, hit)): (usize, (&Ray, &Hit))| {
             let direction = Vec3::from_array(ray.direction);
             let mut point = self.shade_point(hit, direction);
             point.depth = hit.t;
             if let Some((normal, face_normal)) = point.normals {
-                gaze_of[i] = gazes.len() as u32;
-                let key = hash_u64((y * w * samples + i) as u64, camera.position.x.to_bits().into());
+                let sample = (y * camera.width + columns[i / samples]) * samples + i % samples;
+                let key = hash_u64(sample as u64, camera.position.x.to_bits().into());
                 let position = camera.position + direction * hit.t;
-                gazes.push(Gaze { position, normal, face_normal, view: -direction, key });
-                levels.push(point.roughness);
+                point.gaze = Some(Gaze { position, normal, face_normal, view: -direction, key, turn: 0 });
             }
-            points.push(point);
-        }
+            point
+        };
+        rays.iter().zip(&hits).enumerate().map(point).collect()
+    }
+
+    /// Traces the specular part of some points with that many rays along the lobe and emitter samples each.
+    fn add_specular(&self, points: &mut [Point], [rays_per_lobe, emitter_samples]: [u32; 2]) {
+        let (gazes, levels): (Vec<Gaze>, Vec<f32>) = points.iter().filter_map(|p| Some((p.gaze?, p.roughness))).unzip();
         let mut specular = vec![Vec3::ZERO; gazes.len()];
         let bake = Bake {
             mesh: &self.solution.mesh,
@@ -160,20 +180,13 @@ impl<'a> HybridRenderer<'a> {
             emitters: &self.emitters,
             offset: self.offset,
         };
-        let reflector = Reflector {
-            bake: &bake,
-            rays_per_lobe: self.options.specular_rays,
-            emitter_samples: self.options.emitter_samples,
-            model: self.solution.reflectance,
-            seed: self.options.seed,
-        };
-        reflector.reflect(&gazes, Levels::Own(&levels), &mut specular);
-        for (p, g) in points.iter_mut().zip(&gaze_of) {
-            if *g != u32::MAX {
-                p.specular = specular[*g as usize];
-            }
-        }
-        Row::resolve(&points, samples, |x| classes.map(|c| c[(x, y)]))
+        let (model, seed) = (self.solution.reflectance, self.options.seed);
+        Reflector { bake: &bake, rays_per_lobe, emitter_samples, model, seed }.reflect(
+            &gazes,
+            Levels::Own(&levels),
+            &mut specular,
+        );
+        points.iter_mut().filter(|p| p.gaze.is_some()).zip(specular).for_each(|(p, s)| p.specular = s);
     }
 
     fn shade_point(&self, hit: &Hit, direction: Vec3) -> Point {
@@ -186,7 +199,7 @@ impl<'a> HybridRenderer<'a> {
         let at = |w: usize, h: usize| uv * Vec2::new(w as f32, h as f32);
         let label = *s.labels.nearest(at(s.labels.width, s.labels.height));
         let albedo = s.albedo.bilinear(at(s.albedo.width, s.albedo.height), Wrap::Clamp);
-        let roughness = *s.roughness.nearest(at(s.roughness.width, s.roughness.height));
+        let roughness = s.roughness.bilinear(at(s.roughness.width, s.roughness.height), Wrap::Clamp);
         let confidence = *s.confidence.nearest(at(s.confidence.width, s.confidence.height));
         if self.field.is_emissive(t) && *s.emission.nearest(at(s.emission.width, s.emission.height)) != Vec3::ZERO {
             let radiance = self.field.emitted(t, hit.u, hit.v);
@@ -272,6 +285,30 @@ struct Point {
     emission: Vec3,
     confidence: Vec2,
     normals: Option<(Vec3, Vec3)>,
+    gaze: Option<Gaze>,
+}
+
+/// Samples of a pixel at an edge, along each axis, for every one of a pixel within a surface.
+const EDGE_FACTOR: usize = 2;
+/// Normals whose cosine is lower belong to two surfaces, and so do depths further apart than this share of the nearer one.
+const SMOOTH: f32 = 0.9;
+const DEPTH_STEP: f32 = 0.05;
+/// Ratio of the darkest to the brightest sample below which a pixel's mean hangs on where the samples lie.
+const EVEN: f32 = 0.7;
+
+/// Whether samples of one pixel show more than one even, smooth surface.
+fn shows_edge(pixel: &[Point]) -> bool {
+    let first = &pixel[0];
+    let depths = pixel.iter().fold([f32::INFINITY, 0.0], |d, p| [d[0].min(p.depth), f32::max(d[1], p.depth)]);
+    let lights = pixel.iter().map(|p| luminance(p.radiance)).fold([f32::INFINITY, 0.0], |l, x| [l[0].min(x), f32::max(l[1], x)]);
+    let apart = |p: &Point| match (first.normals, p.normals) {
+        (Some(a), Some(b)) => a.0.dot(b.0) < SMOOTH,
+        (None, None) => false,
+        _ => true,
+    };
+    depths[1] > depths[0] * (1.0 + DEPTH_STEP)
+        || lights[0] < EVEN * lights[1]
+        || pixel.iter().any(|p| p.label != first.label || apart(p))
 }
 
 #[derive(Default)]
@@ -289,9 +326,10 @@ struct Row {
 impl Row {
     /// Averages the samples of each pixel; materials only over the samples of the `wanted` class of its column, or of the most frequent
     /// class if there is none.
-    fn resolve(points: &[Point], samples: usize, wanted: impl Fn(usize) -> Option<u16>) -> Self {
+    fn resolve<'p>(pixels: impl Iterator<Item = &'p [Point]>, wanted: impl Fn(usize) -> Option<u16>) -> Self {
         let mut row = Self::default();
-        for (x, pixel) in points.chunks(samples).enumerate() {
+        for (x, pixel) in pixels.enumerate() {
+            let samples = pixel.len();
             let counts = pixel.iter().map(|p| (pixel.iter().filter(|q| q.label == p.label).count(), p.label));
             let frequent = counts.max().map_or(0, |best| best.1);
             let label = wanted(x).filter(|w| pixel.iter().any(|p| p.label == *w)).unwrap_or(frequent);
@@ -326,6 +364,21 @@ mod tests {
     use super::*;
 
     #[test]
+    fn edges_are_what_shows_two_surfaces_or_uneven_light() {
+        let wall = Point { label: 1, depth: 2.0, radiance: Vec3::ONE, normals: Some((Vec3::Z, Vec3::Z)), ..Point::default() };
+        let sky = Point { depth: f32::INFINITY, ..Point::default() };
+        assert!(!shows_edge(&[wall; 4]) && !shows_edge(&[sky; 4]));
+        let others = [
+            Point { label: 2, ..wall },
+            Point { depth: 2.2, ..wall },
+            Point { radiance: Vec3::splat(0.5), ..wall },
+            Point { normals: Some((Vec3::X, Vec3::X)), ..wall },
+            sky,
+        ];
+        assert!(others.iter().all(|o| shows_edge(&[wall, wall, *o, wall])));
+    }
+
+    #[test]
     fn a_pixel_shows_the_material_of_its_class_where_it_shows_any() {
         let point = |label, albedo: f32| Point { label, albedo: Vec3::splat(albedo), roughness: albedo, ..Point::default() };
         let lamp = Point { label: 3, emission: Vec3::ONE, ..Point::default() };
@@ -336,13 +389,13 @@ mod tests {
             [point(2, 0.8); 4],
         ];
         let points: Vec<Point> = pixels.into_iter().flatten().collect();
-        let row = Row::resolve(&points, 4, |x| Some([1, 3, 1][x]));
+        let row = Row::resolve(points.chunks(4), |x| Some([1, 3, 1][x]));
         assert_eq!(row.labels, [1, 3, 2]);
         for (got, want) in row.roughness.iter().zip([0.3, 0.0, 0.8]) {
             assert!((got - want).abs() < 1e-6, "{got} {want}");
         }
         assert_eq!(row.emission, [Vec3::ZERO; 3], "its label must not make a pixel emit");
-        let row = Row::resolve(&points, 4, |_| None);
+        let row = Row::resolve(points.chunks(4), |_| None);
         assert_eq!(row.labels[1..], [1, 2]);
         assert!((row.albedo[1].x - 0.4).abs() < 1e-6);
     }

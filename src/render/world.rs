@@ -266,7 +266,7 @@ impl SurfaceModel for World<'_> {
         let uv = self.mesh.uv(triangle, u, v);
         let at = |w: usize, h: usize| uv * Vec2::new(w as f32, h as f32);
         let albedo = s.albedo.bilinear(at(s.albedo.width, s.albedo.height), Wrap::Clamp);
-        let roughness = *s.roughness.nearest(at(s.roughness.width, s.roughness.height));
+        let roughness = s.roughness.bilinear(at(s.roughness.width, s.roughness.height), Wrap::Clamp);
         let gain = self.gain[triangle];
         let emission =
             if gain == Vec3::ZERO { gain } else { gain * *s.emission.nearest(at(s.emission.width, s.emission.height)) };
