@@ -35,7 +35,7 @@ pub const KNOBS: &[(&str, &[&str])] = &[
     ("irradiance-size", &["256", "512", "2048"]),
     ("albedo-size", &["512", "1024", "4096"]),
     ("evidence-points", &["300", "600", "2400"]),
-    ("evidence-rays", &["5", "10", "40"]),
+    ("evidence-rays", &["16", "64", "128"]),
     ("roughness-levels", &["9", "35"]),
     ("specular-rays", &["1", "2", "8", "16"]),
 ];

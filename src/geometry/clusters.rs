@@ -45,6 +45,22 @@ pub fn clusters(mesh: &Mesh, triangles: &[u32], gap: f32) -> Vec<Vec<u32>> {
     near.members().into_iter().map(whole).collect()
 }
 
+/// For every triangle the number of its piece: what vertices hold together, texture seams and sharp edges apart. Pieces are numbered from 0.
+#[must_use]
+pub fn pieces(mesh: &Mesh) -> Vec<u32> {
+    let mut of_vertex = Sets::new(mesh.positions.len());
+    for [a, b, c] in &mesh.triangles {
+        of_vertex.join(*a as usize, *b as usize);
+        of_vertex.join(*a as usize, *c as usize);
+    }
+    let mut number = BTreeMap::new();
+    let mut piece = |t: &[u32; 3]| {
+        let next = number.len() as u32;
+        *number.entry(of_vertex.root(t[0] as usize)).or_insert(next)
+    };
+    mesh.triangles.iter().map(&mut piece).collect()
+}
+
 /// Disjoint sets of numbers; the root of a set is its smallest member.
 struct Sets(Vec<usize>);
 
@@ -102,5 +118,13 @@ mod tests {
         assert_eq!(clusters(&mesh, &[0, 1, 2, 3], 0.03), [vec![0, 2], vec![1], vec![3]]);
         assert_eq!(clusters(&mesh, &[3, 1], 0.05), [vec![3], vec![1]]);
         assert!(clusters(&mesh, &[], 0.05).is_empty());
+    }
+
+    #[test]
+    fn pieces_are_held_together_by_vertices_and_not_by_places() {
+        let mut mesh = triangles_at(&[Vec3::ZERO, Vec3::ZERO, 5.0 * Vec3::X, Vec3::Y]);
+        mesh.triangles[3] = [mesh.triangles[0][1], mesh.triangles[3][1], mesh.triangles[3][2]];
+        assert_eq!(pieces(&mesh), [0, 1, 2, 0]);
+        assert!(pieces(&triangles_at(&[])).is_empty());
     }
 }

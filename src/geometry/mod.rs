@@ -5,5 +5,5 @@ mod clusters;
 mod mesh;
 
 pub use camera::{Camera, Lens, Projection};
-pub use clusters::clusters;
+pub use clusters::{clusters, pieces};
 pub use mesh::Mesh;

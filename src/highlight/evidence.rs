@@ -108,7 +108,7 @@ pub const MODELS: [Reflectance; 2] = [Reflectance::Paper, Reflectance::Smith];
 pub struct Tabulation<'a> {
     /// Roughness levels, ascending.
     pub levels: &'a [f32],
-    /// Rays for each of [`LOBES`].
+    /// Rays for each of [`LOBES`], spread over 16 places of the pixel: the next multiple of that.
     pub rays_per_lobe: u32,
 }
 

@@ -30,6 +30,8 @@ impl GroupFit {
     }
 }
 
+/// Width of the range of values that explain the views equally well from which a roughness counts as unknown.
+const UNKNOWN: f32 = 0.5;
 /// A more elaborate model must explain the views better by this share of the disagreement.
 const MODEL_GAIN: f64 = 0.01;
 
@@ -99,14 +101,16 @@ pub(super) fn fit(class: u16, table: &Disagreement) -> GroupFit {
     let mean = slopes.iter().sum::<f64>() / n;
     let variance = slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n / n;
     let noise = if curvature > 0.0 { (variance.sqrt() / curvature) as f32 } else { 1.0 };
-    let error = noise.hypot(indistinguishable(levels, roughness, &objective)).min(1.0);
+    let [low, high] = indistinguishable(levels, &objective);
+    // where nearly any roughness would do, the least disagreement is chance: the mean of all that would do errs least
+    let roughness = if high - low > UNKNOWN { 0.5 * (low + high) } else { roughness };
+    let error = noise.hypot(distance_within([low, high], roughness)).min(1.0);
     GroupFit { class, roughness, error, objective, points: rows.len() }
 }
 
-/// Standard deviation around `roughness` of a roughness known only to explain the views as well as the best does, up to what no model
-/// can be trusted to tell apart: uniform over the levels around the best whose disagreement is within [`MODEL_GAIN`] of it. Unlike the
-/// points' scatter this does not shrink with their number: the model's own error is common to all points.
-fn indistinguishable(levels: &[f32], roughness: f32, objective: &[f64]) -> f32 {
+/// The roughness values around the best whose disagreement is within [`MODEL_GAIN`] of the least: what no model can be trusted to tell
+/// apart. Unlike the points' scatter this range does not shrink with their number: the model's own error is common to all points.
+fn indistinguishable(levels: &[f32], objective: &[f64]) -> [f32; 2] {
     let limit = objective.iter().copied().fold(f64::INFINITY, f64::min) * (1.0 + MODEL_GAIN);
     let best = lowest(objective);
     // where the objective crosses the limit between an outside level and its inside neighbour
@@ -117,8 +121,12 @@ fn indistinguishable(levels: &[f32], roughness: f32, objective: &[f64]) -> f32 {
     };
     let low = (0..best).rev().find(|&k| objective[k] > limit).map_or(levels[0], |k| crossing(k + 1, k));
     let high = (best + 1..levels.len()).find(|&k| objective[k] > limit).map_or(levels[levels.len() - 1], |k| crossing(k - 1, k));
+    [low, high]
+}
+
+/// Root mean square distance from `roughness` of a uniform distribution over a range.
+fn distance_within([low, high]: [f32; 2], roughness: f32) -> f32 {
     let (down, up) = ((roughness - low).max(0.0), (high - roughness).max(0.0));
-    // mean square distance of a uniform distribution over [low, high] from the estimate
     ((down.powi(3) + up.powi(3)) / (3.0 * (down + up).max(1e-6))).sqrt()
 }
 
@@ -167,13 +175,25 @@ mod tests {
 
     #[test]
     fn a_sharp_minimum_is_sure_and_a_flat_one_is_not() {
-        let sharp = indistinguishable(&LEVELS, 0.42, &bowl(0.42, 100.0));
-        let flat = indistinguishable(&LEVELS, 0.42, &bowl(0.42, 0.0));
+        let error = |depth| distance_within(indistinguishable(&LEVELS, &bowl(0.42, depth)), 0.42);
+        let sharp = error(100.0);
+        let flat = error(0.0);
         assert!(sharp < 0.02, "{sharp}");
         // uniform over all levels: √((0.39³ + 0.58³) / (3 · 0.97))
         assert!((flat - ((0.39f32.powi(3) + 0.58f32.powi(3)) / (3.0 * 0.97)).sqrt()).abs() < 1e-4, "{flat}");
         // 1 % above the minimum lies √(0.01 / 1) = 0.1 away on both sides: ±0.1 uniform, but for the chords between levels
-        let known = indistinguishable(&LEVELS, 0.42, &bowl(0.42, 1.0));
+        let known = error(1.0);
         assert!((known - 0.1 / 3f32.sqrt()).abs() < 0.012, "{known}");
+    }
+
+    #[test]
+    fn what_the_views_do_not_tell_is_in_the_middle_of_what_they_allow() {
+        let table = |bowl: Vec<f64>| Disagreement { levels: &LEVELS, rows: vec![bowl; 50] };
+        let mut flat = bowl(0.42, 0.0);
+        flat[16] *= 0.999; // R = 0.9 by chance
+        let found = fit(1, &table(flat));
+        assert!((found.roughness - 0.515).abs() < 0.01 && found.error > 0.25, "{found:?}");
+        let known = fit(1, &table(bowl(0.9, 1.0)));
+        assert!((known.roughness - 0.9).abs() < 0.02, "{known:?}");
     }
 }

@@ -60,7 +60,7 @@ pub struct SolveOptions {
     pub prefilter: bool,
     /// Points per class that are searched for roughness: as many evenly spread, as many on virtual highlights.
     pub evidence_points: usize,
-    /// Rays per lobe and look at those points.
+    /// Rays per lobe and look at those points; a multiple of 16, or the next one is taken.
     pub evidence_rays: u32,
     /// Roughness values at which the specular response of those points is tabulated.
     pub roughness_levels: usize,

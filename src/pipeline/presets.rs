@@ -40,7 +40,7 @@ impl SolveOptions {
             irradiance_filter: true,
             prefilter: true,
             evidence_points: 1200,
-            evidence_rays: 20,
+            evidence_rays: 32,
             roughness_levels: LEVELS.len(),
             specular_rays: 4,
             matte: Switch::Auto,
@@ -66,7 +66,7 @@ impl SolveOptions {
                 irradiance_rays: 48,
                 emitter_samples: 16,
                 evidence_points: 400,
-                evidence_rays: 10,
+                evidence_rays: 16,
                 specular_rays: 2,
                 ..standard
             },
@@ -76,7 +76,7 @@ impl SolveOptions {
                 irradiance_rays: 512,
                 emitter_samples: 128,
                 evidence_points: 2400,
-                evidence_rays: 40,
+                evidence_rays: 48,
                 specular_rays: 16,
                 ..standard
             },
@@ -136,7 +136,7 @@ pub struct SolveRequest {
     /// Points per class searched for roughness, evenly spread and as many again on virtual highlights [default: 1200].
     #[arg(long, value_name = "N")]
     pub evidence_points: Option<usize>,
-    /// Rays per lobe and look at those points [default: 20].
+    /// Rays per lobe and look at those points, over 16 places of the pixel: rounded up to a multiple of that [default: 32].
     #[arg(long, value_name = "N")]
     pub evidence_rays: Option<u32>,
     /// Roughness values at which the specular response of those points is tabulated [default: 18].

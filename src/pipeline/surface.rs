@@ -5,7 +5,7 @@ use super::balance::{balance_views, leave_out_clipped_sky};
 use super::decisions::{Sizes, choose_sizes};
 use crate::Result;
 use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer, clipped_pixels};
-use crate::geometry::Mesh;
+use crate::geometry::{Mesh, pieces};
 use crate::image::{Plane, RgbPlane};
 use crate::lighting::{Fusion, UNSEEN};
 use crate::progress::Progress;
@@ -196,23 +196,34 @@ fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) ->
 }
 
 /// Texels seen clean keep their vote. A pixel at an edge may carry the label of the surface next to it, so texels seen there take what
-/// the clean texels of their triangle agree on, or all of its texels if none is clean; those nobody sees, that of the nearest triangle.
+/// the clean texels of their triangle agree on; if it has none, those of its piece of the mesh, or else all texels of the triangle. Those
+/// that nobody sees take the label of the nearest triangle.
 /// At an edge no label says nothing: it is the sky's beside a window bar.
 fn complete_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> {
     /// Share of a triangle's clean texels that must agree: large triangles may carry several classes.
     const AGREEMENT: f32 = 0.9;
+    /// Clean texels from which a piece of the mesh is known.
+    const ENOUGH: u32 = 3;
     let triangles = scene.mesh.triangles.len();
     let (mut clean, mut all): (Vec<Ballot>, Vec<Ballot>) = (vec![Vec::new(); triangles], vec![Vec::new(); triangles]);
     let voted = |i: usize| fusion.label[i] != UNSEEN && (fusion.label[i] != 0 || fusion.clean[i]);
     for i in (0..texels.len()).filter(|&i| voted(i)) {
         let t = texels.point[i].triangle as usize;
-        cast(&mut all[t], fusion.label[i]);
+        cast(&mut all[t], fusion.label[i], 1);
         if fusion.clean[i] {
-            cast(&mut clean[t], fusion.label[i]);
+            cast(&mut clean[t], fusion.label[i], 1);
         }
     }
-    let mut of_triangle: Vec<u32> =
-        all.iter().zip(&clean).map(|(all, clean)| winner(clean).or(winner(all)).map_or(UNSEEN, |w| w.0)).collect();
+    let pieces = pieces(&scene.mesh);
+    let mut of_piece: Vec<Ballot> = vec![Vec::new(); pieces.iter().max().map_or(0, |m| *m as usize + 1)];
+    for (ballot, piece) in clean.iter().zip(&pieces) {
+        ballot.iter().for_each(|v| cast(&mut of_piece[*piece as usize], v.0, v.1));
+    }
+    let of_piece: Vec<Option<(u32, f32)>> =
+        of_piece.iter().map(|b| winner(b).filter(|w| w.1 >= AGREEMENT && b.iter().map(|v| v.1).sum::<u32>() >= ENOUGH)).collect();
+    let mut of_triangle: Vec<u32> = (0..triangles)
+        .map(|t| winner(&clean[t]).or(of_piece[pieces[t] as usize]).or(winner(&all[t])).map_or(UNSEEN, |w| w.0))
+        .collect();
     let agreed = |t: usize| winner(&clean[t]).is_none_or(|w| w.1 >= AGREEMENT);
     spread_over_neighbours(scene, &mut of_triangle);
     // every other vote came from a 16-bit label
@@ -229,10 +240,10 @@ fn complete_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> 
 /// Labels with their numbers of votes.
 type Ballot = Vec<(u32, u32)>;
 
-fn cast(ballot: &mut Ballot, label: u32) {
+fn cast(ballot: &mut Ballot, label: u32, votes: u32) {
     match ballot.iter_mut().find(|v| v.0 == label) {
-        Some(v) => v.1 += 1,
-        None => ballot.push((label, 1)),
+        Some(v) => v.1 += votes,
+        None => ballot.push((label, votes)),
     }
 }
 

@@ -17,7 +17,7 @@ mod pattern;
 mod truth;
 mod views;
 
-pub use model::{Sky, Textured, VertexIrradiance};
+pub use model::{Sky, SurfaceIrradiance, Textured};
 pub use truth::true_solution;
 
 use crate::error::{Error, Result};
@@ -57,7 +57,7 @@ pub struct SynthOptions {
     /// Leave the images as rendered, with their noise.
     #[arg(long, help_heading = "Synthetic scene")]
     pub no_denoise: bool,
-    /// Follow every path to its end instead of taking indirect light from irradiance cached at vertices: slower, unbiased.
+    /// Follow every path to its end instead of taking indirect light from irradiance cached on the surfaces: slower, unbiased.
     #[arg(long, help_heading = "Synthetic scene")]
     pub full_paths: bool,
     /// Give every surface roughness 1: a room without any highlight.
@@ -178,11 +178,11 @@ pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) 
     let sky = sky(&apartment);
     let settings = PathTracerOptions { samples: options.spp, seed: options.seed, ..PathTracerOptions::default() };
     let renderer = PathTracer::new(&mesh, &tracer, &surfaces, &sky, settings);
-    // the cache is worth as much care as the pixels, up to what its vertices can resolve
+    // the cache is worth as much care as the pixels, up to what its nodes can resolve
     let effort = (options.spp as f32 / 8.0).clamp(0.2, 2.0);
     let cache = (!options.full_paths).then(|| {
-        let steps = VertexIrradiance::steps(&mesh);
-        progress.stage("caching irradiance", steps, |p| VertexIrradiance::bake(&mesh, &tracer, &renderer, effort, p))
+        let steps = SurfaceIrradiance::steps(&mesh);
+        progress.stage("caching irradiance", steps, |p| SurfaceIrradiance::bake(&mesh, &tracer, &renderer, effort, p))
     });
     let pixels = views.iter().map(|v| (v.camera.width * v.camera.height) as u64).sum();
     let mut luminances = Vec::new();

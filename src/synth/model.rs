@@ -1,4 +1,4 @@
-//! The apartment as the renderer sees it: textures, lamps, sky, and irradiance cached at vertices.
+//! The apartment as the renderer sees it: textures, lamps, sky, and irradiance cached on the surfaces.
 
 use super::charts::Chart;
 use crate::brdf::Material;
@@ -9,6 +9,7 @@ use crate::progress::Progress;
 use crate::render::{Environment, IndirectCache, IrradiancePoint, PathTracer, Surface, SurfaceModel};
 use crate::trace::{Ray, Tracer};
 use glam::{Vec3, Vec4};
+use std::collections::HashMap;
 
 /// Materials by texture, class and emission by triangle.
 pub struct Textured<'a> {
@@ -72,37 +73,38 @@ impl Environment for Sky {
     }
 }
 
-/// Irradiance at vertices, interpolated over triangles.
-pub struct VertexIrradiance<'a> {
-    mesh: &'a Mesh,
+/// Irradiance at vertices and in the middle of edges, interpolated over triangles by their quadratic polynomials: towards corners of a room light
+/// falls ever faster, and straight lines between vertices would lose 1 % of all bounced light.
+pub struct SurfaceIrradiance {
+    /// Nodes per triangle: its corners a, b, c and the middles of bc, ca, ab.
+    nodes: Vec<[u32; 6]>,
     values: Vec<Vec3>,
 }
 
-impl IndirectCache for VertexIrradiance<'_> {
+impl IndirectCache for SurfaceIrradiance {
     fn irradiance(&self, triangle: usize, u: f32, v: f32) -> Vec3 {
-        let [a, b, c] = self.mesh.triangles[triangle].map(|i| self.values[i as usize]);
-        a + (b - a) * u + (c - a) * v
+        let w = 1.0 - u - v;
+        let basis = [w, u, v].map(|x| x * (2.0 * x - 1.0)).into_iter().chain([4.0 * u * v, 4.0 * v * w, 4.0 * w * u]);
+        let sum: Vec3 = basis.zip(&self.nodes[triangle]).map(|(b, i)| self.values[*i as usize] * b).sum();
+        // a parabola may dip where light falls off steeply
+        let least = self.nodes[triangle].iter().fold(Vec3::INFINITY, |m, i| m.min(self.values[*i as usize]));
+        sum.max(least)
     }
 }
 
-/// Passes of the cache: samples per vertex, the first with full paths, the others on top of the pass before.
+/// Passes of the cache: samples per node, the first with full paths, the others on top of the pass before.
 const PASSES: [u32; 3] = [24, 48, 128];
-/// A vertex most of whose view is blocked nearer than this lies inside or under something; metres.
+/// A node most of whose view is blocked nearer than this lies inside or under something; metres.
 const BURIED: f32 = 0.03;
 
-impl<'a> VertexIrradiance<'a> {
-    /// Steps that [`Self::bake`] reports.
-    #[must_use]
-    pub fn steps(mesh: &Mesh) -> u64 {
-        (mesh.positions.len() * PASSES.len()) as u64
-    }
-
+impl SurfaceIrradiance {
     /// Bakes the cache with the renderer itself.
     #[must_use]
-    pub fn bake(mesh: &'a Mesh, tracer: &dyn Tracer, renderer: &PathTracer<'_>, effort: f32, progress: &Progress) -> Self {
-        let points = receivers(mesh);
+    pub fn bake(mesh: &Mesh, tracer: &dyn Tracer, renderer: &PathTracer<'_>, effort: f32, progress: &Progress) -> Self {
+        let nodes = nodes(mesh);
+        let points = receivers(mesh, &nodes);
         let buried = buried(&points, tracer);
-        let mut out = Self { mesh, values: Vec::new() };
+        let mut out = Self { nodes, values: Vec::new() };
         for (pass, samples) in PASSES.into_iter().enumerate() {
             let samples = ((samples as f32 * effort) as u32).max(4);
             let cache = (pass > 0).then_some(&out as &dyn IndirectCache);
@@ -113,18 +115,25 @@ impl<'a> VertexIrradiance<'a> {
         out
     }
 
-    /// Gives buried vertices the mean of their visible neighbours, ring by ring: the interpolation across the border of
+    /// Steps that [`Self::bake`] reports.
+    #[must_use]
+    pub fn steps(mesh: &Mesh) -> u64 {
+        (nodes(mesh).iter().flatten().max().map_or(0, |m| *m as usize + 1) * PASSES.len()) as u64
+    }
+
+    /// Gives buried nodes the mean of their visible neighbours, ring by ring: the interpolation across the border of
     /// a cupboard's footprint must not darken the floor that can be seen.
     fn fill(&mut self, buried: &[bool]) {
         let mut known: Vec<bool> = buried.iter().map(|b| !b).collect();
-        for _ in 0..6 {
+        for _ in 0..12 {
             let mut sums = vec![(Vec3::ZERO, 0.0f32); known.len()];
-            for t in &self.mesh.triangles {
-                for (i, j) in [(0, 1), (1, 2), (2, 0), (1, 0), (2, 1), (0, 2)] {
-                    let (to, from) = (t[i] as usize, t[j] as usize);
-                    if !known[to] && known[from] {
-                        sums[to].0 += self.values[from];
-                        sums[to].1 += 1.0;
+            for &[a, b, c, bc, ca, ab] in &self.nodes {
+                for (i, j) in [(a, ab), (ab, b), (b, bc), (bc, c), (c, ca), (ca, a), (ab, bc), (bc, ca), (ca, ab)] {
+                    for (to, from) in [(i as usize, j as usize), (j as usize, i as usize)] {
+                        if !known[to] && known[from] {
+                            sums[to].0 += self.values[from];
+                            sums[to].1 += 1.0;
+                        }
                     }
                 }
             }
@@ -136,26 +145,53 @@ impl<'a> VertexIrradiance<'a> {
     }
 }
 
-/// One receiver per vertex, drawn a little towards the adjacent triangles so that it does not sit in a corner.
-fn receivers(mesh: &Mesh) -> Vec<IrradiancePoint> {
-    let mut sums = vec![(Vec3::ZERO, 0.0f32, Vec3::ZERO); mesh.positions.len()];
-    for (t, triangle) in mesh.triangles.iter().enumerate() {
-        let centre = mesh.corners(t).iter().sum::<Vec3>() / 3.0;
-        let normal = mesh.double_area_normal(t);
-        for &i in triangle {
-            let s = &mut sums[i as usize];
-            *s = (s.0 + centre, s.1 + 1.0, s.2 + normal);
+/// The nodes of every triangle: vertices keep their numbers, edges come behind.
+fn nodes(mesh: &Mesh) -> Vec<[u32; 6]> {
+    let mut edges: HashMap<(u32, u32), u32> = HashMap::new();
+    let mut middle = |i: u32, j: u32| {
+        let next = (mesh.positions.len() + edges.len()) as u32;
+        *edges.entry((i.min(j), i.max(j))).or_insert(next)
+    };
+    mesh.triangles.iter().map(|&[a, b, c]| [a, b, c, middle(b, c), middle(c, a), middle(a, b)]).collect()
+}
+
+/// One receiver per node, drawn a little towards the adjacent triangles so that it does not sit in a corner.
+fn receivers(mesh: &Mesh, nodes: &[[u32; 6]]) -> Vec<IrradiancePoint> {
+    #[derive(Clone, Copy, Default)]
+    struct Node {
+        position: Vec3,
+        normal: Vec3,
+        centres: Vec3,
+        face_normals: Vec3,
+        triangles: f32,
+    }
+    let count = nodes.iter().flatten().max().map_or(0, |m| *m as usize + 1).max(mesh.positions.len());
+    let mut sums = vec![Node::default(); count];
+    for (t, of_triangle) in nodes.iter().enumerate() {
+        let corners = mesh.corners(t);
+        let normals = mesh.triangles[t].map(|i| mesh.normals[i as usize]);
+        let middle = |v: [Vec3; 3], k: usize| 0.5 * (v[(k + 1) % 3] + v[(k + 2) % 3]);
+        let centre = corners.iter().sum::<Vec3>() / 3.0;
+        for (k, &i) in of_triangle.iter().enumerate() {
+            let n = &mut sums[i as usize];
+            (n.position, n.normal) = if k < 3 {
+                (corners[k], normals[k])
+            } else {
+                (middle(corners, k - 3), middle(normals, k - 3).normalize_or_zero())
+            };
+            n.centres += centre;
+            n.face_normals += mesh.double_area_normal(t);
+            n.triangles += 1.0;
         }
     }
-    let point = |(i, (centre, count, normal)): (usize, &(Vec3, f32, Vec3))| {
-        let p = mesh.positions[i];
-        let n = mesh.normals[i];
+    let point = |n: &Node| {
         // within the tangent plane: straight towards the centroid would enter a convex body, and see a lamp from inside
-        let inwards = if *count > 0.0 { *centre / *count - p } else { Vec3::ZERO };
-        let position = p + 0.06 * (inwards - n * n.dot(inwards));
-        IrradiancePoint { position: position + n * 2e-4, face_normal: normal.normalize_or(n), normal: n }
+        let inwards = if n.triangles > 0.0 { n.centres / n.triangles - n.position } else { Vec3::ZERO };
+        let position = n.position + 0.06 * (inwards - n.normal * n.normal.dot(inwards));
+        let face_normal = n.face_normals.normalize_or(n.normal);
+        IrradiancePoint { position: position + n.normal * 2e-4, face_normal, normal: n.normal }
     };
-    sums.iter().enumerate().map(point).collect()
+    sums.iter().map(point).collect()
 }
 
 fn buried(points: &[IrradiancePoint], tracer: &dyn Tracer) -> Vec<bool> {
@@ -175,4 +211,33 @@ fn buried(points: &[IrradiancePoint], tracer: &dyn Tracer) -> Vec<bool> {
         occluded.chunks(RAYS).map(|o| o.iter().map(|&x| usize::from(x)).sum::<usize>() > RAYS * 3 / 4).collect::<Vec<bool>>()
     });
     parts.into_iter().flatten().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec2;
+
+    /// Light that falls off quadratically is interpolated exactly, on two triangles that share an edge.
+    #[test]
+    fn quadratic_light_is_interpolated_exactly() {
+        let mesh = Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 2.0, 0.0), Vec3::Y],
+            normals: vec![Vec3::Z; 4],
+            uvs: vec![Vec2::ZERO; 4],
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+        };
+        let light = |p: Vec3| Vec3::new(3.0 - p.x * p.x, 4.0 + p.x * p.y - 0.5 * p.y * p.y, 1.0);
+        let nodes = nodes(&mesh);
+        let mut values = vec![Vec3::ZERO; 9];
+        for (t, [a, b, c, bc, ca, ab]) in nodes.iter().copied().enumerate() {
+            let at = [(a, 0.0, 0.0), (b, 1.0, 0.0), (c, 0.0, 1.0), (bc, 0.5, 0.5), (ca, 0.0, 0.5), (ab, 0.5, 0.0)];
+            at.iter().for_each(|&(i, u, v)| values[i as usize] = light(mesh.position(t, u, v)));
+        }
+        let cache = SurfaceIrradiance { nodes, values };
+        for (t, u, v) in [(0, 0.2, 0.3), (0, 0.6, 0.1), (1, 0.33, 0.33), (1, 0.05, 0.9)] {
+            let (got, want) = (cache.irradiance(t, u, v), light(mesh.position(t, u, v)));
+            assert!((got - want).abs().max_element() < 1e-5, "{t} {u} {v}: {got} instead of {want}");
+        }
+    }
 }
