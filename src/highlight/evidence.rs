@@ -115,6 +115,8 @@ pub struct Tabulation<'a> {
 /// Points of a pixel's footprint that a sight is traced from, an even number: a pixel on a curved surface mirrors many directions.
 const FOOTPRINT: usize = 16;
 const HALF: usize = FOOTPRINT / 2;
+/// Pixels' footprints beyond which a place of the image shows another surface.
+const REACH: f32 = 2.5;
 
 /// Observes every candidate in all views and traces its specular response as `tabulation` says; candidates with fewer than two clean
 /// sights are dropped.
@@ -252,6 +254,3 @@ impl Footprints {
         self.rays.iter().zip(&hits).enumerate().map(gaze).collect()
     }
 }
-
-/// Pixels' footprints beyond which a place of the image shows another surface.
-const REACH: f32 = 2.5;

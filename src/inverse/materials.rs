@@ -184,7 +184,11 @@ fn explained(class: u16, sides: &[Disagreement]) -> Option<(Vec<GroupFit>, f64)>
     }
     let apart: f64 = sides.iter().map(held_out).sum();
     let together = Disagreement { levels: sides[0].levels, rows: sides.iter().flat_map(|s| s.rows.iter().cloned()).collect() };
-    let gain = 1.0 - apart / held_out(&together);
+    let together = held_out(&together);
+    if together <= 0.0 {
+        return None;
+    }
+    let gain = 1.0 - apart / together;
     let fits: Vec<GroupFit> = sides.iter().map(|s| fit(class, s)).collect();
     let by_value = |a: &&GroupFit, b: &&GroupFit| a.roughness.total_cmp(&b.roughness);
     let (low, high) = (fits.iter().min_by(by_value)?, fits.iter().max_by(by_value)?);
