@@ -8,4 +8,4 @@ mod view_buffer;
 pub use clipping::clipped_pixels;
 pub use gains::{ViewGains, estimate_gains};
 pub use observe::{Observation, ObservedView, Observer, Orientation};
-pub use view_buffer::ViewBuffer;
+pub use view_buffer::{ViewBuffer, pixel_rays};

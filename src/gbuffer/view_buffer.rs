@@ -11,6 +11,17 @@ use rayon::prelude::*;
 const SAME_SURFACE_SINE: f32 = 0.5;
 const SAME_SURFACE_COSINE: f32 = 0.7;
 
+/// Rays through the centres of n × n equal squares of each of some pixels in row `y`, to infinity: pixel by pixel, row-major within
+/// the pixel.
+#[must_use]
+pub fn pixel_rays(camera: &Camera, y: usize, columns: impl IntoIterator<Item = usize>, n: usize) -> Vec<Ray> {
+    let ray = |x: usize, s: usize| {
+        let offset = Vec2::new((s % n) as f32 + 0.5, (s / n) as f32 + 0.5) / n as f32;
+        Ray::new(camera.position, camera.direction(Vec2::new(x as f32, y as f32) + offset), f32::INFINITY)
+    };
+    columns.into_iter().flat_map(|x| (0..n * n).map(move |s| ray(x, s))).collect()
+}
+
 /// Triangle and distance at every pixel centre of a view, row-major.
 #[derive(Clone, Debug)]
 pub struct ViewBuffer {
@@ -30,9 +41,7 @@ impl ViewBuffer {
         let mut triangle = Plane::filled(w, h, Hit::MISS);
         let mut distance = Plane::filled(w, h, f32::INFINITY);
         triangle.data.par_chunks_mut(w).zip(distance.data.par_chunks_mut(w)).enumerate().for_each(|(y, (tri, dist))| {
-            let rays: Vec<Ray> = (0..w)
-                .map(|x| Ray::new(camera.position, camera.direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5)), f32::INFINITY))
-                .collect();
+            let rays = pixel_rays(camera, y, 0..w, 1);
             let mut hits = vec![Hit::miss(); w];
             tracer.closest(&rays, &mut hits);
             for (x, hit) in hits.iter().enumerate() {

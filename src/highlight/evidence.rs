@@ -94,6 +94,20 @@ impl Evidence {
         &self.noise[self.row(s, m)]
     }
 
+    /// Takes the responses and diffuse factors of [`FOOTPRINT`] gazes per sight, `row` responses each.
+    fn fill(&mut self, specular: &[Vec3], diffuse: &[[f32; 3]], row: usize) {
+        for sight in specular.chunks_exact(FOOTPRINT * row) {
+            for k in 0..row {
+                let mean = |from: usize| (from..from + HALF).map(|g| sight[g * row + k]).sum::<Vec3>() / HALF as f32;
+                let [a, b] = [mean(0), mean(HALF)];
+                self.specular.push(0.5 * (a + b));
+                self.noise.push(0.5 * luminance(a - b));
+            }
+        }
+        let mean = |of: &[[f32; 3]]| std::array::from_fn(|c| of.iter().map(|d| d[c]).sum::<f32>() / FOOTPRINT as f32);
+        self.diffuse.extend(diffuse.chunks_exact(FOOTPRINT).map(mean));
+    }
+
     fn row(&self, s: usize, m: usize) -> Range<usize> {
         let n = self.levels.len();
         (s * MODELS.len() + m) * n..(s * MODELS.len() + m + 1) * n
@@ -185,22 +199,6 @@ pub fn gather_evidence(
     all
 }
 
-impl Evidence {
-    /// Takes the responses and diffuse factors of [`FOOTPRINT`] gazes per sight, `row` responses each.
-    fn fill(&mut self, specular: &[Vec3], diffuse: &[[f32; 3]], row: usize) {
-        for sight in specular.chunks_exact(FOOTPRINT * row) {
-            for k in 0..row {
-                let mean = |from: usize| (from..from + HALF).map(|g| sight[g * row + k]).sum::<Vec3>() / HALF as f32;
-                let [a, b] = [mean(0), mean(HALF)];
-                self.specular.push(0.5 * (a + b));
-                self.noise.push(0.5 * luminance(a - b));
-            }
-        }
-        let mean = |of: &[[f32; 3]]| std::array::from_fn(|c| of.iter().map(|d| d[c]).sum::<f32>() / FOOTPRINT as f32);
-        self.diffuse.extend(diffuse.chunks_exact(FOOTPRINT).map(mean));
-    }
-}
-
 /// Rays through the places of the image that sights are interpolated from.
 #[derive(Default)]
 struct Footprints {
@@ -214,11 +212,11 @@ impl Footprints {
     fn push(&mut self, buffer: &ViewBuffer, seen: &Observation, centre: Gaze) {
         let camera = &buffer.camera;
         let taps = bilinear_taps(camera.width, camera.height, seen.pixel, buffer.wrap());
-        for s in 0..FOOTPRINT as u32 {
+        let total: f32 = taps.iter().map(|t| t.1).sum();
+        let sequences = [0, 1].map(|half| SobolSequence::new(0xf007 + half, centre.key));
+        for s in 0..FOOTPRINT {
             // the image is interpolated between pixels, and each is a mean over its square
-            let sequence = SobolSequence::new(0xf007 + u64::from(s) / HALF as u64, centre.key);
-            let [x, y, mut u, _] = sequence.point4(s % HALF as u32);
-            let total: f32 = taps.iter().map(|t| t.1).sum();
+            let [x, y, mut u, _] = sequences[s / HALF].point4((s % HALF) as u32);
             let tap = taps.iter().find(|t| {
                 u -= t.1 / total;
                 u < 0.0

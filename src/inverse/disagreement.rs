@@ -22,7 +22,6 @@ const KNOWN_NOISE: f32 = 0.05;
 type Row = Vec<f64>;
 
 /// The disagreement of some points at all levels.
-#[derive(Clone)]
 pub(super) struct Disagreement<'a> {
     /// Roughness levels, ascending.
     pub(super) levels: &'a [f32],

@@ -111,10 +111,10 @@ pub(super) fn fit(class: u16, table: &Disagreement) -> GroupFit {
 /// The roughness values around the best whose disagreement is within [`MODEL_GAIN`] of the least: what no model can be trusted to tell
 /// apart. Unlike the points' scatter this range does not shrink with their number: the model's own error is common to all points.
 fn indistinguishable(levels: &[f32], objective: &[f64]) -> [f32; 2] {
-    // (products of residuals may be negative on average)
-    let least = objective.iter().copied().fold(f64::INFINITY, f64::min);
-    let limit = least + MODEL_GAIN * least.abs();
     let best = lowest(objective);
+    let least = objective[best];
+    // (products of residuals may be negative on average)
+    let limit = least + MODEL_GAIN * least.abs();
     // where the objective crosses the limit between an outside level and its inside neighbour
     let crossing = |inside: usize, outside: usize| {
         let (a, b) = (objective[inside], objective[outside]);

@@ -9,13 +9,13 @@
 use super::class_prior::class_prior;
 use super::mixtures::{Mixtures, Pixel};
 use super::{AlbedoEstimate, DiffuseShading};
-use crate::gbuffer::{ObservedView, Observer, Orientation};
+use crate::gbuffer::{ObservedView, Observer, Orientation, pixel_rays};
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::lighting::LightField;
 use crate::math::luminance;
 use crate::parallel;
 use crate::texture::Texels;
-use crate::trace::{Hit, Ray, Tracer};
+use crate::trace::{Hit, Tracer};
 use glam::{Vec2, Vec3};
 use std::collections::HashMap;
 use std::f32::consts::FRAC_1_PI;
@@ -176,7 +176,6 @@ impl Unmixing<'_> {
     ) -> u64 {
         const SAMPLES: usize = GRID * GRID;
         let view = &self.observer.views[v];
-        let camera = &view.buffer.camera;
         // a clean pixel tells of unknowns too where a texel's look was too far off its centre to be clean
         let shows_unknown = |x: usize| {
             let t = view.buffer.triangle[(x, y)];
@@ -194,15 +193,7 @@ impl Unmixing<'_> {
                 && (x + 7 * y).is_multiple_of(stride)
         };
         let columns: Vec<usize> = (0..view.clean.width).filter(|&x| usable(x)).collect();
-        let rays: Vec<Ray> = columns
-            .iter()
-            .flat_map(|&x| {
-                (0..SAMPLES).map(move |s| {
-                    let at = Vec2::new((s % GRID) as f32 + 0.5, (s / GRID) as f32 + 0.5) / GRID as f32;
-                    Ray::new(camera.position, camera.direction(Vec2::new(x as f32, y as f32) + at), f32::INFINITY)
-                })
-            })
-            .collect();
+        let rays = pixel_rays(&view.buffer.camera, y, columns.iter().copied(), GRID);
         let mut hits = vec![Hit::miss(); rays.len()];
         self.tracer.closest(&rays, &mut hits);
         for (k, &x) in columns.iter().enumerate() {

@@ -200,7 +200,7 @@ fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) ->
 /// that nobody sees take the label of the nearest triangle.
 /// At an edge no label says nothing: it is the sky's beside a window bar.
 fn complete_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> {
-    /// Share of a triangle's clean texels that must agree: large triangles may carry several classes.
+    /// Share of the clean texels of a triangle or piece that must agree: large ones may carry several classes.
     const AGREEMENT: f32 = 0.9;
     /// Clean texels from which a piece of the mesh is known.
     const ENOUGH: u32 = 3;

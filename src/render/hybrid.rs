@@ -3,6 +3,7 @@
 //! path tracer.
 
 use super::denoise::{SpecularFeature, filter_specular};
+use crate::gbuffer::pixel_rays;
 use crate::geometry::Camera;
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::lighting::{Bake, Emitters, Environment, Gaze, Levels, LightField, Reflector};
@@ -143,28 +144,12 @@ impl<'a> HybridRenderer<'a> {
     /// What n × n rays through each of some pixels of row `y` meet, without their specular part.
     fn points(&self, camera: &Camera, y: usize, columns: &[usize], n: usize) -> Vec<Point> {
         let samples = n * n;
-        let rays: Vec<Ray> = columns
-            .iter()
-            .flat_map(|&x| {
-                (0..samples).map(move |s| {
-                    let offset = Vec2::new((s % n) as f32 + 0.5, (s / n) as f32 + 0.5) / n as f32;
-                    Ray::new(camera.position, camera.direction(Vec2::new(x as f32, y as f32) + offset), f32::INFINITY)
-                })
-            })
-            .collect();
+        let rays = pixel_rays(camera, y, columns.iter().copied(), n);
         let mut hits = vec![Hit::miss(); rays.len()];
         self.tracer.closest(&rays, &mut hits);
         let point = |(i, (ray, hit)): (usize, (&Ray, &Hit))| {
-            let direction = Vec3::from_array(ray.direction);
-            let mut point = self.shade_point(hit, direction);
-            point.depth = hit.t;
-            if let Some((normal, face_normal)) = point.normals {
-                let sample = (y * camera.width + columns[i / samples]) * samples + i % samples;
-                let key = hash_u64(sample as u64, camera.position.x.to_bits().into());
-                let position = camera.position + direction * hit.t;
-                point.gaze = Some(Gaze { position, normal, face_normal, view: -direction, key, turn: 0 });
-            }
-            point
+            let sample = (y * camera.width + columns[i / samples]) * samples + i % samples;
+            self.shade_point(ray, hit, hash_u64(sample as u64, camera.position.x.to_bits().into()))
         };
         rays.iter().zip(&hits).enumerate().map(point).collect()
     }
@@ -189,10 +174,12 @@ impl<'a> HybridRenderer<'a> {
         points.iter_mut().filter(|p| p.gaze.is_some()).zip(specular).for_each(|(p, s)| p.specular = s);
     }
 
-    fn shade_point(&self, hit: &Hit, direction: Vec3) -> Point {
+    /// What a ray meets, without its specular part; `key` is that of its random numbers.
+    fn shade_point(&self, ray: &Ray, hit: &Hit, key: u64) -> Point {
         let s = self.solution;
+        let (direction, depth) = (Vec3::from_array(ray.direction), hit.t);
         if !hit.is_hit() {
-            return Point { radiance: self.field.environment.radiance(direction), ..Point::default() };
+            return Point { radiance: self.field.environment.radiance(direction), depth, ..Point::default() };
         }
         let t = hit.triangle as usize;
         let uv = s.mesh.uv(t, hit.u, hit.v);
@@ -203,20 +190,22 @@ impl<'a> HybridRenderer<'a> {
         let confidence = *s.confidence.nearest(at(s.confidence.width, s.confidence.height));
         if self.field.is_emissive(t) && *s.emission.nearest(at(s.emission.width, s.emission.height)) != Vec3::ZERO {
             let radiance = self.field.emitted(t, hit.u, hit.v);
-            return Point { radiance, albedo, roughness, label, emission: radiance, confidence, ..Point::default() };
+            return Point { radiance, depth, albedo, roughness, label, emission: radiance, confidence, ..Point::default() };
         }
         let irradiance = s.irradiance.bilinear(at(s.irradiance.width, s.irradiance.height), Wrap::Clamp);
         let (mut normal, mut face_normal) = (s.mesh.shading_normal(t, hit.u, hit.v), s.mesh.face_normal(t));
         if face_normal.dot(direction) > 0.0 {
             (normal, face_normal) = (-normal, -face_normal);
         }
+        let position = Vec3::from_array(ray.origin) + direction * depth;
         Point {
             radiance: albedo * irradiance * (FRAC_1_PI * s.reflectance.diffuse_factor(-normal.dot(direction), roughness)),
+            depth,
             albedo,
             roughness,
             label,
             confidence,
-            normals: Some((normal, face_normal)),
+            gaze: Some(Gaze { position, normal, face_normal, view: -direction, key, turn: 0 }),
             ..Point::default()
         }
     }
@@ -272,7 +261,7 @@ impl HybridRenderer<'_> {
     }
 }
 
-/// A shaded primary hit; `normals` (shading, geometric) where there is specular reflection.
+/// A shaded primary hit; a gaze where there is specular reflection.
 #[derive(Clone, Copy, Default)]
 struct Point {
     /// All but the specular part.
@@ -284,7 +273,6 @@ struct Point {
     label: u16,
     emission: Vec3,
     confidence: Vec2,
-    normals: Option<(Vec3, Vec3)>,
     gaze: Option<Gaze>,
 }
 
@@ -301,8 +289,8 @@ fn shows_edge(pixel: &[Point]) -> bool {
     let first = &pixel[0];
     let depths = pixel.iter().fold([f32::INFINITY, 0.0], |d, p| [d[0].min(p.depth), f32::max(d[1], p.depth)]);
     let lights = pixel.iter().map(|p| luminance(p.radiance)).fold([f32::INFINITY, 0.0], |l, x| [l[0].min(x), f32::max(l[1], x)]);
-    let apart = |p: &Point| match (first.normals, p.normals) {
-        (Some(a), Some(b)) => a.0.dot(b.0) < SMOOTH,
+    let apart = |p: &Point| match (first.gaze, p.gaze) {
+        (Some(a), Some(b)) => a.normal.dot(b.normal) < SMOOTH,
         (None, None) => false,
         _ => true,
     };
@@ -341,7 +329,7 @@ impl Row {
             row.labels.push(label);
             row.specular.push(pixel.iter().map(|p| p.specular).sum::<Vec3>() / samples as f32);
             // only what reflects counts: a sample beside the geometry has no distance
-            let seen: Vec<(Vec3, f32)> = same.iter().filter_map(|p| p.normals.map(|n| (n.0, p.depth))).collect();
+            let seen: Vec<(Vec3, f32)> = same.iter().filter_map(|p| p.gaze.map(|g| (g.normal, p.depth))).collect();
             row.features.push(SpecularFeature {
                 normal: seen.iter().map(|s| s.0).sum::<Vec3>().normalize_or_zero(),
                 depth: seen.iter().map(|s| s.1).sum::<f32>() / seen.len().max(1) as f32,
@@ -365,14 +353,15 @@ mod tests {
 
     #[test]
     fn edges_are_what_shows_two_surfaces_or_uneven_light() {
-        let wall = Point { label: 1, depth: 2.0, radiance: Vec3::ONE, normals: Some((Vec3::Z, Vec3::Z)), ..Point::default() };
+        let gaze = |n: Vec3| Some(Gaze { position: Vec3::ZERO, normal: n, face_normal: n, view: n, key: 0, turn: 0 });
+        let wall = Point { label: 1, depth: 2.0, radiance: Vec3::ONE, gaze: gaze(Vec3::Z), ..Point::default() };
         let sky = Point { depth: f32::INFINITY, ..Point::default() };
         assert!(!shows_edge(&[wall; 4]) && !shows_edge(&[sky; 4]));
         let others = [
             Point { label: 2, ..wall },
             Point { depth: 2.2, ..wall },
             Point { radiance: Vec3::splat(0.5), ..wall },
-            Point { normals: Some((Vec3::X, Vec3::X)), ..wall },
+            Point { gaze: gaze(Vec3::X), ..wall },
             sky,
         ];
         assert!(others.iter().all(|o| shows_edge(&[wall, wall, *o, wall])));

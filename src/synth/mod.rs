@@ -181,8 +181,8 @@ pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) 
     // the cache is worth as much care as the pixels, up to what its nodes can resolve
     let effort = (options.spp as f32 / 8.0).clamp(0.2, 2.0);
     let cache = (!options.full_paths).then(|| {
-        let steps = SurfaceIrradiance::steps(&mesh);
-        progress.stage("caching irradiance", steps, |p| SurfaceIrradiance::bake(&mesh, &tracer, &renderer, effort, p))
+        let cache = SurfaceIrradiance::new(&mesh);
+        progress.stage("caching irradiance", cache.steps(), |p| cache.bake(&mesh, &tracer, &renderer, effort, p))
     });
     let pixels = views.iter().map(|v| (v.camera.width * v.camera.height) as u64).sum();
     let mut luminances = Vec::new();

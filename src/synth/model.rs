@@ -98,27 +98,31 @@ const PASSES: [u32; 3] = [24, 48, 128];
 const BURIED: f32 = 0.03;
 
 impl SurfaceIrradiance {
-    /// Bakes the cache with the renderer itself.
+    /// The nodes of a mesh, without any light yet.
     #[must_use]
-    pub fn bake(mesh: &Mesh, tracer: &dyn Tracer, renderer: &PathTracer<'_>, effort: f32, progress: &Progress) -> Self {
-        let nodes = nodes(mesh);
-        let points = receivers(mesh, &nodes);
-        let buried = buried(&points, tracer);
-        let mut out = Self { nodes, values: Vec::new() };
-        for (pass, samples) in PASSES.into_iter().enumerate() {
-            let samples = ((samples as f32 * effort) as u32).max(4);
-            let cache = (pass > 0).then_some(&out as &dyn IndirectCache);
-            let values = renderer.irradiance_with(&points, samples, 0x1337 + pass as u64, cache, progress);
-            out.values = values;
-            out.fill(&buried);
-        }
-        out
+    pub fn new(mesh: &Mesh) -> Self {
+        let (nodes, count) = nodes(mesh);
+        Self { nodes, values: vec![Vec3::ZERO; count] }
     }
 
     /// Steps that [`Self::bake`] reports.
     #[must_use]
-    pub fn steps(mesh: &Mesh) -> u64 {
-        (nodes(mesh).iter().flatten().max().map_or(0, |m| *m as usize + 1) * PASSES.len()) as u64
+    pub fn steps(&self) -> u64 {
+        (self.values.len() * PASSES.len()) as u64
+    }
+
+    /// Bakes the cache of the same `mesh` with the renderer itself.
+    #[must_use]
+    pub fn bake(mut self, mesh: &Mesh, tracer: &dyn Tracer, renderer: &PathTracer<'_>, effort: f32, progress: &Progress) -> Self {
+        let points = receivers(mesh, &self.nodes, self.values.len());
+        let buried = buried(&points, tracer);
+        for (pass, samples) in PASSES.into_iter().enumerate() {
+            let samples = ((samples as f32 * effort) as u32).max(4);
+            let cache = (pass > 0).then_some(&self as &dyn IndirectCache);
+            self.values = renderer.irradiance_with(&points, samples, 0x1337 + pass as u64, cache, progress);
+            self.fill(&buried);
+        }
+        self
     }
 
     /// Gives buried nodes the mean of their visible neighbours, ring by ring: the interpolation across the border of
@@ -145,18 +149,19 @@ impl SurfaceIrradiance {
     }
 }
 
-/// The nodes of every triangle: vertices keep their numbers, edges come behind.
-fn nodes(mesh: &Mesh) -> Vec<[u32; 6]> {
+/// The nodes of every triangle, and how many there are: vertices keep their numbers, edges come behind.
+fn nodes(mesh: &Mesh) -> (Vec<[u32; 6]>, usize) {
     let mut edges: HashMap<(u32, u32), u32> = HashMap::new();
     let mut middle = |i: u32, j: u32| {
         let next = (mesh.positions.len() + edges.len()) as u32;
         *edges.entry((i.min(j), i.max(j))).or_insert(next)
     };
-    mesh.triangles.iter().map(|&[a, b, c]| [a, b, c, middle(b, c), middle(c, a), middle(a, b)]).collect()
+    let nodes = mesh.triangles.iter().map(|&[a, b, c]| [a, b, c, middle(b, c), middle(c, a), middle(a, b)]).collect();
+    (nodes, mesh.positions.len() + edges.len())
 }
 
-/// One receiver per node, drawn a little towards the adjacent triangles so that it does not sit in a corner.
-fn receivers(mesh: &Mesh, nodes: &[[u32; 6]]) -> Vec<IrradiancePoint> {
+/// One receiver for each of `count` nodes, drawn a little towards the adjacent triangles so that it does not sit in a corner.
+fn receivers(mesh: &Mesh, nodes: &[[u32; 6]], count: usize) -> Vec<IrradiancePoint> {
     #[derive(Clone, Copy, Default)]
     struct Node {
         position: Vec3,
@@ -165,7 +170,6 @@ fn receivers(mesh: &Mesh, nodes: &[[u32; 6]]) -> Vec<IrradiancePoint> {
         face_normals: Vec3,
         triangles: f32,
     }
-    let count = nodes.iter().flatten().max().map_or(0, |m| *m as usize + 1).max(mesh.positions.len());
     let mut sums = vec![Node::default(); count];
     for (t, of_triangle) in nodes.iter().enumerate() {
         let corners = mesh.corners(t);
@@ -228,8 +232,9 @@ mod tests {
             triangles: vec![[0, 1, 2], [0, 2, 3]],
         };
         let light = |p: Vec3| Vec3::new(3.0 - p.x * p.x, 4.0 + p.x * p.y - 0.5 * p.y * p.y, 1.0);
-        let nodes = nodes(&mesh);
-        let mut values = vec![Vec3::ZERO; 9];
+        let (nodes, count) = nodes(&mesh);
+        assert_eq!(count, 9, "four vertices and five edges");
+        let mut values = vec![Vec3::ZERO; count];
         for (t, [a, b, c, bc, ca, ab]) in nodes.iter().copied().enumerate() {
             let at = [(a, 0.0, 0.0), (b, 1.0, 0.0), (c, 0.0, 1.0), (bc, 0.5, 0.5), (ca, 0.0, 0.5), (ab, 0.5, 0.0)];
             at.iter().for_each(|&(i, u, v)| values[i as usize] = light(mesh.position(t, u, v)));
