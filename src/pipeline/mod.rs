@@ -4,6 +4,7 @@ mod balance;
 mod budget;
 mod checkpoint;
 mod decisions;
+mod labels;
 mod light;
 mod options;
 mod painted;

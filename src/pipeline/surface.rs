@@ -3,11 +3,12 @@
 use super::SolveOptions;
 use super::balance::{balance_views, leave_out_clipped_sky};
 use super::decisions::{Sizes, choose_sizes};
+use super::labels::complete_labels;
 use crate::Result;
 use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer, clipped_pixels};
-use crate::geometry::{Mesh, pieces};
+use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
-use crate::lighting::{Fusion, UNSEEN};
+use crate::lighting::Fusion;
 use crate::progress::Progress;
 use crate::scene::{Scene, Split};
 use crate::texture::Texels;
@@ -93,7 +94,7 @@ impl<'a> Surface<'a> {
         if let Some(budget) = &options.budget {
             budget.fused(begin.elapsed().as_secs_f64());
         }
-        let labels = complete_labels(scene, &texels, &fusion);
+        let labels = complete_labels(&scene.mesh, &texels, &fusion);
         let back = back_radiance(scene, &views, &orientation);
         let (lo, hi) = scene.mesh.bounds();
         // a tenth of a millimetre in a ten-metre room, well above the rounding of positions
@@ -193,104 +194,6 @@ fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) ->
         (1..factor * factor).fold(image[(x, y)], |sum, k| join(sum, image[(x + k % factor, y + k / factor)]))
     };
     Plane { width, height, data: (0..width * height).map(block).collect() }
-}
-
-/// Texels seen clean keep their vote. A pixel at an edge may carry the label of the surface next to it, so texels seen there take what
-/// the clean texels of their triangle agree on; if it has none, those of its piece of the mesh, or else all texels of the triangle. Those
-/// that nobody sees take the label of the nearest triangle.
-/// At an edge no label says nothing: it is the sky's beside a window bar.
-fn complete_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> {
-    /// Share of the clean texels of a triangle or piece that must agree: large ones may carry several classes.
-    const AGREEMENT: f32 = 0.9;
-    /// Clean texels from which a piece of the mesh is known.
-    const ENOUGH: u32 = 3;
-    let triangles = scene.mesh.triangles.len();
-    let (mut clean, mut all): (Vec<Ballot>, Vec<Ballot>) = (vec![Vec::new(); triangles], vec![Vec::new(); triangles]);
-    let voted = |i: usize| fusion.label[i] != UNSEEN && (fusion.label[i] != 0 || fusion.clean[i]);
-    for i in (0..texels.len()).filter(|&i| voted(i)) {
-        let t = texels.point[i].triangle as usize;
-        cast(&mut all[t], fusion.label[i], 1);
-        if fusion.clean[i] {
-            cast(&mut clean[t], fusion.label[i], 1);
-        }
-    }
-    let pieces = pieces(&scene.mesh);
-    let mut of_piece: Vec<Ballot> = vec![Vec::new(); pieces.iter().max().map_or(0, |m| *m as usize + 1)];
-    for (ballot, piece) in clean.iter().zip(&pieces) {
-        ballot.iter().for_each(|v| cast(&mut of_piece[*piece as usize], v.0, v.1));
-    }
-    let of_piece: Vec<Option<(u32, f32)>> =
-        of_piece.iter().map(|b| winner(b).filter(|w| w.1 >= AGREEMENT && b.iter().map(|v| v.1).sum::<u32>() >= ENOUGH)).collect();
-    let mut of_triangle: Vec<u32> = (0..triangles)
-        .map(|t| winner(&clean[t]).or(of_piece[pieces[t] as usize]).or(winner(&all[t])).map_or(UNSEEN, |w| w.0))
-        .collect();
-    let agreed = |t: usize| winner(&clean[t]).is_none_or(|w| w.1 >= AGREEMENT);
-    spread_over_neighbours(scene, &mut of_triangle);
-    // every other vote came from a 16-bit label
-    let known = |l: u32| u16::try_from(l).unwrap_or(0);
-    (0..texels.len())
-        .map(|i| {
-            let (t, own) = (texels.point[i].triangle as usize, fusion.label[i]);
-            let keep = voted(i) && (fusion.clean[i] || !agreed(t));
-            known(if keep { own } else { of_triangle[t] })
-        })
-        .collect()
-}
-
-/// Labels with their numbers of votes.
-type Ballot = Vec<(u32, u32)>;
-
-fn cast(ballot: &mut Ballot, label: u32, votes: u32) {
-    match ballot.iter_mut().find(|v| v.0 == label) {
-        Some(v) => v.1 += votes,
-        None => ballot.push((label, votes)),
-    }
-}
-
-/// The label with the most votes, the earliest of equals, and its share.
-fn winner(ballot: &Ballot) -> Option<(u32, f32)> {
-    let total: u32 = ballot.iter().map(|v| v.1).sum();
-    let best = ballot.iter().copied().reduce(|best, v| if v.1 > best.1 { v } else { best })?;
-    Some((best.0, best.1 as f32 / total as f32))
-}
-
-fn spread_over_neighbours(scene: &Scene, labels: &mut [u32]) {
-    let mesh = &scene.mesh;
-    let mut vertex_of = std::collections::HashMap::new();
-    let welded: Vec<u32> = mesh
-        .positions
-        .iter()
-        .map(|p| {
-            let next = vertex_of.len() as u32;
-            *vertex_of.entry(p.to_array().map(f32::to_bits)).or_insert(next)
-        })
-        .collect();
-    let mut at_vertex = vec![UNSEEN; vertex_of.len()];
-    for _ in 0..64 {
-        let mut changed = false;
-        for (t, corners) in mesh.triangles.iter().enumerate() {
-            if labels[t] != UNSEEN {
-                for &c in corners {
-                    let v = &mut at_vertex[welded[c as usize] as usize];
-                    if *v == UNSEEN {
-                        *v = labels[t];
-                        changed = true;
-                    }
-                }
-            }
-        }
-        for (t, corners) in mesh.triangles.iter().enumerate() {
-            if labels[t] == UNSEEN
-                && let Some(l) = corners.iter().map(|&c| at_vertex[welded[c as usize] as usize]).find(|l| *l != UNSEEN)
-            {
-                labels[t] = l;
-                changed = true;
-            }
-        }
-        if !changed {
-            break;
-        }
-    }
 }
 
 /// Mean radiance per triangle of pixels that see it from the side away from its orientation.

@@ -3,6 +3,7 @@
 //! path tracer.
 
 use super::denoise::{SpecularFeature, filter_specular};
+use super::edges::pixels_at_edges;
 use crate::gbuffer::pixel_rays;
 use crate::geometry::Camera;
 use crate::image::{Plane, RgbPlane, Wrap};
@@ -54,7 +55,7 @@ pub trait ViewRenderer {
 /// Samples of the hybrid renderer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HybridOptions {
-    /// Primary rays per pixel along each axis; twice as many where a pixel shows an edge.
+    /// Primary rays per pixel along each axis; three times as many at edges if there are two or more.
     pub supersampling: u32,
     /// Specular rays per primary ray.
     pub specular_rays: u32,
@@ -124,12 +125,13 @@ impl<'a> HybridRenderer<'a> {
         Ok(Self { solution, tracer, field, emitters, offset: (hi - lo).length() * 1e-5, options })
     }
 
-    fn render_row(&self, camera: &Camera, classes: Option<&Plane<u16>>, y: usize) -> Row {
+    fn render_row(&self, camera: &Camera, classes: Option<&Plane<u16>>, at_edges: Option<&Plane<bool>>, y: usize) -> Row {
         let n = self.options.supersampling.max(1) as usize;
         let columns: Vec<usize> = (0..camera.width).collect();
         let points = self.points(camera, y, &columns, n);
         let pixel = |x: usize| &points[x * n * n..(x + 1) * n * n];
-        let (edges, smooth): (Vec<usize>, Vec<usize>) = columns.iter().partition(|&&x| shows_edge(pixel(x)));
+        let (edges, smooth): (Vec<usize>, Vec<usize>) =
+            columns.iter().partition(|&&x| at_edges.is_some_and(|e| e[(x, y)]) || shows_edge(pixel(x)));
         let mut even: Vec<Point> = smooth.iter().flat_map(|&x| pixel(x).iter().copied()).collect();
         let mut fine = self.points(camera, y, &edges, n * EDGE_FACTOR);
         let rays = [self.options.specular_rays, self.options.emitter_samples];
@@ -230,7 +232,9 @@ impl ViewRenderer for HybridRenderer<'_> {
 impl HybridRenderer<'_> {
     fn render_rows(&self, camera: &Camera, classes: Option<&Plane<u16>>) -> RenderedView {
         let (w, h) = (camera.width, camera.height);
-        let rows: Vec<Row> = (0..h).into_par_iter().map(|y| self.render_row(camera, classes, y)).collect();
+        let at_edges = (self.options.supersampling > 1)
+            .then(|| pixels_at_edges(camera, &self.tracer, &self.solution.mesh, &self.solution.labels));
+        let rows: Vec<Row> = (0..h).into_par_iter().map(|y| self.render_row(camera, classes, at_edges.as_ref(), y)).collect();
         let mut out = RenderedView {
             radiance: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
             albedo: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
@@ -277,7 +281,7 @@ struct Point {
 }
 
 /// Samples of a pixel at an edge, along each axis, for every one of a pixel within a surface.
-const EDGE_FACTOR: usize = 2;
+const EDGE_FACTOR: usize = 3;
 /// Normals whose cosine is lower belong to two surfaces, and so do depths further apart than this share of the nearer one.
 const SMOOTH: f32 = 0.9;
 const DEPTH_STEP: f32 = 0.05;

@@ -6,6 +6,7 @@
 
 mod cameras;
 pub mod denoise;
+mod edges;
 mod hybrid;
 mod ies;
 mod lamps;
