@@ -29,7 +29,7 @@ use std::time::Instant;
 const ROUGHNESS_PRIOR: f32 = 0.8;
 
 /// Points per class that tell whether its highlights can be observed.
-const PILOT: usize = 600;
+const PILOT: usize = 1500;
 
 /// A reconstruction and what is known about it.
 pub struct Solved {
