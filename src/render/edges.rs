@@ -29,7 +29,7 @@ pub(super) fn pixels_at_edges(camera: &Camera, tracer: &dyn Tracer, mesh: &Mesh,
         let (x, y) = (2 * (i % w), 2 * (i / w));
         [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)].iter().any(|at| !clean[*at])
     };
-    Plane { width: w, height: h, data: (0..w * h).map(at_edge).collect() }
+    Plane { width: w, height: h, data: (0..w * h).into_par_iter().map(at_edge).collect() }
 }
 
 #[cfg(test)]
