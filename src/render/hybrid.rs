@@ -131,7 +131,7 @@ impl<'a> HybridRenderer<'a> {
         let points = self.points(camera, y, &columns, n);
         let pixel = |x: usize| &points[x * n * n..(x + 1) * n * n];
         let (edges, smooth): (Vec<usize>, Vec<usize>) =
-            columns.iter().partition(|&&x| known.at_edges.as_ref().is_some_and(|e| e[(x, y)]) || !is_even(pixel(x)));
+            columns.iter().partition(|&&x| known.at_edges.as_ref().is_some_and(|e| e[(x, y)]) || shows_edge(pixel(x)));
         let mut even: Vec<Point> = smooth.iter().flat_map(|&x| pixel(x).iter().copied()).collect();
         let mut fine = self.points(camera, y, &edges, n * EDGE_FACTOR);
         let rays = [self.options.specular_rays, self.options.emitter_samples];
@@ -291,17 +291,26 @@ struct Known<'a> {
 
 /// Samples of a pixel at an edge, along each axis, for every one of a pixel within a surface.
 const EDGE_FACTOR: usize = 3;
-/// Normals whose cosine is lower bend within the pixel.
+/// Normals whose cosine is lower belong to two surfaces, and so do depths further apart than this share of the nearer one.
 const SMOOTH: f32 = 0.9;
+const DEPTH_STEP: f32 = 0.05;
 /// Ratio of the darkest to the brightest sample below which a pixel's mean hangs on where the samples lie.
 const EVEN: f32 = 0.7;
 
-/// Whether the samples of one pixel, which lie on one surface, show it flat and in even light.
-fn is_even(pixel: &[Point]) -> bool {
+/// Whether samples of one pixel show more than one even, smooth surface. Beyond two samples along each axis they find what the four of
+/// [`pixels_at_edges`] miss.
+fn shows_edge(pixel: &[Point]) -> bool {
+    let first = &pixel[0];
+    let depths = pixel.iter().fold([f32::INFINITY, 0.0], |d, p| [d[0].min(p.depth), f32::max(d[1], p.depth)]);
     let lights = pixel.iter().map(|p| luminance(p.radiance)).fold([f32::INFINITY, 0.0], |l, x| [l[0].min(x), f32::max(l[1], x)]);
-    let mut normals = pixel.iter().filter_map(|p| p.gaze.map(|g| g.normal));
-    let flat = normals.next().is_none_or(|first| normals.all(|n| first.dot(n) >= SMOOTH));
-    flat && lights[0] >= EVEN * lights[1]
+    let apart = |p: &Point| match (first.gaze, p.gaze) {
+        (Some(a), Some(b)) => a.normal.dot(b.normal) < SMOOTH,
+        (None, None) => false,
+        _ => true,
+    };
+    depths[1] > depths[0] * (1.0 + DEPTH_STEP)
+        || lights[0] < EVEN * lights[1]
+        || pixel.iter().any(|p| p.label != first.label || apart(p))
 }
 
 #[derive(Default)]
@@ -357,15 +366,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pixel_is_even_if_its_surface_is_flat_and_evenly_lit() {
+    fn edges_are_what_shows_two_surfaces_or_uneven_light() {
         let gaze = |n: Vec3| Some(Gaze { position: Vec3::ZERO, normal: n, face_normal: n, view: n, key: 0, turn: 0 });
-        let wall = Point { radiance: Vec3::ONE, gaze: gaze(Vec3::Z), ..Point::default() };
-        let lamp = Point { radiance: Vec3::splat(0.8), ..Point::default() };
-        assert!(is_even(&[wall; 4]) && is_even(&[lamp; 4]) && is_even(&[Point::default(); 4]));
-        assert!(is_even(&[wall, lamp, wall, wall]), "as bright as a wall, and without a normal");
-        for other in [Point { radiance: Vec3::splat(0.5), ..wall }, Point { gaze: gaze(Vec3::X), ..wall }, Point::default()] {
-            assert!(!is_even(&[wall, wall, other, wall]) && !is_even(&[other, wall, wall, wall]), "{:?}", other.radiance);
-        }
+        let wall = Point { label: 1, depth: 2.0, radiance: Vec3::ONE, gaze: gaze(Vec3::Z), ..Point::default() };
+        let sky = Point { depth: f32::INFINITY, ..Point::default() };
+        assert!(!shows_edge(&[wall; 4]) && !shows_edge(&[sky; 4]));
+        let others = [
+            Point { label: 2, ..wall },
+            Point { depth: 2.2, ..wall },
+            Point { radiance: Vec3::splat(0.5), ..wall },
+            Point { gaze: gaze(Vec3::X), ..wall },
+            sky,
+        ];
+        assert!(others.iter().all(|o| shows_edge(&[wall, wall, *o, wall])));
     }
 
     #[test]
