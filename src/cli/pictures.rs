@@ -9,7 +9,7 @@ use crate::geometry::Camera;
 use crate::image::RgbPlane;
 use crate::progress::Progress;
 use crate::render::{
-    Adaptive, Exposure, FrameOptions, HybridOptions, HybridRenderer, LampChange, LampGroup, Lighting, NamedCamera,
+    Adaptive, Exposure, FrameOptions, HybridOptions, HybridRenderer, LampChange, LampGroup, Lighting, NamedCamera, Noise,
     PathTracerOptions, Renderer, Stage, TraceSettings, ViewRenderer, World, cameras_of_scene, daylight, lamp_groups,
     mean_luminance, read_cameras, viewpoints,
 };
@@ -121,7 +121,7 @@ pub fn render(out: &Path, places: &Places, context: &Context) -> Result<()> {
                 flat: options.flat,
                 ..PathTracerOptions::default()
             };
-            let goal = Adaptive { first: options.samples, most: options.samples, error: 0.0 };
+            let goal = Adaptive { first: options.samples, most: options.samples, error: 0.0, noise: Noise::Reflected };
             let settings = TraceSettings { tracer, goal, denoise: !options.no_denoise };
             clock = Instant::now();
             stage.render(
@@ -247,7 +247,7 @@ pub fn relight(
     let mut writer = FrameWriter::new(&folder, options.frames.exposure, !options.frames.no_exr)?;
     let settings = TraceSettings {
         tracer: PathTracerOptions { seed: context.seed(), ..PathTracerOptions::default() },
-        goal: Adaptive { first: options.samples, most: options.max_samples, error: options.error },
+        goal: Adaptive { first: options.samples, most: options.max_samples, error: options.error, noise: Noise::Reflected },
         denoise: !options.no_denoise,
     };
     let mut seconds = Vec::new();
@@ -325,7 +325,7 @@ fn compare_relit(
         let stage = Stage::new(&mut world)?;
         let settings = TraceSettings {
             tracer: PathTracerOptions { seed: context.seed() + k as u64, ..PathTracerOptions::default() },
-            goal: Adaptive { first: options.samples, most: options.max_samples, error: options.error },
+            goal: Adaptive { first: options.samples, most: options.max_samples, error: options.error, noise: Noise::Reflected },
             denoise: !options.no_denoise,
         };
         let shift = (solutions[0].origin - solution.origin).as_vec3();

@@ -2,7 +2,8 @@
 //! luminance weight of SVGF (Schied et al. 2017).
 //!
 //! The diffuse part is divided by the pixel's albedo first and multiplied afterwards, so that textures stay as sharp as they
-//! were; the specular part is filtered among pixels of like class and roughness; emission is not touched. Weights fall with the
+//! were; the specular part is filtered among pixels of like class and roughness, or kept where it has structure
+//! ([`Highlights`]); emission is not touched. Weights fall with the
 //! distance from the pixel's tangent plane, with the angle of the normals, and with differences of luminance
 //! beyond what the noise explains. The result is biased, by less than the noise it removes.
 
@@ -25,6 +26,20 @@ const OUTLIER_SIGMAS: f32 = 2.0;
 const ALBEDO_FLOOR: f32 = 0.02;
 /// Width of the roughness weight of the specular part.
 const ROUGHNESS_WIDTH: f32 = 0.04;
+
+/// What becomes of the specular part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Highlights {
+    /// It is filtered like the diffuse part: a smooth picture from few samples, small highlights flattened.
+    Filtered,
+    /// It is filtered by as much as its roughness blurs it anyway: what is left of its noise must be sampled away. For pictures
+    /// that materials are measured from.
+    Kept,
+}
+
+/// Roughness up to which kept highlights stay as traced, and from which on they are filtered fully.
+const KEPT_SHARP: f32 = 0.15;
+const KEPT_ROUGH: f32 = 0.6;
 
 /// What decides whether two pixels show the same surface.
 #[derive(Clone, Copy)]
@@ -60,9 +75,9 @@ impl Grid {
     }
 }
 
-/// The filtered image: emission + albedo · filtered diffuse + filtered specular.
+/// The filtered image: emission + albedo · filtered diffuse + specular, filtered as `highlights` says.
 #[must_use]
-pub fn denoise(frame: &Frame, camera: &Camera) -> RgbPlane {
+pub fn denoise(frame: &Frame, camera: &Camera, highlights: Highlights) -> RgbPlane {
     let (w, h) = (frame.emission.width, frame.emission.height);
     let grid = Grid { width: w, height: h, wraps: matches!(camera.projection, Projection::Equirectangular) };
     let guides: Vec<Guide> = (0..w * h).map(|i| guide(frame, camera, i, w)).collect();
@@ -71,12 +86,17 @@ pub fn denoise(frame: &Frame, camera: &Camera) -> RgbPlane {
         let scale = luminance(albedo[i]).recip();
         Signal { value: frame.diffuse.data[i] / albedo[i], variance: frame.variance.data[i][0] * scale * scale }
     });
-    let diffuse = filter(&grid, &guides, diffuse.collect(), false);
+    let diffuse = filter(&grid, &guides, diffuse.collect(), false, LEVELS);
     let specular = (0..w * h).map(|i| Signal { value: frame.specular.data[i], variance: frame.variance.data[i][1] });
-    let specular = filter(&grid, &guides, specular.collect(), true);
+    let levels = if highlights == Highlights::Kept { SPECULAR_LEVELS } else { LEVELS };
+    let specular = filter(&grid, &guides, specular.collect(), true, levels);
+    let share = |i: usize| match highlights {
+        Highlights::Filtered => 1.0,
+        Highlights::Kept => ramp(guides[i].roughness, KEPT_SHARP, KEPT_ROUGH),
+    };
     let mut out = frame.emission.clone();
     for (i, p) in out.data.iter_mut().enumerate() {
-        *p += diffuse[i].value * albedo[i] + specular[i].value;
+        *p += diffuse[i].value * albedo[i] + frame.specular.data[i].lerp(specular[i].value, share(i));
     }
     out
 }
@@ -142,8 +162,7 @@ pub fn filter_specular(specular: &mut RgbPlane, features: &[SpecularFeature], ca
         })
         .collect();
     let share = |i: usize| {
-        let t = ((guides[i].roughness - SHARP) / (ROUGH - SHARP)).clamp(0.0, 1.0);
-        if guides[i].normal == Vec3::ZERO { 0.0 } else { t }
+        if guides[i].normal == Vec3::ZERO { 0.0 } else { ramp(guides[i].roughness, SHARP, ROUGH) }
     };
     let parts = map_chunks(w * h, 4096, |range| {
         range
@@ -163,7 +182,7 @@ pub fn filter_specular(specular: &mut RgbPlane, features: &[SpecularFeature], ca
 /// Roughness up to which reflections are left as traced, and from which on they are filtered fully.
 const SHARP: f32 = 0.15;
 const ROUGH: f32 = 0.35;
-/// Wavelet levels of [`filter_specular`].
+/// Wavelet levels of [`filter_specular`] and of [`Highlights::Kept`].
 const SPECULAR_LEVELS: u32 = 3;
 /// How far a pixel may exceed the mean of its neighbours (their two brightest left out) before it counts as a stray.
 const STRAY: f32 = 2.5;
@@ -199,9 +218,14 @@ fn local_signal(grid: &Grid, guides: &[Guide], specular: &RgbPlane, i: usize) ->
     Signal { value, variance }
 }
 
-fn filter(grid: &Grid, guides: &[Guide], signal: Vec<Signal>, specular: bool) -> Vec<Signal> {
+/// 0 up to `low`, 1 from `high` on, linear between.
+fn ramp(x: f32, low: f32, high: f32) -> f32 {
+    ((x - low) / (high - low)).clamp(0.0, 1.0)
+}
+
+fn filter(grid: &Grid, guides: &[Guide], signal: Vec<Signal>, specular: bool, levels: u32) -> Vec<Signal> {
     let signal = smooth_variance(grid, guides, &tame_outliers(grid, guides, &signal, specular), specular);
-    wavelets(grid, guides, signal, specular, LEVELS)
+    wavelets(grid, guides, signal, specular, levels)
 }
 
 fn wavelets(grid: &Grid, guides: &[Guide], mut signal: Vec<Signal>, specular: bool, levels: u32) -> Vec<Signal> {
@@ -440,14 +464,38 @@ mod tests {
     fn removes_noise_and_keeps_texture_and_shadow_edges() {
         let (frame, camera, truth) = noisy_frame(0.1);
         let before = rmse(&frame.radiance(), &truth);
-        let after = rmse(&denoise(&frame, &camera), &truth);
+        let after = rmse(&denoise(&frame, &camera, Highlights::Filtered), &truth);
         assert!(after < 0.25 * before, "from {before} to {after}");
     }
 
     #[test]
     fn a_frame_without_noise_stays_as_it_is() {
         let (frame, camera, truth) = noisy_frame(0.0);
-        let error = rmse(&denoise(&frame, &camera), &truth);
+        let error = rmse(&denoise(&frame, &camera, Highlights::Filtered), &truth);
         assert!(error < 1e-4, "{error}");
+    }
+
+    #[test]
+    fn highlights_of_glossy_surfaces_are_kept() {
+        let (mut frame, camera, diffuse) = noisy_frame(0.0);
+        let highlight = |i: usize| {
+            let (x, y) = ((i % 96) as f32, (i / 96) as f32);
+            Vec3::splat(2.0 * (-((x - 20.0).powi(2) + (y - 20.0).powi(2)) / 4.5).exp())
+        };
+        let mut rng = KeyedRng::new(3, 4);
+        for i in 0..frame.specular.data.len() {
+            let sigma = 0.15 * highlight(i).x;
+            frame.specular.data[i] = highlight(i) + Vec3::splat(sigma * (rng.next_f32() - 0.5) * 12f32.sqrt());
+            frame.variance.data[i][1] = sigma * sigma;
+        }
+        frame.class_roughness = Plane::filled(96, 64, 0.2);
+        let mut truth = diffuse;
+        truth.data.iter_mut().enumerate().for_each(|(i, t)| *t += highlight(i));
+        let (traced, kept, filtered) = (
+            rmse(&frame.radiance(), &truth),
+            rmse(&denoise(&frame, &camera, Highlights::Kept), &truth),
+            rmse(&denoise(&frame, &camera, Highlights::Filtered), &truth),
+        );
+        assert!(kept < 1.05 * traced && kept < 0.5 * filtered, "traced {traced}, kept {kept}, filtered {filtered}");
     }
 }

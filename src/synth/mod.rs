@@ -2,8 +2,9 @@
 //!
 //! Rooms in a row with doorways, windows, furniture and lamps; every surface has a known albedo and roughness texture under
 //! the paper's reflection model, so that a reconstruction is limited by evidence and noise and not by the model. Panoramas are
-//! rendered by [`crate::render::PathTracer`] and denoised in their diffuse and specular parts apart. The same seed gives the
-//! same bits for any number of threads.
+//! rendered by [`crate::render::PathTracer`], with more samples where highlights need them, and denoised in their diffuse part;
+//! reflections are touched only where the surface's roughness blurs them anyway, since roughness is measured from them. The same
+//! seed gives the same bits for any number of threads.
 
 mod apartment;
 mod atlas;
@@ -21,8 +22,11 @@ pub use model::{Sky, SurfaceIrradiance, Textured};
 pub use truth::true_solution;
 
 use crate::error::{Error, Result};
+use crate::geometry::Camera;
+use crate::image::RgbPlane;
 use crate::progress::Progress;
-use crate::render::{PathTracer, PathTracerOptions, denoise};
+use crate::render::denoise::{Highlights, denoise};
+use crate::render::{Adaptive, Frame, IndirectCache, Noise, PathTracer, PathTracerOptions};
 use crate::trace::EmbreeTracer;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -48,7 +52,7 @@ pub struct SynthOptions {
     /// Width of a panorama in pixels; its height is half of it.
     #[arg(long, value_name = "PIXELS", default_value_t = Self::default().width, help_heading = "Synthetic scene")]
     pub width: usize,
-    /// Light paths per pixel before denoising.
+    /// Light paths per pixel before denoising; up to 8 times as many where highlights are noisy.
     #[arg(long, value_name = "N", default_value_t = Self::default().spp, help_heading = "Synthetic scene")]
     pub spp: u32,
     /// Side of the ground-truth textures in texels.
@@ -154,6 +158,32 @@ fn sky(apartment: &apartment::Apartment) -> Sky {
     }
 }
 
+/// Largest factor on `--spp` where highlights are noisy.
+const MOST: u32 = 8;
+/// Standard error of the specular part, relative to the brightness around, at which a block of pixels has samples enough.
+const HIGHLIGHT_NOISE: f32 = 0.03;
+
+/// What the path tracer knows of a view, and the picture made of it.
+fn photograph(
+    renderer: &PathTracer<'_>,
+    camera: &Camera,
+    key: u64,
+    cache: Option<&dyn IndirectCache>,
+    options: &SynthOptions,
+    progress: &Progress,
+) -> Result<(Frame, RgbPlane)> {
+    if options.no_denoise {
+        let frame = renderer.render_with(camera, key, cache, progress);
+        let image = frame.radiance();
+        return Ok((frame, image));
+    }
+    let goal =
+        Adaptive { first: options.spp, most: options.spp.saturating_mul(MOST), error: HIGHLIGHT_NOISE, noise: Noise::Specular };
+    let frame = renderer.render_adaptive(camera, key, &goal, cache, progress, |_, _| Ok(()))?;
+    let image = denoise(&frame, camera, Highlights::Kept);
+    Ok((frame, image))
+}
+
 /// Makes an apartment and writes its scene folder (design §1.1), whole or not at all.
 pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) -> Result<SynthSummary> {
     options.validate()?;
@@ -189,9 +219,8 @@ pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) 
     let mut seen = std::collections::BTreeSet::new();
     progress.stage("rendering panoramas", pixels, |p| -> Result<()> {
         for (i, view) in views.iter().enumerate() {
-            let indirect = cache.as_ref().map(|c| c as &dyn crate::render::IndirectCache);
-            let frame = renderer.render_with(&view.camera, i as u64, indirect, p);
-            let image = if options.no_denoise { frame.radiance() } else { denoise::denoise(&frame, &view.camera) };
+            let indirect = cache.as_ref().map(|c| c as &dyn IndirectCache);
+            let (frame, image) = photograph(&renderer, &view.camera, i as u64, indirect, options, p)?;
             luminances.extend(image.data.iter().step_by(61).map(|&c| crate::math::luminance(c)));
             seen.extend(frame.label.data.iter().copied().filter(|&l| l != 0));
             writer.view(&view.stem, &frame, &image)?;

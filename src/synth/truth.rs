@@ -68,7 +68,7 @@ mod tests {
     use super::*;
     use crate::geometry::{Camera, Projection};
     use crate::progress::Progress;
-    use crate::render::Adaptive;
+    use crate::render::{Adaptive, Noise};
     use crate::render::{PathTracer, PathTracerOptions, Stage, TraceSettings, World, lamp_groups};
     use crate::trace::EmbreeTracer;
 
@@ -91,7 +91,7 @@ mod tests {
         let mut world = World::new(&truth);
         assert!(!lamp_groups(&world, truth.origin).is_empty());
         let stage = Stage::new(&mut world).expect("embree");
-        let goal = Adaptive { first: 64, most: 64, error: 0.0 };
+        let goal = Adaptive { first: 64, most: 64, error: 0.0, noise: Noise::Reflected };
         let mut image = None;
         stage
             .render(

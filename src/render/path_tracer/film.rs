@@ -1,6 +1,7 @@
 //! From samples to pixels: sums with their variance and first-hit features, and which pixels need more samples.
 
 use super::transport::{Feature, Sums};
+use super::{Adaptive, Noise};
 use crate::brdf::Material;
 use crate::image::{Plane, RgbPlane};
 use crate::math::luminance;
@@ -77,8 +78,8 @@ pub(super) fn assemble(w: usize, h: usize, pixels: &[PixelResult]) -> Frame {
     }
 }
 
-/// The pixels of `among` whose block has a relative standard error above the target.
-pub(super) fn noisy_pixels(frame: &Frame, among: &[usize], target: f32) -> Vec<usize> {
+/// The pixels of `among` whose block has a relative standard error above the goal.
+pub(super) fn noisy_pixels(frame: &Frame, among: &[usize], goal: &Adaptive) -> Vec<usize> {
     let (w, h) = (frame.emission.width, frame.emission.height);
     let columns = w.div_ceil(BLOCK);
     let mut blocks = vec![(0.0f64, 0.0f64, 0u32); columns * h.div_ceil(BLOCK)];
@@ -86,14 +87,19 @@ pub(super) fn noisy_pixels(frame: &Frame, among: &[usize], target: f32) -> Vec<u
     let mut mean = 0.0;
     for p in 0..w * h {
         let reflected = luminance(frame.diffuse.data[p] + frame.specular.data[p]);
+        let [diffuse, specular] = frame.variance.data[p];
+        let variance = match goal.noise {
+            Noise::Reflected => diffuse + specular,
+            Noise::Specular => specular,
+        };
         let b = &mut blocks[block_of(p)];
-        *b = (b.0 + f64::from(reflected), b.1 + f64::from(frame.variance.data[p][0] + frame.variance.data[p][1]), b.2 + 1);
+        *b = (b.0 + f64::from(reflected), b.1 + f64::from(variance), b.2 + 1);
         mean += f64::from(reflected) / (w * h) as f64;
     }
     // what is much darker than the picture as a whole need not be as exact as itself asks
     let noisy = |b: &(f64, f64, u32)| {
         let n = f64::from(b.2.max(1));
-        (b.1 / n).sqrt() > f64::from(target) * (b.0 / n + 0.1 * mean)
+        (b.1 / n).sqrt() > f64::from(goal.error) * (b.0 / n + 0.1 * mean)
     };
     let noisy: Vec<bool> = blocks.iter().map(noisy).collect();
     among.iter().copied().filter(|&p| noisy[block_of(p)]).collect()

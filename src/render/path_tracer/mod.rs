@@ -66,6 +66,17 @@ pub struct Adaptive {
     pub most: u32,
     /// Standard error, relative to the local brightness, at which a block of pixels is done.
     pub error: f32,
+    /// Of what.
+    pub noise: Noise,
+}
+
+/// The part of the light whose standard error [`Adaptive`] watches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Noise {
+    /// All that surfaces reflect.
+    Reflected,
+    /// The specular lobe's part alone.
+    Specular,
 }
 
 /// A point whose irradiance is wanted.
@@ -155,12 +166,14 @@ impl<'a> PathTracer<'a> {
     }
 
     /// Renders a camera in passes: after `first` samples everywhere, each pass doubles the samples of the blocks whose error is
-    /// still above the target. `refined` sees the image after every pass. Advances `progress` by one per pixel and pass.
+    /// still above the target. Indirect light comes from `cache` where one is given. `refined` sees the image after every pass.
+    /// The first pass advances `progress` by the number of pixels.
     pub fn render_adaptive(
         &self,
         camera: &Camera,
         key: u64,
         goal: &Adaptive,
+        cache: Option<&dyn IndirectCache>,
         progress: &Progress,
         mut refined: impl FnMut(u32, &Frame) -> crate::Result<()>,
     ) -> crate::Result<Frame> {
@@ -177,8 +190,10 @@ impl<'a> PathTracer<'a> {
                 } else {
                     pixels.iter().filter_map(|&p| states[p].clone()).collect()
                 };
-                self.sample_pixels(camera, key, None, pixels, [done, next], &mut out);
-                progress.advance(pixels.len() as u64);
+                self.sample_pixels(camera, key, cache, pixels, [done, next], &mut out);
+                if done == 0 {
+                    progress.advance(pixels.len() as u64);
+                }
                 out
             });
             for (&p, state) in pending.iter().zip(parts.into_iter().flatten()) {
@@ -188,7 +203,7 @@ impl<'a> PathTracer<'a> {
             let frame = assemble(w, h, &results);
             refined(pass, &frame)?;
             (done, next) = (next, next.saturating_mul(2).min(goal.most));
-            pending = noisy_pixels(&frame, &pending, goal.error);
+            pending = noisy_pixels(&frame, &pending, goal);
             if next <= done || pending.is_empty() {
                 return Ok(frame);
             }
