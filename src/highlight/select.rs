@@ -12,12 +12,12 @@ use crate::sampling::hash_u64;
 use crate::trace::{Hit, Ray};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// How many points are selected.
 #[derive(Clone, Debug)]
 pub struct SelectOptions {
-    /// Pixels between candidates along rows and columns.
+    /// Pixels between candidates along rows and columns; every pixel is one for classes too rare to fill their places.
     pub stride: usize,
     /// Evenly spread points per class.
     pub even: usize,
@@ -51,12 +51,20 @@ pub fn select_points(
     class: &(dyn Fn(u32, Vec3) -> Option<u16> + Sync),
     options: &SelectOptions,
 ) -> Vec<Candidate> {
-    let per_view: Vec<Vec<Candidate>> =
-        views.par_iter().enumerate().map(|(i, v)| candidates(bake, i, v, normals, class, options)).collect();
-    let mut classes: BTreeMap<u16, Vec<Candidate>> = BTreeMap::new();
-    for c in per_view.into_iter().flatten() {
-        classes.entry(c.class).or_default().push(c);
-    }
+    let by_class = |class: &(dyn Fn(u32, Vec3) -> Option<u16> + Sync), options: &SelectOptions| {
+        let per_view: Vec<Vec<Candidate>> =
+            views.par_iter().enumerate().map(|(i, v)| candidates(bake, i, v, normals, class, options)).collect();
+        let mut classes: BTreeMap<u16, Vec<Candidate>> = BTreeMap::new();
+        for c in per_view.into_iter().flatten() {
+            classes.entry(c.class).or_default().push(c);
+        }
+        classes
+    };
+    let mut classes = by_class(class, options);
+    let enough = options.even + options.highlights;
+    let common: BTreeSet<u16> = classes.iter().filter(|(_, c)| c.len() >= enough).map(|(class, _)| *class).collect();
+    let class_if_rare = |t: u32, p: Vec3| class(t, p).filter(|c| !common.contains(c));
+    classes.extend(by_class(&class_if_rare, &SelectOptions { stride: 1, ..*options }));
     let mut chosen = Vec::new();
     for (_, mut members) in classes {
         // a keyed shuffle, then evenly spread points first
