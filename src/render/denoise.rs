@@ -2,10 +2,10 @@
 //! luminance weight of SVGF (Schied et al. 2017).
 //!
 //! The diffuse part is divided by the pixel's albedo first and multiplied afterwards, so that textures stay as sharp as they
-//! were; the specular part is filtered among pixels of like class and roughness, or kept where it has structure
-//! ([`Highlights`]); emission is not touched. Weights fall with the
-//! distance from the pixel's tangent plane, with the angle of the normals, and with differences of luminance
-//! beyond what the noise explains. The result is biased, by less than the noise it removes.
+//! were; the specular part is filtered among pixels of like class and roughness; emission is not touched. Weights fall with the
+//! distance from the pixel's tangent plane, with the angle of the normals, and with differences of luminance beyond what the
+//! noise explains. The result is biased, by less than the noise it removes; how much of that is allowed depends on the
+//! [`Purpose`].
 
 use super::Frame;
 use crate::geometry::{Camera, Projection};
@@ -27,19 +27,19 @@ const ALBEDO_FLOOR: f32 = 0.02;
 /// Width of the roughness weight of the specular part.
 const ROUGHNESS_WIDTH: f32 = 0.04;
 
-/// What becomes of the specular part.
+/// What a picture is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Highlights {
-    /// It is filtered like the diffuse part: a smooth picture from few samples, small highlights flattened.
-    Filtered,
-    /// It is filtered by as much as its roughness blurs it anyway: what is left of its noise must be sampled away. For pictures
-    /// that materials are measured from.
-    Kept,
+pub enum Purpose {
+    /// To be looked at: smooth from few samples, though small highlights are flattened.
+    Viewing,
+    /// To measure materials from: reflections are filtered by as much as the surface's roughness blurs them anyway. What is left of
+    /// their noise must be sampled away.
+    Measuring,
 }
 
-/// Roughness up to which kept highlights stay as traced, and from which on they are filtered fully.
-const KEPT_SHARP: f32 = 0.15;
-const KEPT_ROUGH: f32 = 0.6;
+/// Roughness up to which reflections to measure stay as traced, and from which on they are filtered fully.
+const MEASURED_SHARP: f32 = 0.15;
+const MEASURED_ROUGH: f32 = 0.6;
 
 /// What decides whether two pixels show the same surface.
 #[derive(Clone, Copy)]
@@ -75,9 +75,9 @@ impl Grid {
     }
 }
 
-/// The filtered image: emission + albedo · filtered diffuse + specular, filtered as `highlights` says.
+/// The filtered image: emission + albedo · filtered diffuse + specular, filtered as `purpose` asks.
 #[must_use]
-pub fn denoise(frame: &Frame, camera: &Camera, highlights: Highlights) -> RgbPlane {
+pub fn denoise(frame: &Frame, camera: &Camera, purpose: Purpose) -> RgbPlane {
     let (w, h) = (frame.emission.width, frame.emission.height);
     let grid = Grid { width: w, height: h, wraps: matches!(camera.projection, Projection::Equirectangular) };
     let guides: Vec<Guide> = (0..w * h).map(|i| guide(frame, camera, i, w)).collect();
@@ -88,11 +88,11 @@ pub fn denoise(frame: &Frame, camera: &Camera, highlights: Highlights) -> RgbPla
     });
     let diffuse = filter(&grid, &guides, diffuse.collect(), false, LEVELS);
     let specular = (0..w * h).map(|i| Signal { value: frame.specular.data[i], variance: frame.variance.data[i][1] });
-    let levels = if highlights == Highlights::Kept { SPECULAR_LEVELS } else { LEVELS };
+    let levels = if purpose == Purpose::Measuring { SPECULAR_LEVELS } else { LEVELS };
     let specular = filter(&grid, &guides, specular.collect(), true, levels);
-    let share = |i: usize| match highlights {
-        Highlights::Filtered => 1.0,
-        Highlights::Kept => ramp(guides[i].roughness, KEPT_SHARP, KEPT_ROUGH),
+    let share = |i: usize| match purpose {
+        Purpose::Viewing => 1.0,
+        Purpose::Measuring => ramp(guides[i].roughness, MEASURED_SHARP, MEASURED_ROUGH),
     };
     let mut out = frame.emission.clone();
     for (i, p) in out.data.iter_mut().enumerate() {
@@ -182,7 +182,7 @@ pub fn filter_specular(specular: &mut RgbPlane, features: &[SpecularFeature], ca
 /// Roughness up to which reflections are left as traced, and from which on they are filtered fully.
 const SHARP: f32 = 0.15;
 const ROUGH: f32 = 0.35;
-/// Wavelet levels of [`filter_specular`] and of [`Highlights::Kept`].
+/// Wavelet levels of [`filter_specular`] and of reflections to measure.
 const SPECULAR_LEVELS: u32 = 3;
 /// How far a pixel may exceed the mean of its neighbours (their two brightest left out) before it counts as a stray.
 const STRAY: f32 = 2.5;
@@ -464,19 +464,19 @@ mod tests {
     fn removes_noise_and_keeps_texture_and_shadow_edges() {
         let (frame, camera, truth) = noisy_frame(0.1);
         let before = rmse(&frame.radiance(), &truth);
-        let after = rmse(&denoise(&frame, &camera, Highlights::Filtered), &truth);
+        let after = rmse(&denoise(&frame, &camera, Purpose::Viewing), &truth);
         assert!(after < 0.25 * before, "from {before} to {after}");
     }
 
     #[test]
     fn a_frame_without_noise_stays_as_it_is() {
         let (frame, camera, truth) = noisy_frame(0.0);
-        let error = rmse(&denoise(&frame, &camera, Highlights::Filtered), &truth);
+        let error = rmse(&denoise(&frame, &camera, Purpose::Viewing), &truth);
         assert!(error < 1e-4, "{error}");
     }
 
     #[test]
-    fn highlights_of_glossy_surfaces_are_kept() {
+    fn highlights_to_measure_are_kept() {
         let (mut frame, camera, diffuse) = noisy_frame(0.0);
         let highlight = |i: usize| {
             let (x, y) = ((i % 96) as f32, (i / 96) as f32);
@@ -493,8 +493,8 @@ mod tests {
         truth.data.iter_mut().enumerate().for_each(|(i, t)| *t += highlight(i));
         let (traced, kept, filtered) = (
             rmse(&frame.radiance(), &truth),
-            rmse(&denoise(&frame, &camera, Highlights::Kept), &truth),
-            rmse(&denoise(&frame, &camera, Highlights::Filtered), &truth),
+            rmse(&denoise(&frame, &camera, Purpose::Measuring), &truth),
+            rmse(&denoise(&frame, &camera, Purpose::Viewing), &truth),
         );
         assert!(kept < 1.05 * traced && kept < 0.5 * filtered, "traced {traced}, kept {kept}, filtered {filtered}");
     }

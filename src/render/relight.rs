@@ -1,6 +1,6 @@
 //! Path-traced frames of a world: the same for `render --renderer path` and `relight`.
 
-use super::denoise::{self, Highlights};
+use super::denoise::{self, Purpose};
 use super::path_tracer::Frame;
 use super::{Adaptive, FrameOptions, PathTracer, PathTracerOptions, World};
 use crate::Result;
@@ -102,13 +102,13 @@ impl<'w, 's> Stage<'w, 's> {
         let renderer = PathTracer::new(self.world.mesh(), &self.embree, self.world, self.world, settings.tracer)
             .with_points(self.world.points().to_vec());
         let finish = |frame: &Frame, camera: &Camera| {
-            if settings.denoise { denoise::denoise(frame, camera, Highlights::Filtered) } else { frame.radiance() }
+            if settings.denoise { denoise::denoise(frame, camera, Purpose::Viewing) } else { frame.radiance() }
         };
         for (i, (name, camera)) in cameras.iter().enumerate() {
             let pixels = (camera.width * camera.height) as u64;
             let frame = progress.stage(&format!("tracing {name}"), pixels, |p| {
                 renderer.render_adaptive(camera, i as u64, &settings.goal, None, p, |pass, frame| {
-                    if pass > 0 { Ok(()) } else { refined(i, &finish(frame, camera)) }
+                    if pass > 0 { Ok(()) } else { refined(i, &finish(&frame(), camera)) }
                 })
             })?;
             done(i, &finish(&frame, camera))?;

@@ -25,7 +25,7 @@ use crate::error::{Error, Result};
 use crate::geometry::Camera;
 use crate::image::RgbPlane;
 use crate::progress::Progress;
-use crate::render::denoise::{Highlights, denoise};
+use crate::render::denoise::{Purpose, denoise};
 use crate::render::{Adaptive, Frame, IndirectCache, Noise, PathTracer, PathTracerOptions};
 use crate::trace::EmbreeTracer;
 use glam::Vec3;
@@ -52,7 +52,7 @@ pub struct SynthOptions {
     /// Width of a panorama in pixels; its height is half of it.
     #[arg(long, value_name = "PIXELS", default_value_t = Self::default().width, help_heading = "Synthetic scene")]
     pub width: usize,
-    /// Light paths per pixel before denoising; up to 8 times as many where highlights are noisy.
+    /// Light paths per pixel before denoising; up to 8 times as many where reflections are noisy.
     #[arg(long, value_name = "N", default_value_t = Self::default().spp, help_heading = "Synthetic scene")]
     pub spp: u32,
     /// Side of the ground-truth textures in texels.
@@ -180,7 +180,7 @@ fn photograph(
     let goal =
         Adaptive { first: options.spp, most: options.spp.saturating_mul(MOST), error: HIGHLIGHT_NOISE, noise: Noise::Specular };
     let frame = renderer.render_adaptive(camera, key, &goal, cache, progress, |_, _| Ok(()))?;
-    let image = denoise(&frame, camera, Highlights::Kept);
+    let image = denoise(&frame, camera, Purpose::Measuring);
     Ok((frame, image))
 }
 

@@ -10,6 +10,7 @@ use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
 use crate::render::Frame;
 use glam::{Vec3, Vec4};
+use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fs;
@@ -74,17 +75,19 @@ impl FolderWriter {
 
     /// Writes a view's image, labels and ground truth.
     pub fn view(&self, stem: &str, frame: &Frame, image: &RgbPlane) -> Result<()> {
-        formats::write_rgb_half(self.path(format!("images/{stem}.exr")), image)?;
-        formats::write_png16(self.path(format!("labels/{stem}.png")), &frame.label)?;
-        formats::write_rgb_half(self.path(format!("gt/albedo/{stem}.exr")), &frame.class_albedo)?;
-        formats::write_plane_half(self.path(format!("gt/roughness/{stem}.exr")), &frame.class_roughness)?;
         // emission counts where the pixel's centre is on a lamp: a pixel that a lamp only touches has another class
         let lamp = |label: u16| CLASSES.iter().any(|c| c.0 == label && c.2);
         let emits = |(e, l): (&Vec3, &u16)| if lamp(*l) { *e } else { Vec3::ZERO };
         let emitted = frame.emission.data.iter().zip(&frame.label.data).map(emits).collect();
         let emission = Plane { width: frame.label.width, height: frame.label.height, data: emitted };
-        formats::write_rgb_half(self.path(format!("gt/emission/{stem}.exr")), &emission)?;
-        Ok(())
+        let files: [&(dyn Fn() -> Result<usize> + Sync); 5] = [
+            &|| formats::write_rgb_half(self.path(format!("images/{stem}.exr")), image),
+            &|| formats::write_png16(self.path(format!("labels/{stem}.png")), &frame.label).map(|()| 0),
+            &|| formats::write_rgb_half(self.path(format!("gt/albedo/{stem}.exr")), &frame.class_albedo),
+            &|| formats::write_plane_half(self.path(format!("gt/roughness/{stem}.exr")), &frame.class_roughness),
+            &|| formats::write_rgb_half(self.path(format!("gt/emission/{stem}.exr")), &emission),
+        ];
+        files.par_iter().try_for_each(|write| write().map(drop))
     }
 
     /// Writes everything that is not a view's.

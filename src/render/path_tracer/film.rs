@@ -6,6 +6,7 @@ use crate::brdf::Material;
 use crate::image::{Plane, RgbPlane};
 use crate::math::luminance;
 use glam::Vec3;
+use rayon::prelude::*;
 
 /// An image with what its first hits saw.
 #[derive(Clone, Debug)]
@@ -63,31 +64,33 @@ pub(super) struct PixelResult {
 
 /// The planes of an image from its pixels.
 pub(super) fn assemble(w: usize, h: usize, pixels: &[PixelResult]) -> Frame {
-    let plane = |f: fn(&PixelResult) -> Vec3| Plane { width: w, height: h, data: pixels.iter().map(f).collect() };
+    fn of<T: Send>(w: usize, h: usize, pixels: &[PixelResult], f: fn(&PixelResult) -> T) -> Plane<T> {
+        Plane { width: w, height: h, data: pixels.par_iter().map(f).collect() }
+    }
+    let plane = |f| of(w, h, pixels, f);
     Frame {
         emission: plane(|p| p.emission),
         diffuse: plane(|p| p.diffuse),
         specular: plane(|p| p.specular),
-        variance: Plane { width: w, height: h, data: pixels.iter().map(|p| p.variance).collect() },
+        variance: of(w, h, pixels, |p| p.variance),
         albedo: plane(|p| p.albedo),
         normal: plane(|p| p.normal),
-        depth: Plane { width: w, height: h, data: pixels.iter().map(|p| p.depth).collect() },
-        label: Plane { width: w, height: h, data: pixels.iter().map(|p| p.label).collect() },
+        depth: of(w, h, pixels, |p| p.depth),
+        label: of(w, h, pixels, |p| p.label),
         class_albedo: plane(|p| p.class_albedo),
-        class_roughness: Plane { width: w, height: h, data: pixels.iter().map(|p| p.class_roughness).collect() },
+        class_roughness: of(w, h, pixels, |p| p.class_roughness),
     }
 }
 
 /// The pixels of `among` whose block has a relative standard error above the goal.
-pub(super) fn noisy_pixels(frame: &Frame, among: &[usize], goal: &Adaptive) -> Vec<usize> {
-    let (w, h) = (frame.emission.width, frame.emission.height);
+pub(super) fn noisy_pixels([w, h]: [usize; 2], pixels: &[PixelResult], among: &[usize], goal: &Adaptive) -> Vec<usize> {
     let columns = w.div_ceil(BLOCK);
     let mut blocks = vec![(0.0f64, 0.0f64, 0u32); columns * h.div_ceil(BLOCK)];
     let block_of = |p: usize| (p / w / BLOCK) * columns + p % w / BLOCK;
     let mut mean = 0.0;
-    for p in 0..w * h {
-        let reflected = luminance(frame.diffuse.data[p] + frame.specular.data[p]);
-        let [diffuse, specular] = frame.variance.data[p];
+    for (p, pixel) in pixels.iter().enumerate() {
+        let reflected = luminance(pixel.diffuse + pixel.specular);
+        let [diffuse, specular] = pixel.variance;
         let variance = match goal.noise {
             Noise::Reflected => diffuse + specular,
             Noise::Specular => specular,
@@ -105,10 +108,25 @@ pub(super) fn noisy_pixels(frame: &Frame, among: &[usize], goal: &Adaptive) -> V
     among.iter().copied().filter(|&p| noisy[block_of(p)]).collect()
 }
 
+/// What a sample of both lobes counts for the specular part beside one of the specular lobe alone: about the probability with which it
+/// follows that lobe, where it is seen from the front.
+const MIXED_WORTH: f32 = 0.15;
+
+/// Variance of the mean of `n` numbers, given their sum and their squares' sum.
+fn variance_of_mean([sum, square]: [f64; 2], n: u32) -> f32 {
+    let n = f64::from(n.max(1));
+    let mean = sum / n;
+    ((square / n - mean * mean).max(0.0) / (n - 1.0).max(1.0)) as f32
+}
+
 /// Sums over a pixel's samples, in f64 where differences of squares are taken.
 #[derive(Clone)]
 pub(super) struct PixelAccumulator {
     samples: u32,
+    /// Samples of the specular lobe alone, their sum and the luminance's moments.
+    lobe_samples: u32,
+    lobe_sum: Vec3,
+    lobe_moments: [f64; 2],
     centre: Option<(u16, Material)>,
     sums: Sums,
     moments: [[f64; 2]; 2],
@@ -125,6 +143,9 @@ impl PixelAccumulator {
     pub(super) fn new(centre: Option<(u16, Material)>) -> Self {
         Self {
             samples: 0,
+            lobe_samples: 0,
+            lobe_sum: Vec3::ZERO,
+            lobe_moments: [0.0; 2],
             centre,
             sums: Sums::default(),
             moments: [[0.0; 2]; 2],
@@ -160,14 +181,26 @@ impl PixelAccumulator {
         }
     }
 
+    /// Adds a sample that followed the specular lobe alone.
+    pub(super) fn add_specular(&mut self, s: &Sums) {
+        let y = f64::from(luminance(s.specular));
+        self.lobe_samples += 1;
+        self.lobe_sum += s.specular;
+        self.lobe_moments = [self.lobe_moments[0] + y, self.lobe_moments[1] + y * y];
+    }
+
     pub(super) fn finish(&self) -> PixelResult {
         let samples = self.samples.max(1);
-        let n = f64::from(samples);
         let scale = 1.0 / samples as f32;
-        let variance = self.moments.map(|[sum, square]| {
-            let mean = sum / n;
-            ((square / n - mean * mean).max(0.0) / (n - 1.0).max(1.0)) as f32
-        });
+        let [diffuse_variance, mut specular_variance] = self.moments.map(|m| variance_of_mean(m, samples));
+        let mut specular = self.sums.specular * scale;
+        if self.lobe_samples > 0 {
+            let alone = self.lobe_samples as f32;
+            let weight = alone / (alone + MIXED_WORTH * samples as f32);
+            specular = specular.lerp(self.lobe_sum / alone, weight);
+            let lobe_variance = variance_of_mean(self.lobe_moments, self.lobe_samples);
+            specular_variance = (1.0 - weight).powi(2) * specular_variance + weight * weight * lobe_variance;
+        }
         let seen = 1.0 / self.geometry.max(1.0);
         let centre = self.centre.map_or((Vec3::ZERO, 0.0), |(_, m)| (m.albedo, m.roughness));
         let (class_albedo, class_roughness) =
@@ -175,8 +208,8 @@ impl PixelAccumulator {
         PixelResult {
             emission: self.sums.emission * scale,
             diffuse: self.sums.diffuse * scale,
-            specular: self.sums.specular * scale,
-            variance,
+            specular,
+            variance: [diffuse_variance, specular_variance],
             albedo: self.albedo * seen,
             normal: self.normal * scale,
             depth: self.depth * seen,

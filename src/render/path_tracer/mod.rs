@@ -29,8 +29,9 @@ use crate::trace::{Hit, Ray, Tracer};
 use film::{PixelAccumulator, PixelResult, assemble, noisy_pixels};
 use glam::{Vec2, Vec3};
 use lights::Lights;
+use rayon::prelude::*;
 use std::f32::consts::PI;
-use transport::{Lobes, Path, PathKey, Sums, Vertex, WAVEFRONT, Wave};
+use transport::{Following, Lobes, Path, PathKey, Sums, Vertex, WAVEFRONT, Wave};
 
 /// Settings of the path tracer.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,7 +76,7 @@ pub struct Adaptive {
 pub enum Noise {
     /// All that surfaces reflect.
     Reflected,
-    /// The specular lobe's part alone.
+    /// The specular lobe's part alone; samples after the first pass follow no other.
     Specular,
 }
 
@@ -158,7 +159,7 @@ impl<'a> PathTracer<'a> {
         let tiles = map_chunks(w * h, pixels_per_task, |range| {
             let pixels = &all[range];
             let mut out = self.begin_pixels(camera, pixels);
-            self.sample_pixels(camera, key, cache, pixels, [0, samples as u32], &mut out);
+            self.sample_pixels(camera, key, Following { first: Lobes::Both, cache }, pixels, [0, samples as u32], &mut out);
             progress.advance(pixels.len() as u64);
             out.iter().map(PixelAccumulator::finish).collect::<Vec<_>>()
         });
@@ -166,7 +167,8 @@ impl<'a> PathTracer<'a> {
     }
 
     /// Renders a camera in passes: after `first` samples everywhere, each pass doubles the samples of the blocks whose error is
-    /// still above the target. Indirect light comes from `cache` where one is given. `refined` sees the image after every pass.
+    /// still above the target (those of the specular lobe alone, from two on, if its noise is watched). Indirect light comes from
+    /// `cache` where one is given. `refined` may look at the image after every pass.
     /// The first pass advances `progress` by the number of pixels.
     pub fn render_adaptive(
         &self,
@@ -175,13 +177,14 @@ impl<'a> PathTracer<'a> {
         goal: &Adaptive,
         cache: Option<&dyn IndirectCache>,
         progress: &Progress,
-        mut refined: impl FnMut(u32, &Frame) -> crate::Result<()>,
+        mut refined: impl FnMut(u32, &dyn Fn() -> Frame) -> crate::Result<()>,
     ) -> crate::Result<Frame> {
         let (w, h) = (camera.width, camera.height);
         let mut pending: Vec<usize> = (0..w * h).collect();
         let mut states: Vec<Option<PixelAccumulator>> = vec![None; w * h];
         let (mut done, mut next) = (0u32, goal.first.max(2));
         for pass in 0.. {
+            let first = if pass > 0 && goal.noise == Noise::Specular { Lobes::Specular } else { Lobes::Both };
             let per_task = (WAVEFRONT / (next - done) as usize).max(1);
             let parts = map_chunks(pending.len(), per_task, |range| {
                 let pixels = &pending[range];
@@ -190,7 +193,7 @@ impl<'a> PathTracer<'a> {
                 } else {
                     pixels.iter().filter_map(|&p| states[p].clone()).collect()
                 };
-                self.sample_pixels(camera, key, cache, pixels, [done, next], &mut out);
+                self.sample_pixels(camera, key, Following { first, cache }, pixels, [done, next], &mut out);
                 if done == 0 {
                     progress.advance(pixels.len() as u64);
                 }
@@ -199,13 +202,17 @@ impl<'a> PathTracer<'a> {
             for (&p, state) in pending.iter().zip(parts.into_iter().flatten()) {
                 states[p] = Some(state);
             }
-            let results: Vec<PixelResult> = states.iter().flatten().map(PixelAccumulator::finish).collect();
-            let frame = assemble(w, h, &results);
-            refined(pass, &frame)?;
-            (done, next) = (next, next.saturating_mul(2).min(goal.most));
-            pending = noisy_pixels(&frame, &pending, goal);
+            let results: Vec<PixelResult> = states.par_iter().flatten().map(PixelAccumulator::finish).collect();
+            refined(pass, &|| assemble(w, h, &results))?;
+            let more = match goal.noise {
+                Noise::Reflected => next,
+                // a sample of the lobe alone is worth about ten that seldom follow it
+                Noise::Specular => (next - goal.first.max(2)).max(2),
+            };
+            (done, next) = (next, next.saturating_add(more).min(goal.most));
+            pending = noisy_pixels([w, h], &results, &pending, goal);
             if next <= done || pending.is_empty() {
-                return Ok(frame);
+                return Ok(assemble(w, h, &results));
             }
         }
         unreachable!("the passes end by return")
@@ -226,7 +233,7 @@ impl<'a> PathTracer<'a> {
         &self,
         camera: &Camera,
         view_key: u64,
-        cache: Option<&dyn IndirectCache>,
+        following: Following<'_>,
         pixels: &[usize],
         [begin, end]: [u32; 2],
         results: &mut [PixelAccumulator],
@@ -255,9 +262,13 @@ impl<'a> PathTracer<'a> {
             }
             let mut sums = vec![Sums::default(); keys.len()];
             let mut features = vec![None; keys.len()];
-            self.trace_wave(&mut wave, &keys, &mut sums, Some(&mut features), cache, 0);
+            self.trace_wave(&mut wave, &keys, &mut sums, Some(&mut features), following, 0);
             for (i, (s, f)) in sums.iter().zip(&features).enumerate() {
-                results[i / count as usize].add(s, f.as_ref());
+                let pixel = &mut results[i / count as usize];
+                match following.first {
+                    Lobes::Specular => pixel.add_specular(s),
+                    Lobes::Both | Lobes::Diffuse => pixel.add(s, f.as_ref()),
+                }
             }
             first_sample += count;
         }
@@ -313,7 +324,7 @@ impl<'a> PathTracer<'a> {
             self.resolve_shadows(&mut wave, &mut sums);
             std::mem::swap(&mut wave.paths, &mut wave.next_paths);
             std::mem::swap(&mut wave.rays, &mut wave.next_rays);
-            self.trace_wave(&mut wave, &keys, &mut sums, None, cache, 1);
+            self.trace_wave(&mut wave, &keys, &mut sums, None, Following { first: Lobes::Both, cache }, 1);
             progress.advance(range.len() as u64);
             let mean = |s: &[Sums]| s.iter().map(|s| s.diffuse).sum::<Vec3>() * (PI / samples as f32);
             sums.chunks(samples as usize).map(mean).collect::<Vec<Vec3>>()

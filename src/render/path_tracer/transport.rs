@@ -22,6 +22,15 @@ pub(super) enum Lobes {
     Specular,
 }
 
+/// How far paths are followed.
+#[derive(Clone, Copy)]
+pub(super) struct Following<'a> {
+    /// The lobes followed at the first hit.
+    pub(super) first: Lobes,
+    /// What later hits take their diffuse light from.
+    pub(super) cache: Option<&'a dyn IndirectCache>,
+}
+
 /// A surface interaction.
 pub(super) struct Vertex {
     pub(super) position: Vec3,
@@ -106,7 +115,7 @@ impl PathTracer<'_> {
         keys: &[PathKey],
         sums: &mut [Sums],
         mut features: Option<&mut [Option<Feature>]>,
-        cache: Option<&dyn IndirectCache>,
+        following: Following<'_>,
         first_bounce: u32,
     ) {
         for bounce in first_bounce..self.options.max_bounces.max(first_bounce + 1) {
@@ -156,7 +165,10 @@ impl PathTracer<'_> {
                 if bounce + 1 >= self.options.max_bounces {
                     continue;
                 }
-                if let Some(cache) = cache.filter(|_| bounce > 0) {
+                if bounce == 0 && vertex.lobes == Lobes::Both {
+                    vertex.lobes = following.first;
+                }
+                if let Some(cache) = following.cache.filter(|_| bounce > 0) {
                     let view_factor = self.reflectance.diffuse_factor(vertex.normal.dot(vertex.view), surface.material.roughness);
                     let light = cache.irradiance(triangle, hit.u, hit.v) * surface.material.albedo * (FRAC_1_PI * view_factor);
                     self.deposit(&mut sums[slot], &path, light, bounce);
