@@ -476,26 +476,27 @@ mod tests {
     }
 
     #[test]
-    fn highlights_to_measure_are_kept() {
+    fn reflections_to_measure_stay_as_traced_where_they_are_sharp_and_only_there() {
         let (mut frame, camera, diffuse) = noisy_frame(0.0);
-        let highlight = |i: usize| {
+        let reflection = |i: usize| {
             let (x, y) = ((i % 96) as f32, (i / 96) as f32);
-            Vec3::splat(2.0 * (-((x - 20.0).powi(2) + (y - 20.0).powi(2)) / 4.5).exp())
+            Vec3::splat(0.2 + 2.0 * (-((x - 20.0).powi(2) + (y - 20.0).powi(2)) / 800.0).exp())
         };
         let mut rng = KeyedRng::new(3, 4);
         for i in 0..frame.specular.data.len() {
-            let sigma = 0.15 * highlight(i).x;
-            frame.specular.data[i] = highlight(i) + Vec3::splat(sigma * (rng.next_f32() - 0.5) * 12f32.sqrt());
+            let sigma = 0.3 * reflection(i).x;
+            frame.specular.data[i] = reflection(i) + Vec3::splat(sigma * (rng.next_f32() - 0.5) * 12f32.sqrt());
             frame.variance.data[i][1] = sigma * sigma;
         }
-        frame.class_roughness = Plane::filled(96, 64, 0.2);
         let mut truth = diffuse;
-        truth.data.iter_mut().enumerate().for_each(|(i, t)| *t += highlight(i));
-        let (traced, kept, filtered) = (
-            rmse(&frame.radiance(), &truth),
-            rmse(&denoise(&frame, &camera, Purpose::Measuring), &truth),
-            rmse(&denoise(&frame, &camera, Purpose::Viewing), &truth),
-        );
-        assert!(kept < 1.05 * traced && kept < 0.5 * filtered, "traced {traced}, kept {kept}, filtered {filtered}");
+        truth.data.iter_mut().enumerate().for_each(|(i, t)| *t += reflection(i));
+        let traced = frame.radiance();
+        for (roughness, least, most) in [(0.1, 0.0, 1e-4), (0.8, 0.7, 1.0)] {
+            frame.class_roughness = Plane::filled(96, 64, roughness);
+            let measured = denoise(&frame, &camera, Purpose::Measuring);
+            let change = rmse(&measured, &traced) / rmse(&traced, &truth);
+            assert!((least..most).contains(&change), "roughness {roughness}: noise removed {change}");
+            assert!(roughness < 0.5 || rmse(&measured, &truth) < 0.5 * rmse(&traced, &truth));
+        }
     }
 }
