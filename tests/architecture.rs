@@ -19,7 +19,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ("export", &["scene", "evaluate", "render", "solution", "vocabulary"]),
     ("evaluate", &["render", "scene", "solution", "vocabulary"]),
     ("edit", &["scene", "lighting", "gbuffer", "render", "solution", "vocabulary"]),
-    ("synth", &["scene", "render", "solution", "vocabulary"]),
+    ("synth", &["scene", "lighting", "render", "solution", "vocabulary"]),
     ("render", &["scene", "lighting", "gbuffer", "solution", "vocabulary"]),
     ("inverse", &["scene", "lighting", "gbuffer", "highlight", "vocabulary"]),
     ("highlight", &["scene", "lighting", "gbuffer", "vocabulary"]),

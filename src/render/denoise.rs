@@ -86,7 +86,11 @@ pub fn denoise(frame: &Frame, camera: &Camera, purpose: Purpose) -> RgbPlane {
         let scale = luminance(albedo[i]).recip();
         Signal { value: frame.diffuse.data[i] / albedo[i], variance: frame.variance.data[i][0] * scale * scale }
     });
-    let diffuse = filter(&grid, &guides, diffuse.collect(), false, LEVELS);
+    let mut diffuse: Vec<Signal> = diffuse.collect();
+    // known irradiance comes without variance
+    if diffuse.iter().any(|s| s.variance > 0.0) {
+        diffuse = filter(&grid, &guides, diffuse, false, LEVELS);
+    }
     let specular = (0..w * h).map(|i| Signal { value: frame.specular.data[i], variance: frame.variance.data[i][1] });
     let levels = if purpose == Purpose::Measuring { SPECULAR_LEVELS } else { LEVELS };
     let specular = filter(&grid, &guides, specular.collect(), true, levels);

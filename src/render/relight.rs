@@ -2,7 +2,7 @@
 
 use super::denoise::{self, Purpose};
 use super::path_tracer::Frame;
-use super::{Adaptive, FrameOptions, PathTracer, PathTracerOptions, World};
+use super::{Adaptive, FrameOptions, KnownLight, PathTracer, PathTracerOptions, World};
 use crate::Result;
 use crate::geometry::Camera;
 use crate::image::RgbPlane;
@@ -107,7 +107,7 @@ impl<'w, 's> Stage<'w, 's> {
         for (i, (name, camera)) in cameras.iter().enumerate() {
             let pixels = (camera.width * camera.height) as u64;
             let frame = progress.stage(&format!("tracing {name}"), pixels, |p| {
-                renderer.render_adaptive(camera, i as u64, &settings.goal, None, p, |pass, frame| {
+                renderer.render_adaptive(camera, i as u64, &settings.goal, KnownLight::default(), p, |pass, frame| {
                     if pass > 0 { Ok(()) } else { refined(i, &finish(&frame(), camera)) }
                 })
             })?;

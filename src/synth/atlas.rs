@@ -10,6 +10,10 @@ use glam::{Vec2, Vec3};
 /// Texels between charts at 2048 texels; scales with the texture, never below 2.
 const GAP_AT_2048: f32 = 4.0;
 
+fn gap(side: usize) -> usize {
+    (GAP_AT_2048 * side as f32 / 2048.0).ceil().max(2.0) as usize
+}
+
 /// Placed charts.
 pub struct Atlas {
     /// Texels per side.
@@ -29,7 +33,7 @@ impl Atlas {
     /// Packs charts at the highest density that fits.
     #[must_use]
     pub fn pack(charts: &[Chart], side: usize) -> Option<Self> {
-        let gap = (GAP_AT_2048 * side as f32 / 2048.0).ceil().max(2.0) as usize;
+        let gap = gap(side);
         let (mut low, mut high) = (0.0f32, side as f32);
         let mut best = None;
         for _ in 0..24 {
@@ -43,6 +47,12 @@ impl Atlas {
             }
         }
         best
+    }
+
+    /// Texels between charts.
+    #[must_use]
+    pub fn gap(&self) -> usize {
+        gap(self.side)
     }
 
     /// Atlas coordinate of `metres` on chart `c`: texel centres sit at whole steps from the chart's corner, half a texel in.
@@ -69,8 +79,7 @@ impl Atlas {
     /// Albedo (x, y, z) and roughness (w) of every texel; charts reach half the gap beyond their border.
     #[must_use]
     pub fn paint(&self, charts: &[Chart], paints: &[Paint]) -> Plane<glam::Vec4> {
-        let gap = (GAP_AT_2048 * self.side as f32 / 2048.0).ceil().max(2.0) as isize;
-        let margin = gap / 2;
+        let margin = self.gap() as isize / 2;
         let painted = map_chunks(charts.len(), 1, |range| {
             let (c, chart) = (range.start, &charts[range.start]);
             let (w, h) = (texels(chart.size.x, self.density) as isize, texels(chart.size.y, self.density) as isize);

@@ -2,9 +2,9 @@
 //!
 //! Rooms in a row with doorways, windows, furniture and lamps; every surface has a known albedo and roughness texture under
 //! the paper's reflection model, so that a reconstruction is limited by evidence and noise and not by the model. Panoramas are
-//! rendered by [`crate::render::PathTracer`], with more samples where highlights need them, and denoised in their diffuse part;
-//! reflections are touched only where the surface's roughness blurs them anyway, since roughness is measured from them. The same
-//! seed gives the same bits for any number of threads.
+//! rendered by [`crate::render::PathTracer`]: diffuse light is sampled and filtered once on the surfaces and shown by all views
+//! (`lightmap.rs`); reflections are sampled per pixel, more where they are noisy, and filtered only where the surface's roughness blurs
+//! them anyway, since roughness is measured from them. The same seed gives the same bits for any number of threads.
 
 mod apartment;
 mod atlas;
@@ -12,6 +12,7 @@ mod catalogue;
 mod charts;
 mod furniture;
 mod glb;
+mod lightmap;
 mod model;
 mod output;
 mod pattern;
@@ -26,9 +27,10 @@ use crate::geometry::Camera;
 use crate::image::RgbPlane;
 use crate::progress::Progress;
 use crate::render::denoise::{Purpose, denoise};
-use crate::render::{Adaptive, Frame, IndirectCache, Noise, PathTracer, PathTracerOptions};
+use crate::render::{Adaptive, Frame, IndirectCache, KnownLight, Noise, PathTracer, PathTracerOptions};
 use crate::trace::EmbreeTracer;
 use glam::Vec3;
+use lightmap::Lightmap;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -52,16 +54,18 @@ pub struct SynthOptions {
     /// Width of a panorama in pixels; its height is half of it.
     #[arg(long, value_name = "PIXELS", default_value_t = Self::default().width, help_heading = "Synthetic scene")]
     pub width: usize,
-    /// Light paths per pixel before denoising; up to 8 times as many where reflections are noisy.
+    /// Samples per pixel; up to 8 times as many where reflections are noisy. Diffuse light, shared by all views, takes 4 times as many
+    /// per texel.
     #[arg(long, value_name = "N", default_value_t = Self::default().spp, help_heading = "Synthetic scene")]
     pub spp: u32,
     /// Side of the ground-truth textures in texels.
     #[arg(long, value_name = "TEXELS", default_value_t = Self::default().texture, help_heading = "Synthetic scene")]
     pub texture: usize,
-    /// Leave the images as rendered, with their noise.
+    /// Leave the images as rendered, with their noise: every pixel samples its own light.
     #[arg(long, help_heading = "Synthetic scene")]
     pub no_denoise: bool,
-    /// Follow every path to its end instead of taking indirect light from irradiance cached on the surfaces: slower, unbiased.
+    /// Follow every path to its end instead of taking diffuse light from irradiance known on the surfaces: slower, unbiased but for the
+    /// denoising.
     #[arg(long, help_heading = "Synthetic scene")]
     pub full_paths: bool,
     /// Give every surface roughness 1: a room without any highlight.
@@ -168,18 +172,18 @@ fn photograph(
     renderer: &PathTracer<'_>,
     camera: &Camera,
     key: u64,
-    cache: Option<&dyn IndirectCache>,
+    known: KnownLight<'_>,
     options: &SynthOptions,
     progress: &Progress,
 ) -> Result<(Frame, RgbPlane)> {
     if options.no_denoise {
-        let frame = renderer.render_with(camera, key, cache, progress);
+        let frame = renderer.render_with(camera, key, known, progress);
         let image = frame.radiance();
         return Ok((frame, image));
     }
     let goal =
         Adaptive { first: options.spp, most: options.spp.saturating_mul(MOST), error: HIGHLIGHT_NOISE, noise: Noise::Specular };
-    let frame = renderer.render_adaptive(camera, key, &goal, cache, progress, |_, _| Ok(()))?;
+    let frame = renderer.render_adaptive(camera, key, &goal, known, progress, |_, _| Ok(()))?;
     let image = denoise(&frame, camera, Purpose::Measuring);
     Ok((frame, image))
 }
@@ -214,13 +218,19 @@ pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) 
         let cache = SurfaceIrradiance::new(&mesh);
         progress.stage("caching irradiance", cache.steps(), |p| cache.bake(&mesh, &tracer, &renderer, effort, p))
     });
+    let shared = cache.as_ref().filter(|_| !options.no_denoise);
+    let size = lightmap::side(&atlas, options.width);
+    let lightmap = shared.map(|c| Lightmap::bake(&mesh, &tracer, &renderer, c, (size, options.spp as f32 / 8.0), progress));
+    let known = match &lightmap {
+        Some(map) => KnownLight { first: Some(map), later: Some(map) },
+        None => KnownLight { first: None, later: cache.as_ref().map(|c| c as &dyn IndirectCache) },
+    };
     let pixels = views.iter().map(|v| (v.camera.width * v.camera.height) as u64).sum();
     let mut luminances = Vec::new();
     let mut seen = std::collections::BTreeSet::new();
     progress.stage("rendering panoramas", pixels, |p| -> Result<()> {
         for (i, view) in views.iter().enumerate() {
-            let indirect = cache.as_ref().map(|c| c as &dyn IndirectCache);
-            let (frame, image) = photograph(&renderer, &view.camera, i as u64, indirect, options, p)?;
+            let (frame, image) = photograph(&renderer, &view.camera, i as u64, known, options, p)?;
             luminances.extend(image.data.iter().step_by(61).map(|&c| crate::math::luminance(c)));
             seen.extend(frame.label.data.iter().copied().filter(|&l| l != 0));
             writer.view(&view.stem, &frame, &image)?;

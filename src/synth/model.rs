@@ -93,7 +93,7 @@ impl IndirectCache for SurfaceIrradiance {
 }
 
 /// Passes of the cache: samples per node, the first with full paths, the others on top of the pass before.
-const PASSES: [u32; 3] = [24, 48, 128];
+const PASSES: [u32; 3] = [16, 32, 64];
 /// A node most of whose view is blocked nearer than this lies inside or under something; metres.
 const BURIED: f32 = 0.03;
 
@@ -198,7 +198,8 @@ fn receivers(mesh: &Mesh, nodes: &[[u32; 6]], count: usize) -> Vec<IrradiancePoi
     sums.iter().map(point).collect()
 }
 
-fn buried(points: &[IrradiancePoint], tracer: &dyn Tracer) -> Vec<bool> {
+/// Which points lie inside or under something.
+pub(super) fn buried(points: &[IrradiancePoint], tracer: &dyn Tracer) -> Vec<bool> {
     const RAYS: usize = 16;
     let parts = map_chunks(points.len(), 256, |range| {
         let mut rays = Vec::with_capacity(range.len() * RAYS);

@@ -123,6 +123,8 @@ fn variance_of_mean([sum, square]: [f64; 2], n: u32) -> f32 {
 #[derive(Clone)]
 pub(super) struct PixelAccumulator {
     samples: u32,
+    /// Those of them that followed both lobes.
+    mixed_samples: u32,
     /// Samples of the specular lobe alone, their sum and the luminance's moments.
     lobe_samples: u32,
     lobe_sum: Vec3,
@@ -143,6 +145,7 @@ impl PixelAccumulator {
     pub(super) fn new(centre: Option<(u16, Material)>) -> Self {
         Self {
             samples: 0,
+            mixed_samples: 0,
             lobe_samples: 0,
             lobe_sum: Vec3::ZERO,
             lobe_moments: [0.0; 2],
@@ -159,15 +162,22 @@ impl PixelAccumulator {
         }
     }
 
+    /// Adds a sample that followed both lobes.
     pub(super) fn add(&mut self, s: &Sums, feature: Option<&Feature>) {
-        self.samples += 1;
-        self.sums.emission += s.emission;
-        self.sums.diffuse += s.diffuse;
+        self.mixed_samples += 1;
         self.sums.specular += s.specular;
         for (m, x) in self.moments.iter_mut().zip([s.diffuse, s.specular]) {
             let y = f64::from(luminance(x));
             *m = [m[0] + y, m[1] + y * y];
         }
+        self.add_known(s, feature);
+    }
+
+    /// Adds what a sample met, with diffuse light that is known and therefore without variance.
+    pub(super) fn add_known(&mut self, s: &Sums, feature: Option<&Feature>) {
+        self.samples += 1;
+        self.sums.emission += s.emission;
+        self.sums.diffuse += s.diffuse;
         if let Some(f) = feature {
             self.geometry += 1.0;
             self.albedo += f.albedo;
@@ -192,11 +202,12 @@ impl PixelAccumulator {
     pub(super) fn finish(&self) -> PixelResult {
         let samples = self.samples.max(1);
         let scale = 1.0 / samples as f32;
-        let [diffuse_variance, mut specular_variance] = self.moments.map(|m| variance_of_mean(m, samples));
-        let mut specular = self.sums.specular * scale;
+        let mixed = self.mixed_samples.max(1);
+        let [diffuse_variance, mut specular_variance] = self.moments.map(|m| variance_of_mean(m, mixed));
+        let mut specular = self.sums.specular / mixed as f32;
         if self.lobe_samples > 0 {
             let alone = self.lobe_samples as f32;
-            let weight = alone / (alone + MIXED_WORTH * samples as f32);
+            let weight = alone / (alone + MIXED_WORTH * self.mixed_samples as f32);
             specular = specular.lerp(self.lobe_sum / alone, weight);
             let lobe_variance = variance_of_mean(self.lobe_moments, self.lobe_samples);
             specular_variance = (1.0 - weight).powi(2) * specular_variance + weight * weight * lobe_variance;

@@ -17,7 +17,7 @@ mod scene;
 mod transport;
 
 pub use film::Frame;
-pub use scene::{BlackEnvironment, Environment, IndirectCache, Surface, SurfaceModel};
+pub use scene::{BlackEnvironment, Environment, IndirectCache, KnownLight, Surface, SurfaceModel};
 
 use super::PointLight;
 use crate::brdf::{Material, Reflectance};
@@ -146,12 +146,12 @@ impl<'a> PathTracer<'a> {
     /// Renders a camera; `key` tells views apart. Advances `progress` by the number of pixels.
     #[must_use]
     pub fn render(&self, camera: &Camera, key: u64, progress: &Progress) -> Frame {
-        self.render_with(camera, key, None, progress)
+        self.render_with(camera, key, KnownLight::default(), progress)
     }
 
     /// As [`Self::render`]; indirect light comes from `cache` where one is given.
     #[must_use]
-    pub fn render_with(&self, camera: &Camera, key: u64, cache: Option<&dyn IndirectCache>, progress: &Progress) -> Frame {
+    pub fn render_with(&self, camera: &Camera, key: u64, known: KnownLight<'_>, progress: &Progress) -> Frame {
         let (w, h) = (camera.width, camera.height);
         let samples = self.options.samples.max(1) as usize;
         let all: Vec<usize> = (0..w * h).collect();
@@ -159,7 +159,7 @@ impl<'a> PathTracer<'a> {
         let tiles = map_chunks(w * h, pixels_per_task, |range| {
             let pixels = &all[range];
             let mut out = self.begin_pixels(camera, pixels);
-            self.sample_pixels(camera, key, Following { first: Lobes::Both, cache }, pixels, [0, samples as u32], &mut out);
+            self.sample_pixels(camera, key, Following { first: Lobes::Both, known }, pixels, [0, samples as u32], &mut out);
             progress.advance(pixels.len() as u64);
             out.iter().map(PixelAccumulator::finish).collect::<Vec<_>>()
         });
@@ -167,42 +167,49 @@ impl<'a> PathTracer<'a> {
     }
 
     /// Renders a camera in passes: after `first` samples everywhere, each pass doubles the samples of the blocks whose error is
-    /// still above the target (those of the specular lobe alone, from two on, if its noise is watched). Indirect light comes from
-    /// `cache` where one is given. `refined` may look at the image after every pass.
+    /// still above the target (those of the specular lobe alone, from two on, if its noise is watched; where the diffuse light of first
+    /// hits is known, the first pass follows no lobe at all). `refined` may look at the image after every pass.
     /// The first pass advances `progress` by the number of pixels.
     pub fn render_adaptive(
         &self,
         camera: &Camera,
         key: u64,
         goal: &Adaptive,
-        cache: Option<&dyn IndirectCache>,
+        known: KnownLight<'_>,
         progress: &Progress,
         mut refined: impl FnMut(u32, &dyn Fn() -> Frame) -> crate::Result<()>,
     ) -> crate::Result<Frame> {
         let (w, h) = (camera.width, camera.height);
         let mut pending: Vec<usize> = (0..w * h).collect();
-        let mut states: Vec<Option<PixelAccumulator>> = vec![None; w * h];
+        let (mut states, mut results): (Vec<PixelAccumulator>, Vec<PixelResult>) = (Vec::new(), Vec::new());
         let (mut done, mut next) = (0u32, goal.first.max(2));
         for pass in 0.. {
-            let first = if pass > 0 && goal.noise == Noise::Specular { Lobes::Specular } else { Lobes::Both };
+            let first = match goal.noise {
+                Noise::Specular if pass > 0 => Lobes::Specular,
+                Noise::Specular if known.first.is_some() => Lobes::Neither,
+                _ => Lobes::Both,
+            };
             let per_task = (WAVEFRONT / (next - done) as usize).max(1);
             let parts = map_chunks(pending.len(), per_task, |range| {
                 let pixels = &pending[range];
                 let mut out: Vec<PixelAccumulator> = if done == 0 {
                     self.begin_pixels(camera, pixels)
                 } else {
-                    pixels.iter().filter_map(|&p| states[p].clone()).collect()
+                    pixels.iter().map(|&p| states[p].clone()).collect()
                 };
-                self.sample_pixels(camera, key, Following { first, cache }, pixels, [done, next], &mut out);
+                self.sample_pixels(camera, key, Following { first, known }, pixels, [done, next], &mut out);
                 if done == 0 {
                     progress.advance(pixels.len() as u64);
                 }
-                out
+                out.into_iter().map(|state| (state.finish(), state)).collect::<Vec<_>>()
             });
-            for (&p, state) in pending.iter().zip(parts.into_iter().flatten()) {
-                states[p] = Some(state);
+            if pending.len() == w * h {
+                (results, states) = parts.into_par_iter().flatten_iter().unzip();
+            } else {
+                for (&p, (result, state)) in pending.iter().zip(parts.into_iter().flatten()) {
+                    (results[p], states[p]) = (result, state);
+                }
             }
-            let results: Vec<PixelResult> = states.par_iter().flatten().map(PixelAccumulator::finish).collect();
             refined(pass, &|| assemble(w, h, &results))?;
             let more = match goal.noise {
                 Noise::Reflected => next,
@@ -210,7 +217,9 @@ impl<'a> PathTracer<'a> {
                 Noise::Specular => (next - goal.first.max(2)).max(2),
             };
             (done, next) = (next, next.saturating_add(more).min(goal.most));
-            pending = noisy_pixels([w, h], &results, &pending, goal);
+            if first != Lobes::Neither {
+                pending = noisy_pixels([w, h], &results, &pending, goal);
+            }
             if next <= done || pending.is_empty() {
                 return Ok(assemble(w, h, &results));
             }
@@ -267,6 +276,11 @@ impl<'a> PathTracer<'a> {
                 let pixel = &mut results[i / count as usize];
                 match following.first {
                     Lobes::Specular => pixel.add_specular(s),
+                    Lobes::Neither => pixel.add_known(s, f.as_ref()),
+                    Lobes::Both | Lobes::Diffuse if following.known.first.is_some() => {
+                        pixel.add_known(s, f.as_ref());
+                        pixel.add_specular(s);
+                    }
                     Lobes::Both | Lobes::Diffuse => pixel.add(s, f.as_ref()),
                 }
             }
@@ -324,7 +338,14 @@ impl<'a> PathTracer<'a> {
             self.resolve_shadows(&mut wave, &mut sums);
             std::mem::swap(&mut wave.paths, &mut wave.next_paths);
             std::mem::swap(&mut wave.rays, &mut wave.next_rays);
-            self.trace_wave(&mut wave, &keys, &mut sums, None, Following { first: Lobes::Both, cache }, 1);
+            self.trace_wave(
+                &mut wave,
+                &keys,
+                &mut sums,
+                None,
+                Following { first: Lobes::Both, known: KnownLight { first: None, later: cache } },
+                1,
+            );
             progress.advance(range.len() as u64);
             let mean = |s: &[Sums]| s.iter().map(|s| s.diffuse).sum::<Vec3>() * (PI / samples as f32);
             sums.chunks(samples as usize).map(mean).collect::<Vec<Vec3>>()

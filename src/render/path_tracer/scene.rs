@@ -48,7 +48,16 @@ impl Environment for BlackEnvironment {
     }
 }
 
-/// Known irradiance, to end paths early.
+/// Irradiance that need not be sampled.
+#[derive(Clone, Copy, Default)]
+pub struct KnownLight<'a> {
+    /// At the points the camera sees: only their specular lobe is followed. The diffuse part is then free of noise.
+    pub first: Option<&'a dyn IndirectCache>,
+    /// At all later points of a path: only the specular lobe is followed on.
+    pub later: Option<&'a dyn IndirectCache>,
+}
+
+/// KnownLight irradiance, to end paths early.
 pub trait IndirectCache: Sync {
     /// Irradiance on the front side at barycentrics (u, v) of a triangle.
     fn irradiance(&self, triangle: usize, u: f32, v: f32) -> Vec3;

@@ -199,7 +199,9 @@ fn an_exact_cache_changes_nothing_but_the_noise() {
     let renderer = PathTracer::new(&mesh, &tracer, &model, &BlackEnvironment, options);
     // furnace: L = 2 everywhere, E = 2π
     let cache = Constant(2.0 * PI);
-    let image = renderer.render_with(&camera(8, 4, Vec3::ONE), 0, Some(&cache), &Progress::silent()).radiance();
+    let image = renderer
+        .render_with(&camera(8, 4, Vec3::ONE), 0, KnownLight { first: None, later: Some(&cache) }, &Progress::silent())
+        .radiance();
     let mean = image.data.iter().map(|p| p.x).sum::<f32>() / 32.0;
     assert!((mean - 2.0).abs() < 0.01, "{mean}");
 }
@@ -253,7 +255,9 @@ fn samples_of_the_specular_lobe_alone_add_to_it_without_bias() {
     let reference = renderer.render(&eye, 7, &Progress::silent());
     let adaptive = |most: u32| {
         let goal = Adaptive { first: 16, most, error: 0.0, noise: Noise::Specular };
-        renderer.render_adaptive(&eye, 8, &goal, None, &Progress::silent(), |_, _| Ok(())).expect("no errors from the callback")
+        renderer
+            .render_adaptive(&eye, 8, &goal, KnownLight::default(), &Progress::silent(), |_, _| Ok(()))
+            .expect("no errors from the callback")
     };
     let (before, after) = (adaptive(16), adaptive(256));
     assert_eq!([&before.diffuse, &before.emission, &before.albedo], [&after.diffuse, &after.emission, &after.albedo]);
@@ -274,4 +278,46 @@ fn samples_of_the_specular_lobe_alone_add_to_it_without_bias() {
         "mean {mean}, mean square {square} of {}",
         scores.len()
     );
+}
+
+/// Where the light at first hits is known, the diffuse part has no noise and the specular part no bias, adaptively or not.
+#[test]
+fn known_light_at_first_hits_leaves_only_the_specular_part_to_sample() {
+    struct Constant;
+    impl IndirectCache for Constant {
+        fn irradiance(&self, _: usize, _: f32, _: f32) -> Vec3 {
+            Vec3::splat(2.0)
+        }
+    }
+    let (mesh, model, portals) = small_scene();
+    let tracer = BruteForce::new(&mesh);
+    let sky = Sky(Vec3::splat(1.5), portals);
+    let eye = camera(16, 8, Vec3::new(1.6, 1.1, 0.9));
+    let options = PathTracerOptions { samples: 1024, max_bounces: 4, ..Default::default() };
+    let renderer = PathTracer::new(&mesh, &tracer, &model, &sky, options);
+    let reference = renderer.render(&eye, 7, &Progress::silent());
+    let known = KnownLight { first: Some(&Constant), later: None };
+    let goal = Adaptive { first: 16, most: 512, error: 0.0, noise: Noise::Specular };
+    let adaptive = renderer.render_adaptive(&eye, 8, &goal, known, &Progress::silent(), |_, _| Ok(())).expect("no errors");
+    for frame in [adaptive, renderer.render_with(&eye, 9, known, &Progress::silent())] {
+        let mut scores = Vec::new();
+        for p in 0..frame.label.data.len() {
+            let hits = frame.normal.data[p].length();
+            // (pixels on an edge mix two surfaces)
+            if hits > 0.999 {
+                let want = frame.albedo.data[p] * 2.0 / PI;
+                assert!((frame.diffuse.data[p] - want).abs().max_element() < 1e-4, "{} not {want}", frame.diffuse.data[p]);
+            }
+            let [none, variance] = frame.variance.data[p];
+            assert_eq!(none, 0.0);
+            if variance > 0.0 {
+                let difference = luminance(frame.specular.data[p]) - luminance(reference.specular.data[p]);
+                scores.push(f64::from(difference / (variance + reference.variance.data[p][1]).sqrt()));
+            }
+        }
+        let (mean, _) = mean_and_error(&scores);
+        let square = scores.iter().map(|z| z * z).sum::<f64>() / scores.len() as f64;
+        assert!(scores.len() > 60, "{}", scores.len());
+        assert!(mean.abs() < 4.0 / (scores.len() as f64).sqrt() && square < 1.6, "mean {mean}, mean square {square}");
+    }
 }

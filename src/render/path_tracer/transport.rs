@@ -1,6 +1,6 @@
 //! Paths from bounce to bounce.
 
-use super::{IndirectCache, PathTracer};
+use super::{KnownLight, PathTracer};
 use crate::brdf::{Material, Reflectance};
 use crate::math::luminance;
 use crate::render::PointLight;
@@ -14,12 +14,14 @@ pub(super) const WAVEFRONT: usize = 4096;
 /// Ray origins move this many units in the last place of the largest coordinate off the surface.
 const OFFSET_ULPS: f32 = 64.0;
 
-/// Which lobes of a vertex are followed; the diffuse one alone is Lambert's, whatever the reflection model.
+/// Which lobes of a vertex are followed; the diffuse one alone is Lambert's, whatever the reflection model. `Neither` is for first
+/// hits whose diffuse light is known.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Lobes {
     Both,
     Diffuse,
     Specular,
+    Neither,
 }
 
 /// How far paths are followed.
@@ -27,8 +29,8 @@ pub(super) enum Lobes {
 pub(super) struct Following<'a> {
     /// The lobes followed at the first hit.
     pub(super) first: Lobes,
-    /// What later hits take their diffuse light from.
-    pub(super) cache: Option<&'a dyn IndirectCache>,
+    /// Where diffuse light is taken from.
+    pub(super) known: KnownLight<'a>,
 }
 
 /// A surface interaction.
@@ -168,15 +170,20 @@ impl PathTracer<'_> {
                 if bounce == 0 && vertex.lobes == Lobes::Both {
                     vertex.lobes = following.first;
                 }
-                if let Some(cache) = following.cache.filter(|_| bounce > 0) {
+                let known = if bounce == 0 { following.known.first } else { following.known.later };
+                if let Some(cache) = known {
                     let view_factor = self.reflectance.diffuse_factor(vertex.normal.dot(vertex.view), surface.material.roughness);
                     let light = cache.irradiance(triangle, hit.u, hit.v) * surface.material.albedo * (FRAC_1_PI * view_factor);
-                    self.deposit(&mut sums[slot], &path, light, bounce);
-                    if self.options.lambertian {
+                    if bounce == 0 {
+                        sums[slot].diffuse += light;
+                    } else {
+                        self.deposit(&mut sums[slot], &path, light, bounce);
+                        vertex.reference = luminance(path.beta * light);
+                    }
+                    if self.options.lambertian || vertex.lobes == Lobes::Neither {
                         continue;
                     }
                     vertex.lobes = Lobes::Specular;
-                    vertex.reference = luminance(path.beta * light);
                 }
                 self.scatter(&vertex, path, keys[slot], bounce, wave);
             }
@@ -236,7 +243,7 @@ impl PathTracer<'_> {
         }
         let share = match vertex.lobes {
             Lobes::Both => m.specular_share(n.dot(v)),
-            Lobes::Diffuse => 0.0,
+            Lobes::Diffuse | Lobes::Neither => 0.0,
             Lobes::Specular => 1.0,
         };
         let first = bounce == 0;
@@ -246,14 +253,14 @@ impl PathTracer<'_> {
         let lobes = |l: Vec3, pdf: f32| {
             let scale = n.dot(l) / pdf;
             let diffuse = match vertex.lobes {
-                Lobes::Specular => Vec3::ZERO,
+                Lobes::Specular | Lobes::Neither => Vec3::ZERO,
                 Lobes::Diffuse => m.albedo * (FRAC_1_PI * scale),
                 Lobes::Both => {
                     m.albedo * (FRAC_1_PI * scale * self.reflectance.diffuse(n.dot(l), n.dot(v), v.dot(l), m.roughness))
                 }
             };
             let specular = match (vertex.lobes, self.reflectance) {
-                (Lobes::Diffuse, _) => 0.0,
+                (Lobes::Diffuse | Lobes::Neither, _) => 0.0,
                 (_, Reflectance::Paper) => m.specular_lobe(n, v, l) * scale,
                 (_, other) => other.specular_lobe(n, v, l, m.roughness) * scale,
             };
