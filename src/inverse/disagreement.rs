@@ -32,8 +32,18 @@ pub(super) struct Disagreement<'a> {
 impl<'a> Disagreement<'a> {
     /// The disagreement of points, given by their indices.
     pub(super) fn of(evidence: &'a Evidence, model: Reflectance, points: &[usize]) -> Self {
+        Self::of_sights(evidence, model, points, |_| true)
+    }
+
+    /// As [`Self::of`], of every other view only: the even ones for `half` 0, the odd ones for 1. Points of which it has fewer than two
+    /// sights disagree about nothing.
+    pub(super) fn of_half(evidence: &'a Evidence, model: Reflectance, points: &[usize], half: u32) -> Self {
+        Self::of_sights(evidence, model, points, |view| view % 2 == half)
+    }
+
+    fn of_sights(evidence: &'a Evidence, model: Reflectance, points: &[usize], take: impl Fn(u32) -> bool + Sync) -> Self {
         let row = |&i: &usize| {
-            let mut looks = Looks::of(evidence, model, i);
+            let mut looks = Looks::of(evidence, model, i, &take);
             (0..evidence.levels.len()).map(|k| looks.disagreement(k)).collect()
         };
         Self { levels: &evidence.levels, rows: points.par_iter().map(row).collect() }
@@ -66,7 +76,7 @@ pub(super) fn points_by_class(evidence: &Evidence) -> BTreeMap<u16, Vec<usize>> 
 struct Looks<'a> {
     evidence: &'a Evidence,
     model: Reflectance,
-    sights: std::ops::Range<usize>,
+    sights: Vec<usize>,
     /// Median luminance of the views.
     scale: f32,
     /// Diffuse radiance at the level last asked for, and its weight.
@@ -78,11 +88,11 @@ struct Looks<'a> {
 }
 
 impl<'a> Looks<'a> {
-    fn of(evidence: &'a Evidence, model: Reflectance, point: usize) -> Self {
+    fn of(evidence: &'a Evidence, model: Reflectance, point: usize, take: impl Fn(u32) -> bool) -> Self {
         let p = &evidence.points[point];
-        let sights = p.first as usize..(p.first + p.count) as usize;
-        let scale =
-            median(evidence.sights[sights.clone()].iter().map(|s| luminance(s.radiance)).collect()).unwrap_or(0.0).max(1e-9);
+        let all = p.first as usize..(p.first + p.count) as usize;
+        let sights: Vec<usize> = all.filter(|&j| take(evidence.sights[j].view)).collect();
+        let scale = median(sights.iter().map(|&j| luminance(evidence.sights[j].radiance)).collect()).unwrap_or(0.0).max(1e-9);
         Self { evidence, model, sights, scale, diffuse: Vec::new(), noise: Vec::new(), share: Vec::new() }
     }
 
@@ -92,7 +102,7 @@ impl<'a> Looks<'a> {
         let m = MODELS.iter().position(|m| (*m == Reflectance::Paper) == (model == Reflectance::Paper)).unwrap_or(0);
         self.diffuse.clear();
         self.noise.clear();
-        for j in self.sights.clone() {
+        for &j in &self.sights {
             let s = &evidence.sights[j];
             let factor = evidence.diffuse_factor(j, model, evidence.levels[k]);
             self.diffuse.push(((s.radiance - evidence.response(j, m)[k]) / factor, s.weight * factor));
@@ -105,6 +115,9 @@ impl<'a> Looks<'a> {
     /// Of their noise nothing is left on average; in a square it would stay, and narrow lobes, which are noisier than wide ones, would seem
     /// to explain the views less.
     fn disagreement(&mut self, k: usize) -> f64 {
+        if self.sights.len() < 2 {
+            return 0.0;
+        }
         let centre = self.centre(k);
         let common = self.noise.iter().zip(&self.share).map(|(n, s)| n * s).sum::<f32>();
         let (mut sum, mut weight) = (0.0, 0.0);
@@ -128,7 +141,7 @@ fn damped(residual: Vec3) -> Vec3 {
 pub(super) fn diffuse_radiance(evidence: &Evidence, model: Reflectance, point: usize, roughness: f32) -> Vec3 {
     let away = |k: &usize| (evidence.levels[*k] - roughness).abs();
     let nearest = (0..evidence.levels.len()).min_by(|a, b| away(a).total_cmp(&away(b))).unwrap_or(0);
-    Looks::of(evidence, model, point).centre(nearest)
+    Looks::of(evidence, model, point, |_| true).centre(nearest)
 }
 
 /// Weighted mean refined twice by Cauchy-like weights, per colour together. `share` takes what each value counts for it, 1 in all.

@@ -1,11 +1,12 @@
 //! One class, several materials: tiles and their grout share a label, not a roughness; nor does the wood of two rooms.
 //!
-//! A class has one roughness unless the evidence asks for more: one per room, or one that follows the colour from texel to texel. A
-//! division stands if each side has evidence of its own, the roughness values differ by more than their errors, and views that had no
+//! A class has one roughness unless the evidence asks for more: one per room, one that follows the colour from texel to texel, or, if
+//! neither, one that follows the place (`place.rs`). A division stands if each side has evidence of its own, the roughness values differ by more than their errors, and views that had no
 //! part in the fit are explained better by them than by one value (cross-validation); of two such, the one that explains more.
 //! Between two colours, where a texel holds both materials, the roughness is in between.
 
 use super::disagreement::{Disagreement, diffuse_radiance, points_by_class};
+use super::place::{self, Field};
 use super::roughness::{GroupFit, fit, held_out};
 use crate::brdf::Reflectance;
 use crate::highlight::Evidence;
@@ -23,6 +24,8 @@ const APART: f32 = 3.0;
 /// Share of the held-out views' disagreement that a division must explain: tiles and grout explain 9 %, surfaces of one roughness whose colour
 /// merely follows their place up to 4 %.
 pub const DIVISION_GAIN: f64 = 0.05;
+/// The same for roughness that follows the place: on surfaces of one roughness it explains up to 8 %.
+const PLACE_GAIN: f64 = 0.15;
 /// Standard errors by which the two roughness values must differ.
 const DIFFERENT: f32 = 3.0;
 /// Share of the way from one colour to the other on which points tell of the first, and of the second.
@@ -50,6 +53,7 @@ enum Division {
     Colour(Parts),
     /// One fit per room with evidence of its own.
     Room(BTreeMap<u16, GroupFit>),
+    Place(Field),
 }
 
 /// What is known of the evidence's points besides their views.
@@ -105,6 +109,13 @@ impl Materials {
                 let enough = |d: &(Division, f64)| d.1 > least;
                 let better = |a: (Division, f64), b: (Division, f64)| if b.1 > a.1 { b } else { a };
                 let division = by_colour.into_iter().chain(by_room).filter(enough).reduce(better).map(|d| d.0);
+                let division = division.or_else(|| {
+                    let positions: Vec<Vec3> = points.iter().map(|&i| evidence.points[i].position).collect();
+                    let halves = [0, 1].map(|half| Disagreement::of_half(evidence, model, points, half));
+                    let least = least + PLACE_GAIN - DIVISION_GAIN;
+                    let (field, _) = place::by_place(&whole, &positions, &table, &halves, least)?;
+                    Some(Division::Place(field))
+                });
                 (whole.class, Class { whole, division })
             })
             .collect();
@@ -117,15 +128,16 @@ impl Materials {
         Self { classes: fits.into_iter().map(|whole| (whole.class, Class { whole, division: None })).collect() }
     }
 
-    /// Roughness of a class in a room at a point of albedo `colour` (`None`: unknown) and its standard error; `None` for a class
+    /// Roughness of a class in a room at a `place` of albedo `colour` (`None`: unknown) and its standard error; `None` for a class
     /// without evidence.
     #[must_use]
-    pub fn roughness(&self, class: u16, room: u16, colour: Option<Vec3>) -> Option<(f32, f32)> {
+    pub fn roughness(&self, class: u16, room: u16, colour: Option<Vec3>, place: Vec3) -> Option<(f32, f32)> {
         let Class { whole, division } = self.classes.get(&class)?;
         let of = |f: &GroupFit| (f.roughness, f.error);
         Some(match division {
             None => of(whole),
             Some(Division::Room(fits)) => of(fits.get(&room).unwrap_or(whole)),
+            Some(Division::Place(field)) => field.at(place),
             Some(Division::Colour(p)) => {
                 // the usual colour scatters from tile to tile; what lies beyond the rare one is just that
                 let t = colour.map_or(1.0, |c| (p.axis.place(c) / (1.0 - PURE)).min(1.0));
@@ -147,6 +159,14 @@ impl Materials {
     pub fn by_room(&self) -> impl Iterator<Item = (u16, Vec<(u16, f32)>)> {
         self.classes.iter().filter_map(|(&class, c)| match &c.division {
             Some(Division::Room(fits)) => Some((class, fits.iter().map(|(room, f)| (*room, f.roughness)).collect())),
+            _ => None,
+        })
+    }
+
+    /// Classes whose roughness follows the place, with the values that a twentieth of their points lies below, and above.
+    pub fn by_place(&self) -> impl Iterator<Item = (u16, [f32; 2])> {
+        self.classes.iter().filter_map(|(&class, c)| match &c.division {
+            Some(Division::Place(field)) => Some((class, field.range())),
             _ => None,
         })
     }
@@ -314,12 +334,12 @@ mod tests {
             let materials = Materials::find(&evidence, fit_groups(&evidence, model), model, &places, DIVISION_GAIN);
             assert_eq!(materials.by_colour().count(), usize::from(divides), "grout of roughness {second}");
             assert_eq!(materials.by_room().count(), 0);
-            let roughness = |c: Option<Vec3>| materials.roughness(7, 1, c).expect("evidence").0;
+            let roughness = |c: Option<Vec3>| materials.roughness(7, 1, c, Vec3::ZERO).expect("evidence").0;
             assert!((roughness(Some(tile)) - 0.15).abs() < 0.02 && (roughness(None) - 0.15).abs() < 0.02);
             assert!((roughness(Some(grout)) - second).abs() < 0.1, "{}", roughness(Some(grout)));
             let between = roughness(Some(grout.lerp(tile, 0.4)));
             assert!(!divides || (between > 0.3 && between < 0.75), "half of each: {between}");
-            assert!(materials.roughness(8, 1, None).is_none());
+            assert!(materials.roughness(8, 1, None, Vec3::ZERO).is_none());
         }
     }
 
@@ -341,13 +361,13 @@ mod tests {
             let materials = Materials::find(&evidence, fit_groups(&evidence, model), model, &places, DIVISION_GAIN);
             assert_eq!(materials.by_room().count(), usize::from(divides), "second room of roughness {second}");
             assert_eq!(materials.by_colour().count(), 0);
-            let roughness = |room: u16| materials.roughness(7, room, Some(wood)).expect("evidence").0;
+            let roughness = |room: u16| materials.roughness(7, room, Some(wood), Vec3::ZERO).expect("evidence").0;
             assert!((roughness(1) - 0.2).abs() < 0.03, "{}", roughness(1));
             assert!((roughness(2) - second).abs() < 0.05, "{}", roughness(2));
             let whole = materials.fits().next().expect("a class").roughness;
             assert_eq!(roughness(3), whole, "too few points of its own");
             let one = Materials::undivided(fit_groups(&evidence, model));
-            assert_eq!(one.roughness(7, 2, None).expect("evidence").0, whole);
+            assert_eq!(one.roughness(7, 2, None, Vec3::ZERO).expect("evidence").0, whole);
         }
     }
 }

@@ -8,6 +8,7 @@ mod materials;
 mod matte;
 mod mixtures;
 mod paint;
+mod place;
 mod roughness;
 mod unmix;
 

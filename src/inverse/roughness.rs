@@ -75,12 +75,12 @@ pub(super) fn held_out(table: &Disagreement) -> f64 {
 const FOLDS: usize = 5;
 
 /// The level of the least value.
-fn lowest(objective: &[f64]) -> usize {
+pub(super) fn lowest(objective: &[f64]) -> usize {
     (0..objective.len()).min_by(|&a, &b| objective[a].total_cmp(&objective[b])).unwrap_or(0)
 }
 
 /// A table over the levels between two of them.
-fn at_roughness(levels: &[f32], table: &[f64], roughness: f32) -> f64 {
+pub(super) fn at_roughness(levels: &[f32], table: &[f64], roughness: f32) -> f64 {
     let above = levels.partition_point(|l| *l < roughness).clamp(1, levels.len() - 1);
     let [low, high] = [levels[above - 1], levels[above]];
     let t = f64::from(((roughness - low) / (high - low)).clamp(0.0, 1.0));
@@ -133,7 +133,7 @@ fn distance_within([low, high]: [f32; 2], roughness: f32) -> f32 {
 }
 
 /// Vertex of the parabola through the best level and its neighbours (unequal spacing), and the second derivative there.
-fn parabola_minimum(levels: &[f32], best: usize, objective: &[f64]) -> (f32, f64) {
+pub(super) fn parabola_minimum(levels: &[f32], best: usize, objective: &[f64]) -> (f32, f64) {
     let last = levels.len() - 1;
     let mid = best.clamp(1, last - 1);
     let x = [mid - 1, mid, mid + 1].map(|i| f64::from(levels[i]));

@@ -218,9 +218,10 @@ pub(super) fn report_materials(scene: &Scene, materials: &Materials, options: &S
         let values: Vec<String> = rooms.iter().map(|(room, r)| format!("room {room}: {r:.2}")).collect();
         format!("{} by room ({})", class_name(scene, id), values.join(", "))
     });
-    let list: Vec<String> = by_colour.chain(by_room).collect();
+    let by_place = materials.by_place().map(|(id, [a, b])| format!("{} by place ({a:.2} to {b:.2})", class_name(scene, id)));
+    let list: Vec<String> = by_colour.chain(by_room).chain(by_place).collect();
     if list.is_empty() {
-        let why = "neither by room nor by colour do several values explain held-out views better than one";
+        let why = "neither by room nor by colour nor by place do several values explain held-out views better than one";
         progress.decide("roughness", "one per class", why, false);
     } else {
         let why = format!("held-out views are explained better so: {}", list.join("; "));

@@ -68,7 +68,7 @@ pub struct SolveOptions {
     pub specular_rays: u32,
     /// Whether lobes too wide to show anything are replaced by the mean light around: `Auto` = where the evidence says so.
     pub matte: Switch,
-    /// Whether a class may have several roughness values, by room or by colour: `Auto` = where held-out views ask for them.
+    /// Whether a class may have several roughness values, by room, by colour or by place: `Auto` = where held-out views ask for them.
     pub divide: Switch,
     /// Whether texels that no view sees clean are solved for from how much of each pixel they cover.
     pub edges: Switch,

@@ -148,7 +148,7 @@ pub struct SolveRequest {
     /// Replace specular lobes too wide to show anything by the mean light around: on = all from R = 0.5, off = none.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub matte: Switch,
-    /// Give a class several roughness values, by room or by colour, where held-out views are explained better so: on = wherever they
+    /// Give a class several roughness values, by room, by colour or by place, where held-out views are explained better so: on = wherever they
     /// differ, off = one per class.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub divide_classes: Switch,

@@ -109,7 +109,9 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         .map(|(i, colour)| {
             let colour = (surface.fusion.views[i] > 0).then_some(colour);
             let room = rooms.data[surface.texels.cell[i] as usize];
-            materials.roughness(surface.labels[i], room, colour).map_or(ROUGHNESS_PRIOR, |r| r.0)
+            materials
+                .roughness(surface.labels[i], room, colour, surface.texels.position(&surface.scene.mesh, i))
+                .map_or(ROUGHNESS_PRIOR, |r| r.0)
         })
         .collect();
     let roughness_plane = filled(&surface.texels, &roughness_of_texel);
@@ -258,7 +260,14 @@ fn assemble(
         .into_par_iter()
         .map(|i| {
             let colour = albedo.error[i].is_finite().then_some(albedo.value[i]);
-            materials.roughness(surface.labels[i], rooms.data[texels.cell[i] as usize], colour).unwrap_or((ROUGHNESS_PRIOR, 1e4))
+            materials
+                .roughness(
+                    surface.labels[i],
+                    rooms.data[texels.cell[i] as usize],
+                    colour,
+                    surface.texels.position(&surface.scene.mesh, i),
+                )
+                .unwrap_or((ROUGHNESS_PRIOR, 1e4))
         })
         .collect();
     // unseen texels have a value where their class says what to expect
