@@ -23,8 +23,8 @@ const SAMPLES: f32 = 12.0;
 const DISTANCE: f32 = 2.5;
 /// Texels that must lie between two charts, so that a bilinear look-up never meets another chart's light.
 const GAP: f32 = 2.0;
-/// Largest side in texels.
-const LARGEST: f32 = 8192.0;
+/// Largest side in texels: bounds memory and time where a texture holds many rooms.
+const LARGEST: f32 = 4096.0;
 
 /// Irradiance over the atlas of a mesh.
 pub struct Lightmap<'a> {

@@ -54,7 +54,7 @@ pub struct SynthOptions {
     /// Width of a panorama in pixels; its height is half of it.
     #[arg(long, value_name = "PIXELS", default_value_t = Self::default().width, help_heading = "Synthetic scene")]
     pub width: usize,
-    /// Samples per pixel; up to 8 times as many where reflections are noisy. Diffuse light, shared by all views, takes 4 times as many
+    /// Samples per pixel; up to 8 times as many where reflections are noisy. Diffuse light, shared by all views, takes 3 times as many
     /// per texel.
     #[arg(long, value_name = "N", default_value_t = Self::default().spp, help_heading = "Synthetic scene")]
     pub spp: u32,

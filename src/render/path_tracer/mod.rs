@@ -8,8 +8,8 @@
 //! Every pixel's light is kept apart as emission, diffuse and specular part of the first hit, with the variance of the
 //! last two: what [`super::denoise`] needs to filter irradiance without touching textures or lamps.
 //!
-//! With an [`IndirectCache`] the second and later vertices take their diffuse light from it and only their specular lobe is
-//! followed further. That is biased by the cache's resolution and noise, and far cheaper; without a cache nothing is.
+//! With [`KnownLight`] the vertices it is for take their diffuse light from an [`IndirectCache`] and only their specular lobe is
+//! followed further. That is biased by the cache's resolution and noise, and far cheaper; without it nothing is.
 
 mod film;
 mod lights;
@@ -149,7 +149,7 @@ impl<'a> PathTracer<'a> {
         self.render_with(camera, key, KnownLight::default(), progress)
     }
 
-    /// As [`Self::render`]; indirect light comes from `cache` where one is given.
+    /// As [`Self::render`]; light that is `known` is not sampled.
     #[must_use]
     pub fn render_with(&self, camera: &Camera, key: u64, known: KnownLight<'_>, progress: &Progress) -> Frame {
         let (w, h) = (camera.width, camera.height);

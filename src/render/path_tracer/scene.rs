@@ -57,7 +57,7 @@ pub struct KnownLight<'a> {
     pub later: Option<&'a dyn IndirectCache>,
 }
 
-/// KnownLight irradiance, to end paths early.
+/// Irradiance known on surfaces.
 pub trait IndirectCache: Sync {
     /// Irradiance on the front side at barycentrics (u, v) of a triangle.
     fn irradiance(&self, triangle: usize, u: f32, v: f32) -> Vec3;
