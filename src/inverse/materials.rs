@@ -1,8 +1,9 @@
 //! One class, several materials: tiles and their grout share a label, not a roughness; nor does the wood of two rooms.
 //!
 //! A class has one roughness unless the evidence asks for more: one per room, one that follows the colour from texel to texel, or, if
-//! neither, one that follows the place (`place.rs`). A division stands if each side has evidence of its own, the roughness values differ by more than their errors, and views that had no
-//! part in the fit are explained better by them than by one value (cross-validation); of two such, the one that explains more.
+//! neither, one that follows the place (`place.rs`). A division by room or colour stands if each side has evidence of its own, the
+//! roughness values differ by more than their errors, and views that had no part in the fit are explained better by them than by one
+//! value (cross-validation); of two such, the one that explains more.
 //! Between two colours, where a texel holds both materials, the roughness is in between.
 
 use super::disagreement::{Disagreement, diffuse_radiance, points_by_class};

@@ -52,8 +52,8 @@ impl Field {
 }
 
 /// The roughness from place to place of the class `whole`, and what share of one half of the views' disagreement it explains if it is
-/// found from the other half; `None` if that is not more than `least`. `table` and `halves` hold the disagreement at the same `positions`: of all views, and of either half (zero
-/// where a half has not two views).
+/// found from the other half; `None` if that is not more than `least`. `table` and `halves` hold the disagreement at the same
+/// `positions`: of all views, and of either half (zero where a half has not two views).
 pub(super) fn by_place(
     whole: &GroupFit,
     positions: &[Vec3],
@@ -61,24 +61,23 @@ pub(super) fn by_place(
     halves: &[Disagreement; 2],
     least: f64,
 ) -> Option<(Field, f64)> {
-    let told = |k: &usize| halves.iter().all(|h| h.rows[*k].iter().any(|d| *d != 0.0));
-    let judged: Vec<usize> = (0..positions.len()).filter(told).collect();
+    let told = |k: usize| halves.iter().all(|h| h.rows[k].iter().any(|d| *d != 0.0));
+    let judged: Vec<Vec3> = (0..positions.len()).filter(|&k| told(k)).map(|k| positions[k]).collect();
     if judged.len() < FEWEST * AROUND {
         return None;
     }
-    let around = neighbours(positions, &judged);
-    let gains = STRENGTHS.map(|strength| gain(halves, &judged, &around, strength));
+    let judges = [0, 1].map(|half: usize| halves[half].of_points(told));
+    let around = neighbours(&judged);
+    let gains = STRENGTHS.map(|strength| gain(&judges, &around, strength));
     let (strength, gain) =
         STRENGTHS.into_iter().zip(gains).max_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, gain)| *gain > least)?;
-    let everywhere: Vec<usize> = (0..positions.len()).collect();
-    let mean = mean_row(table, &everywhere);
-    let around = neighbours(positions, &everywhere);
+    let around = neighbours(positions);
     let own: Vec<(f32, f32)> = around
         .par_iter()
         .map(|near| {
             let rows = near.iter().map(|&k| table.rows[k as usize].clone()).collect();
             let local = fit(whole.class, &Disagreement { levels: table.levels, rows });
-            (vertex(table.levels, &shrunk(table, near, &mean, strength)), local.error)
+            (vertex(table.levels, &shrunk(table, near, &whole.objective, strength)), local.error)
         })
         .collect();
     // no place is less certain than if nothing but the class were known
@@ -88,44 +87,29 @@ pub(super) fn by_place(
     Some((Field { spots: RTree::bulk_load(spots) }, gain))
 }
 
-/// The [`AROUND`] of `members` that are nearest to each of them, itself included, in order of their index.
-fn neighbours(positions: &[Vec3], members: &[usize]) -> Vec<Vec<u32>> {
-    let of = |&k: &usize| GeomWithData::new(positions[k].to_array(), k as u32);
-    let tree: RTree<GeomWithData<[f32; 3], u32>> = RTree::bulk_load(members.iter().map(of).collect());
-    members
-        .par_iter()
-        .map(|&k| {
-            let mut near: Vec<u32> = tree.nearest_neighbor_iter(&positions[k].to_array()).take(AROUND).map(|g| g.data).collect();
-            near.sort_unstable();
-            near
-        })
-        .collect()
+/// The [`AROUND`] positions that are nearest to each of them, itself included, in order of their index.
+fn neighbours(positions: &[Vec3]) -> Vec<Vec<u32>> {
+    let numbered = positions.iter().zip(0u32..).map(|(p, k)| GeomWithData::new(p.to_array(), k));
+    let tree: RTree<GeomWithData<[f32; 3], u32>> = RTree::bulk_load(numbered.collect());
+    let nearest = |p: &Vec3| {
+        let mut near: Vec<u32> = tree.nearest_neighbor_iter(&p.to_array()).take(AROUND).map(|g| g.data).collect();
+        near.sort_unstable();
+        near
+    };
+    positions.par_iter().map(nearest).collect()
 }
 
-fn mean_row(table: &Disagreement, members: &[usize]) -> Vec<f64> {
-    let mut mean = vec![0.0; table.levels.len()];
-    for &k in members {
-        mean.iter_mut().zip(&table.rows[k]).for_each(|(m, d)| *m += d / members.len() as f64);
-    }
-    mean
-}
-
-/// The share of one half of the views' disagreement about the points `judged` that places explain if they are found from the other half.
-fn gain(halves: &[Disagreement; 2], judged: &[usize], around: &[Vec<u32>], strength: f64) -> f64 {
+/// The share of one half of the views' disagreement that places explain if they are found from the other half.
+fn gain(halves: &[Disagreement; 2], around: &[Vec<u32>], strength: f64) -> f64 {
     let (mut apart, mut together) = (0.0, 0.0);
     for [from, held] in [[0, 1], [1, 0]] {
         let (from, held) = (&halves[from], &halves[held]);
-        let mean = mean_row(from, judged);
-        let of_class = vertex(from.levels, &mean);
-        let explained: Vec<[f64; 2]> = judged
-            .par_iter()
-            .zip(around)
-            .map(|(&k, near)| {
-                let here = vertex(from.levels, &shrunk(from, near, &mean, strength));
-                [here, of_class].map(|r| at_roughness(held.levels, &held.rows[k], r))
-            })
-            .collect();
-        explained.iter().for_each(|[a, b]| (apart, together) = (apart + a, together + b));
+        let mean: Vec<f64> = from.sum(|_| true).into_iter().map(|d| d / around.len() as f64).collect();
+        let local = |near: &Vec<u32>| vertex(from.levels, &shrunk(from, near, &mean, strength));
+        let explained: Vec<f64> =
+            around.par_iter().zip(&held.rows).map(|(near, row)| at_roughness(held.levels, row, local(near))).collect();
+        apart += explained.iter().sum::<f64>();
+        together += at_roughness(held.levels, &held.sum(|_| true), vertex(from.levels, &mean));
     }
     if together > 0.0 { 1.0 - apart / together } else { 0.0 }
 }
