@@ -31,7 +31,7 @@ impl<'a> Ground<'a> {
     /// Unreadable or unusable images and labels.
     pub fn prepare(scene: &'a Scene, options: &SolveOptions, progress: &Progress) -> Result<Self> {
         let surface = Surface::observe(scene, options, progress)?;
-        let cheap = SolveOptions { irradiance_rays: 2, emitter_samples: 0, irradiance_error: f32::INFINITY, ..options.clone() };
+        let cheap = SolveOptions { irradiance_rays: 2, emitter_samples: 0, irradiance_filter: false, ..options.clone() };
         let light = reconstruct_light(&surface, &cheap, progress);
         Ok(Self { surface, light, options: options.clone() })
     }

@@ -12,6 +12,32 @@ pub fn with_widest<R>(f: impl FnOnce() -> R) -> R {
     f()
 }
 
+/// A computation too long for [`with_widest`]: the compiler would leave a long closure outside, compiled for the baseline. Mark
+/// [`Self::run`] `#[inline(always)]`.
+pub trait Kernel {
+    /// What it computes.
+    type Output;
+    /// Computes it.
+    fn run(self) -> Self::Output;
+}
+
+/// [`with_widest`] for a [`Kernel`].
+#[inline]
+pub fn run_widest<K: Kernel>(kernel: K) -> K::Output {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: `avx2_kernel` needs exactly the feature tested on the line above.
+        return unsafe { avx2_kernel(kernel) };
+    }
+    kernel.run()
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn avx2_kernel<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run()
+}
+
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn avx2<R>(f: impl FnOnce() -> R) -> R {

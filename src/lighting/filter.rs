@@ -8,10 +8,10 @@
 //! quite as even as the regression: a texel with many samples keeps its own estimate.
 
 use super::Irradiance;
-use super::neighbourhood::{Candidates, Neighbourhood, Patch};
-use crate::ffi::simd::with_widest;
+use super::neighbourhood::{Near, Neighbourhood, Patch, total, weighted_sums};
+use crate::ffi::simd::{Kernel, run_widest, with_widest};
 use crate::math::{Frame, luminance};
-use glam::{Vec2, Vec3, Vec4};
+use glam::Vec3;
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
@@ -21,8 +21,11 @@ const REACH: f32 = 9.0;
 const DISC: f32 = 2.5;
 /// Relative differences that never separate two texels.
 const INDIFFERENT: f32 = 2e-3;
-/// Terms of the regression: constant, two of position, two of the normal.
-const TERMS: usize = 5;
+/// Slopes of the regression: two of position, two of the normal.
+const SLOPES: usize = 4;
+const TERMS: usize = SLOPES + 1;
+/// A turn of the normal that counts as much as the reach.
+const TURN: f32 = 4.0;
 /// Ridge on the slopes relative to the weights' sum: decides only where the neighbours do not.
 const RIDGE: f32 = 1e-3;
 /// Standard deviations of the small disc's mean that the regression may lie off it.
@@ -37,20 +40,7 @@ const COMPLEMENTARY: f32 = 0.6;
 /// The neighbourhoods of a set of texels.
 pub struct SurfaceFilter<'a> {
     patches: &'a [Patch],
-    disc: Neighbourhood,
-    wide: Neighbourhood,
-}
-
-/// A texel's two halves and what its weights are made from.
-#[derive(Clone, Copy, Default)]
-struct Node {
-    half: [Vec3; 2],
-    /// Luminance of each half over the small disc.
-    guide: [f32; 2],
-    /// Variance of the guide.
-    variance: f32,
-    /// Number of samples relative to other texels.
-    samples: f32,
+    around: Neighbourhood,
 }
 
 /// Luminance of the two halves of a texel and the variance of one.
@@ -69,13 +59,29 @@ impl Noise {
         let variance = COMPLEMENTARY * 0.5 * self.variance;
         if uneven > 0.0 { uneven / (uneven + variance) } else { 0.0 }
     }
+
+    /// The columns by which it travels: halves, variance, samples.
+    fn columns(&self) -> [f32; 4] {
+        [self.half[0], self.half[1], self.variance, self.samples]
+    }
+}
+
+/// Columns of the regression's data: the halves' channels, then the guide's columns.
+const NODE: usize = 10;
+
+/// Buffers of one thread, a column per candidate.
+#[derive(Default)]
+struct Scratch {
+    weight: [Vec<f32>; 2],
+    terms: [Vec<f32>; SLOPES],
+    product: Vec<f32>,
 }
 
 impl<'a> SurfaceFilter<'a> {
     /// Finds the neighbourhoods of the texels.
     #[must_use]
     pub fn new(patches: &'a [Patch]) -> Self {
-        Self { patches, disc: Neighbourhood::new(patches, DISC), wide: Neighbourhood::new(patches, REACH) }
+        Self { patches, around: Neighbourhood::new(patches) }
     }
 
     /// The filtered irradiance of `baked` (one value per texel, from 2^`level` times as many samples as the fewest); its `error` tells
@@ -84,19 +90,20 @@ impl<'a> SurfaceFilter<'a> {
     #[must_use]
     pub fn filter(&self, baked: &Irradiance, level: &[u8], asked: impl Fn(usize) -> bool + Sync) -> (Irradiance, Vec<f32>) {
         let noise = self.noise(baked, level);
-        let guides = self.disc.map(self.patches, &noise, |i, near| guide(&self.patches[i], &noise[i], near));
-        let nodes: Vec<Node> = baked
-            .halves
-            .par_iter()
-            .zip(&guides)
-            .zip(level)
-            .map(|((half, g), l)| Node { half: *half, guide: g.half, variance: g.variance, samples: f32::from(1u16 << l) })
-            .collect();
-        let halves = self.wide.map(self.patches, &nodes, |i, around| {
+        let columns: Vec<_> = noise.par_iter().map(Noise::columns).collect();
+        let guides =
+            self.around.map(self.patches, &columns, DISC, |i, near, scratch| run_widest(Guide { own: &noise[i], near, scratch }));
+        let node = |i: usize| {
+            let ([a, b], g) = (baked.halves[i].map(|h| h.to_array()), guides[i].columns());
+            [a[0], a[1], a[2], b[0], b[1], b[2], g[0], g[1], g[2], g[3]]
+        };
+        let nodes: Vec<[f32; NODE]> = (0..noise.len()).into_par_iter().map(node).collect();
+        let halves = self.around.map(self.patches, &nodes, REACH, |i, around, scratch| {
             if !asked(i) {
                 return baked.halves[i];
             }
-            let smooth = with_widest(|| regress(&self.patches[i], &nodes[i], around));
+            let smooth =
+                run_widest(Regression { patches: self.patches, i, own: &guides[i], half: baked.halves[i], around, scratch });
             let own = noise[i].own_share();
             [0, 1].map(|k| smooth[k].lerp(baked.halves[i][k], own))
         });
@@ -109,15 +116,14 @@ impl<'a> SurfaceFilter<'a> {
     /// the disc.
     fn noise(&self, baked: &Irradiance, level: &[u8]) -> Vec<Noise> {
         let samples = |l: u8| f32::from(1u16 << l);
-        let own: Vec<([f32; 2], f32)> =
-            baked.halves.par_iter().zip(level).map(|(h, l)| (h.map(luminance), samples(*l))).collect();
-        self.disc.map(self.patches, &own, |i, near| {
-            let (mut variance, mut square) = (0.0, 0.0);
-            near.each(&self.patches[i], |_, ([a, b], n), _| {
-                variance += n * 0.5 * (a - b).powi(2);
-                square += (0.5 * (a + b)).powi(2);
-            });
-            let (half, n) = own[i];
+        let own = |(half, l): (&[Vec3; 2], &u8)| {
+            let [a, b] = half.map(luminance);
+            [samples(*l) * 0.5 * (a - b).powi(2), (0.5 * (a + b)).powi(2)]
+        };
+        let own: Vec<[f32; 2]> = baked.halves.par_iter().zip(level).map(own).collect();
+        self.around.map(self.patches, &own, DISC, |i, near, (): &mut ()| {
+            let [variance, square] = with_widest(|| disc_sums(near));
+            let (half, n) = (baked.halves[i].map(luminance), samples(level[i]));
             let mean = 0.5 * (half[0] + half[1]);
             let variance = if square > 0.0 { variance / square * mean * mean / n } else { 0.0 };
             Noise { half, variance, samples: n }
@@ -141,36 +147,65 @@ impl<'a> SurfaceFilter<'a> {
                 [missed, 0.25 * (f[0] - f[1]).powi(2), (0.5 * (f[0] + f[1])).powi(2), n.variance * n.variance]
             })
             .collect();
-        self.disc.map(self.patches, &own, |i, near| {
-            let mut sum = Vec4::ZERO;
-            near.each(&self.patches[i], |_, x, _| sum += Vec4::from_array(*x));
-            let relative = |missed: f32| if sum.z > 0.0 { (missed.max(sum.y) / sum.z).sqrt() } else { 0.0 };
-            (relative(sum.x), relative(sum.x - sum.w.sqrt()))
+        self.around.map(self.patches, &own, DISC, |_, near, (): &mut ()| {
+            let [missed, differ, square, chance] = with_widest(|| disc_sums(near));
+            let relative = |missed: f32| if square > 0.0 { (missed.max(differ) / square).sqrt() } else { 0.0 };
+            (relative(missed), relative(missed - chance.sqrt()))
         })
     }
+}
+
+/// Sums of the data columns over the disc.
+#[inline(always)]
+fn disc_sums<const C: usize>(near: &Near<C>) -> [f32; C] {
+    let mut sums = [0.0; C];
+    for (sum, column) in sums.iter_mut().zip(&near.data) {
+        *sum = total(column);
+    }
+    sums
 }
 
 /// Mean of each half over the disc, without texels that the other half finds different beyond its noise. Texels count by the square
 /// root of their samples: if all counted alike, noisy ones would spoil what many samples bought; if by their precision, one or two
 /// would decide, however uneven the surface (CHANGELOG).
-fn guide(patch: &Patch, own: &Noise, near: &Candidates<Noise>) -> Noise {
-    let (mut sum, mut total, mut square) = ([0.0f32; 2], [0.0f32; 2], [0.0f32; 2]);
-    let floor = indifferent(own.half);
-    near.each(patch, |_, other, distance2| {
-        let noise = own.variance + other.variance;
-        for source in 0..2 {
-            let d = ((own.half[source] - other.half[source]).powi(2) - noise).max(0.0) / (noise + floor);
-            let w = (1.0 - 0.8 * distance2) * falloff(d) * other.samples.sqrt();
-            sum[1 - source] += w * other.half[1 - source];
-            total[1 - source] += w;
-            square[1 - source] += w * w * other.variance;
+struct Guide<'a> {
+    own: &'a Noise,
+    near: &'a Near<4>,
+    scratch: &'a mut Scratch,
+}
+
+impl Kernel for Guide<'_> {
+    type Output = Noise;
+
+    #[inline(always)]
+    fn run(self) -> Noise {
+        let Self { own, near, scratch } = self;
+        let n = near.len();
+        let [a, b, variance, samples] = &near.data;
+        let (a, b, variance, samples) = (&a[..n], &b[..n], &variance[..n], &samples[..n]);
+        let [weight, square] = &mut scratch.weight;
+        weight.resize(n, 0.0);
+        square.resize(n, 0.0);
+        let (distance2, weight, square) = (&near.distance2[..n], &mut weight[..n], &mut square[..n]);
+        let floor = indifferent(own.half);
+        let mut out = Noise { variance: 0.0, ..*own };
+        for (source, values, targets) in [(0, a, b), (1, b, a)] {
+            let (value, own_variance) = (own.half[source], own.variance);
+            for k in 0..n {
+                let w = (1.0 - 0.8 * distance2[k]) * alike(value - values[k], own_variance + variance[k], floor);
+                weight[k] = w * samples[k].sqrt();
+                square[k] = weight[k] * weight[k];
+            }
+            let weights = total(weight);
+            if weights <= 0.0 {
+                return *own;
+            }
+            let ([sum], [spread]) = (weighted_sums(weight, [targets]), weighted_sums(square, [variance]));
+            out.half[1 - source] = sum / weights;
+            out.variance = out.variance.max(spread / (weights * weights));
         }
-    });
-    if total[0].min(total[1]) <= 0.0 {
-        return *own;
+        out
     }
-    let variance = (square[0] / (total[0] * total[0])).max(square[1] / (total[1] * total[1]));
-    Noise { half: [sum[0] / total[0], sum[1] / total[1]], variance, samples: own.samples }
 }
 
 /// Squared differences below this never separate two texels.
@@ -179,105 +214,96 @@ fn indifferent(own: [f32; 2]) -> f32 {
     (INDIFFERENT * own[0].max(own[1])).powi(2).max(f32::MIN_POSITIVE)
 }
 
-/// (1 − d/6)⁶ up to d = 6, zero beyond: about exp(−d) at the price of a few products.
-#[inline]
-fn falloff(d: f32) -> f32 {
+/// Weight of a texel that differs by `difference` where noise makes `variance` and `floor` counts as nothing: (1 − d/6)⁶ up to d = 6,
+/// zero beyond, about exp(−d) at the price of a few products.
+#[inline(always)]
+fn alike(difference: f32, variance: f32, floor: f32) -> f32 {
+    let d = (difference * difference - variance).max(0.0) / (variance + floor);
     let a = (1.0 - d * (1.0 / 6.0)).max(0.0);
     let a2 = a * a;
     a2 * a2 * a2
 }
 
-/// Sums of a weighted regression of one half, in rows that fill vector registers: the lower triangle of the normal matrix, and the
-/// right sides of the three channels.
-#[derive(Clone, Copy, Default)]
-struct Sums {
-    matrix: [f32; ROW],
-    right: [f32; ROW],
+/// The regression's value at texel `i` for both halves.
+struct Regression<'a> {
+    patches: &'a [Patch],
+    i: usize,
+    /// Its guide.
+    own: &'a Noise,
+    half: [Vec3; 2],
+    around: &'a Near<NODE>,
+    scratch: &'a mut Scratch,
 }
 
-/// Products of terms, and of terms and channels, rounded up.
-const ROW: usize = 16;
-const _: () = assert!(TERMS * (TERMS + 1) / 2 <= ROW && TERMS * 3 <= ROW);
+impl Kernel for Regression<'_> {
+    type Output = [Vec3; 2];
 
-/// Where the product of two terms is stored, the later one first.
-const fn place(r: usize, c: usize) -> usize {
-    r * (r + 1) / 2 + c
-}
-
-/// Products of every two terms.
-#[inline(always)]
-fn squares(terms: &[f32; TERMS]) -> [f32; ROW] {
-    let mut out = [0.0; ROW];
-    for r in 0..TERMS {
-        for c in 0..=r {
-            out[place(r, c)] = terms[r] * terms[c];
-        }
-    }
-    out
-}
-
-impl Sums {
     #[inline(always)]
-    fn add(&mut self, w: f32, terms: &[f32; TERMS], squares: &[f32; ROW], value: Vec3) {
-        let mut right = [0.0; ROW];
-        for (out, term) in right.chunks_exact_mut(3).zip(terms) {
-            (out[0], out[1], out[2]) = (term * value.x, term * value.y, term * value.z);
+    fn run(self) -> [Vec3; 2] {
+        let Self { patches, i, own, half, around, scratch } = self;
+        let (n, patch) = (around.len(), &patches[i]);
+        let Scratch { weight, terms, product } = scratch;
+        let frame = Frame::from_normal(patch.normal);
+        let scale = 1.0 / (REACH * patch.size).max(f32::MIN_POSITIVE);
+        around.along(patches, patch, [frame.t, frame.b], [scale, TURN], terms);
+        weight.iter_mut().for_each(|c| c.resize(n, 0.0));
+        product.resize(n, 0.0);
+        let [.., a, b, variance, samples] = &around.data;
+        let (a, b, variance, samples) = (&a[..n], &b[..n], &variance[..n], &samples[..n]);
+        let [w0, w1] = weight;
+        let (w0, w1) = (&mut w0[..n], &mut w1[..n]);
+        let distance2 = &around.distance2[..n];
+        let floor = indifferent(own.half);
+        let ([half0, half1], own_variance) = (own.half, own.variance);
+        for k in 0..n {
+            let noise = own_variance + variance[k];
+            let kernel = (1.0 - distance2[k]) * (1.0 - distance2[k]) * samples[k];
+            // the weights of one half's values come from the other
+            w1[k] = kernel * alike(half0 - a[k], noise, floor);
+            w0[k] = kernel * alike(half1 - b[k], noise, floor);
         }
-        for k in 0..ROW {
-            self.matrix[k] += w * squares[k];
-            self.right[k] += w * right[k];
+        let terms = [&terms[0][..n], &terms[1][..n], &terms[2][..n], &terms[3][..n]];
+        let mut out = half;
+        // (closures given to library functions would be compiled for the baseline)
+        for (h, weight) in [w0, w1].into_iter().enumerate() {
+            let values = [&around.data[3 * h][..n], &around.data[3 * h + 1][..n], &around.data[3 * h + 2][..n]];
+            let Some(value) = intercept(weight, terms, values, &mut product[..n]) else { continue };
+            // where the neighbours lie to one side the slopes extrapolate: the small disc says how far that may go
+            let (l, reach) = (luminance(value), PLAUSIBLE * own.variance.sqrt());
+            let limited = l.clamp((own.half[h] - reach).max(0.0), own.half[h] + reach);
+            out[h] = if l > 0.0 { value * (limited / l) } else { value };
         }
-    }
-
-    /// The regression's value where all terms but the constant vanish.
-    fn intercept(&self) -> Option<Vec3> {
-        let total = self.matrix[0];
-        if total <= 0.0 {
-            return None;
-        }
-        let a = SMatrix::<f32, TERMS, TERMS>::from_fn(|r, c| {
-            let v = self.matrix[place(r.max(c), r.min(c))];
-            if r == c && r > 0 { v + RIDGE * total } else { v }
-        });
-        let mut unit = SVector::<f32, TERMS>::zeros();
-        unit[0] = 1.0;
-        // the first row of the inverse times the right side
-        let row = a.cholesky()?.solve(&unit);
-        let right = |r: usize| Vec3::from_slice(&self.right[3 * r..]);
-        Some((0..TERMS).fold(Vec3::ZERO, |s, r| s + right(r) * row[r]).max(Vec3::ZERO))
+        out
     }
 }
 
-/// The regression's value at a texel for both halves.
+/// Value of a weighted regression on a constant and `slopes` where the slopes' terms vanish; `product` is overwritten.
 #[inline(always)]
-fn regress(patch: &Patch, own: &Node, around: &Candidates<Node>) -> [Vec3; 2] {
-    let frame = Frame::from_normal(patch.normal);
-    let scale = 1.0 / (REACH * patch.size).max(f32::MIN_POSITIVE);
-    let floor = indifferent(own.guide);
-    let mut sums = [Sums::default(); 2];
-    around.each(patch, |q, other, distance2| {
-        let noise = own.variance + other.variance;
-        let step = q.position - patch.position;
-        let step = Vec2::new(step.dot(frame.t), step.dot(frame.b)) * scale;
-        let turn = Vec2::new(q.normal.dot(frame.t), q.normal.dot(frame.b)) * 4.0;
-        let terms = [1.0, step.x, step.y, turn.x, turn.y];
-        let squares = squares(&terms);
-        let kernel = (1.0 - distance2).powi(2);
-        for source in 0..2 {
-            let d = ((own.guide[source] - other.guide[source]).powi(2) - noise).max(0.0) / (noise + floor);
-            let w = kernel * other.samples * falloff(d);
-            if w > 0.0 {
-                sums[1 - source].add(w, &terms, &squares, other.half[1 - source]);
-            }
+fn intercept(weight: &[f32], slopes: [&[f32]; SLOPES], values: [&[f32]; 3], product: &mut [f32]) -> Option<Vec3> {
+    let weights = total(weight);
+    if weights <= 0.0 {
+        return None;
+    }
+    let mut a = SMatrix::<f32, TERMS, TERMS>::zeros();
+    let mut right = [Vec3::ZERO; TERMS];
+    a[(0, 0)] = weights;
+    right[0] = Vec3::from_array(weighted_sums(weight, values));
+    for r in 0..SLOPES {
+        for (p, (w, t)) in product.iter_mut().zip(weight.iter().zip(slopes[r])) {
+            *p = w * t;
         }
-    });
-    [0, 1].map(|k| {
-        let Some(value) = sums[k].intercept() else { return own.half[k] };
-        // where the neighbours lie to one side the slopes extrapolate: the small disc says how far that may go
-        let (l, reach) = (luminance(value), PLAUSIBLE * own.variance.sqrt());
-        let limited = l.clamp((own.guide[k] - reach).max(0.0), own.guide[k] + reach);
-        if l > 0.0 { value * (limited / l) } else { value }
-    })
+        a[(r + 1, 0)] = total(product);
+        for (c, sum) in weighted_sums(product, slopes).into_iter().enumerate().take(r + 1) {
+            a[(r + 1, c + 1)] = sum;
+        }
+        a[(r + 1, r + 1)] += RIDGE * weights;
+        right[r + 1] = Vec3::from_array(weighted_sums(product, values));
+    }
+    let mut unit = SVector::<f32, TERMS>::zeros();
+    unit[0] = 1.0;
+    // the first row of the inverse times the right side; of the matrix only the lower triangle is read
+    let row = a.cholesky()?.solve(&unit);
+    Some((0..TERMS).fold(Vec3::ZERO, |s, r| s + right[r] * row[r]).max(Vec3::ZERO))
 }
 
 #[cfg(test)]

@@ -3,12 +3,15 @@
 //! Texels are sorted into cubes; those of one cube share a list of candidates, copied side by side. Charts of different density live in
 //! different grids (octaves of texel size), so that the number of neighbours does not grow with the density of a chart next door.
 
+use crate::ffi::simd::with_widest;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Cubes per reach: more waste less on candidates out of reach, fewer need fewer look-ups.
-const CELLS_PER_REACH: i32 = 2;
+/// Side of a cube in texels: smaller ones waste less on candidates out of reach, larger ones need fewer look-ups.
+const CELL: f32 = 3.0;
+/// Candidates that are looked at side by side.
+pub(super) const LANES: usize = 8;
 /// Normals closer than this cosine belong to one smooth surface.
 const SMOOTH: f32 = 0.95;
 /// Height over the tangent plane, as a share of the distance, within which a texel belongs to the same surface.
@@ -30,60 +33,88 @@ pub(super) struct Neighbourhood {
     octaves: Vec<Octave>,
     /// Octave of every texel's size.
     octave_of: Vec<i32>,
-    /// In texels.
-    reach: f32,
 }
 
 /// Texels of similar size sorted by cube.
 struct Octave {
     /// Logarithm of the members' texel size; a grid also holds the octaves next to it.
     octave: i32,
-    /// Texels in the order of their cubes.
+    /// Side of a cube, metres.
+    cell: f32,
+    /// Texels in the order of their groups.
     sorted: Vec<u32>,
-    /// Cubes in order with their ranges of `sorted`.
-    cubes: Vec<([i32; 3], Range<usize>)>,
+    /// In the order of their cubes.
+    groups: Vec<Group>,
 }
 
-/// What a texel's neighbours are drawn from.
-pub(super) struct Candidates<T> {
-    list: Vec<(Patch, T)>,
-    reach: f32,
+/// Texels of one cube that face about the same way.
+struct Group {
+    cube: [i32; 3],
+    /// Its texels, a range of [`Octave::sorted`].
+    range: Range<usize>,
+    /// Mean normal, and the largest angle from it.
+    axis: Vec3,
+    spread: f32,
+}
+
+/// Texels of the cubes around a few texels, a column per property.
+#[derive(Default)]
+struct Candidates {
+    ids: Vec<u32>,
+    position: [Vec<f32>; 3],
+    normal: [Vec<f32>; 3],
+    distance2: Vec<f32>,
+    near: Vec<u32>,
+}
+
+/// The texels around one on the same smooth surface, itself among them: a column per property, padded to whole [`LANES`] by data that are zero.
+pub(super) struct Near<const C: usize> {
+    /// Squared distance as a share of the reach's square.
+    pub distance2: Vec<f32>,
+    ids: Vec<u32>,
+    /// The data that travel with the texels.
+    pub data: [Vec<f32>; C],
 }
 
 impl Neighbourhood {
-    /// Sorts the texels; `reach` in texels.
-    pub(super) fn new(patches: &[Patch], reach: f32) -> Self {
+    /// Sorts the texels.
+    pub(super) fn new(patches: &[Patch]) -> Self {
         let octave_of: Vec<i32> = patches.par_iter().map(|p| octave(p.size)).collect();
         let mut present = octave_of.clone();
         present.par_sort_unstable();
         present.dedup();
-        let octaves = present.iter().map(|&o| Octave::new(patches, &octave_of, o, reach)).collect();
-        Self { octaves, octave_of, reach }
+        let octaves = present.iter().map(|&o| Octave::new(patches, &octave_of, o)).collect();
+        Self { octaves, octave_of }
     }
 
-    /// Calls `f(i, candidates)` for every texel and returns the results in order. `data[i]` travels with texel i.
-    pub(super) fn map<T: Copy + Send + Sync, R: Send + Clone + Default>(
+    /// Calls `f(i, near, scratch)` for every texel with the texels within `reach` texels of it, and returns the results in order.
+    /// `data[i]` travels with texel i.
+    pub(super) fn map<const C: usize, S: Default, R: Send + Clone + Default>(
         &self,
         patches: &[Patch],
-        data: &[T],
-        f: impl Fn(usize, &Candidates<T>) -> R + Sync,
+        data: &[[f32; C]],
+        reach: f32,
+        f: impl Fn(usize, &Near<C>, &mut S) -> R + Sync,
     ) -> Vec<R> {
         let mut out = vec![R::default(); patches.len()];
         for o in &self.octaves {
-            let is_member = |i: &u32| self.octave_of[*i as usize] == o.octave;
+            let is_member = |i: &&u32| self.octave_of[**i as usize] == o.octave;
             let parts: Vec<Vec<(u32, R)>> = o
-                .cubes
+                .groups
                 .par_iter()
-                .map(|(c, range)| {
-                    let members = &o.sorted[range.clone()];
-                    if !members.iter().any(is_member) {
-                        return Vec::new();
-                    }
-                    let list =
-                        o.around(*c).flat_map(|r| &o.sorted[r]).map(|&j| (patches[j as usize], data[j as usize])).collect();
-                    let candidates = Candidates { list, reach: self.reach };
-                    members.iter().filter(|i| is_member(i)).map(|&i| (i, f(i as usize, &candidates))).collect()
-                })
+                .map_init(
+                    || (Candidates::default(), Near::default(), S::default()),
+                    |(candidates, near, scratch), group| {
+                        let members = || o.sorted[group.range.clone()].iter().filter(is_member);
+                        let Some(bounds) = bounds(members().map(|&i| &patches[i as usize]), reach) else { return Vec::new() };
+                        candidates.fill(patches, o, group, bounds);
+                        let each = |&i: &u32| {
+                            candidates.find(&patches[i as usize], data, reach, near);
+                            (i, f(i as usize, near, scratch))
+                        };
+                        members().map(each).collect()
+                    },
+                )
                 .collect();
             for (i, value) in parts.into_iter().flatten() {
                 out[i as usize] = value;
@@ -93,53 +124,196 @@ impl Neighbourhood {
     }
 }
 
+/// The box within `reach` texels of all of `patches`; `None` if there are none.
+fn bounds<'a>(patches: impl Iterator<Item = &'a Patch>, reach: f32) -> Option<[Vec3; 2]> {
+    // a little more, for what rounding takes away
+    let of = |p: &Patch| [p.position - 1.001 * reach * p.size, p.position + 1.001 * reach * p.size];
+    patches.map(of).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+}
+
 impl Octave {
-    fn new(patches: &[Patch], octave_of: &[i32], o: i32, reach: f32) -> Self {
-        // the reach of the octave's largest texels
-        let cell = (2.0f32.powf(o as f32 + 0.5) * reach / CELLS_PER_REACH as f32).max(f32::MIN_POSITIVE);
-        let cube = |p: Vec3| (p / cell).floor().to_array().map(|x| x as i32);
-        let mut keyed: Vec<([i32; 3], u32)> = (0..patches.len())
+    fn new(patches: &[Patch], octave_of: &[i32], o: i32) -> Self {
+        let cell = (2.0f32.powi(o) * CELL).max(f32::MIN_POSITIVE);
+        let mut keyed: Vec<([i32; 3], u8, u32)> = (0..patches.len())
+            .into_par_iter()
             .filter(|&i| (octave_of[i] - o).abs() <= 1)
-            .map(|i| (cube(patches[i].position), i as u32))
+            .map(|i| (cube(patches[i].position, cell), facing(patches[i].normal), i as u32))
             .collect();
         keyed.par_sort_unstable();
-        let mut cubes: Vec<([i32; 3], Range<usize>)> = Vec::new();
-        for (k, (c, _)) in keyed.iter().enumerate() {
-            match cubes.last_mut() {
-                Some((last, range)) if last == c => range.end = k + 1,
-                _ => cubes.push((*c, k..k + 1)),
+        let mut ranges: Vec<Range<usize>> = Vec::new();
+        for k in 0..keyed.len() {
+            match ranges.last_mut() {
+                Some(last) if (keyed[last.start].0, keyed[last.start].1) == (keyed[k].0, keyed[k].1) => last.end = k + 1,
+                _ => ranges.push(k..k + 1),
             }
         }
-        Self { octave: o, sorted: keyed.into_iter().map(|k| k.1).collect(), cubes }
+        let group = |range: Range<usize>| {
+            let normals = || keyed[range.clone()].iter().map(|k| patches[k.2 as usize].normal);
+            let axis = normals().sum::<Vec3>().normalize_or(Vec3::Z);
+            let spread = normals().map(|n| axis.dot(n).clamp(-1.0, 1.0).acos()).fold(0.0, f32::max);
+            Group { cube: keyed[range.start].0, axis, spread, range }
+        };
+        let groups = ranges.into_par_iter().map(group).collect();
+        Self { octave: o, cell, groups, sorted: keyed.into_iter().map(|k| k.2).collect() }
     }
 
-    /// The ranges of `sorted` within reach of cube `c`; the cubes of one row lie side by side.
-    fn around(&self, c: [i32; 3]) -> impl Iterator<Item = Range<usize>> + '_ {
-        let r = CELLS_PER_REACH;
-        let rows = (-r..=r).flat_map(move |x| (-r..=r).map(move |y| [c[0].saturating_add(x), c[1].saturating_add(y)]));
-        rows.filter_map(move |[x, y]| {
-            let (first, last) = ([x, y, c[2].saturating_sub(r)], [x, y, c[2].saturating_add(r)]);
-            let from = self.cubes.partition_point(|k| k.0 < first);
-            let to = from + self.cubes[from..].iter().take_while(|k| k.0 <= last).count();
-            (to > from).then(|| self.cubes[from].1.start..self.cubes[to - 1].1.end)
+    /// The groups whose cubes meet a box; those of one row of cubes lie side by side.
+    fn within(&self, [lo, hi]: [Vec3; 2]) -> impl Iterator<Item = &Group> {
+        let (lo, hi) = (cube(lo, self.cell), cube(hi, self.cell));
+        let rows = (lo[0]..=hi[0]).flat_map(move |x| (lo[1]..=hi[1]).map(move |y| [x, y]));
+        rows.flat_map(move |[x, y]| {
+            let from = self.groups.partition_point(|g| g.cube < [x, y, lo[2]]);
+            self.groups[from..].iter().take_while(move |g| g.cube <= [x, y, hi[2]])
         })
     }
 }
 
-impl<T> Candidates<T> {
-    /// Calls `f(patch, data, squared distance as a share of the reach's square)` for every texel on the same smooth surface as `p`
-    /// and within its reach, `p` itself among them.
-    #[inline(always)]
-    pub(super) fn each(&self, p: &Patch, mut f: impl FnMut(&Patch, &T, f32)) {
-        let limit = (self.reach * p.size).powi(2);
-        for (q, data) in &self.list {
-            let step = q.position - p.position;
-            let d2 = step.length_squared();
-            if d2 < limit && q.normal.dot(p.normal) > SMOOTH && p.normal.dot(step).powi(2) <= FLAT * FLAT * d2 {
-                f(q, data, d2 / limit);
+fn cube(p: Vec3, cell: f32) -> [i32; 3] {
+    (p / cell).floor().to_array().map(|x| x as i32)
+}
+
+/// The coordinate axis that a normal is closest to, and its sign.
+fn facing(normal: Vec3) -> u8 {
+    let axis = normal.abs().max_position();
+    (2 * axis + usize::from(normal[axis] < 0.0)) as u8
+}
+
+impl Candidates {
+    /// Takes the texels of `octave` within `bounds` that may lie on one smooth surface with texels of `group`.
+    fn fill(&mut self, patches: &[Patch], octave: &Octave, group: &Group, bounds: [Vec3; 2]) {
+        self.ids.clear();
+        let columns = self.position.iter_mut().chain(&mut self.normal);
+        columns.for_each(Vec::clear);
+        // a little more, for what rounding takes away
+        let turn = SMOOTH.acos() + group.spread + 1e-3;
+        let cosine = turn.min(std::f32::consts::PI).cos();
+        for near in octave.within(bounds).filter(|g| g.axis.angle_between(group.axis) <= turn + g.spread) {
+            for &i in &octave.sorted[near.range.clone()] {
+                let p = &patches[i as usize];
+                if p.position.cmpge(bounds[0]).all() && p.position.cmple(bounds[1]).all() && p.normal.dot(group.axis) >= cosine {
+                    self.ids.push(i);
+                    self.position.iter_mut().zip(p.position.to_array()).for_each(|(c, x)| c.push(x));
+                    self.normal.iter_mut().zip(p.normal.to_array()).for_each(|(c, x)| c.push(x));
+                }
+            }
+        }
+        let n = self.ids.len();
+        self.distance2.resize(n, 0.0);
+        self.near.resize(n, 0);
+    }
+
+    /// Writes those that lie around `p`.
+    fn find<const C: usize>(&mut self, p: &Patch, data: &[[f32; C]], reach: f32, out: &mut Near<C>) {
+        let n = self.ids.len();
+        with_widest(|| {
+            // (copies: what is read through a reference could change with every value written)
+            let Patch { position, normal, size } = *p;
+            let limit = (reach * size) * (reach * size);
+            let per_limit = 1.0 / limit.max(f32::MIN_POSITIVE);
+            let (x, y, z) = (&self.position[0][..n], &self.position[1][..n], &self.position[2][..n]);
+            let (a, b, c) = (&self.normal[0][..n], &self.normal[1][..n], &self.normal[2][..n]);
+            let distance2 = &mut self.distance2[..n];
+            for k in 0..n {
+                let step = Vec3::new(x[k], y[k], z[k]) - position;
+                let d2 = step.length_squared();
+                let smooth = normal.dot(Vec3::new(a[k], b[k], c[k])) > SMOOTH;
+                let height = normal.dot(step);
+                let flat = height * height <= FLAT * FLAT * d2;
+                distance2[k] = if (d2 < limit) & smooth & flat { d2 * per_limit } else { 1.0 };
+            }
+        });
+        let (distance2, near) = (&self.distance2[..n], &mut self.near[..n]);
+        let mut kept = 0;
+        for (k, d2) in distance2.iter().enumerate() {
+            near[kept] = k as u32;
+            kept += usize::from(*d2 < 1.0);
+        }
+        out.resize(kept);
+        let Near { distance2: out_distance2, ids, data: columns } = out;
+        let columns = columns.each_mut();
+        for (j, (&k, (d2, id))) in near[..kept].iter().zip(out_distance2.iter_mut().zip(ids.iter_mut())).enumerate() {
+            *d2 = distance2[k as usize];
+            *id = self.ids[k as usize];
+            let from = &data[*id as usize];
+            for c in 0..C {
+                columns[c][j] = from[c];
             }
         }
     }
+}
+
+impl<const C: usize> Default for Near<C> {
+    fn default() -> Self {
+        Self { distance2: Vec::new(), ids: Vec::new(), data: [const { Vec::new() }; C] }
+    }
+}
+
+impl<const C: usize> Near<C> {
+    /// Number of texels, padding included.
+    pub(super) fn len(&self) -> usize {
+        self.distance2.len()
+    }
+
+    /// Makes room for `n` texels and pads them.
+    fn resize(&mut self, n: usize) {
+        let whole = n.next_multiple_of(LANES);
+        for c in &mut self.data {
+            c.resize(whole, 0.0);
+            c[n..].fill(0.0);
+        }
+        self.ids.resize(n, 0);
+        self.distance2.resize(whole, 1.0);
+        self.distance2[n..].fill(1.0);
+    }
+
+    /// Writes the texels' positions relative to `p` along two axes, and their normals along the same, both scaled.
+    #[inline(always)]
+    pub(super) fn along(&self, patches: &[Patch], p: &Patch, axes: [Vec3; 2], scales: [f32; 2], out: &mut [Vec<f32>; 4]) {
+        out.iter_mut().for_each(|c| c.resize(self.len(), 0.0));
+        let [s0, s1, n0, n1] = out;
+        let columns = s0.iter_mut().zip(s1).zip(n0.iter_mut().zip(n1));
+        for (&i, ((s0, s1), (n0, n1))) in self.ids.iter().zip(columns) {
+            let Patch { position, normal, .. } = patches[i as usize];
+            let step = position - p.position;
+            (*s0, *s1) = (step.dot(axes[0]) * scales[0], step.dot(axes[1]) * scales[0]);
+            (*n0, *n1) = (normal.dot(axes[0]) * scales[1], normal.dot(axes[1]) * scales[1]);
+        }
+    }
+}
+
+/// Σ columnₖ.
+#[inline(always)]
+pub(super) fn total(column: &[f32]) -> f32 {
+    let mut sum = [0.0f32; LANES];
+    for c in column.as_chunks::<LANES>().0 {
+        for l in 0..LANES {
+            sum[l] += c[l];
+        }
+    }
+    sum.iter().sum()
+}
+
+/// Σ weightₖ columnₖ per column. The lanes' order of summation is the same on every processor.
+#[inline(always)]
+pub(super) fn weighted_sums<const N: usize>(weight: &[f32], columns: [&[f32]; N]) -> [f32; N] {
+    let mut sums = [[0.0f32; LANES]; N];
+    let weight = weight.as_chunks::<LANES>().0;
+    let mut blocks = [[].as_slice(); N];
+    for (block, column) in blocks.iter_mut().zip(columns) {
+        *block = &column.as_chunks::<LANES>().0[..weight.len()];
+    }
+    for (k, w) in weight.iter().enumerate() {
+        for (sum, block) in sums.iter_mut().zip(&blocks) {
+            for l in 0..LANES {
+                sum[l] += w[l] * block[k][l];
+            }
+        }
+    }
+    let mut out = [0.0; N];
+    for (out, sum) in out.iter_mut().zip(&sums) {
+        *out = sum.iter().sum();
+    }
+    out
 }
 
 /// Octave of a texel's size.
@@ -166,9 +340,11 @@ mod tests {
         let patches = patches();
         let reach = 4.0;
         let index: Vec<u32> = (0..patches.len() as u32).collect();
-        let found = Neighbourhood::new(&patches, reach).map(&patches, &index, |i, candidates| {
-            let mut list = Vec::new();
-            candidates.each(&patches[i], |_, &j, _| list.push(j));
+        let numbers: Vec<[f32; 1]> = index.iter().map(|j| [*j as f32]).collect();
+        let found = Neighbourhood::new(&patches).map(&patches, &numbers, reach, |_, near: &Near<1>, (): &mut ()| {
+            assert_eq!(near.len() % LANES, 0);
+            let near = near.distance2.iter().zip(&near.data[0]).filter(|(d2, _)| **d2 < 1.0);
+            let mut list: Vec<u32> = near.map(|(_, j)| *j as u32).collect();
             list.sort_unstable();
             list
         });
