@@ -25,7 +25,7 @@ pub struct IrtBench {
     /// Repetitions of each rate measurement; medians are reported.
     #[arg(long, value_name = "N", default_value_t = 5)]
     pub repetitions: usize,
-    /// Longer ladders of sample counts, the pipeline at four sample counts, and meshes of up to 10 million triangles.
+    /// Longer ladders of sample counts, the pipeline at five sample counts, and meshes of up to 10 million triangles.
     #[arg(long)]
     pub full: bool,
     /// Leave out growth with texels, triangles and threads.
@@ -124,8 +124,8 @@ fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &P
     let runs = if bench.full { 8192 } else { 4096 };
     let mut points = progress.stage("error against time", 0, |p| ladders(&ground, texels, &reference, runs, bench.full, p));
     let (r, e) = (ground.options.irradiance_rays, ground.options.emitter_samples);
-    let quarter = [(r / 4).max(2), (e / 4).max(1)];
-    let others: &[[u32; 2]] = if bench.full { &[quarter, [2 * r, 2 * e], [4 * r, 4 * e]] } else { &[quarter] };
+    let part = |n: u32| [(r / n).max(2), (e / n).max(1)];
+    let others: &[[u32; 2]] = if bench.full { &[part(8), part(4), [2 * r, 2 * e], [4 * r, 4 * e]] } else { &[part(8), part(4)] };
     let ours = pipeline_point(&ground, texels, &reference, [r, e], progress);
     for &o in others {
         points.push(pipeline_point(&ground, texels, &reference, o, progress));

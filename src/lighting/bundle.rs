@@ -154,7 +154,7 @@ impl Bundle {
         for r in receivers {
             let halves = self.draw_hemisphere(bake, round, r, rays);
             rays = halves[1].end;
-            let lit = !round.lights.is_empty() && self.choose(bake, r);
+            let lit = !round.lights.is_empty() && self.choose(bake, round, r);
             if lit {
                 lights = self.draw_lights(bake, round, r, lights);
             }
@@ -233,9 +233,10 @@ impl Bundle {
     }
 
     /// Finds which lamps the next receiver asks; false if none can send it light.
-    fn choose(&mut self, bake: &Bake, r: &Receiver) -> bool {
+    fn choose(&mut self, bake: &Bake, round: &Round, r: &Receiver) -> bool {
+        let rays_per_sample = round.total_rays as f32 / round.total_lights.max(1) as f32;
         let k = self.spans.len();
-        bake.emitters.choose(r.position, r.normal, &mut self.choices[k]);
+        bake.emitters.choose(r.position, r.normal, rays_per_sample, &mut self.choices[k]);
         !self.choices[k].is_empty()
     }
 

@@ -164,7 +164,7 @@ impl Emitters {
                 let out_of = |t: u32| field.outward_normal(t as usize);
                 let item = |t: u32| {
                     let (area, power) = (mesh.area(t as usize), power[t as usize]);
-                    (Piece { centre: centre(t), normal: out_of(t), power }, area, power)
+                    (Piece { centre: centre(t), normal: out_of(t), area, power }, area, power)
                 };
                 let items = group.iter().map(|&t| item(t)).collect::<Vec<_>>();
                 out.add_lamp(mesh, field, LampKind::Triangles(group), &items);
@@ -257,7 +257,7 @@ impl Emitters {
             // a floor keeps cells that few probes crossed possible; unseen cells stay with the hemisphere rays
             let item = |c: u32| {
                 let area = hull.cell_area(c);
-                let piece = Piece { centre: centre(c), normal: hull.cell_frame(c)[3], power: radiance * f64::from(area) };
+                let piece = Piece { centre: centre(c), normal: hull.cell_frame(c)[3], area, power: radiance * f64::from(area) };
                 (piece, area, light[&c].max(0.2 * mean))
             };
             let items: Vec<_> = group.iter().map(|&c| item(c)).collect();
@@ -340,9 +340,15 @@ impl Emitters {
         self.lamps.len()
     }
 
-    /// Writes into `choice` which lamps suit a point with a unit normal; pass it to [`Self::sample`] and [`Self::pdf`].
-    pub fn choose(&self, p: Vec3, normal: Vec3, choice: &mut LampChoice) {
-        choice.set(|weights| self.shapes.expected(p, normal, self.reach.at(self.cell(p)), weights));
+    /// Writes into `choice` which lamps suit a point with a unit normal; pass it to [`Self::sample`] and [`Self::pdf`]. They are combined
+    /// with `rays` cosine-distributed rays per sample, which meet large lamps anyway.
+    pub fn choose(&self, p: Vec3, normal: Vec3, rays: f32, choice: &mut LampChoice) {
+        choice.set(|weights| {
+            self.shapes.expected(p, normal, self.reach.at(self.cell(p)), weights);
+            if rays > 0.0 {
+                self.shapes.rebalance(rays, weights);
+            }
+        });
     }
 
     /// Whether two points (position, unit normal) lie so close together that one's choice of lamps serves the other as well.

@@ -3,6 +3,7 @@
 
 use crate::ffi::simd::with_widest;
 use glam::Vec3;
+use std::f32::consts::FRAC_1_PI;
 
 /// Lamps as their light is judged from afar, a column per property.
 #[derive(Default)]
@@ -18,6 +19,8 @@ pub(super) struct LampShapes {
     axis: [Vec<f32>; 3],
     /// Share of the power that a lamp sends to all sides alike.
     round: Vec<f32>,
+    /// 1/(π · luminance): of a lamp's irradiance times this, a share of the hemisphere rays meets it.
+    dimness: Vec<f32>,
 }
 
 /// A flat piece of a lamp.
@@ -26,9 +29,18 @@ pub(super) struct Piece {
     pub centre: Vec3,
     /// Unit normal of the side that sends out light.
     pub normal: Vec3,
+    /// m².
+    pub area: f32,
     /// Luminance × area.
     pub power: f64,
 }
+
+/// Lamps that are summed side by side.
+const LANES: usize = 8;
+/// Steps in which the level of [`LampShapes::rebalance`] is found; each leaves lamps out.
+const LEVEL_STEPS: u32 = 4;
+/// Least factor on a lamp's probability, however well hemisphere rays meet it.
+const LEAST: f32 = 0.03;
 
 /// Flat pieces of a lamp seen under a grazing angle still shine as much as this share of its angular size.
 const SLACK: f32 = 0.3;
@@ -47,6 +59,8 @@ impl LampShapes {
         self.radius.push(radius);
         self.power.push(power as f32);
         self.axis.iter_mut().zip(axis.to_array()).for_each(|(column, a)| column.push(a));
+        let area = pieces.iter().map(|p| p.area).sum::<f32>();
+        self.dimness.push(area * FRAC_1_PI / power as f32);
         // what a convex body shows to one side is a quarter of its surface
         self.round.push(0.25 * (1.0 - axis.length()).max(0.0));
     }
@@ -57,6 +71,30 @@ impl LampShapes {
 
     pub(super) fn centres_and_powers(&self) -> impl Iterator<Item = (Vec3, f64)> + '_ {
         (0..self.len()).map(|k| (Vec3::new(self.x[k], self.y[k], self.z[k]), f64::from(self.power[k])))
+    }
+
+    /// Turns expected irradiance into the probabilities, up to a factor, that suit samples combined with `rays` cosine-distributed rays
+    /// each. Rays meet large lamps anyway: under the balance heuristic a lamp of irradiance E and luminance L adds to the variance as
+    /// E²/(q + h E/(πL)), for samples of probability q and h rays per sample. The least sum has q ∝ E·(1 − h/(πL·level)) where that is
+    /// positive, and 0 elsewhere, the level being such that Σ q = 1.
+    pub(super) fn rebalance(&self, rays: f32, weights: &mut [f32]) {
+        let dimness = &self.dimness[..weights.len()];
+        with_widest(|| {
+            let mut level = f32::INFINITY;
+            // what lies above the level is left out, which lowers it
+            for _ in 0..LEVEL_STEPS {
+                let [sum, met] = sums_below(level / rays, weights, dimness);
+                let next = (1.0 + rays * met) / sum;
+                if next.is_nan() || next >= level {
+                    break;
+                }
+                level = next;
+            }
+            let slope = rays / level;
+            for (w, d) in weights.iter_mut().zip(dimness) {
+                *w *= (1.0 - slope * d).max(LEAST);
+            }
+        });
     }
 
     /// Writes the unoccluded irradiance that each lamp is expected to send to a point, times `reach`.
@@ -80,6 +118,27 @@ impl LampShapes {
             }
         });
     }
+}
+
+/// Σ w and Σ w·d over those whose d is below `limit`, in lanes whose order is the same on every processor.
+#[inline(always)]
+fn sums_below(limit: f32, weights: &[f32], dimness: &[f32]) -> [f32; 2] {
+    let (mut sum, mut met) = ([0.0f32; LANES], [0.0f32; LANES]);
+    let (weights, weights_end) = weights.as_chunks::<LANES>();
+    let (dimness, dimness_end) = dimness.as_chunks::<LANES>();
+    for (w, d) in weights.iter().zip(dimness) {
+        for l in 0..LANES {
+            let w = if d[l] < limit { w[l] } else { 0.0 };
+            sum[l] += w;
+            met[l] += w * d[l];
+        }
+    }
+    for (l, (w, d)) in weights_end.iter().zip(dimness_end).enumerate() {
+        let w = if *d < limit { *w } else { 0.0 };
+        sum[l] += w;
+        met[l] += w * d;
+    }
+    [sum.iter().sum(), met.iter().sum()]
 }
 
 /// The probability of each lamp at one point. What is sampled is exactly what [`Self::pmf`] says; lamps keep the order of the numbers
@@ -162,10 +221,46 @@ mod tests {
         assert!(choice.is_empty());
     }
 
+    /// The variance that a choice leaves, and that of choices near it.
+    #[test]
+    fn rebalanced_probabilities_leave_the_least_variance() {
+        // (area, power): small and bright to large and dim
+        let lamps = [(0.01, 3.0), (0.5, 2.0), (2.0, 1.5), (6.0, 1.0), (0.2, 0.4)];
+        let expected = [0.5f64, 0.8, 0.3, 0.6, 0.1];
+        let mut shapes = LampShapes::default();
+        for (area, power) in lamps {
+            shapes.push(&[Piece { centre: Vec3::Z, normal: Vec3::NEG_Z, area, power }]);
+        }
+        let rays = 4.0;
+        let mut weights = expected.map(|e| e as f32);
+        shapes.rebalance(rays, &mut weights);
+        let sum: f64 = weights.iter().map(|w| f64::from(*w)).sum();
+        let q = weights.map(|w| f64::from(w) / sum);
+        let variance = |q: &[f64; 5]| -> f64 {
+            let met = |k: usize| f64::from(rays) * f64::from(lamps[k].0) / (std::f64::consts::PI * lamps[k].1);
+            (0..5).map(|k| expected[k].powi(2) / (q[k] + expected[k] * met(k))).sum()
+        };
+        let by_expectation = expected.map(|e| e / expected.iter().sum::<f64>());
+        assert!(variance(&q) < 0.98 * variance(&by_expectation), "{} {}", variance(&q), variance(&by_expectation));
+        for from in 0..5 {
+            for to in 0..5 {
+                let mut other = q;
+                let step = 0.02f64.min(q[from]);
+                other[from] -= step;
+                other[to] += step;
+                // (the floor keeps the optimum from being exact)
+                assert!(variance(&other) > 0.999 * variance(&q), "{from} to {to}: {q:?}");
+            }
+        }
+        let mut none = [0.0f32; 5];
+        shapes.rebalance(rays, &mut none);
+        assert_eq!(none, [0.0; 5]);
+    }
+
     #[test]
     fn what_is_expected_of_a_small_flat_lamp_is_its_irradiance() {
         let mut shapes = LampShapes::default();
-        shapes.push(&[Piece { centre: Vec3::new(0.0, 0.0, 2.0), normal: Vec3::NEG_Z, power: 3.0 }]);
+        shapes.push(&[Piece { centre: Vec3::new(0.0, 0.0, 2.0), normal: Vec3::NEG_Z, area: 1.0, power: 3.0 }]);
         let mut expected = Vec::new();
         let mut of = |p: Vec3, n: Vec3| {
             shapes.expected(p, n, &[1.0], &mut expected);
@@ -185,7 +280,7 @@ mod tests {
         let mut shapes = LampShapes::default();
         let axes = [Vec3::X, Vec3::Y, Vec3::Z];
         let ball: Vec<Piece> =
-            axes.iter().flat_map(|a| [*a, -*a]).map(|a| Piece { centre: 0.5 * a, normal: a, power: 1.0 }).collect();
+            axes.iter().flat_map(|a| [*a, -*a]).map(|a| Piece { centre: 0.5 * a, normal: a, area: 1.0, power: 1.0 }).collect();
         shapes.push(&ball);
         let mut expected = Vec::new();
         let mut of = |p: Vec3, n: Vec3| {

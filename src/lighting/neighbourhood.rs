@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Side of a cube in texels: smaller ones waste less on candidates out of reach, larger ones need fewer look-ups.
-const CELL: f32 = 3.0;
+const CELL: f32 = 4.5;
 /// Candidates that are looked at side by side.
 pub(super) const LANES: usize = 8;
 /// Normals closer than this cosine belong to one smooth surface.

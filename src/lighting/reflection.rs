@@ -159,7 +159,7 @@ impl Reflector<'_> {
             let place = (g.position, g.normal);
             if !chosen.is_some_and(|c| self.bake.emitters.alike([c, place])) {
                 choices.resize(choices.len().max(count + 1), LampChoice::default());
-                self.bake.emitters.choose(g.position, g.normal, &mut choices[count]);
+                self.bake.emitters.choose(g.position, g.normal, 0.0, &mut choices[count]);
                 count += 1;
                 chosen = Some(place);
             }
