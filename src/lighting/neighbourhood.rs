@@ -1,7 +1,7 @@
 //! Which texels lie around a texel on the same smooth surface, in space and across charts.
 //!
-//! Texels are sorted into cubes; those of one cube share a list of candidates, copied side by side. Charts of different density live in
-//! different grids (octaves of texel size), so that the number of neighbours does not grow with the density of a chart next door.
+//! Texels are sorted into cubes and there by direction; those of one such group share a list of candidates, copied side by side. Charts
+//! of different density live in different grids (octaves of texel size), so that the number of neighbours does not grow with the density of a chart next door.
 
 use crate::ffi::simd::with_widest;
 use glam::Vec3;
@@ -67,7 +67,8 @@ struct Candidates {
     near: Vec<u32>,
 }
 
-/// The texels around one on the same smooth surface, itself among them: a column per property, padded to whole [`LANES`] by data that are zero.
+/// The texels around one on the same smooth surface, itself among them: a column per property, padded to whole [`LANES`] by data that
+/// are zero.
 pub(super) struct Near<const C: usize> {
     /// Squared distance as a share of the reach's square.
     pub distance2: Vec<f32>,
@@ -126,8 +127,12 @@ impl Neighbourhood {
 
 /// The box within `reach` texels of all of `patches`; `None` if there are none.
 fn bounds<'a>(patches: impl Iterator<Item = &'a Patch>, reach: f32) -> Option<[Vec3; 2]> {
-    // a little more, for what rounding takes away
-    let of = |p: &Patch| [p.position - 1.001 * reach * p.size, p.position + 1.001 * reach * p.size];
+    // a little more, for what rounding takes away; finite, so that only cubes nearby are visited
+    let corner = |p: &Patch, reach: f32| {
+        let position = if p.position.is_finite() { p.position } else { Vec3::ZERO };
+        (position + 1.001 * reach * p.size).clamp(Vec3::MIN, Vec3::MAX)
+    };
+    let of = |p: &Patch| [corner(p, -reach), corner(p, reach)];
     patches.map(of).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
 }
 
@@ -318,21 +323,46 @@ pub(super) fn weighted_sums<const N: usize>(weight: &[f32], columns: [&[f32]; N]
 
 /// Octave of a texel's size.
 fn octave(size: f32) -> i32 {
-    size.max(1e-20).log2().round().clamp(-60.0, 60.0) as i32
+    size.max(1e-20).log2().round().clamp(-66.0, 128.0) as i32
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A floor of 60 × 60 texels of 1 cm, a wall on it, and a second floor of texels of 0.1 cm above.
+    /// A floor of 60 × 60 texels of 1 cm, a wall on it, a second floor of texels of 0.1 cm above, and a ball.
     fn patches() -> Vec<Patch> {
         let mut out = Vec::new();
         let grid = |n: usize| (0..n * n).map(move |k| ((k % n) as f32 + 0.5, (k / n) as f32 + 0.5));
         out.extend(grid(60).map(|(x, y)| Patch { position: Vec3::new(x, 0.0, y) * 0.01, normal: Vec3::Y, size: 0.01 }));
         out.extend(grid(40).map(|(x, y)| Patch { position: Vec3::new(0.0, y, x) * 0.01, normal: Vec3::X, size: 0.01 }));
         out.extend(grid(50).map(|(x, y)| Patch { position: Vec3::new(x, 300.0, y) * 1e-3, normal: Vec3::Y, size: 1e-3 }));
+        let ball = (0..5000).map(|k| {
+            let (z, turn) = (1.0 - (k as f32 + 0.5) / 2500.0, k as f32 * 2.399_963);
+            let (sin, cos) = turn.sin_cos();
+            Vec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z)
+        });
+        out.extend(ball.map(|n| Patch { position: Vec3::new(2.0, 0.0, 0.0) + 0.2 * n, normal: n, size: 0.01 }));
         out
+    }
+
+    /// Every texel of whatever size and place finds itself, in a time that does not grow with what it might reach.
+    #[test]
+    fn extreme_texels_find_themselves() {
+        let at = |x: f32, size: f32| Patch { position: Vec3::splat(x), normal: Vec3::Y, size };
+        let sizes = [0.0, 1e-38, 1e-10, 1.0, 1e20, 3e37, 3e38, f32::INFINITY];
+        let places = [0.0, -1e-20, 1.0, -1e9, 1e30, -3e38];
+        let patches: Vec<Patch> = sizes.iter().flat_map(|s| places.map(|x| at(x, *s))).chain([at(f32::NAN, 1.0)]).collect();
+        let numbers: Vec<[f32; 1]> = (0..patches.len()).map(|i| [i as f32]).collect();
+        let found = Neighbourhood::new(&patches).map(&patches, &numbers, 9.0, |i, near: &Near<1>, (): &mut ()| {
+            near.distance2.iter().zip(&near.data[0]).any(|(d2, j)| *d2 < 1.0 && *j == i as f32)
+        });
+        for (p, found) in patches.iter().zip(found) {
+            // a texel whose reach has no finite, positive square has no surroundings
+            let limit = (9.0 * p.size).powi(2);
+            let has_reach = limit > 0.0 && limit.is_finite() && p.position.is_finite();
+            assert!(found || !has_reach, "{p:?}");
+        }
     }
 
     #[test]

@@ -317,7 +317,7 @@ mod tests {
         assert_eq!(sizes(-1.0).albedo, LEAST_SIDE);
         let samples = |s: f64| at(s).irradiance_samples(500_000, 5_000_000, 1.0, 2, &p);
         assert_eq!(samples(1.0), (4, 1));
-        let [(few, once), (many, twice)] = [samples(30.0), samples(120.0)];
+        let [(few, once), (many, twice)] = [samples(15.0), samples(120.0)];
         assert!(few > 8 && many > few && [once, twice] == [1, 2], "{few} in {once}, {many} in {twice}");
         assert!(samples_for(0.02, 0.096, 64, &p).abs_diff(64 * 4) <= 1);
         assert_eq!(at(10.0).evidence(100, 1.0, 1000, 50, &p), 50);
