@@ -4,12 +4,18 @@
 /// kernels `#[inline(always)]`. Without explicit fused operations the bits are the same either way.
 #[inline]
 pub fn with_widest<R>(f: impl FnOnce() -> R) -> R {
-    #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: `avx2` needs exactly the feature tested on the line above.
-        return unsafe { avx2(f) };
+    run_widest(Closure(f))
+}
+
+struct Closure<F>(F);
+
+impl<R, F: FnOnce() -> R> Kernel for Closure<F> {
+    type Output = R;
+
+    #[inline(always)]
+    fn run(self) -> R {
+        self.0()
     }
-    f()
 }
 
 /// A computation too long for [`with_widest`]: the compiler would leave a long closure outside, compiled for the baseline. Mark
@@ -26,22 +32,16 @@ pub trait Kernel {
 pub fn run_widest<K: Kernel>(kernel: K) -> K::Output {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: `avx2_kernel` needs exactly the feature tested on the line above.
-        return unsafe { avx2_kernel(kernel) };
+        // SAFETY: `avx2` needs exactly the feature tested on the line above.
+        return unsafe { avx2(kernel) };
     }
     kernel.run()
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn avx2_kernel<K: Kernel>(kernel: K) -> K::Output {
+fn avx2<K: Kernel>(kernel: K) -> K::Output {
     kernel.run()
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn avx2<R>(f: impl FnOnce() -> R) -> R {
-    f()
 }
 
 /// Asks the cache for `slice[index]`, which will be read soon; nothing happens if there is no such element.
