@@ -16,20 +16,23 @@ use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
 /// Reach of the regression in texels.
-const REACH: f32 = 9.0;
+const REACH: f32 = 7.0;
 /// Reach in texels of what is compared: values averaged over so small a disc that shadow edges survive.
 const DISC: f32 = 2.5;
 /// Relative differences that never separate two texels.
 const INDIFFERENT: f32 = 2e-3;
+/// Squared differences, in variances beyond the one that noise explains, from which texels have nothing in common. A kernel that falls
+/// faster picks neighbours by their noise (CHANGELOG).
+const DIFFERENT: f32 = 16.0;
 /// Slopes of the regression: two of position, two of the normal.
 const SLOPES: usize = 4;
 const TERMS: usize = SLOPES + 1;
 /// A turn of the normal that counts as much as the reach.
 const TURN: f32 = 4.0;
 /// Ridge on the slopes relative to the weights' sum: decides only where the neighbours do not.
-const RIDGE: f32 = 1e-3;
+const RIDGE: f32 = 3e-4;
 /// Standard deviations of the small disc's mean that the regression may lie off it.
-const PLAUSIBLE: f32 = 3.0;
+const PLAUSIBLE: f32 = 4.0;
 /// How far irradiance departs from the regression, relative: as much of a texel's own estimate is mixed in as its noise, beside this,
 /// deserves. Measured over texels of few and of many samples alike (CHANGELOG).
 const UNEVEN: f32 = 0.01;
@@ -214,12 +217,12 @@ fn indifferent(own: [f32; 2]) -> f32 {
     (INDIFFERENT * own[0].max(own[1])).powi(2).max(f32::MIN_POSITIVE)
 }
 
-/// Weight of a texel that differs by `difference` where noise makes `variance` and `floor` counts as nothing: (1 − d/6)⁶ up to d = 6,
-/// zero beyond, about exp(−d) at the price of a few products.
+/// Weight of a texel that differs by `difference` where noise makes `variance` and `floor` counts as nothing: (1 − d/D)⁶ up to
+/// d = D = [`DIFFERENT`], zero beyond, about exp(−6 d/D) at the price of a few products.
 #[inline(always)]
 fn alike(difference: f32, variance: f32, floor: f32) -> f32 {
     let d = (difference * difference - variance).max(0.0) / (variance + floor);
-    let a = (1.0 - d * (1.0 / 6.0)).max(0.0);
+    let a = (1.0 - d * (1.0 / DIFFERENT)).max(0.0);
     let a2 = a * a;
     a2 * a2 * a2
 }
