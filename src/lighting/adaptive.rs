@@ -4,7 +4,7 @@
 //! texels that matter, those where doubling the samples promises most per ray are doubled, once or several times, until the budget is
 //! spent or the target reached. Several rounds draw powers of two, whatever the budget: Sobol' points in other numbers are no nets.
 
-use super::{Bake, Estimator, Irradiance, IrtOptions, Patch, Receiver, SurfaceFilter, bake_irradiance};
+use super::{Bake, Estimator, Irradiance, IrtOptions, PARTS, Patch, Receiver, SurfaceFilter, bake_irradiance};
 use crate::math::luminance;
 use crate::progress::Progress;
 use glam::Vec3;
@@ -48,8 +48,10 @@ pub fn bake_surface(
     let more_rounds = if budget.filter { budget.rounds.saturating_sub(1) } else { 0 };
     let first = match more_rounds {
         0 => budget.samples,
-        _ => budget.samples.map(|s| if s == 0 { 0 } else { power_of_two_within((s * FIRST[0] / FIRST[1]).max(2)) }),
+        _ => budget.samples.map(|s| if s == 0 { 0 } else { power_of_two_within(s * FIRST[0] / FIRST[1]) }),
     };
+    // what the filter decides by are parts, none of which may lack a kind of samples
+    let first = first.map(|s| if s == 0 { 0 } else { s.max(PARTS as u32) });
     let options = |level: u8| IrtOptions {
         estimator: Estimator::Mis,
         drawn: if level == 0 { [0, 0] } else { first.map(|s| s << (level - 1)) },

@@ -3,7 +3,7 @@
 //! Whatever all receivers share (unscrambled sample points) is computed once per round, whatever is the same for every ray of one
 //! receiver runs in vector registers, and a ray costs no allocation, no library call and few branches.
 
-use super::irt::{Bake, Estimator, IrtOptions, Receiver};
+use super::irt::{Bake, Estimator, IrtOptions, PARTS, Receiver};
 use super::lamp_choice::LampChoice;
 use crate::ffi::simd::with_widest;
 use crate::math::Frame;
@@ -33,22 +33,22 @@ pub(super) struct Round {
     slots: usize,
 }
 
-/// Points of the unit square, their first half before their second.
+/// Points of the unit square, part by part.
 enum Points {
-    /// Coordinates before the receiver's shift, and the size of the first half.
-    Hammersley([Vec<f32>; 2], usize),
-    /// Scrambled per receiver. Halves of a block are nets of their own, so that their difference tells of the whole's error.
+    /// Coordinates before the receiver's shift, and where each part ends.
+    Hammersley([Vec<f32>; 2], [usize; PARTS]),
+    /// Scrambled per receiver. Parts of a block are nets of their own, so that their differences tell of the whole's error.
     Sobol(SobolBlock),
 }
 
 impl Points {
-    /// The paper's points. Their halves in order would be half hemispheres, hence a coin per sample.
+    /// The paper's points. Their parts in order would be parts of the hemisphere, hence a die per sample.
     fn hammersley(n: u32) -> Self {
-        let coin = |s: u32| s.wrapping_mul(0x9E37_79B9) >> 31 == 1;
-        let (second, mut all): (Vec<u32>, Vec<u32>) = (0..n).partition(|&s| coin(s));
-        let split = all.len();
-        all.extend(second);
-        Self::Hammersley([0, 1].map(|d| all.iter().map(|&s| hammersley(s, n)[d]).collect()), split)
+        let part = |s: u32| (u64::from(s.wrapping_mul(0x9E37_79B9)) * PARTS as u64) >> 32;
+        let mut all: Vec<u32> = (0..n).collect();
+        all.sort_by_key(|s| part(*s));
+        let ends = std::array::from_fn(|p| all.partition_point(|s| part(*s) <= p as u64));
+        Self::Hammersley([0, 1].map(|d| all.iter().map(|&s| hammersley(s, n)[d]).collect()), ends)
     }
 
     fn len(&self) -> usize {
@@ -58,10 +58,11 @@ impl Points {
         }
     }
 
-    fn split(&self) -> usize {
+    /// Where each part ends.
+    fn ends(&self) -> [usize; PARTS] {
         match self {
-            Self::Hammersley(_, split) => *split,
-            Self::Sobol(block) => block.len() / 2,
+            Self::Hammersley(_, ends) => *ends,
+            Self::Sobol(block) => std::array::from_fn(|p| block.len() * (p + 1) / PARTS),
         }
     }
 }
@@ -114,7 +115,7 @@ pub(super) struct Bundle {
     /// Per sample of one receiver: coordinates, directions, cosines.
     columns: [Vec<f32>; 7],
     order: Vec<u32>,
-    /// Per receiver and half.
+    /// Per receiver and part.
     sums: Vec<Vec3>,
 }
 
@@ -122,8 +123,20 @@ pub(super) struct Bundle {
 struct Span {
     /// Whether lamps are sampled.
     lit: bool,
-    /// Hemisphere rays of the first half, of the second.
-    rays: [Range<usize>; 2],
+    /// Hemisphere rays of each part.
+    rays: [Range<usize>; PARTS],
+}
+
+impl Span {
+    /// All of its hemisphere rays.
+    fn all(&self) -> Range<usize> {
+        self.rays[0].start..self.rays[PARTS - 1].end
+    }
+
+    /// The part that its hemisphere ray `k` belongs to.
+    fn part(&self, k: usize) -> usize {
+        self.rays[..PARTS - 1].iter().filter(|r| k >= r.end).count()
+    }
 }
 
 /// An emitter sample that waits for its shadow ray: what its radiance is multiplied by, where that comes from, whose it is.
@@ -138,13 +151,13 @@ struct Aimed {
 }
 
 impl Bundle {
-    /// Traces one round of samples of every receiver; `add(k, halves)` takes the contributions of the k-th. Returns the rays traced.
+    /// Traces one round of samples of every receiver; `add(k, parts)` takes the contributions of the k-th. Returns the rays traced.
     pub(super) fn run(
         &mut self,
         bake: &Bake,
         round: &Round,
         receivers: &[Receiver],
-        mut add: impl FnMut(usize, [Vec3; 2]),
+        mut add: impl FnMut(usize, [Vec3; PARTS]),
     ) -> u64 {
         let n = receivers.len();
         self.reserve(n * round.hemisphere.len(), n * round.lights.len(), round);
@@ -152,22 +165,22 @@ impl Bundle {
         grow(&mut self.choices, n, LampChoice::default());
         let (mut rays, mut lights) = (0, 0);
         for r in receivers {
-            let halves = self.draw_hemisphere(bake, round, r, rays);
-            rays = halves[1].end;
+            let parts = self.draw_hemisphere(bake, round, r, rays);
+            rays = parts[PARTS - 1].end;
             let lit = !round.lights.is_empty() && self.choose(bake, round, r);
             if lit {
                 lights = self.draw_lights(bake, round, r, lights);
             }
-            self.spans.push(Span { lit, rays: halves });
+            self.spans.push(Span { lit, rays: parts });
         }
         bake.tracer.closest(&self.rays[..rays], &mut self.hits[..rays]);
         bake.tracer.occluded(&self.shadow[..lights], &mut self.hidden[..lights]);
         self.sums.clear();
-        self.sums.resize(2 * n, Vec3::ZERO);
+        self.sums.resize(PARTS * n, Vec3::ZERO);
         self.gather_surfaces(bake, round);
         self.gather_lights(bake, lights);
-        for (k, halves) in self.sums.chunks_exact(2).enumerate() {
-            add(k, [halves[0], halves[1]]);
+        for (k, parts) in self.sums.as_chunks::<PARTS>().0.iter().enumerate() {
+            add(k, *parts);
         }
         (rays + lights) as u64
     }
@@ -187,8 +200,8 @@ impl Bundle {
         self.columns.iter_mut().for_each(|c| grow(c, round.hemisphere.len().max(round.lights.len()), 0.0));
     }
 
-    /// Writes the hemisphere rays of a receiver from index `at` on; returns where its halves lie.
-    fn draw_hemisphere(&mut self, bake: &Bake, round: &Round, r: &Receiver, at: usize) -> [Range<usize>; 2] {
+    /// Writes the hemisphere rays of a receiver from index `at` on; returns where its parts lie.
+    fn draw_hemisphere(&mut self, bake: &Bake, round: &Round, r: &Receiver, at: usize) -> [Range<usize>; PARTS] {
         let n = round.hemisphere.len();
         let [u, v, x, y, z, cosine, facing] = self.columns.each_mut().map(|c| &mut c[..n]);
         let frame = Frame::from_normal(r.normal);
@@ -228,8 +241,8 @@ impl Bundle {
             }
             at + first..at + kept
         };
-        let split = round.hemisphere.split();
-        [keep(0..split), keep(split..n)]
+        let mut start = 0;
+        round.hemisphere.ends().map(|end| keep(std::mem::replace(&mut start, end)..end))
     }
 
     /// Finds which lamps the next receiver asks; false if none can send it light.
@@ -256,14 +269,14 @@ impl Bundle {
         for (s, u) in u.iter().enumerate() {
             self.order[(u * round.slots as f32) as usize] = s as u32;
         }
-        let first = 2 * self.spans.len() as u32;
+        let first = (PARTS * self.spans.len()) as u32;
         // choosing first, computing then: the sources arrive from memory side by side
         self.picks.clear();
         let choice = &self.choices[self.spans.len()];
         // (an interval may have no sample)
         for s in self.order.iter().map(|&s| s as usize).filter(|&s| s < n) {
             let (slot, probability) = bake.emitters.pick(choice, u[s]);
-            let owner = first + u32::from(s >= n / 2);
+            let owner = first + (s * PARTS / n) as u32;
             self.picks.push((probability, Aimed { weight: 0.0, place: [v[s], w[s]], slot, owner }));
         }
         self.picks.iter().for_each(|(_, pick)| bake.emitters.expect_source(pick.slot));
@@ -294,7 +307,7 @@ impl Bundle {
         };
         self.hits.iter().take(AHEAD).for_each(expect);
         for (span, choice) in self.spans.iter().zip(&self.choices) {
-            for k in span.rays[0].start..span.rays[1].end {
+            for k in span.all() {
                 if let Some(later) = self.hits.get(k + AHEAD) {
                     expect(later);
                 }
@@ -314,7 +327,7 @@ impl Bundle {
                 outside += usize::from(!hit.is_hit());
             }
         }
-        for (span, sums) in self.spans.iter().zip(self.sums.chunks_exact_mut(2)) {
+        for (span, sums) in self.spans.iter().zip(self.sums.chunks_exact_mut(PARTS)) {
             for (range, sum) in span.rays.iter().zip(sums) {
                 *sum += self.terms[range.clone()].iter().fold(Vec3::ZERO, |s, &(at, weight)| s + bake.field.texel(at) * weight);
             }
@@ -325,7 +338,7 @@ impl Bundle {
         let [x, y, z] = self.sky.each_mut().map(|c| &mut c[..outside]);
         bake.field.environment.radiances([x, y, z], |i, radiance| {
             let k = self.outside[i] as usize;
-            while k >= spans[owner].rays[1].end {
+            while k >= spans[owner].all().end {
                 owner += 1;
             }
             let span = &spans[owner];
@@ -338,7 +351,7 @@ impl Bundle {
                 }
                 _ => self.terms[k].1,
             };
-            sums[2 * owner + usize::from(k >= span.rays[1].start)] += radiance * weight;
+            sums[PARTS * owner + span.part(k)] += radiance * weight;
         });
     }
 

@@ -15,6 +15,9 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+/// Independent estimates that a bake keeps of every value: what the others say decides which neighbours one is filtered with, so more
+/// of them leave more to decide by.
+pub const PARTS: usize = 4;
 /// Texels per parallel task.
 const CHUNK: usize = 256;
 
@@ -58,8 +61,8 @@ impl Default for IrtOptions {
 pub struct Irradiance {
     /// E per point.
     pub value: Vec<Vec3>,
-    /// Two independent estimates of E per point; their mean is `value`.
-    pub halves: Vec<[Vec3; 2]>,
+    /// Independent estimates of E per point, from equally many samples each; their mean is `value`.
+    pub parts: Vec<[Vec3; PARTS]>,
     /// Estimated standard error of E's luminance, relative.
     pub error: Vec<f32>,
     /// Rays traced in all.
@@ -112,11 +115,11 @@ pub fn bake_irradiance(
     });
     let mut all = Irradiance { rays: rays.into_inner(), ..Irradiance::default() };
     all.value.reserve_exact(count);
-    all.halves.reserve_exact(count);
+    all.parts.reserve_exact(count);
     all.error.reserve_exact(count);
     for p in parts {
         all.value.extend(p.value);
-        all.halves.extend(p.halves);
+        all.parts.extend(p.parts);
         all.error.extend(p.error);
     }
     all
@@ -130,26 +133,39 @@ impl Irradiance {
         for (k, &i) in ids.iter().enumerate() {
             let i = i as usize;
             self.value[i] = 0.5 * self.value[i] + more.value[k];
-            self.halves[i] = [0, 1].map(|h| 0.5 * self.halves[i][h] + more.halves[k][h]);
+            self.parts[i] = std::array::from_fn(|p| 0.5 * self.parts[i][p] + more.parts[k][p]);
         }
     }
 }
 
 fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irradiance {
     let n = receivers.len();
-    let mut out = Irradiance { value: vec![Vec3::ZERO; n], halves: vec![[Vec3::ZERO; 2]; n], error: vec![0.0; n], rays: 0 };
+    let mut out = Irradiance { value: vec![Vec3::ZERO; n], parts: vec![[Vec3::ZERO; PARTS]; n], error: vec![0.0; n], rays: 0 };
     let lights = if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 };
     let [ray, light] = options.drawn;
-    let round = Round::new(options, [ray, ray + options.rays.max(2)], [light, light + lights]);
+    let round = Round::new(options, [ray, ray + options.rays.max(PARTS as u32)], [light, light + lights]);
     let mut bundle = Bundle::default();
     for (g, group) in receivers.chunks(round.group()).enumerate() {
         let first = g * round.group();
-        out.rays += bundle.run(bake, &round, group, |k, [a, b]| {
-            out.value[first + k] = a + b;
-            out.halves[first + k] = [2.0 * a, 2.0 * b];
-            let (a, b) = (luminance(a), luminance(b));
-            out.error[first + k] = if a + b > 0.0 { (a - b).abs() / (a + b) } else { 0.0 };
+        out.rays += bundle.run(bake, &round, group, |k, shares| {
+            let parts = shares.map(|s| PARTS as f32 * s);
+            out.value[first + k] = shares.iter().sum();
+            out.error[first + k] = (spread(&parts.map(luminance)).1 / PARTS as f32).sqrt();
+            out.parts[first + k] = parts;
         });
     }
     out
+}
+
+/// Mean of the parts, and the variance of one relative to its square.
+#[inline]
+#[must_use]
+pub fn spread(parts: &[f32; PARTS]) -> (f32, f32) {
+    let mean = parts.iter().sum::<f32>() / PARTS as f32;
+    if mean > 0.0 {
+        // relative before it is squared: however dim, nothing underflows
+        (mean, parts.iter().map(|p| (p / mean - 1.0).powi(2)).sum::<f32>() / (PARTS - 1) as f32)
+    } else {
+        (mean, 0.0)
+    }
 }

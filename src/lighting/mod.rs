@@ -20,7 +20,7 @@ pub use emitters::{EmissionEvidence, Emitters, detect_emissive};
 pub use environment::Environment;
 pub use filter::SurfaceFilter;
 pub(crate) use hull::Hull;
-pub use irt::{Bake, Estimator, Irradiance, IrtOptions, Receiver, bake_irradiance};
+pub use irt::{Bake, Estimator, Irradiance, IrtOptions, PARTS, Receiver, bake_irradiance, spread};
 pub use lamp_choice::LampChoice;
 pub use light_field::LightField;
 pub use neighbourhood::Patch;

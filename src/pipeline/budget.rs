@@ -37,13 +37,13 @@ const SPECULAR_PIXEL: f64 = 4.0;
 const SPECULAR_RAY: f64 = 0.75;
 /// Share of an irradiance texel's samples that go to emitters, in ninths; the hemisphere gets the others.
 const TO_EMITTERS: u32 = 2;
-/// Samples per irradiance texel and rays per pixel between which a budget chooses, and the former in `standard`.
+/// Samples per irradiance texel and rays per pixel between which a budget chooses, and the former for which texture sizes are chosen.
 const SAMPLES: [f64; 2] = [4.0, 2048.0];
 const SPECULAR: [f64; 2] = [1.0, 4096.0];
-const STANDARD_SAMPLES: f64 = 160.0;
+const USUAL_SAMPLES: f64 = 160.0;
 
-/// Samples per irradiance texel from which several rounds pay: two take 0.6 to 0.8 of the error of one at the same 39 rays, and one
-/// more pass of the filter.
+/// Samples per irradiance texel and round after the first from which rounds pay: two take 0.6 to 0.8 of the error of one at the same 39
+/// rays, and one more pass of the filter.
 const WORTH_ROUNDS: f64 = 36.0;
 
 /// Cost of what a run does in any case, in rays per pixel of the views: highlights, pilots, specular images of one ray.
@@ -142,7 +142,7 @@ impl Budget {
             (side / STEP * STEP).max(LEAST_SIDE).min(most)
         };
         let albedo = largest(sizes.albedo, work.lookup * (FUSING + ALBEDO), TEXTURES);
-        let texel = STANDARD_SAMPLES + FILTER + MISSING_LIGHT;
+        let texel = USUAL_SAMPLES + FILTER + MISSING_LIGHT;
         let irradiance = largest(sizes.irradiance.min(albedo), ray * texel, IRRADIANCE_TEXELS);
         let out = Sizes { albedo, roughness: sizes.roughness.min(albedo), irradiance };
         let values = (4 * out.albedo * out.albedo + out.roughness * out.roughness + out.irradiance * out.irradiance) as f64;
@@ -169,7 +169,7 @@ impl Budget {
     }
 
     /// Samples per irradiance texel and the rounds to spend them in, after the coarse bake traced `rays` in `seconds`. Each of at
-    /// most `rounds` ends with a pass of the filter; with no more than [`WORTH_ROUNDS`] samples the passes are better spent on rays.
+    /// most `rounds` ends with a pass of the filter; with few samples ([`WORTH_ROUNDS`]) the passes are better spent on rays.
     pub(super) fn irradiance_samples(
         &self,
         texels: usize,
@@ -183,7 +183,8 @@ impl Budget {
         let left = self.left() - self.tail();
         let per_sample = m.ray * texels.max(1) as f64;
         let affordable = |rounds: u32| IRRADIANCE * left / per_sample - f64::from(rounds) * FILTER;
-        let rounds = if affordable(rounds) < WORTH_ROUNDS { rounds.min(1) } else { rounds };
+        let pays = |rounds: &u32| affordable(*rounds) >= WORTH_ROUNDS * f64::from(rounds - 1);
+        let rounds = (2..=rounds).rev().find(pays).unwrap_or(rounds.min(1));
         let n = affordable(rounds).clamp(SAMPLES[0], SAMPLES[1]) as u32;
         progress.decide(
             "irradiance samples",

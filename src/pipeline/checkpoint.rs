@@ -131,14 +131,14 @@ impl Kept for Fusion {
 
 impl Kept for Irradiance {
     fn columns(&self) -> Vec<Vec<u8>> {
-        let Self { value, halves, error, rays } = self;
-        vec![column(value), column(halves), column(error), column(&[*rays])]
+        let Self { value, parts, error, rays } = self;
+        vec![column(value), column(parts), column(error), column(&[*rays])]
     }
 
     fn restored(columns: &[Vec<u8>]) -> Option<Self> {
-        let [value, halves, error, rays] = columns else { return None };
+        let [value, parts, error, rays] = columns else { return None };
         let rays = values(rays)?.first().copied()?;
-        Some(Self { value: values(value)?, halves: values(halves)?, error: values(error)?, rays })
+        Some(Self { value: values(value)?, parts: values(parts)?, error: values(error)?, rays })
     }
 }
 
@@ -149,11 +149,11 @@ mod tests {
 
     fn irradiance(x: f32) -> Irradiance {
         let v = Vec3::new(x, 2.0, 3.0);
-        Irradiance { value: vec![v; 3], halves: vec![[v, -v]; 3], error: vec![0.1, 0.2, 0.3], rays: 9 }
+        Irradiance { value: vec![v; 3], parts: vec![[v, -v, 2.0 * v, Vec3::ZERO]; 3], error: vec![0.1, 0.2, 0.3], rays: 9 }
     }
 
     fn same(a: &Irradiance, b: &Irradiance) -> bool {
-        (&a.value, &a.halves, &a.error, a.rays) == (&b.value, &b.halves, &b.error, b.rays)
+        (&a.value, &a.parts, &a.error, a.rays) == (&b.value, &b.parts, &b.error, b.rays)
     }
 
     #[test]

@@ -9,8 +9,8 @@ use super::{SolveOptions, Surface, Switch, surface::coverage};
 use crate::geometry::{Mesh, clusters};
 use crate::image::{Plane, RgbPlane};
 use crate::lighting::{
-    Bake, Budget, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField, Patch, Receiver, bake_irradiance,
-    bake_surface, detect_emissive,
+    Bake, Budget, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField, PARTS, Patch, Receiver,
+    bake_irradiance, bake_surface, detect_emissive, spread,
 };
 use crate::math::luminance;
 use crate::optim::median;
@@ -114,13 +114,14 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     Light { field, emitters, emissive, radiance, texels, irradiance, error: baked.error, rays }
 }
 
-/// Relative error of a bake by the difference of its halves: √(Σ(a−b)²/Σ(a+b)²).
+/// Relative error of a bake by how its parts scatter: √(Σ variance of their mean/Σ mean²).
 fn unfiltered_error(bake: &Irradiance) -> f32 {
     let (mut error, mut energy) = (0.0f64, 0.0f64);
-    for [a, b] in &bake.halves {
-        let (a, b) = (f64::from(luminance(*a)), f64::from(luminance(*b)));
-        error += (a - b).powi(2);
-        energy += (a + b).powi(2);
+    for parts in &bake.parts {
+        let (mean, variance) = spread(&parts.map(luminance));
+        let square = f64::from(mean).powi(2);
+        error += f64::from(variance) * square / PARTS as f64;
+        energy += square;
     }
     if energy > 0.0 { (error / energy).sqrt() as f32 } else { 0.0 }
 }

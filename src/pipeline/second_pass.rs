@@ -84,7 +84,7 @@ pub(super) fn add_missing_light(
     };
     let relative = Irradiance {
         value: more.value.par_iter().enumerate().map(|(i, v)| relative(i, *v)).collect(),
-        halves: more.halves.par_iter().enumerate().map(|(i, h)| h.map(|v| relative(i, v))).collect(),
+        parts: more.parts.par_iter().enumerate().map(|(i, h)| h.map(|v| relative(i, v))).collect(),
         ..more
     };
     let patches = patches(surface, &coarse);
