@@ -329,7 +329,7 @@ impl Kernel for Regression<'_> {
         let (own_variance, reach) = (others.variance, PLAUSIBLE * own.variance.sqrt());
         let mut out = part;
         // (closures given to library functions would be compiled for the baseline)
-        for p in 0..PARTS {
+        for (p, out) in out.iter_mut().enumerate() {
             // the weights of one part's values come from the others
             let (told, own_told) = (&around.data[3 * PARTS + p][..n], others.part[p]);
             for k in 0..n {
@@ -340,7 +340,7 @@ impl Kernel for Regression<'_> {
             // where the neighbours lie to one side the slopes extrapolate: the small disc says how far that may go
             let l = luminance(value);
             let limited = l.clamp((own.part[p] - reach).max(0.0), own.part[p] + reach);
-            out[p] = if l > 0.0 { value * (limited / l) } else { value };
+            *out = if l > 0.0 { value * (limited / l) } else { value };
         }
         out
     }

@@ -53,6 +53,11 @@ const LEAST_FREE: f64 = 0.35;
 /// Share of the whole budget by which the solution at edges may exceed it.
 const OVERDRAFT: f64 = 0.08;
 
+/// Whether so many rounds are worth their passes of the filter with `samples` per texel.
+pub(crate) fn pay(rounds: u32, samples: f64) -> bool {
+    samples >= WORTH_ROUNDS * f64::from(rounds.saturating_sub(1))
+}
+
 /// What there is to do, and how fast a look is.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Workload {
@@ -183,8 +188,7 @@ impl Budget {
         let left = self.left() - self.tail();
         let per_sample = m.ray * texels.max(1) as f64;
         let affordable = |rounds: u32| IRRADIANCE * left / per_sample - f64::from(rounds) * FILTER;
-        let pays = |rounds: &u32| affordable(*rounds) >= WORTH_ROUNDS * f64::from(rounds - 1);
-        let rounds = (2..=rounds).rev().find(pays).unwrap_or(rounds.min(1));
+        let rounds = (2..=rounds).rev().find(|&r| pay(r, affordable(r))).unwrap_or(rounds.min(1));
         let n = affordable(rounds).clamp(SAMPLES[0], SAMPLES[1]) as u32;
         progress.decide(
             "irradiance samples",

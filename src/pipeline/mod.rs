@@ -13,6 +13,7 @@ mod second_pass;
 mod solve;
 mod surface;
 
+pub(crate) use budget::pay;
 pub use budget::{Budget, parse_seconds};
 pub use checkpoint::{Checkpoints, Kept};
 pub use decisions::Sizes;
