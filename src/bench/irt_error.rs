@@ -175,8 +175,8 @@ pub(super) fn pipeline_point(
     progress: &Progress,
 ) -> ErrorPoint {
     // few samples in as few rounds as `--budget` would take them
-    let pay = |r: &u32| crate::pipeline::pay(*r, f64::from(rays + emitter_samples));
-    let irradiance_rounds = (1..=ground.options.irradiance_rounds).rev().find(pay).unwrap_or(1);
+    let most = ground.options.irradiance_rounds;
+    let irradiance_rounds = crate::pipeline::rounds_worth(most, |_| f64::from(rays + emitter_samples));
     let options = SolveOptions { irradiance_rays: rays, emitter_samples, irradiance_rounds, ..ground.options.clone() };
     let (baked, seconds) = timed(|| {
         crate::pipeline::bake_irradiance_texels(

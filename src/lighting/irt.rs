@@ -160,7 +160,7 @@ fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irra
 /// Mean of the parts, and the variance of one relative to its square.
 #[inline]
 #[must_use]
-pub fn spread(parts: &[f32; PARTS]) -> (f32, f32) {
+pub(crate) fn spread(parts: &[f32; PARTS]) -> (f32, f32) {
     let mean = parts.iter().sum::<f32>() / PARTS as f32;
     if mean > 0.0 {
         // relative before it is squared: however dim, nothing underflows

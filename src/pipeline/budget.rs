@@ -53,9 +53,9 @@ const LEAST_FREE: f64 = 0.35;
 /// Share of the whole budget by which the solution at edges may exceed it.
 const OVERDRAFT: f64 = 0.08;
 
-/// Whether so many rounds are worth their passes of the filter with `samples` per texel.
-pub(crate) fn pay(rounds: u32, samples: f64) -> bool {
-    samples >= WORTH_ROUNDS * f64::from(rounds.saturating_sub(1))
+/// The most rounds, of at most `most`, that are worth their passes of the filter where `samples(rounds)` per texel are left to them.
+pub(crate) fn rounds_worth(most: u32, samples: impl Fn(u32) -> f64) -> u32 {
+    (2..=most).rev().find(|&r| samples(r) >= WORTH_ROUNDS * f64::from(r - 1)).unwrap_or(most.min(1))
 }
 
 /// What there is to do, and how fast a look is.
@@ -188,7 +188,7 @@ impl Budget {
         let left = self.left() - self.tail();
         let per_sample = m.ray * texels.max(1) as f64;
         let affordable = |rounds: u32| IRRADIANCE * left / per_sample - f64::from(rounds) * FILTER;
-        let rounds = (2..=rounds).rev().find(|&r| pay(r, affordable(r))).unwrap_or(rounds.min(1));
+        let rounds = rounds_worth(rounds, affordable);
         let n = affordable(rounds).clamp(SAMPLES[0], SAMPLES[1]) as u32;
         progress.decide(
             "irradiance samples",

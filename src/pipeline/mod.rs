@@ -13,7 +13,7 @@ mod second_pass;
 mod solve;
 mod surface;
 
-pub(crate) use budget::pay;
+pub(crate) use budget::rounds_worth;
 pub use budget::{Budget, parse_seconds};
 pub use checkpoint::{Checkpoints, Kept};
 pub use decisions::Sizes;
