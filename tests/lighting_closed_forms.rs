@@ -523,14 +523,14 @@ fn continued_bakes_equal_one_of_all_their_samples() {
 
 /// The receivers as a surface of texels of 5 cm, baked by a budget of `rounds` rounds.
 fn surface(lit: &Lit, receivers: &[Receiver], rounds: u32) -> Irradiance {
-    surface_where(lit, receivers, &vec![true; receivers.len()], rounds)
+    surface_where(lit, receivers, &vec![1.0; receivers.len()], rounds)
 }
 
 /// The same with further samples only where they matter.
-fn surface_where(lit: &Lit, receivers: &[Receiver], matters: &[bool], rounds: u32) -> Irradiance {
+fn surface_where(lit: &Lit, receivers: &[Receiver], importance: &[f32], rounds: u32) -> Irradiance {
     let patches: Vec<Patch> = receivers.iter().map(|r| Patch { position: r.position, normal: r.normal, size: 0.05 }).collect();
     let budget = Budget { samples: [96, 48], rounds, filter: true, target: 0.001, seed: 3 };
-    bake_surface(&lit.bake(), &patches, |i| receivers[i], matters, &budget, &Progress::silent())
+    bake_surface(&lit.bake(), &patches, |i| receivers[i], importance, &budget, &Progress::silent())
 }
 
 /// What does not matter gets the first round and no more; what does gets its share.
@@ -544,8 +544,8 @@ fn samples_go_where_they_matter() {
     let half = receivers.len() / 2;
     let error = |o: &Irradiance| -> f32 { (0..half).map(|i| (o.value[i] - exact[i]).length_squared()).sum() };
     let of = |matters: &dyn Fn(usize) -> bool| {
-        let matters: Vec<bool> = (0..receivers.len()).map(matters).collect();
-        surface_where(&lit, &receivers, &matters, 2)
+        let importance: Vec<f32> = (0..receivers.len()).map(|i| f32::from(u8::from(matters(i)))).collect();
+        surface_where(&lit, &receivers, &importance, 2)
     };
     let (none, some, all) = (of(&|_| false), of(&|i| i < half), of(&|_| true));
     // 64 + 32 samples, fewer where rays start below the horizon

@@ -1,6 +1,6 @@
 //! Irradiance of a whole texture from a budget of rays: where sharing samples over the surface does not suffice, more are drawn.
 //!
-//! A first round gives every texel the same samples. After each round the filter tells what error it leaves, noise and bias; of the
+//! A first round gives every texel that matters the same samples, the others a quarter of them. After each round the filter tells what error it leaves, noise and bias; of the
 //! texels that matter, those where doubling the samples promises most per ray are doubled, once or several times, until the budget is
 //! spent or the target reached. Several rounds draw powers of two, whatever the budget: Sobol' points in other numbers are no nets.
 
@@ -12,9 +12,13 @@ use rayon::prelude::*;
 
 /// Share of the budget that the first of several rounds may take.
 const FIRST: [u32; 2] = [2, 3];
+/// Doublings between the first round's samples where texels do not matter and where they do.
+const SPARED: u8 = 2;
 /// Doublings of a texel in one round, and in all.
 const MAX_STEPS: u8 = 4;
-const MAX_LEVEL: u8 = 8;
+const MAX_LEVEL: u8 = 8 + SPARED;
+/// Share of the budget that is kept back: of the samples of doubled texels, fewer may go untraced than of the others'.
+const KEPT_BACK: f64 = 0.005;
 /// Irradiance, as a share of the mean, below which an error counts less than its relative size.
 const DIM: f32 = 0.5;
 
@@ -33,52 +37,85 @@ pub struct Budget {
     pub seed: u64,
 }
 
-/// Bakes and filters the irradiance of texels given by `patches` and `receiver(i)`. Where `matters` is false, the first of several
-/// rounds is all a texel gets.
+/// The samples of texels level by level: twice as many on each as on the one below.
+struct Levels {
+    /// Hemisphere rays and emitter samples of level 0.
+    base: [u32; 2],
+    /// The level of the first round where texels matter.
+    first: u8,
+    seed: u64,
+}
+
+impl Levels {
+    fn new(budget: &Budget) -> Self {
+        let first = match budget.rounds {
+            0 | 1 => budget.samples,
+            _ => budget.samples.map(|s| if s == 0 { 0 } else { power_of_two_within(s * FIRST[0] / FIRST[1]) }),
+        };
+        // what the filter decides by are parts, none of which may lack a kind of samples
+        let least = PARTS as u32;
+        let first = first.map(|s| if s == 0 { 0 } else { s.max(least) });
+        let spare = |steps: &u8| first.iter().all(|s| *s == 0 || (s % (1 << steps) == 0 && s >> steps >= least));
+        let steps = if budget.rounds > 1 { (0..=SPARED).rev().find(spare).unwrap_or(0) } else { 0 };
+        Self { base: first.map(|s| s >> steps), first: steps, seed: budget.seed }
+    }
+
+    /// What takes a texel from a level, or from nothing, to another.
+    fn options(&self, from: Option<u8>, to: u8) -> IrtOptions {
+        let drawn = self.base.map(|s| from.map_or(0, |l| s << l));
+        let [rays, emitter_samples] = [0, 1].map(|k| (self.base[k] << to) - drawn[k]);
+        IrtOptions { estimator: Estimator::Mis, drawn, rays, emitter_samples, seed: self.seed }
+    }
+}
+
+/// Bakes and filters the irradiance of texels given by `patches` and `receiver(i)`. An error of texel i counts `importance[i]` in [0, 1];
+/// where that is 0, the first of several rounds is all it gets, with a quarter of the others' samples.
 #[must_use]
 pub fn bake_surface(
     bake: &Bake,
     patches: &[Patch],
     receiver: impl Fn(usize) -> Receiver + Sync + Send,
-    matters: &[bool],
+    importance: &[f32],
     budget: &Budget,
     progress: &Progress,
 ) -> Irradiance {
     let count = patches.len();
-    let more_rounds = if budget.filter { budget.rounds.saturating_sub(1) } else { 0 };
-    let first = match more_rounds {
-        0 => budget.samples,
-        _ => budget.samples.map(|s| if s == 0 { 0 } else { power_of_two_within(s * FIRST[0] / FIRST[1]) }),
-    };
-    // what the filter decides by are parts, none of which may lack a kind of samples
-    let first = first.map(|s| if s == 0 { 0 } else { s.max(PARTS as u32) });
-    let options = |level: u8| IrtOptions {
-        estimator: Estimator::Mis,
-        drawn: if level == 0 { [0, 0] } else { first.map(|s| s << (level - 1)) },
-        rays: first[0] << level.saturating_sub(1),
-        emitter_samples: first[1] << level.saturating_sub(1),
-        seed: budget.seed,
-    };
     if !budget.filter {
-        return bake_irradiance(bake, count, &receiver, &options(0), progress);
+        let levels = Levels::new(&Budget { rounds: 1, ..budget.clone() });
+        return bake_irradiance(bake, count, &receiver, &levels.options(None, 0), progress);
     }
+    let levels = Levels::new(budget);
     let filter = SurfaceFilter::new(patches);
-    let mut level = vec![0u8; count];
-    let mut baked = bake_irradiance(bake, count, &receiver, &options(0), progress);
-    let round_budget = u64::from(budget.samples.iter().sum::<u32>().saturating_sub(first.iter().sum())) * count as u64
-        / u64::from(more_rounds.max(1));
-    for _ in 0..more_rounds {
-        let (filtered, certain) = filter.filter(&baked, &level, |i| matters[i]);
-        let promising = |i: usize| if matters[i] && certain[i] > budget.target { certain[i] } else { 0.0 };
-        let cost = round_budget / u64::from(first.iter().sum::<u32>().max(1));
-        let wanted = most_promising(&filtered.value, &promising, &level, cost);
+    let matters = |i: usize| importance[i] > 0.0;
+    let mut level: Vec<u8> = (0..count).map(|i| if matters(i) { levels.first } else { 0 }).collect();
+    let mut baked =
+        Irradiance { value: vec![Vec3::ZERO; count], parts: vec![Default::default(); count], ..Irradiance::default() };
+    let mut spent = 0;
+    let at = |level: &[u8], l: u8, keep: &dyn Fn(usize) -> bool| -> Vec<u32> {
+        (0..count as u32).filter(|&i| level[i as usize] == l && keep(i as usize)).collect()
+    };
+    for l in 0..=levels.first {
+        let ids = at(&level, l, &|_| true);
+        let first = bake_irradiance(bake, ids.len(), |k| receiver(ids[k] as usize), &levels.options(None, l), progress);
+        baked.put(&ids, &first);
+        spent += (ids.len() as u64) << l;
+    }
+    let total = (1.0 - KEPT_BACK) * f64::from(budget.samples.iter().sum::<u32>()) * count as f64;
+    for round in 1..budget.rounds {
+        let (filtered, certain) = filter.filter(&baked, &level, matters);
+        let promising = |i: usize| if certain[i] > budget.target { certain[i] * importance[i].sqrt() } else { 0.0 };
+        // what cannot carry light is not traced and costs nothing
+        let left = (total - baked.rays as f64).max(0.0) / f64::from(budget.rounds - round);
+        let cost = left * spent as f64 / baked.rays.max(1) as f64;
+        let wanted = most_promising(&filtered.value, &promising, &level, cost as u64);
         if wanted == level {
             break;
         }
         for l in 0..MAX_LEVEL {
-            let ids: Vec<u32> = (0..count as u32).filter(|&i| level[i as usize] == l && wanted[i as usize] > l).collect();
-            let more = bake_irradiance(bake, ids.len(), |k| receiver(ids[k] as usize), &options(l + 1), progress);
+            let ids = at(&level, l, &|i| wanted[i] > l);
+            let more = bake_irradiance(bake, ids.len(), |k| receiver(ids[k] as usize), &levels.options(Some(l), l + 1), progress);
             baked.double(&ids, &more);
+            spent += (ids.len() as u64) << l;
             ids.iter().for_each(|&i| level[i as usize] = l + 1);
         }
     }
@@ -86,7 +123,7 @@ pub fn bake_surface(
 }
 
 /// The level that each texel should reach. Those with a relative `error` are doubled in the order in which their squared error falls
-/// most per sample, taking it to halve each time; `cost` is what may be spent, in first rounds of one texel.
+/// most per sample, taking it to halve each time; `cost` is what may be spent, in samples of a texel of level 0.
 fn most_promising(value: &[Vec3], error: &(impl Fn(usize) -> f32 + Sync), level: &[u8], cost: u64) -> Vec<u8> {
     let light: Vec<f32> = value.par_iter().map(|e| luminance(*e)).collect();
     let mean = (crate::parallel::sum_f64(light.len(), |i| f64::from(light[i])) / light.len().max(1) as f64) as f32;

@@ -318,7 +318,8 @@ impl Emitters {
                 for near in neighbours(*cell).filter_map(|c| probed.get(&c)) {
                     sum.iter_mut().zip(near).for_each(|(s, n)| (0..2).for_each(|j| s[j] += NEIGHBOURS * n[j]));
                 }
-                (*cell, sum.iter().map(|[a, e]| if *e > 0.0 { DEFENSIVE + a / e } else { 1.0 }).collect())
+                // of equal light, what arrives in a few places only varies more: the least variance has the root of the share that arrives
+                (*cell, sum.iter().map(|[a, e]| if *e > 0.0 { DEFENSIVE + (a / e).sqrt() } else { 1.0 }).collect())
             })
             .collect();
         self.reach.set(learned);

@@ -16,8 +16,10 @@ use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
 /// Reach of the regression in texels.
-const REACH: f32 = 7.0;
+const REACH: f32 = 6.0;
 /// Reach in texels of what is compared: values averaged over so small a disc that shadow edges survive.
+const COMPARED: f32 = 2.2;
+/// Reach in texels over which noise and error are averaged.
 const DISC: f32 = 2.5;
 /// Relative differences that never separate two texels.
 const INDIFFERENT: f32 = 2e-3;
@@ -30,12 +32,12 @@ const TERMS: usize = SLOPES + 1;
 /// A turn of the normal that counts as much as the reach.
 const TURN: f32 = 4.0;
 /// Ridge on the slopes relative to the weights' sum: decides only where the neighbours do not.
-const RIDGE: f32 = 3e-4;
+const RIDGE: f32 = 1e-4;
 /// Standard deviations of the small disc's mean that the regression may lie off it.
 const PLAUSIBLE: f32 = 4.0;
 /// How far irradiance departs from the regression, relative: as much of a texel's own estimate is mixed in as its noise, beside this,
 /// deserves. Measured over texels of few and of many samples alike (CHANGELOG).
-const UNEVEN: f32 = 0.01;
+const UNEVEN: f32 = 0.008;
 /// Variance of the mean of the parts of a net as a share of that of unrelated parts that differ as much: they complement each other.
 const COMPLEMENTARY: f32 = 0.4;
 /// Standard deviation of the mean of squares by which parts and filtered parts differ, in one part's variance.
@@ -128,7 +130,7 @@ impl<'a> SurfaceFilter<'a> {
         let noise = self.noise(baked, level);
         let per_different = self.per_different;
         let columns: Vec<_> = noise.par_iter().map(Noise::columns).collect();
-        let guides: Vec<Noise> = self.around.map(self.patches, &columns, DISC, |i, near, scratch| {
+        let guides: Vec<Noise> = self.around.map(self.patches, &columns, COMPARED, |i, near, scratch| {
             run_widest(Guide { own: &noise[i], near, per_different, scratch })
         });
         let node = |i: usize| -> [f32; NODE] {
@@ -171,7 +173,7 @@ impl<'a> SurfaceFilter<'a> {
     }
 
     /// Relative error of the filtered texels: what a filtered part misses of the other, unfiltered ones beyond their noise and its own
-    /// (what is left is bias and the mean's noise), averaged over the disc; at least what the filtered parts' scatter tells. Then the same
+    /// (what is left is bias and the mean's noise), averaged over the disc by samples (else those with few would speak for those with many); at least what the filtered parts' scatter tells. Then the same
     /// with the first estimate less one standard error: where the noise shared is large and what is left small, it is mostly chance.
     fn remaining_error(
         &self,
@@ -179,13 +181,13 @@ impl<'a> SurfaceFilter<'a> {
         parts: &[[Vec3; PARTS]],
         asked: &(impl Fn(usize) -> bool + Sync),
     ) -> Vec<(f32, f32)> {
-        let own: Vec<[f32; 5]> = noise
+        let own: Vec<[f32; 6]> = noise
             .par_iter()
             .zip(parts)
             .enumerate()
             .map(|(i, (n, parts))| {
                 if !asked(i) {
-                    return [0.0; 5];
+                    return [0.0; 6];
                 }
                 let smooth = parts.map(luminance);
                 let (mean, variance) = spread(&smooth);
@@ -193,11 +195,13 @@ impl<'a> SurfaceFilter<'a> {
                 let others = n.others();
                 let missed = smooth.iter().zip(&others.part).map(|(s, o)| (s - o).powi(2)).sum::<f32>() / PARTS as f32;
                 let of_mean = variance / PARTS as f32;
-                [missed - others.variance - (variance - of_mean), of_mean, mean * mean, n.variance, 1.0]
+                let terms = [missed - others.variance - (variance - of_mean), of_mean, mean * mean, n.variance, 1.0, n.samples];
+                terms.map(|t| t * n.samples)
             })
             .collect();
         self.around.map(self.patches, &own, DISC, |_, near, (): &mut ()| {
-            let [missed, differ, square, variance, count] = with_widest(|| disc_sums(near));
+            let [missed, differ, square, variance, weights, squares] = with_widest(|| disc_sums(near));
+            let count = weights * weights / squares.max(f32::MIN_POSITIVE);
             let relative = |missed: f32| if square > 0.0 { (missed.max(differ) / square).sqrt() } else { 0.0 };
             (relative(missed), relative(missed - CHANCE * variance / count.max(1.0).sqrt()))
         })

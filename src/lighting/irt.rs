@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Independent estimates that a bake keeps of every value: what the others say decides which neighbours one is filtered with, so more
 /// of them leave more to decide by.
-pub const PARTS: usize = 4;
+pub const PARTS: usize = 8;
 /// Texels per parallel task.
 const CHUNK: usize = 256;
 
@@ -126,6 +126,15 @@ pub fn bake_irradiance(
 }
 
 impl Irradiance {
+    /// Sets the points `ids` to what a bake of them found. `error` stays as it was.
+    pub(super) fn put(&mut self, ids: &[u32], baked: &Self) {
+        self.rays += baked.rays;
+        for (k, &i) in ids.iter().enumerate() {
+            self.value[i as usize] = baked.value[k];
+            self.parts[i as usize] = baked.parts[k];
+        }
+    }
+
     /// Adds what a later bake drew at the points `ids`: as many samples again as they had before ([`IrtOptions::drawn`]).
     /// `error` stays as it was.
     pub fn double(&mut self, ids: &[u32], more: &Self) {

@@ -27,7 +27,7 @@ const ALBEDO: f64 = 1.28 * FUSING;
 const RAYS_PER_LOOK: f64 = 52.0;
 /// Costs in rays of the coarse bake: filtering an irradiance texel once, its missing light, an edge pixel of the views, a pixel of
 /// the report, a written value.
-const FILTER: f64 = 35.0;
+const FILTER: f64 = 60.0;
 const MISSING_LIGHT: f64 = 30.0;
 const EDGES: f64 = 66.0;
 const REPORT_PIXEL: f64 = 28.0;
@@ -35,8 +35,8 @@ const WRITTEN: f64 = 0.25;
 /// Cost of a pixel of the specular images, and of each of its rays with its share of emitter samples, in rays of the evidence.
 const SPECULAR_PIXEL: f64 = 4.0;
 const SPECULAR_RAY: f64 = 0.75;
-/// Share of an irradiance texel's samples that go to emitters, in ninths; the hemisphere gets the others.
-const TO_EMITTERS: u32 = 2;
+/// One in so many of an irradiance texel's samples goes to emitters; the hemisphere gets the others.
+const TO_EMITTERS: u32 = 3;
 /// Samples per irradiance texel and rays per pixel between which a budget chooses, and the former for which texture sizes are chosen.
 const SAMPLES: [f64; 2] = [4.0, 2048.0];
 const SPECULAR: [f64; 2] = [1.0, 4096.0];
@@ -267,7 +267,7 @@ pub(super) fn samples_for(target: f32, error: f32, samples: u32, progress: &Prog
 
 /// Hemisphere rays and emitter samples out of `samples`.
 pub(super) fn split_samples(samples: u32) -> [u32; 2] {
-    let emitters = (samples * TO_EMITTERS / 9).max(1);
+    let emitters = (samples / TO_EMITTERS).max(1);
     [samples.saturating_sub(emitters).max(1), emitters]
 }
 

@@ -149,7 +149,12 @@ mod tests {
 
     fn irradiance(x: f32) -> Irradiance {
         let v = Vec3::new(x, 2.0, 3.0);
-        Irradiance { value: vec![v; 3], parts: vec![[v, -v, 2.0 * v, Vec3::ZERO]; 3], error: vec![0.1, 0.2, 0.3], rays: 9 }
+        Irradiance {
+            value: vec![v; 3],
+            parts: vec![std::array::from_fn(|p| v * (p as f32 - 1.0)); 3],
+            error: vec![0.1, 0.2, 0.3],
+            rays: 9,
+        }
     }
 
     fn same(a: &Irradiance, b: &Irradiance) -> bool {

@@ -51,6 +51,10 @@ pub struct Light {
     pub rays: u64,
 }
 
+/// Importance of a texel whose centre lies outside its chart by up to one texel: the share of its interpolation weight that lies
+/// inside is at most a half, a sixth on average.
+const BORDER: f32 = 0.25;
+
 /// Reconstructs the light from the fused observations.
 #[must_use]
 pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &Progress) -> Light {
@@ -144,9 +148,21 @@ pub fn bake_irradiance_texels(
         seed: options.seed,
     };
     let bake = surface.bake(field, emitters);
-    let (patches, seen) = (patches(surface, texels), surface.seen(texels));
+    let (patches, importance) = (patches(surface, texels), importance(surface, texels));
     let receiver = |i: usize| surface.receiver(texels, i);
-    progress.stage("irradiance", texels.len() as u64, |p| bake_surface(&bake, &patches, receiver, &seen, &budget, p))
+    progress.stage("irradiance", texels.len() as u64, |p| bake_surface(&bake, &patches, receiver, &importance, &budget, p))
+}
+
+/// What an error of each texel's irradiance counts: nothing where no view sees it, little where only interpolation within the chart
+/// reaches it.
+fn importance(surface: &Surface, texels: &Texels) -> Vec<f32> {
+    let seen = surface.seen(texels);
+    let of = |(seen, interior): (&bool, &bool)| match (seen, interior) {
+        (false, _) => 0.0,
+        (true, true) => 1.0,
+        (true, false) => BORDER,
+    };
+    seen.iter().zip(&texels.interior).map(of).collect()
 }
 
 /// The texels as pieces of surface.

@@ -18,14 +18,14 @@ use glam::Vec3;
 use std::f32::consts::TAU;
 
 /// Paths per texel in each of the parts whose scatter tells their noise, at effort 1.
-const SAMPLES: f32 = 6.0;
+const SAMPLES: f32 = 3.0;
 /// Squared differences in variances at which texels part: sooner than those of irradiance textures, for light that seeps away where
 /// things touch is missing in every photograph alike.
 const PARTING: f32 = 6.0;
 /// Distance in metres at which texels are as large as pixels.
 const DISTANCE: f32 = 2.5;
 /// Texels that must lie between two charts, so that a bilinear look-up never meets another chart's light.
-const GAP: f32 = 2.0;
+const GAP: f32 = 3.0;
 /// Largest side in texels: bounds memory and time where a texture holds many rooms.
 const LARGEST: f32 = 4096.0;
 
