@@ -90,7 +90,8 @@ pub fn bake_surface(
     let mut level: Vec<u8> = (0..count).map(|i| if matters(i) { levels.first } else { 0 }).collect();
     let mut baked =
         Irradiance { value: vec![Vec3::ZERO; count], parts: vec![Default::default(); count], ..Irradiance::default() };
-    let mut spent = 0;
+    // rays traced where it matters, and for how many samples: what cannot carry light is not traced and costs nothing
+    let (mut rays, mut samples) = (0, 0);
     let at = |level: &[u8], l: u8, keep: &dyn Fn(usize) -> bool| -> Vec<u32> {
         (0..count as u32).filter(|&i| level[i as usize] == l && keep(i as usize)).collect()
     };
@@ -98,15 +99,14 @@ pub fn bake_surface(
         let ids = at(&level, l, &|_| true);
         let first = bake_irradiance(bake, ids.len(), |k| receiver(ids[k] as usize), &levels.options(None, l), progress);
         baked.put(&ids, &first);
-        spent += (ids.len() as u64) << l;
+        (rays, samples) = (first.rays, (ids.len() as u64) << l);
     }
     let total = (1.0 - KEPT_BACK) * f64::from(budget.samples.iter().sum::<u32>()) * count as f64;
     for round in 1..budget.rounds {
         let (filtered, certain) = filter.filter(&baked, &level, matters);
         let promising = |i: usize| if certain[i] > budget.target { certain[i] * importance[i].sqrt() } else { 0.0 };
-        // what cannot carry light is not traced and costs nothing
         let left = (total - baked.rays as f64).max(0.0) / f64::from(budget.rounds - round);
-        let cost = left * spent as f64 / baked.rays.max(1) as f64;
+        let cost = left * samples as f64 / rays.max(1) as f64;
         let wanted = most_promising(&filtered.value, &promising, &level, cost as u64);
         if wanted == level {
             break;
@@ -115,7 +115,8 @@ pub fn bake_surface(
             let ids = at(&level, l, &|i| wanted[i] > l);
             let more = bake_irradiance(bake, ids.len(), |k| receiver(ids[k] as usize), &levels.options(Some(l), l + 1), progress);
             baked.double(&ids, &more);
-            spent += (ids.len() as u64) << l;
+            rays += more.rays;
+            samples += (ids.len() as u64) << l;
             ids.iter().for_each(|&i| level[i as usize] = l + 1);
         }
     }
