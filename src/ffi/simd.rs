@@ -1,7 +1,7 @@
 //! Run-time dispatch to wider vector instructions, and hints to the cache.
 
-/// Runs `f` compiled for AVX2 where the processor has it, for the baseline elsewhere. Only code inlined into `f` profits: mark
-/// kernels `#[inline(always)]`. Without explicit fused operations the bits are the same either way.
+/// Runs `f` compiled for AVX2 with fused multiply-add where the processor has them, for the baseline elsewhere. Only code inlined into
+/// `f` profits: mark kernels `#[inline(always)]`. The bits are the same either way; `mul_add` is a slow library call on the baseline.
 #[inline]
 pub fn with_widest<R>(f: impl FnOnce() -> R) -> R {
     run_widest(Closure(f))
@@ -31,15 +31,15 @@ pub trait Kernel {
 #[inline]
 pub fn run_widest<K: Kernel>(kernel: K) -> K::Output {
     #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: `avx2` needs exactly the feature tested on the line above.
+    if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
+        // SAFETY: `avx2` needs exactly the features tested on the line above.
         return unsafe { avx2(kernel) };
     }
     kernel.run()
 }
 
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
+#[target_feature(enable = "avx2,fma")]
 fn avx2<K: Kernel>(kernel: K) -> K::Output {
     kernel.run()
 }

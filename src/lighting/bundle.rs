@@ -5,7 +5,8 @@
 
 use super::irt::{Bake, Estimator, IrtOptions, PARTS, Receiver};
 use super::lamp_choice::LampChoice;
-use crate::ffi::simd::with_widest;
+use super::sweep::Sweep;
+use crate::ffi::simd::{Kernel, run_widest};
 use crate::math::Frame;
 use crate::sampling::{
     KeyedRng, SobolBlock, SobolSequence, hammersley, square_to_cosine_hemisphere, square_to_uniform_hemisphere,
@@ -28,6 +29,9 @@ pub(super) struct Round {
     total_rays: u32,
     total_lights: u32,
     hemisphere: Points,
+    /// The part that each hemisphere sample belongs to.
+    part: Vec<u8>,
+    sweep: Sweep,
     lights: SobolBlock,
     /// Intervals of [0, 1), of which no two samples of this round share one in the first dimension.
     slots: usize,
@@ -58,12 +62,13 @@ impl Points {
         }
     }
 
-    /// Where each part ends.
-    fn ends(&self) -> [usize; PARTS] {
-        match self {
+    /// The part that each point belongs to.
+    fn parts(&self) -> Vec<u8> {
+        let ends: [usize; PARTS] = match self {
             Self::Hammersley(_, ends) => *ends,
             Self::Sobol(block) => std::array::from_fn(|p| block.len() * (p + 1) / PARTS),
-        }
+        };
+        (0..self.len()).map(|k| ends.partition_point(|end| *end <= k) as u8).collect()
     }
 }
 
@@ -79,6 +84,8 @@ impl Round {
             seed: options.seed,
             total_rays: rays,
             total_lights: lights,
+            part: hemisphere.parts(),
+            sweep: Sweep::new(hemisphere.len()),
             hemisphere,
             lights: SobolBlock::new(first_light, lights),
             slots: (lights as usize).next_power_of_two(),
@@ -99,6 +106,8 @@ pub(super) struct Bundle {
     choices: Vec<LampChoice>,
     rays: Vec<Ray>,
     cosines: Vec<f32>,
+    /// Per hemisphere ray: index into the sums.
+    owners: Vec<u32>,
     hits: Vec<Hit>,
     shadow: Vec<Ray>,
     hidden: Vec<u8>,
@@ -119,24 +128,11 @@ pub(super) struct Bundle {
     sums: Vec<Vec3>,
 }
 
-/// Where the rays of one receiver lie in the batch.
+/// Where the hemisphere rays of one receiver lie in the batch.
 struct Span {
     /// Whether lamps are sampled.
     lit: bool,
-    /// Hemisphere rays of each part.
-    rays: [Range<usize>; PARTS],
-}
-
-impl Span {
-    /// All of its hemisphere rays.
-    fn all(&self) -> Range<usize> {
-        self.rays[0].start..self.rays[PARTS - 1].end
-    }
-
-    /// The part that its hemisphere ray `k` belongs to.
-    fn part(&self, k: usize) -> usize {
-        self.rays[..PARTS - 1].iter().filter(|r| k >= r.end).count()
-    }
+    rays: Range<usize>,
 }
 
 /// An emitter sample that waits for its shadow ray: what its radiance is multiplied by, where that comes from, whose it is.
@@ -165,19 +161,19 @@ impl Bundle {
         grow(&mut self.choices, n, LampChoice::default());
         let (mut rays, mut lights) = (0, 0);
         for r in receivers {
-            let parts = self.draw_hemisphere(bake, round, r, rays);
-            rays = parts[PARTS - 1].end;
+            let drawn = self.draw_hemisphere(bake, round, r, rays);
+            rays = drawn.end;
             let lit = !round.lights.is_empty() && self.choose(bake, round, r);
             if lit {
                 lights = self.draw_lights(bake, round, r, lights);
             }
-            self.spans.push(Span { lit, rays: parts });
+            self.spans.push(Span { lit, rays: drawn });
         }
         bake.tracer.closest(&self.rays[..rays], &mut self.hits[..rays]);
         bake.tracer.occluded(&self.shadow[..lights], &mut self.hidden[..lights]);
         self.sums.clear();
         self.sums.resize(PARTS * n, Vec3::ZERO);
-        self.gather_surfaces(bake, round);
+        self.gather_surfaces(bake, round, rays);
         self.gather_lights(bake, lights);
         for (k, parts) in self.sums.as_chunks::<PARTS>().0.iter().enumerate() {
             add(k, *parts);
@@ -189,6 +185,7 @@ impl Bundle {
         let nowhere = Ray::new(Vec3::ZERO, Vec3::Z, 0.0);
         grow(&mut self.rays, rays, nowhere);
         grow(&mut self.cosines, rays, 0.0);
+        grow(&mut self.owners, rays, 0);
         grow(&mut self.hits, rays, Hit::miss());
         grow(&mut self.terms, rays, (0, 0.0));
         grow(&mut self.shadow, lights, nowhere);
@@ -200,49 +197,25 @@ impl Bundle {
         self.columns.iter_mut().for_each(|c| grow(c, round.hemisphere.len().max(round.lights.len()), 0.0));
     }
 
-    /// Writes the hemisphere rays of a receiver from index `at` on; returns where its parts lie.
-    fn draw_hemisphere(&mut self, bake: &Bake, round: &Round, r: &Receiver, at: usize) -> [Range<usize>; PARTS] {
+    /// Writes the hemisphere rays of the next receiver from index `at` on, neighbours in direction side by side; returns where they lie.
+    fn draw_hemisphere(&mut self, bake: &Bake, round: &Round, r: &Receiver, at: usize) -> Range<usize> {
         let n = round.hemisphere.len();
-        let [u, v, x, y, z, cosine, facing] = self.columns.each_mut().map(|c| &mut c[..n]);
-        let frame = Frame::from_normal(r.normal);
-        match &round.hemisphere {
-            Points::Sobol(block) => {
-                let sequence = SobolSequence::new(round.seed, r.key);
-                with_widest(|| {
-                    block.fill(&sequence, 0, u);
-                    block.fill(&sequence, 1, v);
-                    directions(&frame, r.face_normal, square_to_cosine_hemisphere, [u, v], [x, y, z, cosine, facing]);
-                });
-            }
-            Points::Hammersley(points, _) => {
-                let mut rng = KeyedRng::new(round.seed, r.key);
-                let shift = [rng.next_f32(), rng.next_f32()];
-                with_widest(|| {
-                    for (d, out) in [&mut *u, &mut *v].into_iter().enumerate() {
-                        for (o, p) in out.iter_mut().zip(&points[d]) {
-                            let x = p + shift[d];
-                            *o = if x >= 1.0 { x - 1.0 } else { x };
-                        }
-                    }
-                    directions(&frame, r.face_normal, square_to_uniform_hemisphere, [u, v], [x, y, z, cosine, facing]);
-                });
-            }
-        }
+        let columns = self.columns.each_mut().map(|c| &mut c[..n]);
+        run_widest(Directions { points: &round.hemisphere, seed: round.seed, receiver: r, columns });
+        let [u, v, x, y, z, cosine, facing] = self.columns.each_ref().map(|c| &c[..n]);
         let origin = r.position + r.face_normal * bake.offset;
-        let (rays, cosines) = (&mut self.rays[at..at + n], &mut self.cosines[at..at + n]);
+        let first = (PARTS * self.spans.len()) as u32;
+        let (rays, cosines, owners) = (&mut self.rays[at..at + n], &mut self.cosines[at..at + n], &mut self.owners[at..at + n]);
         let mut kept = 0;
-        let mut keep = |range: Range<usize>| {
-            let first = kept;
-            for k in range {
-                rays[kept] = Ray::new(origin, Vec3::new(x[k], y[k], z[k]), f32::INFINITY);
-                cosines[kept] = cosine[k];
-                // below the true surface the surface itself blocks the light
-                kept += usize::from((facing[k] > 0.0) & (cosine[k] > 0.0));
-            }
-            at + first..at + kept
-        };
-        let mut start = 0;
-        round.hemisphere.ends().map(|end| keep(std::mem::replace(&mut start, end)..end))
+        round.sweep.order([u, v], &mut self.order);
+        for k in self.order[..n].iter().map(|k| *k as usize) {
+            rays[kept] = Ray::new(origin, Vec3::new(x[k], y[k], z[k]), f32::INFINITY);
+            cosines[kept] = cosine[k];
+            owners[kept] = first + u32::from(round.part[k]);
+            // below the true surface the surface itself blocks the light
+            kept += usize::from((facing[k] > 0.0) & (cosine[k] > 0.0));
+        }
+        at..at + kept
     }
 
     /// Finds which lamps the next receiver asks; false if none can send it light.
@@ -259,11 +232,7 @@ impl Bundle {
         let n = round.lights.len();
         let [u, v, w, ..] = self.columns.each_mut().map(|c| &mut c[..n]);
         let sequence = SobolSequence::new(round.seed ^ 0x5eed_1a3b, r.key);
-        with_widest(|| {
-            round.lights.fill(&sequence, 0, u);
-            round.lights.fill(&sequence, 1, v);
-            round.lights.fill(&sequence, 2, w);
-        });
+        run_widest(Coordinates { block: &round.lights, sequence, columns: [&mut *u, &mut *v, &mut *w] });
         self.order.clear();
         self.order.resize(round.slots, u32::MAX);
         for (s, u) in u.iter().enumerate() {
@@ -272,10 +241,10 @@ impl Bundle {
         let first = (PARTS * self.spans.len()) as u32;
         // choosing first, computing then: the sources arrive from memory side by side
         self.picks.clear();
-        let choice = &self.choices[self.spans.len()];
+        let mut walk = self.choices[self.spans.len()].walk();
         // (an interval may have no sample)
         for s in self.order.iter().map(|&s| s as usize).filter(|&s| s < n) {
-            let (slot, probability) = bake.emitters.pick(choice, u[s]);
+            let (slot, probability) = bake.emitters.pick_next(&mut walk, u[s]);
             let owner = first + (s * PARTS / n) as u32;
             self.picks.push((probability, Aimed { weight: 0.0, place: [v[s], w[s]], slot, owner }));
         }
@@ -297,8 +266,8 @@ impl Bundle {
         at + kept
     }
 
-    /// Adds what hemisphere rays meet.
-    fn gather_surfaces(&mut self, bake: &Bake, round: &Round) {
+    /// Adds what the first `count` hemisphere rays meet.
+    fn gather_surfaces(&mut self, bake: &Bake, round: &Round, count: usize) {
         let (n, lights) = (round.total_rays as f32, round.total_lights as f32);
         let mut outside = 0;
         let expect = |hit: &Hit| {
@@ -307,7 +276,7 @@ impl Bundle {
         };
         self.hits.iter().take(AHEAD).for_each(expect);
         for (span, choice) in self.spans.iter().zip(&self.choices) {
-            for k in span.all() {
+            for k in span.rays.clone() {
                 if let Some(later) = self.hits.get(k + AHEAD) {
                     expect(later);
                 }
@@ -327,31 +296,24 @@ impl Bundle {
                 outside += usize::from(!hit.is_hit());
             }
         }
-        for (span, sums) in self.spans.iter().zip(self.sums.chunks_exact_mut(PARTS)) {
-            for (range, sum) in span.rays.iter().zip(sums) {
-                *sum += self.terms[range.clone()].iter().fold(Vec3::ZERO, |s, &(at, weight)| s + bake.field.texel(at) * weight);
-            }
+        for (&(address, weight), owner) in self.terms[..count].iter().zip(&self.owners) {
+            self.sums[*owner as usize] += bake.field.texel(address) * weight;
         }
         self.look_outside(outside, |b, k| &b.rays[k]);
-        let (mut owner, sums) = (0, &mut self.sums);
-        let (spans, choices) = (&self.spans, &self.choices);
         let [x, y, z] = self.sky.each_mut().map(|c| &mut c[..outside]);
         bake.field.environment.radiances([x, y, z], |i, radiance| {
             let k = self.outside[i] as usize;
-            while k >= spans[owner].all().end {
-                owner += 1;
-            }
-            let span = &spans[owner];
-            let weight = match (round.estimator, span.lit.then_some(&choices[owner])) {
-                (Estimator::Mis, Some(choice)) => {
+            let owner = self.owners[k] as usize;
+            let weight = match (round.estimator, &self.spans[owner / PARTS]) {
+                (Estimator::Mis, Span { lit: true, .. }) => {
                     let ray = &self.rays[k];
                     let (origin, direction) = (Vec3::from_array(ray.origin), Vec3::from_array(ray.direction));
-                    let pdf = bake.emitters.miss_pdf(choice, origin, direction);
+                    let pdf = bake.emitters.miss_pdf(&self.choices[owner / PARTS], origin, direction);
                     self.cosines[k] / (n * (self.cosines[k] * FRAC_1_PI) + lights * pdf)
                 }
                 _ => self.terms[k].1,
             };
-            sums[PARTS * owner + span.part(k)] += radiance * weight;
+            self.sums[owner] += radiance * weight;
         });
     }
 
@@ -395,8 +357,64 @@ impl Bundle {
     }
 }
 
-/// World directions of points of the unit square under a warp around a frame's normal, with their cosines to the shading normal and
-/// to the face.
+/// The hemisphere samples of a receiver: coordinates in the unit square, world directions, and their cosines to the shading normal and
+/// to the face, a column each.
+struct Directions<'a> {
+    points: &'a Points,
+    seed: u64,
+    receiver: &'a Receiver,
+    columns: [&'a mut [f32]; 7],
+}
+
+impl Kernel for Directions<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { points, seed, receiver: r, columns: [u, v, x, y, z, cosine, facing] } = self;
+        let (frame, out) = (Frame::from_normal(r.normal), [x, y, z, cosine, facing]);
+        match points {
+            Points::Sobol(block) => {
+                let sequence = SobolSequence::new(seed, r.key);
+                block.fill(&sequence, 0, u);
+                block.fill(&sequence, 1, v);
+                directions(&frame, r.face_normal, square_to_cosine_hemisphere, [u, v], out);
+            }
+            Points::Hammersley(points, _) => {
+                let mut rng = KeyedRng::new(seed, r.key);
+                for (out, points) in [&mut *u, &mut *v].into_iter().zip(points) {
+                    let shift = rng.next_f32();
+                    for (o, p) in out.iter_mut().zip(points) {
+                        let x = p + shift;
+                        *o = if x >= 1.0 { x - 1.0 } else { x };
+                    }
+                }
+                directions(&frame, r.face_normal, square_to_uniform_hemisphere, [u, v], out);
+            }
+        }
+    }
+}
+
+/// A block's points under a sequence's scrambling, a column per dimension.
+struct Coordinates<'a> {
+    block: &'a SobolBlock,
+    sequence: SobolSequence,
+    columns: [&'a mut [f32]; 3],
+}
+
+impl Kernel for Coordinates<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { block, sequence, columns: [u, v, w] } = self;
+        block.fill(&sequence, 0, u);
+        block.fill(&sequence, 1, v);
+        block.fill(&sequence, 2, w);
+    }
+}
+
+/// World directions of points of the unit square under a warp around a frame's normal, with their cosines.
 #[inline(always)]
 fn directions(
     frame: &Frame,

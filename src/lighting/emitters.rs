@@ -9,7 +9,7 @@
 
 use super::LightField;
 use super::hull::Hull;
-use super::lamp_choice::{LampChoice, LampShapes, Piece};
+use super::lamp_choice::{LampChoice, LampShapes, LampWalk, Piece};
 use super::sources::{EmitterSample, GRAZING, SHORT, Source};
 use crate::ffi::simd::prefetch;
 use crate::geometry::Mesh;
@@ -371,14 +371,20 @@ impl Emitters {
         })
     }
 
-    /// The slot of a source that `u` in [0, 1) stands for, and the probability of its lamp. The slot itself is on its way into the
-    /// cache.
+    /// The slot of a source that `u` in [0, 1) stands for, and the probability of its lamp.
     #[inline(always)]
-    pub(super) fn pick(&self, choice: &LampChoice, u: f32) -> (u32, f32) {
+    fn pick(&self, choice: &LampChoice, u: f32) -> (u32, f32) {
         let (lamp, rest) = choice.sample(u);
+        (self.lamps[lamp].slot(rest), choice.pmf(lamp))
+    }
+
+    /// The same for the next of ascending numbers. The slot is on its way into the cache.
+    #[inline(always)]
+    pub(super) fn pick_next(&self, walk: &mut LampWalk, u: f32) -> (u32, f32) {
+        let (lamp, rest) = walk.next(u);
         let slot = self.lamps[lamp].slot(rest);
         prefetch(&self.slots, slot as usize);
-        (slot, choice.pmf(lamp))
+        (slot, walk.choice().pmf(lamp))
     }
 
     /// Tells the cache that [`Self::source`] will be asked for soon.

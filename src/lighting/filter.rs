@@ -7,12 +7,11 @@
 //! the others say, so that noise does not choose its own company. Texels are neighbours in space, across charts. No surface is
 //! quite as even as the regression: a texel with many samples keeps its own estimate.
 
-use super::neighbourhood::{Near, Neighbourhood, Patch, total, weighted_sums};
+use super::neighbourhood::{Near, Neighbourhood, Patch};
 use super::{Irradiance, PARTS, spread};
-use crate::ffi::simd::{Kernel, run_widest, with_widest};
-use crate::math::{Frame, luminance};
+use crate::ffi::simd::{Kernel, run_widest};
+use crate::math::luminance;
 use glam::Vec3;
-use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
 /// Reach of the regression in texels.
@@ -53,17 +52,17 @@ pub struct SurfaceFilter<'a> {
     per_different: f32,
 }
 
+/// One value per part: what runs side by side in a vector register.
+type Lanes = [f32; PARTS];
+
 /// Luminance of the parts of a texel and the variance of one.
 #[derive(Clone, Copy, Default)]
 struct Noise {
-    part: [f32; PARTS],
+    part: Lanes,
     variance: f32,
     /// Number of samples relative to other texels.
     samples: f32,
 }
-
-/// Columns of [`Noise`].
-const NOISE: usize = PARTS + 2;
 
 impl Noise {
     fn mean(&self) -> f32 {
@@ -82,26 +81,23 @@ impl Noise {
         let sum = self.part.iter().sum::<f32>();
         Self { part: self.part.map(|p| (sum - p) / OTHERS), variance: self.variance / OTHERS, samples: self.samples }
     }
-
-    /// The columns by which it travels: parts, variance, samples.
-    fn columns(&self) -> [f32; NOISE] {
-        std::array::from_fn(|c| match c.checked_sub(PARTS) {
-            None => self.part[c],
-            Some(0) => self.variance,
-            Some(_) => self.samples,
-        })
-    }
 }
 
-/// Columns of the regression's data: the parts' channels, then those of the other parts' guides.
-const NODE: usize = 3 * PARTS + NOISE;
+/// What a texel tells its neighbours' guides: its parts, what the others of each say, and how much it counts.
+#[derive(Clone, Copy)]
+struct Told {
+    part: Lanes,
+    others: Lanes,
+    /// Of one part.
+    variance: f32,
+    root_samples: f32,
+}
 
-/// Buffers of one thread, a column per candidate.
-#[derive(Default)]
-struct Scratch {
-    weight: [Vec<f32>; 2],
-    total: Vec<f32>,
-    terms: [Vec<f32>; SLOPES],
+/// What a texel brings to its neighbours' regressions: its parts channel by channel, and what the guides of the other parts say.
+#[derive(Clone, Copy)]
+struct Node {
+    value: [Lanes; 3],
+    others: Noise,
 }
 
 impl<'a> SurfaceFilter<'a> {
@@ -128,27 +124,24 @@ impl<'a> SurfaceFilter<'a> {
         let scaled = baked.parts.par_iter().map(|parts| parts.map(|p| p / unit)).collect();
         let baked = &Irradiance { parts: scaled, rays: baked.rays, ..Irradiance::default() };
         let noise = self.noise(baked, level);
+        let told: Vec<Told> = noise.par_iter().map(Told::from).collect();
         let per_different = self.per_different;
-        let columns: Vec<_> = noise.par_iter().map(Noise::columns).collect();
-        let guides: Vec<Noise> = self.around.map(self.patches, &columns, COMPARED, |i, near, scratch| {
-            run_widest(Guide { own: &noise[i], near, per_different, scratch })
+        let guides = self.around.map(self.patches, COMPARED, everywhere, |i, near, (): &mut ()| {
+            run_widest(Guide { own: &noise[i], told: &told, near, per_different })
         });
-        let node = |i: usize| -> [f32; NODE] {
-            let guide = guides[i].others().columns();
-            let parts = &baked.parts[i];
-            std::array::from_fn(|c| if c < 3 * PARTS { parts[c / 3][c % 3] } else { guide[c - 3 * PARTS] })
+        let node = |(parts, guide): (&[Vec3; PARTS], &Noise)| Node {
+            value: std::array::from_fn(|c| parts.map(|p| p[c])),
+            others: guide.others(),
         };
-        let nodes: Vec<[f32; NODE]> = (0..noise.len()).into_par_iter().map(node).collect();
-        let parts = self.around.map(self.patches, &nodes, REACH, |i, around, scratch| {
-            if !asked(i) {
-                return baked.parts[i];
-            }
-            let regression =
-                Regression { patches: self.patches, i, own: &guides[i], part: baked.parts[i], around, per_different, scratch };
-            let (mut parts, own) = (run_widest(regression), noise[i].own_share());
-            parts.iter_mut().zip(&baked.parts[i]).for_each(|(smooth, part)| *smooth = smooth.lerp(*part, own));
-            parts
+        let nodes: Vec<Node> = baked.parts.par_iter().zip(&guides).map(node).collect();
+        let smooth = self.around.map(self.patches, REACH, &asked, |i, near, weight| {
+            run_widest(Regression { own: &guides[i], part: &nodes[i].value, nodes: &nodes, near, per_different, weight })
         });
+        let own = |i: usize| {
+            let (smooth, part, own) = (&smooth[i], &baked.parts[i], noise[i].own_share());
+            if asked(i) { std::array::from_fn(|p| smooth[p].lerp(part[p], own)) } else { *part }
+        };
+        let parts: Vec<[Vec3; PARTS]> = (0..noise.len()).into_par_iter().map(own).collect();
         let (error, certain) = self.remaining_error(&noise, &parts, &asked).into_iter().unzip();
         let parts: Vec<[Vec3; PARTS]> = parts.into_par_iter().map(|parts| parts.map(|p| p * unit)).collect();
         let value = parts.par_iter().map(|p| p.iter().sum::<Vec3>() / PARTS as f32).collect();
@@ -164,8 +157,8 @@ impl<'a> SurfaceFilter<'a> {
             [samples(*l) * variance * mean * mean, mean * mean]
         };
         let own: Vec<[f32; 2]> = baked.parts.par_iter().zip(level).map(own).collect();
-        self.around.map(self.patches, &own, DISC, |i, near, (): &mut ()| {
-            let [variance, square] = with_widest(|| disc_sums(near));
+        self.around.map(self.patches, DISC, everywhere, |i, near, (): &mut ()| {
+            let [variance, square] = sums(near, &own);
             let (part, n) = (baked.parts[i].map(luminance), samples(level[i]));
             let noise = Noise { part, variance: 0.0, samples: n };
             Noise { variance: if square > 0.0 { variance / square * noise.mean().powi(2) / n } else { 0.0 }, ..noise }
@@ -199,8 +192,8 @@ impl<'a> SurfaceFilter<'a> {
                 terms.map(|t| t * n.samples)
             })
             .collect();
-        self.around.map(self.patches, &own, DISC, |_, near, (): &mut ()| {
-            let [missed, differ, square, variance, weights, squares] = with_widest(|| disc_sums(near));
+        self.around.map(self.patches, DISC, asked, |_, near, (): &mut ()| {
+            let [missed, differ, square, variance, weights, squares] = sums(near, &own);
             let count = weights * weights / squares.max(f32::MIN_POSITIVE);
             let relative = |missed: f32| if square > 0.0 { (missed.max(differ) / square).sqrt() } else { 0.0 };
             (relative(missed), relative(missed - CHANCE * variance / count.max(1.0).sqrt()))
@@ -216,14 +209,24 @@ fn power_of_two_near(baked: &Irradiance) -> f32 {
     if exponent.abs() < 120.0 { 2f32.powi(exponent as i32) } else { 1.0 }
 }
 
-/// Sums of the data columns over the disc.
-#[inline(always)]
-fn disc_sums<const C: usize>(near: &Near<C>) -> [f32; C] {
+/// For maps of all texels.
+fn everywhere(_: usize) -> bool {
+    true
+}
+
+/// Sums of the texels' terms.
+fn sums<const C: usize>(near: &[Near], terms: &[[f32; C]]) -> [f32; C] {
     let mut sums = [0.0; C];
-    for (sum, column) in sums.iter_mut().zip(&near.data) {
-        *sum = total(column);
+    for n in near {
+        sums.iter_mut().zip(&terms[n.id as usize]).for_each(|(sum, t)| *sum += t);
     }
     sums
+}
+
+impl From<&Noise> for Told {
+    fn from(n: &Noise) -> Self {
+        Self { part: n.part, others: n.others().part, variance: n.variance, root_samples: n.samples.sqrt() }
+    }
 }
 
 /// Mean of each part over the disc, without texels that the other parts find different beyond their noise. Texels count by the square
@@ -231,9 +234,9 @@ fn disc_sums<const C: usize>(near: &Near<C>) -> [f32; C] {
 /// would decide, however uneven the surface (CHANGELOG).
 struct Guide<'a> {
     own: &'a Noise,
-    near: &'a Near<NOISE>,
+    told: &'a [Told],
+    near: &'a [Near],
     per_different: f32,
-    scratch: &'a mut Scratch,
 }
 
 impl Kernel for Guide<'_> {
@@ -241,41 +244,21 @@ impl Kernel for Guide<'_> {
 
     #[inline(always)]
     fn run(self) -> Noise {
-        let Self { own, near, per_different, scratch } = self;
-        let n = near.len();
-        let (variance, samples) = (&near.data[PARTS][..n], &near.data[PARTS + 1][..n]);
-        let [weight, square] = &mut scratch.weight;
-        for buffer in [&mut *weight, &mut *square, &mut scratch.total] {
-            buffer.clear();
-            buffer.resize(n, 0.0);
+        let Self { own, told, near, per_different } = self;
+        let alike = Alike { own: own.others(), floor: indifferent(own.mean()), per_different };
+        let (mut weights, mut sum, mut spread) = ([0.0; PARTS], [0.0; PARTS], [0.0; PARTS]);
+        for n in near {
+            let t = &told[n.id as usize];
+            let weight = alike.weights(&t.others, t.variance / OTHERS, (1.0 - 0.8 * n.distance2) * t.root_samples);
+            add(&mut weights, &weight);
+            add_product(&mut sum, &weight, &t.part);
+            let squares = times(&weight, t.variance);
+            add_product(&mut spread, &squares, &weight);
         }
-        let (distance2, weight, square, total_of) =
-            (&near.distance2[..n], &mut weight[..n], &mut square[..n], &mut scratch.total[..n]);
-        for part in &near.data[..PARTS] {
-            for (t, p) in total_of.iter_mut().zip(part) {
-                *t += p;
-            }
-        }
-        let sum = own.part.iter().sum::<f32>();
-        let floor = indifferent(sum / PARTS as f32);
-        let (own_variance, per_others) = (own.variance, 1.0 / OTHERS);
-        let mut out = Noise { variance: 0.0, ..*own };
-        for p in 0..PARTS {
-            let (target, rest) = (&near.data[p][..n], sum - own.part[p]);
-            for k in 0..n {
-                let difference = (rest - (total_of[k] - target[k])) * per_others;
-                let w = (1.0 - 0.8 * distance2[k])
-                    * alike(difference, (own_variance + variance[k]) * per_others, floor, per_different);
-                weight[k] = w * samples[k].sqrt();
-                square[k] = weight[k] * weight[k];
-            }
-            let weights = total(weight);
-            if weights <= 0.0 {
-                return *own;
-            }
-            let ([sum], [spread]) = (weighted_sums(weight, [target]), weighted_sums(square, [variance]));
-            out.part[p] = sum / weights;
-            out.variance = out.variance.max(spread / (weights * weights));
+        let mut out = *own;
+        if weights.iter().all(|w| *w > 0.0) {
+            out.part = std::array::from_fn(|p| sum[p] / weights[p]);
+            out.variance = spread.iter().zip(&weights).map(|(s, w)| s / (w * w)).fold(0.0, f32::max);
         }
         out
     }
@@ -286,26 +269,77 @@ fn indifferent(own: f32) -> f32 {
     (INDIFFERENT * own).powi(2).max(f32::MIN_POSITIVE)
 }
 
-/// Weight of a texel that differs by `difference` where noise makes `variance` and `floor` counts as nothing: (1 − d/D)⁶ up to
-/// d = D, zero beyond, about exp(−6 d/D) at the price of a few products.
-#[inline(always)]
-fn alike(difference: f32, variance: f32, floor: f32, per_different: f32) -> f32 {
-    let d = (difference * difference - variance).max(0.0) / (variance + floor);
-    let a = (1.0 - d * per_different).max(0.0);
-    let a2 = a * a;
-    a2 * a2 * a2
+/// Which texels count as like one.
+struct Alike {
+    /// What the other parts say of it.
+    own: Noise,
+    /// Squared difference that counts as nothing.
+    floor: f32,
+    per_different: f32,
 }
 
-/// The regression's value at texel `i` for every part.
+impl Alike {
+    /// Weights, part by part, of a texel of which the other parts say `told`, with `variance`; `most` where they do not differ. They are
+    /// (1 − d/D)⁶ up to the squared difference d = D, zero beyond: about exp(−6 d/D) at the price of a few products.
+    #[inline(always)]
+    fn weights(&self, told: &Lanes, variance: f32, most: f32) -> Lanes {
+        let variance = self.own.variance + variance;
+        let scale = self.per_different / (variance + self.floor);
+        let mut out = [0.0; PARTS];
+        for l in 0..PARTS {
+            let difference = self.own.part[l] - told[l];
+            let d = (difference * difference - variance).max(0.0) * scale;
+            let a = (1.0 - d).max(0.0);
+            let a2 = a * a;
+            out[l] = most * (a2 * a2 * a2);
+        }
+        out
+    }
+}
+
+// Written out lane by lane, not with closures, which the compiler would leave outside, compiled for the baseline.
+
+#[inline(always)]
+fn add(sum: &mut Lanes, a: &Lanes) {
+    for l in 0..PARTS {
+        sum[l] += a[l];
+    }
+}
+
+#[inline(always)]
+fn add_product(sum: &mut Lanes, a: &Lanes, b: &Lanes) {
+    for l in 0..PARTS {
+        sum[l] = a[l].mul_add(b[l], sum[l]);
+    }
+}
+
+#[inline(always)]
+fn add_scaled(sum: &mut Lanes, a: &Lanes, scale: f32) {
+    for l in 0..PARTS {
+        sum[l] = a[l].mul_add(scale, sum[l]);
+    }
+}
+
+#[inline(always)]
+fn times(a: &Lanes, scale: f32) -> Lanes {
+    let mut out = [0.0; PARTS];
+    for l in 0..PARTS {
+        out[l] = a[l] * scale;
+    }
+    out
+}
+
+/// The regression's value at a texel, for every part.
 struct Regression<'a> {
-    patches: &'a [Patch],
-    i: usize,
-    /// Its guide.
+    /// The texel's guide.
     own: &'a Noise,
-    part: [Vec3; PARTS],
-    around: &'a Near<NODE>,
+    /// What stays where the neighbours decide nothing.
+    part: &'a [Lanes; 3],
+    nodes: &'a [Node],
+    near: &'a [Near],
     per_different: f32,
-    scratch: &'a mut Scratch,
+    /// Memory for the neighbours' weights.
+    weight: &'a mut Vec<Lanes>,
 }
 
 impl Kernel for Regression<'_> {
@@ -313,35 +347,26 @@ impl Kernel for Regression<'_> {
 
     #[inline(always)]
     fn run(self) -> [Vec3; PARTS] {
-        let Self { patches, i, own, part, around, per_different, scratch } = self;
-        let (n, patch) = (around.len(), &patches[i]);
-        let Scratch { weight: [weight, product], total: kernel, terms } = scratch;
-        let frame = Frame::from_normal(patch.normal);
-        let scale = 1.0 / (REACH * patch.size).max(f32::MIN_POSITIVE);
-        around.along(patches, patch, [frame.t, frame.b], [scale, TURN], terms);
-        for buffer in [&mut *weight, &mut *product, &mut *kernel] {
-            buffer.resize(n, 0.0);
+        let Self { own, part, nodes, near, per_different, weight } = self;
+        // the weights of one part's values come from the others
+        let alike = Alike { own: own.others(), floor: indifferent(own.mean()), per_different };
+        weight.resize(near.len(), [0.0; PARTS]);
+        for (n, weight) in near.iter().zip(weight.iter_mut()) {
+            let others = &nodes[n.id as usize].others;
+            let falloff = (1.0 - n.distance2) * (1.0 - n.distance2);
+            *weight = alike.weights(&others.part, others.variance, falloff * others.samples);
         }
-        let (weight, product, kernel) = (&mut weight[..n], &mut product[..n], &mut kernel[..n]);
-        let [variance, samples] = [&around.data[NODE - 2], &around.data[NODE - 1]].map(|c| &c[..n]);
-        let distance2 = &around.distance2[..n];
-        for k in 0..n {
-            kernel[k] = (1.0 - distance2[k]) * (1.0 - distance2[k]) * samples[k];
-        }
-        let terms = [&terms[0][..n], &terms[1][..n], &terms[2][..n], &terms[3][..n]];
-        let (others, floor) = (own.others(), indifferent(own.mean()));
-        let (own_variance, reach) = (others.variance, PLAUSIBLE * own.variance.sqrt());
-        let mut out = part;
-        // (closures given to library functions would be compiled for the baseline)
+        let [red, green, blue] = intercepts(moments(near, weight), right_side(near, weight, nodes));
+        let reach = PLAUSIBLE * own.variance.sqrt();
+        let mut out = [Vec3::ZERO; PARTS];
         for (p, out) in out.iter_mut().enumerate() {
-            // the weights of one part's values come from the others
-            let (told, own_told) = (&around.data[3 * PARTS + p][..n], others.part[p]);
-            for k in 0..n {
-                weight[k] = kernel[k] * alike(own_told - told[k], own_variance + variance[k], floor, per_different);
+            let value = Vec3::new(red[p], green[p], blue[p]);
+            if !value.is_finite() {
+                *out = Vec3::new(part[0][p], part[1][p], part[2][p]);
+                continue;
             }
-            let values = [&around.data[3 * p][..n], &around.data[3 * p + 1][..n], &around.data[3 * p + 2][..n]];
-            let Some(value) = intercept(weight, terms, values, product) else { continue };
             // where the neighbours lie to one side the slopes extrapolate: the small disc says how far that may go
+            let value = value.max(Vec3::ZERO);
             let l = luminance(value);
             let limited = l.clamp((own.part[p] - reach).max(0.0), own.part[p] + reach);
             *out = if l > 0.0 { value * (limited / l) } else { value };
@@ -350,33 +375,111 @@ impl Kernel for Regression<'_> {
     }
 }
 
-/// Value of a weighted regression on a constant and `slopes` where the slopes' terms vanish; `product` is overwritten.
+/// The four slopes' terms of a neighbour.
 #[inline(always)]
-fn intercept(weight: &[f32], slopes: [&[f32]; SLOPES], values: [&[f32]; 3], product: &mut [f32]) -> Option<Vec3> {
-    let weights = total(weight);
-    if weights <= 0.0 {
-        return None;
+fn terms(n: &Near) -> [f32; SLOPES] {
+    let [x, y, u, v] = n.along;
+    [x, y, TURN * u, TURN * v]
+}
+
+/// Lower triangle of the normal equations' matrix, row by row: Σ w tᵣ t꜀ with t₀ = 1. (Every sum has a name so that it stays in a
+/// register.)
+#[inline(always)]
+fn moments(near: &[Near], weight: &[Lanes]) -> [Lanes; TERMS * (TERMS + 1) / 2] {
+    let zero = [0.0; PARTS];
+    let [mut m00, mut m10, mut m11, mut m20, mut m21] = [zero; 5];
+    let [mut m22, mut m30, mut m31, mut m32, mut m33] = [zero; 5];
+    let [mut m40, mut m41, mut m42, mut m43, mut m44] = [zero; 5];
+    for (n, w) in near.iter().zip(weight) {
+        let t = terms(n);
+        add(&mut m00, w);
+        let row = times(w, t[0]);
+        add(&mut m10, &row);
+        add_scaled(&mut m11, &row, t[0]);
+        let row = times(w, t[1]);
+        add(&mut m20, &row);
+        add_scaled(&mut m21, &row, t[0]);
+        add_scaled(&mut m22, &row, t[1]);
+        let row = times(w, t[2]);
+        add(&mut m30, &row);
+        add_scaled(&mut m31, &row, t[0]);
+        add_scaled(&mut m32, &row, t[1]);
+        add_scaled(&mut m33, &row, t[2]);
+        let row = times(w, t[3]);
+        add(&mut m40, &row);
+        add_scaled(&mut m41, &row, t[0]);
+        add_scaled(&mut m42, &row, t[1]);
+        add_scaled(&mut m43, &row, t[2]);
+        add_scaled(&mut m44, &row, t[3]);
     }
-    let mut a = SMatrix::<f32, TERMS, TERMS>::zeros();
-    let mut right = [Vec3::ZERO; TERMS];
-    a[(0, 0)] = weights;
-    right[0] = Vec3::from_array(weighted_sums(weight, values));
-    for r in 0..SLOPES {
-        for (p, (w, t)) in product.iter_mut().zip(weight.iter().zip(slopes[r])) {
-            *p = w * t;
-        }
-        a[(r + 1, 0)] = total(product);
-        for (c, sum) in weighted_sums(product, slopes).into_iter().enumerate().take(r + 1) {
-            a[(r + 1, c + 1)] = sum;
-        }
-        a[(r + 1, r + 1)] += RIDGE * weights;
-        right[r + 1] = Vec3::from_array(weighted_sums(product, values));
+    [m00, m10, m11, m20, m21, m22, m30, m31, m32, m33, m40, m41, m42, m43, m44]
+}
+
+/// Right side of the normal equations: Σ w tᵣ v for each row, channel by channel. In two passes, for want of registers.
+#[inline(always)]
+fn right_side(near: &[Near], weight: &[Lanes], nodes: &[Node]) -> [[Lanes; 3]; TERMS] {
+    let zero = [0.0; PARTS];
+    let ([mut r0, mut g0, mut b0], [mut r1, mut g1, mut b1], [mut r2, mut g2, mut b2]) = ([zero; 3], [zero; 3], [zero; 3]);
+    for (n, w) in near.iter().zip(weight) {
+        let ([r, g, b], t) = (&nodes[n.id as usize].value, terms(n));
+        add_product(&mut r0, w, r);
+        add_product(&mut g0, w, g);
+        add_product(&mut b0, w, b);
+        let row = times(w, t[0]);
+        add_product(&mut r1, &row, r);
+        add_product(&mut g1, &row, g);
+        add_product(&mut b1, &row, b);
+        let row = times(w, t[1]);
+        add_product(&mut r2, &row, r);
+        add_product(&mut g2, &row, g);
+        add_product(&mut b2, &row, b);
     }
-    let mut unit = SVector::<f32, TERMS>::zeros();
-    unit[0] = 1.0;
-    // the first row of the inverse times the right side; of the matrix only the lower triangle is read
-    let row = a.cholesky()?.solve(&unit);
-    Some((0..TERMS).fold(Vec3::ZERO, |s, r| s + right[r] * row[r]).max(Vec3::ZERO))
+    let ([mut r3, mut g3, mut b3], [mut r4, mut g4, mut b4]) = ([zero; 3], [zero; 3]);
+    for (n, w) in near.iter().zip(weight) {
+        let ([r, g, b], t) = (&nodes[n.id as usize].value, terms(n));
+        let row = times(w, t[2]);
+        add_product(&mut r3, &row, r);
+        add_product(&mut g3, &row, g);
+        add_product(&mut b3, &row, b);
+        let row = times(w, t[3]);
+        add_product(&mut r4, &row, r);
+        add_product(&mut g4, &row, g);
+        add_product(&mut b4, &row, b);
+    }
+    [[r0, g0, b0], [r1, g1, b1], [r2, g2, b2], [r3, g3, b3], [r4, g4, b4]]
+}
+
+/// The constants of the regressions, channel by channel: the slopes are eliminated one after the other, last to first. Not finite where
+/// no neighbour has weight.
+#[inline(always)]
+fn intercepts(mut matrix: [Lanes; TERMS * (TERMS + 1) / 2], mut right: [[Lanes; 3]; TERMS]) -> [Lanes; 3] {
+    let at = |row: usize, column: usize| row * (row + 1) / 2 + column;
+    let ridge = times(&matrix[0], RIDGE);
+    for r in (1..TERMS).rev() {
+        let mut per_pivot = [0.0; PARTS];
+        for l in 0..PARTS {
+            per_pivot[l] = 1.0 / (matrix[at(r, r)][l] + ridge[l]);
+        }
+        for i in 0..r {
+            let mut factor = [0.0; PARTS];
+            for l in 0..PARTS {
+                factor[l] = -matrix[at(r, i)][l] * per_pivot[l];
+            }
+            for c in 0..=i {
+                let other = matrix[at(r, c)];
+                add_product(&mut matrix[at(i, c)], &factor, &other);
+            }
+            let other = right[r];
+            right[i].iter_mut().zip(&other).for_each(|(sum, other)| add_product(sum, &factor, other));
+        }
+    }
+    let mut out = right[0];
+    for channel in &mut out {
+        for l in 0..PARTS {
+            channel[l] /= matrix[0][l];
+        }
+    }
+    out
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Which lamp a surface point asks for light: every lamp with a probability proportional to the irradiance it is expected to send
 //! there, by its shape and by what was learned about its visibility in that part of space.
 
-use crate::ffi::simd::with_widest;
+use crate::ffi::simd::{Kernel, run_widest};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
@@ -78,45 +78,74 @@ impl LampShapes {
     /// E²/(q + h E/(πL)), for samples of probability q and h rays per sample. The least sum has q ∝ E·(1 − h/(πL·level)) where that is
     /// positive, and 0 elsewhere, the level being such that Σ q = 1.
     pub(super) fn rebalance(&self, rays: f32, weights: &mut [f32]) {
-        let dimness = &self.dimness[..weights.len()];
-        with_widest(|| {
-            let mut level = f32::INFINITY;
-            // what lies above the level is left out, which lowers it
-            for _ in 0..LEVEL_STEPS {
-                let [sum, met] = sums_below(level / rays, weights, dimness);
-                let next = (1.0 + rays * met) / sum;
-                if next.is_nan() || next >= level {
-                    break;
-                }
-                level = next;
-            }
-            let slope = rays / level;
-            for (w, d) in weights.iter_mut().zip(dimness) {
-                *w *= (1.0 - slope * d).max(LEAST);
-            }
-        });
+        run_widest(Rebalance { rays, dimness: &self.dimness[..weights.len()], weights });
     }
 
     /// Writes the unoccluded irradiance that each lamp is expected to send to a point, times `reach`.
     pub(super) fn expected(&self, p: Vec3, normal: Vec3, reach: &[f32], out: &mut Vec<f32>) {
-        let n = self.len();
         out.clear();
-        out.resize(n, 0.0);
-        let [x, y, z, radius, power, round] =
-            [&self.x, &self.y, &self.z, &self.radius, &self.power, &self.round].map(|c| &c[..n]);
-        let [ax, ay, az] = self.axis.each_ref().map(|c| &c[..n]);
-        let (reach, out) = (&reach[..n], &mut out[..n]);
-        with_widest(|| {
-            for k in 0..n {
-                let d = Vec3::new(x[k], y[k], z[k]) - p;
-                let d2 = d.length_squared() + radius[k] * radius[k] + f32::MIN_POSITIVE;
-                let inverse = 1.0 / d2.sqrt();
-                let size = radius[k] * inverse;
-                let cosine = ((normal.dot(d) * inverse + size) / (1.0 + size)).max(0.0);
-                let facing = (-(ax[k] * d.x + ay[k] * d.y + az[k] * d.z) * inverse).max(0.0) + round[k] + SLACK * size;
-                out[k] = power[k] * reach[k] * cosine * facing * (inverse * inverse);
+        out.resize(self.len(), 0.0);
+        run_widest(Expected { lamps: self, p, normal, reach, out });
+    }
+}
+
+/// [`LampShapes::expected`].
+struct Expected<'a> {
+    lamps: &'a LampShapes,
+    p: Vec3,
+    normal: Vec3,
+    reach: &'a [f32],
+    out: &'a mut [f32],
+}
+
+impl Kernel for Expected<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { lamps: l, p, normal, reach, out } = self;
+        let n = out.len();
+        let [x, y, z, radius, power, round] = [&l.x, &l.y, &l.z, &l.radius, &l.power, &l.round].map(|c| &c[..n]);
+        let ([ax, ay, az], reach) = (l.axis.each_ref().map(|c| &c[..n]), &reach[..n]);
+        for k in 0..n {
+            let d = Vec3::new(x[k], y[k], z[k]) - p;
+            let d2 = d.length_squared() + radius[k] * radius[k] + f32::MIN_POSITIVE;
+            let inverse = 1.0 / d2.sqrt();
+            let size = radius[k] * inverse;
+            let cosine = ((normal.dot(d) * inverse + size) / (1.0 + size)).max(0.0);
+            let facing = (-(ax[k] * d.x + ay[k] * d.y + az[k] * d.z) * inverse).max(0.0) + round[k] + SLACK * size;
+            out[k] = power[k] * reach[k] * cosine * facing * (inverse * inverse);
+        }
+    }
+}
+
+/// [`LampShapes::rebalance`].
+struct Rebalance<'a> {
+    rays: f32,
+    dimness: &'a [f32],
+    weights: &'a mut [f32],
+}
+
+impl Kernel for Rebalance<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { rays, dimness, weights } = self;
+        let mut level = f32::INFINITY;
+        // what lies above the level is left out, which lowers it
+        for _ in 0..LEVEL_STEPS {
+            let [sum, met] = sums_below(level / rays, weights, dimness);
+            let next = (1.0 + rays * met) / sum;
+            if next.is_nan() || next >= level {
+                break;
             }
-        });
+            level = next;
+        }
+        let slope = rays / level;
+        for (w, d) in weights.iter_mut().zip(dimness) {
+            *w *= (1.0 - slope * d).max(LEAST);
+        }
     }
 }
 
@@ -176,12 +205,26 @@ impl LampChoice {
     /// Draws a lamp from `u` in [0, 1); also the rest of `u`, again uniform in [0, 1) and in the same order.
     #[inline(always)]
     pub(super) fn sample(&self, u: f32) -> (usize, f32) {
-        let last = self.ends.len() - 1;
-        let x = u * self.ends[last];
+        let x = u * self.sum();
         // the first that ends behind x has a positive weight
-        let k = self.ends.partition_point(|end| *end <= x).min(last);
+        let k = self.ends.partition_point(|end| *end <= x).min(self.ends.len() - 1);
+        (k, self.rest(k, x))
+    }
+
+    /// Draws lamps as [`Self::sample`] does, for numbers in ascending order.
+    pub(super) fn walk(&self) -> LampWalk<'_> {
+        LampWalk { choice: self, lamp: 0 }
+    }
+
+    fn sum(&self) -> f32 {
+        self.ends[self.ends.len() - 1]
+    }
+
+    /// How far into lamp `k` the number `x` below the sum of the weights lies, in [0, 1).
+    #[inline(always)]
+    fn rest(&self, k: usize, x: f32) -> f32 {
         let start = self.ends[k] - self.weights[k];
-        (k, ((x - start) / self.weights[k]).clamp(0.0, 1.0 - f32::EPSILON))
+        ((x - start) / self.weights[k]).clamp(0.0, 1.0 - f32::EPSILON)
     }
 
     /// Probability of lamp `k`.
@@ -189,6 +232,30 @@ impl LampChoice {
     #[inline(always)]
     pub fn pmf(&self, k: usize) -> f32 {
         self.weights[k] * self.inverse
+    }
+}
+
+/// See [`LampChoice::walk`].
+pub(super) struct LampWalk<'a> {
+    choice: &'a LampChoice,
+    /// The lamp drawn last.
+    lamp: usize,
+}
+
+impl<'a> LampWalk<'a> {
+    /// What [`LampChoice::sample`] draws from `u`, which is no less than the number before.
+    #[inline(always)]
+    pub(super) fn next(&mut self, u: f32) -> (usize, f32) {
+        let (choice, x) = (self.choice, u * self.choice.sum());
+        while choice.ends[self.lamp] <= x && self.lamp + 1 < choice.ends.len() {
+            self.lamp += 1;
+        }
+        (self.lamp, choice.rest(self.lamp, x))
+    }
+
+    /// Whose lamps are drawn.
+    pub(super) fn choice(&self) -> &'a LampChoice {
+        self.choice
     }
 }
 
@@ -203,11 +270,12 @@ mod tests {
         choice.set(|w| *w = weights.to_vec());
         assert!(!choice.is_empty());
         let n = 1 << 16;
-        let (mut count, mut rest_sum, mut last) = ([0u32; 7], 0.0f64, 0);
+        let (mut count, mut rest_sum, mut last, mut walk) = ([0u32; 7], 0.0f64, 0, choice.walk());
         for i in 0..n {
             let u = (i as f32 + 0.5) / n as f32;
             let (k, rest) = choice.sample(u);
             assert!(k >= last && (0.0..1.0).contains(&rest));
+            assert_eq!(walk.next(u), (k, rest));
             last = k;
             count[k] += 1;
             rest_sum += f64::from(rest);

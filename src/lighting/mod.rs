@@ -13,6 +13,7 @@ mod neighbourhood;
 mod nirf;
 mod reflection;
 mod sources;
+mod sweep;
 mod tbl;
 
 pub use adaptive::{Budget, bake_surface};

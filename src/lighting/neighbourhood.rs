@@ -4,14 +4,13 @@
 //! of different density live in different grids (octaves of texel size), so that the number of neighbours does not grow with the density of a chart next door.
 
 use crate::ffi::simd::with_widest;
+use crate::math::Frame;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::Range;
 
 /// Side of a cube in texels: smaller ones waste less on candidates out of reach, larger ones need fewer look-ups.
 const CELL: f32 = 4.5;
-/// Candidates that are looked at side by side.
-pub(super) const LANES: usize = 8;
 /// Normals closer than this cosine belong to one smooth surface.
 const SMOOTH: f32 = 0.95;
 /// Height over the tangent plane, as a share of the distance, within which a texel belongs to the same surface.
@@ -33,6 +32,8 @@ pub(super) struct Neighbourhood {
     octaves: Vec<Octave>,
     /// Octave of every texel's size.
     octave_of: Vec<i32>,
+    /// Place of every texel in the order of the groups that it is a member of.
+    rank: Vec<u32>,
 }
 
 /// Texels of similar size sorted by cube.
@@ -52,6 +53,8 @@ struct Group {
     cube: [i32; 3],
     /// Its texels, a range of [`Octave::sorted`].
     range: Range<usize>,
+    /// How many of them are of the octave itself.
+    members: usize,
     /// Mean normal, and the largest angle from it.
     axis: Vec3,
     spread: f32,
@@ -64,17 +67,19 @@ struct Candidates {
     position: [Vec<f32>; 3],
     normal: [Vec<f32>; 3],
     distance2: Vec<f32>,
-    near: Vec<u32>,
+    /// Along the two axes of the texel in question: positions, then normals.
+    along: [Vec<f32>; 4],
 }
 
-/// The texels around one on the same smooth surface, itself among them: a column per property, padded to whole [`LANES`] by data that
-/// are zero.
-pub(super) struct Near<const C: usize> {
+/// A texel on the same smooth surface as the one whose surroundings are asked for.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Near {
+    /// Which.
+    pub id: u32,
     /// Squared distance as a share of the reach's square.
-    pub distance2: Vec<f32>,
-    ids: Vec<u32>,
-    /// The data that travel with the texels.
-    pub data: [Vec<f32>; C],
+    pub distance2: f32,
+    /// Place relative to the texel along two axes of its plane, in reaches; then its normal along the same axes.
+    pub along: [f32; 4],
 }
 
 impl Neighbourhood {
@@ -84,44 +89,45 @@ impl Neighbourhood {
         let mut present = octave_of.clone();
         present.par_sort_unstable();
         present.dedup();
-        let octaves = present.iter().map(|&o| Octave::new(patches, &octave_of, o)).collect();
-        Self { octaves, octave_of }
+        let octaves: Vec<Octave> = present.iter().map(|&o| Octave::new(patches, &octave_of, o)).collect();
+        let mut rank = vec![0; patches.len()];
+        let members = octaves.iter().flat_map(|o| o.sorted.iter().filter(|i| octave_of[**i as usize] == o.octave));
+        members.zip(0..).for_each(|(&i, place)| rank[i as usize] = place);
+        Self { octaves, octave_of, rank }
     }
 
-    /// Calls `f(i, near, scratch)` for every texel with the texels within `reach` texels of it, and returns the results in order.
-    /// `data[i]` travels with texel i.
-    pub(super) fn map<const C: usize, S: Default, R: Send + Clone + Default>(
+    /// `f(i, near, scratch)` for every texel that is `asked` for, with the texels within `reach` texels of it, itself among them; the
+    /// default for all others. In the order of the texels.
+    pub(super) fn map<S: Default, R: Send + Sync + Clone + Default>(
         &self,
         patches: &[Patch],
-        data: &[[f32; C]],
         reach: f32,
-        f: impl Fn(usize, &Near<C>, &mut S) -> R + Sync,
+        asked: impl Fn(usize) -> bool + Sync,
+        f: impl Fn(usize, &[Near], &mut S) -> R + Sync,
     ) -> Vec<R> {
-        let mut out = vec![R::default(); patches.len()];
+        let mut results = vec![R::default(); patches.len()];
+        let (mut rest, mut tasks) = (results.as_mut_slice(), Vec::new());
         for o in &self.octaves {
-            let is_member = |i: &&u32| self.octave_of[**i as usize] == o.octave;
-            let parts: Vec<Vec<(u32, R)>> = o
-                .groups
-                .par_iter()
-                .map_init(
-                    || (Candidates::default(), Near::default(), S::default()),
-                    |(candidates, near, scratch), group| {
-                        let members = || o.sorted[group.range.clone()].iter().filter(is_member);
-                        let Some(bounds) = bounds(members().map(|&i| &patches[i as usize]), reach) else { return Vec::new() };
-                        candidates.fill(patches, o, group, bounds);
-                        let each = |&i: &u32| {
-                            candidates.find(&patches[i as usize], data, reach, near);
-                            (i, f(i as usize, near, scratch))
-                        };
-                        members().map(each).collect()
-                    },
-                )
-                .collect();
-            for (i, value) in parts.into_iter().flatten() {
-                out[i as usize] = value;
+            for group in &o.groups {
+                let (own, others) = rest.split_at_mut(group.members);
+                tasks.push((o, group, own));
+                rest = others;
             }
         }
-        out
+        tasks.into_par_iter().for_each_init(
+            || (Candidates::default(), Vec::new(), S::default()),
+            |(candidates, near, scratch), (o, group, own)| {
+                let all = &o.sorted[group.range.clone()];
+                let members = || all.iter().map(|&i| i as usize).filter(|&i| self.octave_of[i] == o.octave);
+                let Some(bounds) = bounds(members().filter(|&i| asked(i)).map(|i| &patches[i]), reach) else { return };
+                candidates.fill(patches, o, group, bounds);
+                for (i, out) in members().zip(own).filter(|(i, _)| asked(*i)) {
+                    candidates.find(&patches[i], reach, near);
+                    *out = f(i, near, scratch);
+                }
+            },
+        );
+        self.rank.par_iter().map(|&r| results[r as usize].clone()).collect()
     }
 }
 
@@ -156,7 +162,8 @@ impl Octave {
             let normals = || keyed[range.clone()].iter().map(|k| patches[k.2 as usize].normal);
             let axis = normals().sum::<Vec3>().normalize_or(Vec3::Z);
             let spread = normals().map(|n| axis.dot(n).clamp(-1.0, 1.0).acos()).fold(0.0, f32::max);
-            Group { cube: keyed[range.start].0, axis, spread, range }
+            let members = keyed[range.clone()].iter().filter(|k| octave_of[k.2 as usize] == o).count();
+            Group { cube: keyed[range.start].0, axis, spread, members, range }
         };
         let groups = ranges.into_par_iter().map(group).collect();
         Self { octave: o, cell, groups, sorted: keyed.into_iter().map(|k| k.2).collect() }
@@ -204,121 +211,43 @@ impl Candidates {
         }
         let n = self.ids.len();
         self.distance2.resize(n, 0.0);
-        self.near.resize(n, 0);
+        self.along.iter_mut().for_each(|c| c.resize(n, 0.0));
     }
 
     /// Writes those that lie around `p`.
-    fn find<const C: usize>(&mut self, p: &Patch, data: &[[f32; C]], reach: f32, out: &mut Near<C>) {
+    fn find(&mut self, p: &Patch, reach: f32, out: &mut Vec<Near>) {
         let n = self.ids.len();
         with_widest(|| {
             // (copies: what is read through a reference could change with every value written)
             let Patch { position, normal, size } = *p;
+            let Frame { t, b, .. } = Frame::from_normal(normal);
             let limit = (reach * size) * (reach * size);
-            let per_limit = 1.0 / limit.max(f32::MIN_POSITIVE);
+            let (per_limit, per_reach) = (1.0 / limit.max(f32::MIN_POSITIVE), 1.0 / (reach * size).max(f32::MIN_POSITIVE));
             let (x, y, z) = (&self.position[0][..n], &self.position[1][..n], &self.position[2][..n]);
-            let (a, b, c) = (&self.normal[0][..n], &self.normal[1][..n], &self.normal[2][..n]);
+            let (nx, ny, nz) = (&self.normal[0][..n], &self.normal[1][..n], &self.normal[2][..n]);
             let distance2 = &mut self.distance2[..n];
+            let [s0, s1, n0, n1] = self.along.each_mut().map(|c| &mut c[..n]);
             for k in 0..n {
-                let step = Vec3::new(x[k], y[k], z[k]) - position;
+                let (step, other) = (Vec3::new(x[k], y[k], z[k]) - position, Vec3::new(nx[k], ny[k], nz[k]));
                 let d2 = step.length_squared();
-                let smooth = normal.dot(Vec3::new(a[k], b[k], c[k])) > SMOOTH;
+                let smooth = normal.dot(other) > SMOOTH;
                 let height = normal.dot(step);
                 let flat = height * height <= FLAT * FLAT * d2;
                 distance2[k] = if (d2 < limit) & smooth & flat { d2 * per_limit } else { 1.0 };
+                (s0[k], s1[k]) = (step.dot(t) * per_reach, step.dot(b) * per_reach);
+                (n0[k], n1[k]) = (other.dot(t), other.dot(b));
             }
         });
-        let (distance2, near) = (&self.distance2[..n], &mut self.near[..n]);
+        let (ids, distance2, along) = (&self.ids[..n], &self.distance2[..n], self.along.each_ref().map(|c| &c[..n]));
+        // (written whether near or not: a branch would be mispredicted every other time)
+        out.resize(n, Near::default());
         let mut kept = 0;
-        for (k, d2) in distance2.iter().enumerate() {
-            near[kept] = k as u32;
-            kept += usize::from(*d2 < 1.0);
+        for k in 0..n {
+            out[kept] = Near { id: ids[k], distance2: distance2[k], along: along.map(|c| c[k]) };
+            kept += usize::from(distance2[k] < 1.0);
         }
-        out.resize(kept);
-        let Near { distance2: out_distance2, ids, data: columns } = out;
-        let columns = columns.each_mut();
-        for (j, (&k, (d2, id))) in near[..kept].iter().zip(out_distance2.iter_mut().zip(ids.iter_mut())).enumerate() {
-            *d2 = distance2[k as usize];
-            *id = self.ids[k as usize];
-            let from = &data[*id as usize];
-            for c in 0..C {
-                columns[c][j] = from[c];
-            }
-        }
+        out.truncate(kept);
     }
-}
-
-impl<const C: usize> Default for Near<C> {
-    fn default() -> Self {
-        Self { distance2: Vec::new(), ids: Vec::new(), data: [const { Vec::new() }; C] }
-    }
-}
-
-impl<const C: usize> Near<C> {
-    /// Number of texels, padding included.
-    pub(super) fn len(&self) -> usize {
-        self.distance2.len()
-    }
-
-    /// Makes room for `n` texels and pads them.
-    fn resize(&mut self, n: usize) {
-        let whole = n.next_multiple_of(LANES);
-        for c in &mut self.data {
-            c.resize(whole, 0.0);
-            c[n..].fill(0.0);
-        }
-        self.ids.resize(n, 0);
-        self.distance2.resize(whole, 1.0);
-        self.distance2[n..].fill(1.0);
-    }
-
-    /// Writes the texels' positions relative to `p` along two axes, and their normals along the same, both scaled.
-    #[inline(always)]
-    pub(super) fn along(&self, patches: &[Patch], p: &Patch, axes: [Vec3; 2], scales: [f32; 2], out: &mut [Vec<f32>; 4]) {
-        out.iter_mut().for_each(|c| c.resize(self.len(), 0.0));
-        let [s0, s1, n0, n1] = out;
-        let columns = s0.iter_mut().zip(s1).zip(n0.iter_mut().zip(n1));
-        for (&i, ((s0, s1), (n0, n1))) in self.ids.iter().zip(columns) {
-            let Patch { position, normal, .. } = patches[i as usize];
-            let step = position - p.position;
-            (*s0, *s1) = (step.dot(axes[0]) * scales[0], step.dot(axes[1]) * scales[0]);
-            (*n0, *n1) = (normal.dot(axes[0]) * scales[1], normal.dot(axes[1]) * scales[1]);
-        }
-    }
-}
-
-/// Σ columnₖ.
-#[inline(always)]
-pub(super) fn total(column: &[f32]) -> f32 {
-    let mut sum = [0.0f32; LANES];
-    for c in column.as_chunks::<LANES>().0 {
-        for l in 0..LANES {
-            sum[l] += c[l];
-        }
-    }
-    sum.iter().sum()
-}
-
-/// Σ weightₖ columnₖ per column. The lanes' order of summation is the same on every processor.
-#[inline(always)]
-pub(super) fn weighted_sums<const N: usize>(weight: &[f32], columns: [&[f32]; N]) -> [f32; N] {
-    let mut sums = [[0.0f32; LANES]; N];
-    let weight = weight.as_chunks::<LANES>().0;
-    let mut blocks = [[].as_slice(); N];
-    for (block, column) in blocks.iter_mut().zip(columns) {
-        *block = &column.as_chunks::<LANES>().0[..weight.len()];
-    }
-    for (k, w) in weight.iter().enumerate() {
-        for (sum, block) in sums.iter_mut().zip(&blocks) {
-            for l in 0..LANES {
-                sum[l] += w[l] * block[k][l];
-            }
-        }
-    }
-    let mut out = [0.0; N];
-    for (out, sum) in out.iter_mut().zip(&sums) {
-        *out = sum.iter().sum();
-    }
-    out
 }
 
 /// Octave of a texel's size.
@@ -353,10 +282,8 @@ mod tests {
         let sizes = [0.0, 1e-38, 1e-10, 1.0, 1e20, 3e37, 3e38, f32::INFINITY];
         let places = [0.0, -1e-20, 1.0, -1e9, 1e30, -3e38];
         let patches: Vec<Patch> = sizes.iter().flat_map(|s| places.map(|x| at(x, *s))).chain([at(f32::NAN, 1.0)]).collect();
-        let numbers: Vec<[f32; 1]> = (0..patches.len()).map(|i| [i as f32]).collect();
-        let found = Neighbourhood::new(&patches).map(&patches, &numbers, 9.0, |i, near: &Near<1>, (): &mut ()| {
-            near.distance2.iter().zip(&near.data[0]).any(|(d2, j)| *d2 < 1.0 && *j == i as f32)
-        });
+        let itself = |i: usize, near: &[Near], (): &mut ()| near.iter().any(|n| n.distance2 < 1.0 && n.id as usize == i);
+        let found = Neighbourhood::new(&patches).map(&patches, 9.0, |_| true, itself);
         for (p, found) in patches.iter().zip(found) {
             // a texel whose reach has no finite, positive square has no surroundings
             let limit = (9.0 * p.size).powi(2);
@@ -370,16 +297,24 @@ mod tests {
         let patches = patches();
         let reach = 4.0;
         let index: Vec<u32> = (0..patches.len() as u32).collect();
-        let numbers: Vec<[f32; 1]> = index.iter().map(|j| [*j as f32]).collect();
-        let found = Neighbourhood::new(&patches).map(&patches, &numbers, reach, |_, near: &Near<1>, (): &mut ()| {
-            assert_eq!(near.len() % LANES, 0);
-            let near = near.distance2.iter().zip(&near.data[0]).filter(|(d2, _)| **d2 < 1.0);
-            let mut list: Vec<u32> = near.map(|(_, j)| *j as u32).collect();
+        let asked = |i: usize| !i.is_multiple_of(3);
+        let found = Neighbourhood::new(&patches).map(&patches, reach, asked, |i, near: &[Near], (): &mut ()| {
+            for n in near {
+                // places on the plane: with the height over it they are as far as stated
+                let (p, q) = (&patches[i], &patches[n.id as usize]);
+                let (step, [x, y, ..]) = ((q.position - p.position) / (reach * p.size), n.along);
+                assert!((step.dot(p.normal).powi(2) + x * x + y * y - n.distance2).abs() < 1e-4, "{n:?}");
+            }
+            let mut list: Vec<u32> = near.iter().map(|n| n.id).collect();
             list.sort_unstable();
             list
         });
         for (i, list) in found.iter().enumerate().step_by(7) {
             let p = &patches[i];
+            if !asked(i) {
+                assert!(list.is_empty(), "texel {i} was not asked for");
+                continue;
+            }
             let plain: Vec<u32> = index
                 .iter()
                 .copied()
