@@ -4,7 +4,9 @@
 
 #include "trace_shim.h"
 
+#include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
 
 #if defined(__SSE2__)
@@ -36,8 +38,6 @@ constexpr float FAR_AWAY = 1e12f;
 // Directions are unit vectors; a squared length below this is no direction (and would be a denormal soon).
 constexpr float TINY = 1e-30f;
 
-constexpr UnbakeRay HARMLESS = {{0.0f, 0.0f, 0.0f}, 0.0f, {0.0f, 0.0f, 1.0f}, 0.0f};
-
 // Comparisons are written so that NaN fails them, and joined without branches.
 inline bool usable(const UnbakeRay &r) {
     const float d2 = r.direction[0] * r.direction[0] + r.direction[1] * r.direction[1] + r.direction[2] * r.direction[2];
@@ -62,16 +62,72 @@ inline void load(const UnbakeRay &r, RTCRay &out) {
     out.flags = 0;
 }
 
-// Ray number k of a packet.
-template <typename Packet> inline void load(const UnbakeRay &r, Packet &p, int k) {
-    p.org_x[k] = r.origin[0];
-    p.org_y[k] = r.origin[1];
-    p.org_z[k] = r.origin[2];
-    p.tnear[k] = near_of(r);
-    p.dir_x[k] = r.direction[0];
-    p.dir_y[k] = r.direction[1];
-    p.dir_z[k] = r.direction[2];
-    p.tfar[k] = r.t_far;
+// Four lanes at a time, in the compiler's own vectors: the same source on every processor.
+typedef float Floats __attribute__((vector_size(16)));
+typedef int32_t Flags __attribute__((vector_size(16)));
+constexpr int LANES = 4;
+
+inline Floats floats(float x) { return Floats{x, x, x, x}; }
+inline Floats size_of(Floats x) { return reinterpret_cast<Floats>(reinterpret_cast<Flags>(x) & 0x7fffffff); }
+inline Floats choose(Flags which, Floats a, Floats b) {
+    return reinterpret_cast<Floats>((reinterpret_cast<Flags>(a) & which) | (reinterpret_cast<Flags>(b) & ~which));
+}
+template <typename Vector, typename Number> inline Vector vector_at(const Number *from) {
+    Vector v;
+    std::memcpy(&v, from, sizeof v);
+    return v;
+}
+template <typename Vector, typename Number> inline void store(Number *to, Vector v) { std::memcpy(to, &v, sizeof v); }
+
+// Rows become columns.
+inline void transpose(Floats (&m)[LANES]) {
+    const Floats a = __builtin_shufflevector(m[0], m[1], 0, 4, 1, 5), b = __builtin_shufflevector(m[2], m[3], 0, 4, 1, 5);
+    const Floats c = __builtin_shufflevector(m[0], m[1], 2, 6, 3, 7), d = __builtin_shufflevector(m[2], m[3], 2, 6, 3, 7);
+    m[0] = __builtin_shufflevector(a, b, 0, 1, 4, 5);
+    m[1] = __builtin_shufflevector(a, b, 2, 3, 6, 7);
+    m[2] = __builtin_shufflevector(c, d, 0, 1, 4, 5);
+    m[3] = __builtin_shufflevector(c, d, 2, 3, 6, 7);
+}
+
+// Writes four rays to the lanes from k on. Those that are not usable are marked invalid and become harmless ones: where packets are
+// split further, Embree looks at idle lanes' numbers too (Debian builds Embree with assertions, which would end the program).
+template <typename Packet> inline void load(const UnbakeRay *rays, Packet &p, int *valid, int k) {
+    Floats o[LANES], d[LANES];
+    for (int l = 0; l < LANES; ++l) {
+        o[l] = vector_at<Floats>(rays[l].origin);
+        d[l] = vector_at<Floats>(rays[l].direction);
+    }
+    transpose(o);
+    transpose(d);
+    // as `usable`
+    const Floats far_away = floats(FAR_AWAY), d2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+    const Flags good = (size_of(o[0]) < far_away) & (size_of(o[1]) < far_away) & (size_of(o[2]) < far_away) &
+                       (d2 > floats(TINY)) & (d2 < far_away) & (o[3] < far_away) & (d[3] >= o[3]) & (d[3] > floats(0.0f));
+    o[3] = choose(o[3] > floats(0.0f), o[3], floats(0.0f));
+    const Floats zero = floats(0.0f);
+    store(valid + k, good);
+    store(p.org_x + k, choose(good, o[0], zero));
+    store(p.org_y + k, choose(good, o[1], zero));
+    store(p.org_z + k, choose(good, o[2], zero));
+    store(p.tnear + k, choose(good, o[3], zero));
+    store(p.dir_x + k, choose(good, d[0], zero));
+    store(p.dir_y + k, choose(good, d[1], zero));
+    store(p.dir_z + k, choose(good, d[2], floats(1.0f)));
+    store(p.tfar + k, choose(good, d[3], zero));
+}
+
+// A packet of W rays from `count`, which may be fewer.
+template <int W, typename Packet> inline void load_packet(const UnbakeRay *rays, size_t count, Packet &p, int *valid) {
+    UnbakeRay padded[W];
+    if (count < W) {
+        std::copy(rays, rays + count, padded);
+        // (not usable: of no length)
+        std::fill(padded + count, padded + W, UnbakeRay{{0.0f, 0.0f, 0.0f}, 0.0f, {0.0f, 0.0f, 1.0f}, 0.0f});
+        rays = padded;
+    }
+    for (int k = 0; k < W; k += LANES) {
+        load(rays + k, p, valid, k);
+    }
 }
 
 void occluded_one_by_one(RTCScene scene, const UnbakeRay *rays, uint8_t *out, size_t n) {
@@ -107,15 +163,10 @@ void occluded_in_packets(RTCScene scene, const UnbakeRay *rays, uint8_t *out, si
         p.flags[k] = 0;
     }
     for (size_t base = 0; base < n; base += W) {
-        const int count = static_cast<int>(n - base < static_cast<size_t>(W) ? n - base : W);
-        for (int k = 0; k < W; ++k) {
-            // Idle lanes carry a harmless ray: where packets are split further, Embree looks at their numbers too
-            // (Debian builds Embree with assertions, which would end the program).
-            valid[k] = (k < count && usable(rays[base + k])) ? -1 : 0;
-            load(valid[k] ? rays[base + k] : HARMLESS, p, k);
-        }
+        const size_t count = std::min<size_t>(n - base, W);
+        load_packet<W>(rays + base, count, p, valid);
         occluded_packet(valid, scene, &p, arguments);
-        for (int k = 0; k < count; ++k) {
+        for (size_t k = 0; k < count; ++k) {
             out[base + k] = (valid[k] != 0) & (p.tfar[k] < 0.0f);
         }
     }
@@ -136,24 +187,28 @@ extern "C" void unbake_closest(RTCScene scene, const UnbakeRay *rays, UnbakeHit 
         p.ray.flags[k] = 0;
     }
     for (size_t base = 0; base < n; base += W) {
-        const int count = static_cast<int>(n - base < static_cast<size_t>(W) ? n - base : W);
+        const size_t count = std::min<size_t>(n - base, W);
+        load_packet<W>(rays + base, count, p.ray, valid);
         for (int k = 0; k < W; ++k) {
-            valid[k] = (k < count && usable(rays[base + k])) ? -1 : 0;
-            load(valid[k] ? rays[base + k] : HARMLESS, p.ray, k);
             p.hit.geomID[k] = RTC_INVALID_GEOMETRY_ID;
             p.hit.instID[0][k] = RTC_INVALID_GEOMETRY_ID;
         }
         unbake::intersect8(valid, scene, &p, arguments);
-        for (int k = 0; k < count; ++k) {
+        UnbakeHit packet[W];
+        for (int k = 0; k < W; k += LANES) {
+            const Floats t = vector_at<Floats>(p.ray.tfar + k), infinity = floats(std::numeric_limits<float>::infinity());
+            const Flags none = Flags{-1, -1, -1, -1};
             // The quotient of a sliver can overflow where t_far is infinite: that is no place.
-            const bool found = (valid[k] != 0) & (p.hit.geomID[k] != RTC_INVALID_GEOMETRY_ID) &
-                               (p.ray.tfar[k] < std::numeric_limits<float>::infinity());
-            UnbakeHit &hit = hits[base + k];
-            hit.t = found ? p.ray.tfar[k] : std::numeric_limits<float>::infinity();
-            hit.u = found ? p.hit.u[k] : 0.0f;
-            hit.v = found ? p.hit.v[k] : 0.0f;
-            hit.triangle = found ? p.hit.primID[k] : UINT32_MAX;
+            const Flags found = vector_at<Flags>(valid + k) & (vector_at<Flags>(p.hit.geomID + k) != none) & (t < infinity);
+            Floats rows[LANES] = {choose(found, t, infinity), choose(found, vector_at<Floats>(p.hit.u + k), floats(0.0f)),
+                                  choose(found, vector_at<Floats>(p.hit.v + k), floats(0.0f)),
+                                  choose(found, vector_at<Floats>(p.hit.primID + k), reinterpret_cast<Floats>(none))};
+            transpose(rows);
+            for (int l = 0; l < LANES; ++l) {
+                store(packet + k + l, rows[l]);
+            }
         }
+        std::copy(packet, packet + count, hits + base);
     }
 }
 

@@ -5,6 +5,7 @@
 
 use super::irt::{Bake, Estimator, IrtOptions, PARTS, Receiver};
 use super::lamp_choice::LampChoice;
+use super::sources::PORTAL;
 use super::sweep::Sweep;
 use crate::ffi::simd::{Kernel, run_widest};
 use crate::math::Frame;
@@ -111,8 +112,9 @@ pub(super) struct Bundle {
     hits: Vec<Hit>,
     shadow: Vec<Ray>,
     hidden: Vec<u8>,
-    /// Per emitter sample of one receiver: the probability of its lamp, and what it aims at; `aimed` holds those that are traced.
-    picks: Vec<(f32, Aimed)>,
+    /// Per emitter sample of one receiver.
+    picks: Vec<Pick>,
+    /// Per shadow ray.
     aimed: Vec<Aimed>,
     /// Per hemisphere ray: where its radiance is stored, and its weight.
     terms: Vec<(u32, f32)>,
@@ -140,9 +142,19 @@ struct Span {
 struct Aimed {
     weight: f32,
     place: [f32; 2],
-    /// Slot of its source.
-    slot: u32,
+    /// Triangle of its source, or [`PORTAL`].
+    triangle: u32,
     /// Index into the sums.
+    owner: u32,
+}
+
+/// An emitter sample of which the source is chosen.
+#[derive(Clone, Copy)]
+struct Pick {
+    /// Slot of the source, and the probability of its lamp.
+    slot: u32,
+    probability: f32,
+    place: [f32; 2],
     owner: u32,
 }
 
@@ -246,21 +258,25 @@ impl Bundle {
         for s in self.order.iter().map(|&s| s as usize).filter(|&s| s < n) {
             let (slot, probability) = bake.emitters.pick_next(&mut walk, u[s]);
             let owner = first + (s * PARTS / n) as u32;
-            self.picks.push((probability, Aimed { weight: 0.0, place: [v[s], w[s]], slot, owner }));
+            self.picks.push(Pick { slot, probability, place: [v[s], w[s]], owner });
         }
-        self.picks.iter().for_each(|(_, pick)| bake.emitters.expect_source(pick.slot));
+        self.picks.iter().take(AHEAD).for_each(|pick| bake.emitters.expect_source(pick.slot));
         let origin = r.position + r.face_normal * bake.offset;
         let (total_rays, total_lights) = (round.total_rays as f32 * FRAC_1_PI, round.total_lights as f32);
         let (shadow, aimed) = (&mut self.shadow[at..at + n], &mut self.aimed[at..at + n]);
         let mut kept = 0;
-        for (probability, pick) in &self.picks {
+        for (k, pick) in self.picks.iter().enumerate() {
+            if let Some(later) = self.picks.get(k + AHEAD) {
+                bake.emitters.expect_source(later.slot);
+            }
             let aim = bake.emitters.source(pick.slot).aim(origin, pick.place);
             let direction = Vec3::from_array(aim.ray.direction);
             let cosine = r.normal.dot(direction);
-            // balance heuristic
-            let weight = cosine / (total_lights * (probability * aim.pdf) + total_rays * cosine);
+            // balance heuristic, over a common denominator
+            let weight =
+                cosine * aim.cosine / (total_lights * (pick.probability * aim.density) + total_rays * cosine * aim.cosine);
             shadow[kept] = aim.ray;
-            aimed[kept] = Aimed { weight, place: aim.place, ..*pick };
+            aimed[kept] = Aimed { weight, place: aim.place, triangle: aim.triangle, owner: pick.owner };
             kept += usize::from(aim.in_front() & (cosine > 0.0) & (r.face_normal.dot(direction) > 0.0));
         }
         at + kept
@@ -321,14 +337,14 @@ impl Bundle {
     fn gather_lights(&mut self, bake: &Bake, count: usize) {
         let (mut arrived, mut outside) = (0, 0);
         for l in 0..count {
-            let triangle = bake.emitters.source(self.aimed[l].slot).triangle();
-            bake.field.expect_triangle(triangle.map_or(u32::MAX, |t| t as u32));
-            self.arrived[arrived] = (triangle.map_or(0, |t| t as u32), l as u32);
+            let triangle = self.aimed[l].triangle;
+            self.arrived[arrived] = (triangle, l as u32);
             self.outside[outside] = l as u32;
-            let (free, portal) = (self.hidden[l] == 0, triangle.is_none());
+            let (free, portal) = (self.hidden[l] == 0, triangle == PORTAL);
             arrived += usize::from(free & !portal);
             outside += usize::from(free & portal);
         }
+        self.arrived[..arrived].iter().for_each(|(triangle, _)| bake.field.expect_triangle(*triangle));
         for (at, l) in &mut self.arrived[..arrived] {
             let [u, v] = self.aimed[*l as usize].place;
             *at = bake.field.emitted_address(*at as usize, u, v);

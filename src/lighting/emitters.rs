@@ -296,7 +296,7 @@ impl Emitters {
                         let cosine = n.dot(Vec3::from_array(aim.ray.direction));
                         if aim.in_front() && cosine > 0.0 {
                             // at most what was expected: one sample of a lamp nearby says little of the others
-                            let light = (luminance(source.radiance(field, &aim)) * cosine / aim.pdf).max(0.0);
+                            let light = (luminance(source.radiance(field, &aim)) * cosine / aim.pdf()).max(0.0);
                             rays.push(aim.ray);
                             owners.push((k, light.min(expected[k])));
                         }
@@ -367,7 +367,7 @@ impl Emitters {
         aim.in_front().then(|| EmitterSample {
             ray: aim.ray,
             radiance: self.source(source).radiance(field, &aim),
-            pdf: probability * aim.pdf,
+            pdf: probability * aim.pdf(),
         })
     }
 

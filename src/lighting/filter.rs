@@ -7,7 +7,7 @@
 //! the others say, so that noise does not choose its own company. Texels are neighbours in space, across charts. No surface is
 //! quite as even as the regression: a texel with many samples keeps its own estimate.
 
-use super::neighbourhood::{Near, Neighbourhood, Patch};
+use super::neighbourhood::{Discs, Near, Neighbourhood, Patch};
 use super::{Irradiance, PARTS, spread};
 use crate::ffi::simd::{Kernel, run_widest};
 use crate::math::luminance;
@@ -16,10 +16,8 @@ use rayon::prelude::*;
 
 /// Reach of the regression in texels.
 const REACH: f32 = 6.0;
-/// Reach in texels of what is compared: values averaged over so small a disc that shadow edges survive.
-const COMPARED: f32 = 2.2;
-/// Reach in texels over which noise and error are averaged.
-const DISC: f32 = 2.5;
+/// Reach in texels over which noise, error and what is compared are averaged: so small that shadow edges survive.
+const DISC: f32 = 2.35;
 /// Relative differences that never separate two texels.
 const INDIFFERENT: f32 = 2e-3;
 /// Squared differences, in variances beyond the one that noise explains, from which texels have nothing in common. A kernel that falls
@@ -48,6 +46,7 @@ const OTHERS: f32 = (PARTS - 1) as f32;
 pub struct SurfaceFilter<'a> {
     patches: &'a [Patch],
     around: Neighbourhood,
+    discs: Discs,
     /// One over the difference from which texels have nothing in common ([`DIFFERENT`]).
     per_different: f32,
 }
@@ -104,7 +103,8 @@ impl<'a> SurfaceFilter<'a> {
     /// Finds the neighbourhoods of the texels.
     #[must_use]
     pub fn new(patches: &'a [Patch]) -> Self {
-        Self { patches, around: Neighbourhood::new(patches), per_different: 1.0 / DIFFERENT }
+        let around = Neighbourhood::new(patches);
+        Self { patches, discs: around.discs(patches, DISC), around, per_different: 1.0 / DIFFERENT }
     }
 
     /// The same for values of which a little bias costs more than noise: texels part at squared differences of `different` variances
@@ -126,9 +126,8 @@ impl<'a> SurfaceFilter<'a> {
         let noise = self.noise(baked, level);
         let told: Vec<Told> = noise.par_iter().map(Told::from).collect();
         let per_different = self.per_different;
-        let guides = self.around.map(self.patches, COMPARED, everywhere, |i, near, (): &mut ()| {
-            run_widest(Guide { own: &noise[i], told: &told, near, per_different })
-        });
+        let guide = |i: usize| run_widest(Guide { own: &noise[i], told: &told, near: self.discs.of(i), per_different });
+        let guides: Vec<Noise> = (0..noise.len()).into_par_iter().map(guide).collect();
         let node = |(parts, guide): (&[Vec3; PARTS], &Noise)| Node {
             value: std::array::from_fn(|c| parts.map(|p| p[c])),
             others: guide.others(),
@@ -157,12 +156,13 @@ impl<'a> SurfaceFilter<'a> {
             [samples(*l) * variance * mean * mean, mean * mean]
         };
         let own: Vec<[f32; 2]> = baked.parts.par_iter().zip(level).map(own).collect();
-        self.around.map(self.patches, DISC, everywhere, |i, near, (): &mut ()| {
-            let [variance, square] = sums(near, &own);
+        let of = |i: usize| {
+            let [variance, square] = sums(self.discs.of(i), &own);
             let (part, n) = (baked.parts[i].map(luminance), samples(level[i]));
             let noise = Noise { part, variance: 0.0, samples: n };
             Noise { variance: if square > 0.0 { variance / square * noise.mean().powi(2) / n } else { 0.0 }, ..noise }
-        })
+        };
+        (0..level.len()).into_par_iter().map(of).collect()
     }
 
     /// Relative error of the filtered texels: what a filtered part misses of the other, unfiltered ones beyond their noise and its own
@@ -192,12 +192,13 @@ impl<'a> SurfaceFilter<'a> {
                 terms.map(|t| t * n.samples)
             })
             .collect();
-        self.around.map(self.patches, DISC, asked, |_, near, (): &mut ()| {
-            let [missed, differ, square, variance, weights, squares] = sums(near, &own);
+        let of = |i: usize| {
+            let [missed, differ, square, variance, weights, squares] = sums(self.discs.of(i), &own);
             let count = weights * weights / squares.max(f32::MIN_POSITIVE);
             let relative = |missed: f32| if square > 0.0 { (missed.max(differ) / square).sqrt() } else { 0.0 };
             (relative(missed), relative(missed - CHANCE * variance / count.max(1.0).sqrt()))
-        })
+        };
+        (0..own.len()).into_par_iter().map(of).collect()
     }
 }
 
@@ -209,16 +210,11 @@ fn power_of_two_near(baked: &Irradiance) -> f32 {
     if exponent.abs() < 120.0 { 2f32.powi(exponent as i32) } else { 1.0 }
 }
 
-/// For maps of all texels.
-fn everywhere(_: usize) -> bool {
-    true
-}
-
 /// Sums of the texels' terms.
-fn sums<const C: usize>(near: &[Near], terms: &[[f32; C]]) -> [f32; C] {
+fn sums<const C: usize>(near: &[(u32, f32)], terms: &[[f32; C]]) -> [f32; C] {
     let mut sums = [0.0; C];
-    for n in near {
-        sums.iter_mut().zip(&terms[n.id as usize]).for_each(|(sum, t)| *sum += t);
+    for (id, _) in near {
+        sums.iter_mut().zip(&terms[*id as usize]).for_each(|(sum, t)| *sum += t);
     }
     sums
 }
@@ -235,7 +231,7 @@ impl From<&Noise> for Told {
 struct Guide<'a> {
     own: &'a Noise,
     told: &'a [Told],
-    near: &'a [Near],
+    near: &'a [(u32, f32)],
     per_different: f32,
 }
 
@@ -247,9 +243,9 @@ impl Kernel for Guide<'_> {
         let Self { own, told, near, per_different } = self;
         let alike = Alike { own: own.others(), floor: indifferent(own.mean()), per_different };
         let (mut weights, mut sum, mut spread) = ([0.0; PARTS], [0.0; PARTS], [0.0; PARTS]);
-        for n in near {
-            let t = &told[n.id as usize];
-            let weight = alike.weights(&t.others, t.variance / OTHERS, (1.0 - 0.8 * n.distance2) * t.root_samples);
+        for (id, distance2) in near {
+            let t = &told[*id as usize];
+            let weight = alike.weights(&t.others, t.variance / OTHERS, (1.0 - 0.8 * distance2) * t.root_samples);
             add(&mut weights, &weight);
             add_product(&mut sum, &weight, &t.part);
             let squares = times(&weight, t.variance);

@@ -208,23 +208,21 @@ impl LampChoice {
         let x = u * self.sum();
         // the first that ends behind x has a positive weight
         let k = self.ends.partition_point(|end| *end <= x).min(self.ends.len() - 1);
-        (k, self.rest(k, x))
+        (k, rest(self.start(k), x))
     }
 
     /// Draws lamps as [`Self::sample`] does, for numbers in ascending order.
     pub(super) fn walk(&self) -> LampWalk<'_> {
-        LampWalk { choice: self, lamp: 0 }
+        LampWalk { choice: self, lamp: 0, start: self.start(0) }
     }
 
     fn sum(&self) -> f32 {
         self.ends[self.ends.len() - 1]
     }
 
-    /// How far into lamp `k` the number `x` below the sum of the weights lies, in [0, 1).
-    #[inline(always)]
-    fn rest(&self, k: usize, x: f32) -> f32 {
-        let start = self.ends[k] - self.weights[k];
-        ((x - start) / self.weights[k]).clamp(0.0, 1.0 - f32::EPSILON)
+    /// Where lamp `k` starts among the numbers below the sum of the weights, and one over its weight.
+    fn start(&self, k: usize) -> [f32; 2] {
+        [self.ends[k] - self.weights[k], 1.0 / self.weights[k]]
     }
 
     /// Probability of lamp `k`.
@@ -235,11 +233,18 @@ impl LampChoice {
     }
 }
 
+/// How far into a lamp with the given [`LampChoice::start`] the number `x` lies, in [0, 1).
+#[inline(always)]
+fn rest([start, per_weight]: [f32; 2], x: f32) -> f32 {
+    ((x - start) * per_weight).clamp(0.0, 1.0 - f32::EPSILON)
+}
+
 /// See [`LampChoice::walk`].
 pub(super) struct LampWalk<'a> {
     choice: &'a LampChoice,
-    /// The lamp drawn last.
+    /// The lamp drawn last, and its [`LampChoice::start`].
     lamp: usize,
+    start: [f32; 2],
 }
 
 impl<'a> LampWalk<'a> {
@@ -247,10 +252,14 @@ impl<'a> LampWalk<'a> {
     #[inline(always)]
     pub(super) fn next(&mut self, u: f32) -> (usize, f32) {
         let (choice, x) = (self.choice, u * self.choice.sum());
+        let before = self.lamp;
         while choice.ends[self.lamp] <= x && self.lamp + 1 < choice.ends.len() {
             self.lamp += 1;
         }
-        (self.lamp, choice.rest(self.lamp, x))
+        if self.lamp > before {
+            self.start = choice.start(self.lamp);
+        }
+        (self.lamp, rest(self.start, x))
     }
 
     /// Whose lamps are drawn.

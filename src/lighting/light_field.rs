@@ -1,25 +1,22 @@
 //! What radiance arrives along a ray: the TBL on the surface it hits, or the environment if it hits none.
 //!
-//! All levels lie in one array of aligned texels, so that finding a texel and reading it are two steps: a batch of rays computes its
+//! All levels lie in one array of packed texels, so that finding a texel and reading it are two steps: a batch of rays computes its
 //! addresses first, and the memory then answers many of them at once.
 
 use super::Environment;
+use super::packed::{PackedTexels, Tiles};
 use crate::ffi::simd::prefetch;
 use crate::gbuffer::Orientation;
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
 use crate::trace::Hit;
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 
 /// Prefiltered copies of the TBL beyond the full resolution: footprints up to 8 texels; coarser ones would mix charts.
 const MIP_LEVELS: usize = 4;
 
 /// The level that holds the radiance of emissive texels, unfiltered, for emissive triangles.
 const FULL: usize = MIP_LEVELS;
-
-/// Address of the texel that stands for no surface.
-const BLACK: u32 = 0;
 
 /// Per-triangle constants of a lookup, one cache line.
 #[derive(Clone, Copy, Debug, Default)]
@@ -36,18 +33,13 @@ struct Lookup {
     least_level: u32,
 }
 
-/// Radiance, never astride two cache lines.
-#[derive(Clone, Copy, Debug, Default)]
-#[repr(align(16))]
-struct Texel(Vec3);
-
 /// One resolution of the TBL.
 #[derive(Clone, Copy, Debug, Default)]
 struct Level {
     size: Vec2,
     /// Last column, last row.
     last: [u32; 2],
-    first: u32,
+    tiles: Tiles,
 }
 
 /// Incident radiance along traced rays.
@@ -57,7 +49,7 @@ pub struct LightField {
     lookups: Vec<Lookup>,
     /// Black; reflected radiance with emissive texels filled from their surroundings, level by level; emitted radiance with all others
     /// filled; the far sides.
-    texels: Vec<Texel>,
+    texels: PackedTexels,
     levels: [Level; MIP_LEVELS + 1],
     /// Where the mean radiance of each triangle's side away from the cameras' main side begins; zero where nobody saw it.
     back: u32,
@@ -97,15 +89,14 @@ impl LightField {
             })
             .collect();
         lookups.push(Lookup::default());
-        let mut texels = vec![Texel::default()];
+        let mut texels = PackedTexels::new();
         let mut levels = [Level::default(); MIP_LEVELS + 1];
         let mut store = |plane: &RgbPlane, level: &mut Level| {
             *level = Level {
                 size: Vec2::new(plane.width as f32, plane.height as f32),
                 last: [plane.width as u32 - 1, plane.height as u32 - 1],
-                first: texels.len() as u32,
+                tiles: texels.push_plane(plane),
             };
-            texels.par_extend(plane.data.par_iter().map(|v| Texel(*v)));
         };
         // a triangle also covers parts of texels that belong to its neighbours: a lamp must not darken there, nor a wall shine
         let any = emissive.data.iter().any(|e| *e);
@@ -116,9 +107,9 @@ impl LightField {
             store(&plane, level);
             plane = plane.half();
         }
-        let first = texels.len() as u32;
-        texels.extend((0..mesh.triangles.len()).map(|t| Texel(back.get(t).copied().unwrap_or(Vec3::ZERO))));
-        Self { lookups, texels, levels, back: first, environment, prefilter: true }
+        let back: Vec<Vec3> = (0..mesh.triangles.len()).map(|t| back.get(t).copied().unwrap_or(Vec3::ZERO)).collect();
+        let back = texels.push_list(&back);
+        Self { lookups, texels, levels, back, environment, prefilter: true }
     }
 
     /// Radiance arriving along `direction` from `hit`, averaged over a cone whose diameter at the hit is
@@ -141,7 +132,7 @@ impl LightField {
         let level = blur.min(MIP_LEVELS - 1).max(l.least_level as usize);
         let front = self.at(l, level, hit.u, hit.v);
         let address = if cosine < 0.0 { self.back.wrapping_add(hit.triangle) } else { front };
-        (if hit.is_hit() { address } else { BLACK }, cosine)
+        (if hit.is_hit() { address } else { PackedTexels::BLACK }, cosine)
     }
 
     #[inline(always)]
@@ -149,7 +140,7 @@ impl LightField {
         let level = &self.levels[level];
         let p = (l.uv + l.uv_edge1 * u + l.uv_edge2 * v) * level.size;
         let (x, y) = ((p.x as u32).min(level.last[0]), (p.y as u32).min(level.last[1]));
-        level.first + y * (level.last[0] + 1) + x
+        level.tiles.address(x, y)
     }
 
     /// Tells the cache that [`Self::address`] will be asked for a hit on `triangle` soon.
@@ -161,14 +152,14 @@ impl LightField {
     /// Tells the cache that [`Self::texel`] will be asked for soon.
     #[inline(always)]
     pub(super) fn expect_texel(&self, address: u32) {
-        prefetch(&self.texels, address as usize);
+        self.texels.expect(address);
     }
 
     /// The radiance stored at an address.
     #[must_use]
     #[inline(always)]
     pub(super) fn texel(&self, address: u32) -> Vec3 {
-        self.texels[address as usize].0
+        self.texels.get(address)
     }
 
     /// Where the radiance is stored that a triangle sends out at barycentrics (u, v): where a ray that hits it there finds it.

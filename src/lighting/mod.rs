@@ -11,6 +11,7 @@ mod lamp_choice;
 mod light_field;
 mod neighbourhood;
 mod nirf;
+mod packed;
 mod reflection;
 mod sources;
 mod sweep;

@@ -69,6 +69,8 @@ struct Candidates {
     distance2: Vec<f32>,
     /// Along the two axes of the texel in question: positions, then normals.
     along: [Vec<f32>; 4],
+    /// Which are near.
+    near: Vec<u32>,
 }
 
 /// A texel on the same smooth surface as the one whose surroundings are asked for.
@@ -128,6 +130,54 @@ impl Neighbourhood {
             },
         );
         self.rank.par_iter().map(|&r| results[r as usize].clone()).collect()
+    }
+}
+
+/// The texels within a small reach of each, found once for many uses.
+pub(super) struct Discs {
+    /// Group by group: a texel, and the squared distance to it as a share of the reach's square.
+    near: Vec<Vec<(u32, f32)>>,
+    /// Per texel: its group, and its range there.
+    place: Vec<(u32, Range<u32>)>,
+}
+
+impl Discs {
+    /// The texels around texel `i`, itself among them.
+    pub(super) fn of(&self, i: usize) -> &[(u32, f32)] {
+        let (group, range) = &self.place[i];
+        self.near.get(*group as usize).map_or(&[], |near| &near[range.start as usize..range.end as usize])
+    }
+}
+
+impl Neighbourhood {
+    /// The texels within `reach` texels of each, on the same smooth surface.
+    pub(super) fn discs(&self, patches: &[Patch], reach: f32) -> Discs {
+        let tasks: Vec<(&Octave, &Group)> = self.octaves.iter().flat_map(|o| o.groups.iter().map(move |g| (o, g))).collect();
+        let each = |(candidates, found): &mut (Candidates, Vec<Near>), (o, group): (&Octave, &Group)| {
+            let (mut near, mut ends) = (Vec::new(), Vec::new());
+            let members = || o.sorted[group.range.clone()].iter().copied().filter(|&i| self.octave_of[i as usize] == o.octave);
+            if let Some(bounds) = bounds(members().map(|i| &patches[i as usize]), reach) {
+                candidates.fill(patches, o, group, bounds);
+                for i in members() {
+                    candidates.find(&patches[i as usize], reach, found);
+                    near.extend(found.iter().map(|n| (n.id, n.distance2)));
+                    ends.push((i, near.len() as u32));
+                }
+                near.shrink_to_fit();
+            }
+            (near, ends)
+        };
+        let found: Vec<_> = tasks.into_par_iter().map_init(Default::default, each).collect();
+        let mut place = vec![(u32::MAX, 0..0); patches.len()];
+        let mut near = Vec::with_capacity(found.len());
+        for (list, ends) in found {
+            let mut start = 0;
+            for (i, end) in ends {
+                place[i as usize] = (near.len() as u32, std::mem::replace(&mut start, end)..end);
+            }
+            near.push(list);
+        }
+        Discs { near, place }
     }
 }
 
@@ -212,6 +262,7 @@ impl Candidates {
         let n = self.ids.len();
         self.distance2.resize(n, 0.0);
         self.along.iter_mut().for_each(|c| c.resize(n, 0.0));
+        self.near.resize(n, 0);
     }
 
     /// Writes those that lie around `p`.
@@ -239,14 +290,16 @@ impl Candidates {
             }
         });
         let (ids, distance2, along) = (&self.ids[..n], &self.distance2[..n], self.along.each_ref().map(|c| &c[..n]));
-        // (written whether near or not: a branch would be mispredicted every other time)
-        out.resize(n, Near::default());
+        let near = &mut self.near[..n];
         let mut kept = 0;
-        for k in 0..n {
-            out[kept] = Near { id: ids[k], distance2: distance2[k], along: along.map(|c| c[k]) };
-            kept += usize::from(distance2[k] < 1.0);
+        for (k, d2) in distance2.iter().enumerate() {
+            // (written whether near or not: a branch would be mispredicted every other time)
+            near[kept] = k as u32;
+            kept += usize::from(*d2 < 1.0);
         }
-        out.truncate(kept);
+        out.clear();
+        let near = near[..kept].iter().map(|k| *k as usize);
+        out.extend(near.map(|k| Near { id: ids[k], distance2: distance2[k], along: along.map(|c| c[k]) }));
     }
 }
 

@@ -21,8 +21,9 @@ pub struct EmitterSample {
 /// what lies between would be overlooked.
 pub(super) const SHORT: f32 = 1e-4;
 
-/// A flat piece of a lamp.
+/// A flat piece of a lamp, one cache line.
 #[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
 pub(super) struct Source {
     corner: Vec3,
     edge1: Vec3,
@@ -36,7 +37,7 @@ pub(super) struct Source {
 }
 
 /// Marks a source that is a parallelogram through which the environment is seen.
-const PORTAL: u32 = u32::MAX;
+pub(super) const PORTAL: u32 = u32::MAX;
 
 impl Source {
     pub(super) fn of_triangle(mesh: &Mesh, field: &LightField, t: u32, density: f32) -> Self {
@@ -61,22 +62,16 @@ impl Source {
         let inverse = 1.0 / length;
         let cosine = -self.normal.dot(d) * inverse;
         let t_far = if portal { f32::INFINITY } else { length * (1.0 - SHORT) };
-        Aim { ray: Ray::new(origin, d * inverse, t_far), cosine, pdf: self.density * d2 / cosine, place }
+        Aim { ray: Ray::new(origin, d * inverse, t_far), cosine, density: self.density * d2, place, triangle: self.triangle }
     }
 
     /// Radiance that arrives along `aim` if nothing is in the way.
     #[inline]
     pub(super) fn radiance(&self, field: &LightField, aim: &Aim) -> Vec3 {
-        match self.triangle() {
-            Some(t) => field.emitted(t, aim.place[0], aim.place[1]),
-            None => field.environment.radiance(Vec3::from_array(aim.ray.direction)),
+        match self.triangle {
+            PORTAL => field.environment.radiance(Vec3::from_array(aim.ray.direction)),
+            t => field.emitted(t as usize, aim.place[0], aim.place[1]),
         }
-    }
-
-    /// The mesh triangle; `None` where the environment is what shines.
-    #[inline(always)]
-    pub(super) fn triangle(&self) -> Option<usize> {
-        (self.triangle != PORTAL).then_some(self.triangle as usize)
     }
 }
 
@@ -87,11 +82,14 @@ pub(super) const GRAZING: f32 = 1e-6;
 pub(super) struct Aim {
     /// Shadow ray.
     pub ray: Ray,
-    /// Density per steradian at the receiver; that of the source within its lamp.
-    pub pdf: f32,
+    /// Density per steradian at the receiver times `cosine`; that of the source within its lamp.
+    pub density: f32,
+    /// At the source; negative where the receiver is behind it.
+    pub cosine: f32,
     /// Barycentrics of the point, or its place on the portal's cell.
     pub place: [f32; 2],
-    cosine: f32,
+    /// The mesh triangle; [`PORTAL`] where the environment is what shines.
+    pub triangle: u32,
 }
 
 impl Aim {
@@ -99,5 +97,10 @@ impl Aim {
     #[inline(always)]
     pub(super) fn in_front(&self) -> bool {
         self.cosine > GRAZING
+    }
+
+    /// Density per steradian at the receiver; that of the source within its lamp.
+    pub(super) fn pdf(&self) -> f32 {
+        self.density / self.cosine
     }
 }
