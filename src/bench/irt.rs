@@ -2,7 +2,7 @@
 
 use super::irt_error::{ladders, pipeline_point, reference, seconds_to_reach, target_point};
 use super::plot::{Chart, Series, svg};
-use super::{ErrorPoint, Ground, Growth, NirfReport, Rates, Reference, growth, irt_nirf, irt_rates, timed};
+use super::{ErrorPoint, Ground, Growth, NirfReport, OidnReport, Rates, Reference, growth, irt_nirf, irt_oidn, irt_rates, timed};
 use crate::Result;
 use crate::pipeline::SolveOptions;
 use crate::progress::Progress;
@@ -43,6 +43,9 @@ pub struct IrtBench {
     /// Train the paper's neural irradiance field for so many epochs (the paper: 2000) and add its error and time.
     #[arg(long, value_name = "EPOCHS", num_args = 0..=1, default_missing_value = "40", require_equals = true)]
     pub nirf: Option<u32>,
+    /// Library of Open Image Denoise 2 to compare our filter with; without this, OIDN_LIBRARY or one that the system finds, if any.
+    #[arg(long, value_name = "FILE", conflicts_with = "rates_only")]
+    pub oidn: Option<std::path::PathBuf>,
 }
 
 /// Everything `unbake bench irt` measures.
@@ -92,6 +95,8 @@ pub struct IrtReport {
     pub points: Vec<ErrorPoint>,
     /// The neural irradiance field, where it was asked for.
     pub nirf: Option<NirfReport>,
+    /// The comparison with Open Image Denoise; absent if only rates were measured.
+    pub oidn: Option<OidnReport>,
     /// Growth with texels, triangles and threads.
     pub growth: Growth,
     /// Seconds of the whole benchmark.
@@ -103,22 +108,22 @@ pub struct IrtReport {
 /// Runs the benchmark.
 ///
 /// # Errors
-/// An unusable scene, or no memory for a larger mesh.
+/// An unusable scene, no memory for a larger mesh, or a denoiser that was asked for and cannot be used.
 pub fn bench_irt(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &Progress) -> Result<IrtReport> {
     let (report, seconds) = timed(|| measure(scene, bench, options, progress));
     report.map(|r| IrtReport { seconds, peak_bytes: peak_bytes(), ..r })
 }
 
 fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &Progress) -> Result<IrtReport> {
+    // before the long run: a library that was asked for and is not there
+    let denoiser = if bench.rates_only { None } else { Some(irt_oidn::open(bench.oidn.as_deref())?) };
     let ground = Ground::prepare(scene, options, progress)?;
     let texels = &ground.light.texels;
     let rays = if bench.full { 2_000_000 } else { 500_000 };
     let rates = progress.stage("rays per second", 4, |p| {
         irt_rates::measure(&ground, texels, rays, bench.repetitions, bench.export_rays.as_deref(), p)
     })?;
-    if bench.rates_only {
-        return Ok(rates_alone(scene, &ground, options, rates));
-    }
+    let Some(denoiser) = denoiser else { return Ok(rates_alone(scene, &ground, options, rates)) };
     let reference =
         progress.stage("reference", 2 * bench.reference_texels as u64, |p| reference(&ground, texels, bench.reference_texels, p));
     let runs = if bench.full { 8192 } else { 4096 };
@@ -131,6 +136,14 @@ fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &P
         points.push(pipeline_point(&ground, texels, &reference, o, progress));
     }
     points.push(ours.clone());
+    let oidn = match denoiser {
+        Ok(denoiser) => {
+            let (more, oidn) = irt_oidn::measure((&ground, texels, &reference), &denoiser, &[part(4), [r, e]], progress)?;
+            points.extend(more);
+            oidn
+        }
+        Err(why) => OidnReport::Missing(why),
+    };
     points.extend(bench.target_error.iter().map(|&target| target_point(&ground, &reference, target, progress)));
     let nirf = bench.nirf.map(|epochs| {
         progress
@@ -159,6 +172,7 @@ fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &P
         reference: Some(reference),
         points,
         nirf,
+        oidn: Some(oidn),
         growth,
         ..rates_alone(scene, &ground, options, rates)
     })
@@ -189,6 +203,7 @@ fn rates_alone(scene: &Scene, ground: &Ground, options: &SolveOptions, rates: Ra
         reference: None,
         points: Vec::new(),
         nirf: None,
+        oidn: None,
         growth: Growth::default(),
         seconds: 0.0,
         peak_bytes: 0,
@@ -314,6 +329,9 @@ impl IrtReport {
                 100.0 * u.relative_rmse,
                 u.seconds
             )?;
+        }
+        if let Some(oidn) = &self.oidn {
+            writeln!(out, "  {}", oidn.line())?;
         }
         if let Some(n) = &self.nirf {
             writeln!(

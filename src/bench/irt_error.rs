@@ -19,7 +19,7 @@ const REFERENCE: u32 = 16_384;
 /// One point of a curve.
 #[derive(Clone, Debug, Serialize)]
 pub struct ErrorPoint {
-    /// Curve: `uniform`, `cosine`, `mis`, `pipeline`, `nirf` or `target RATIO`.
+    /// Curve: `uniform`, `cosine`, `mis`, `pipeline`, `unfiltered`, `oidn`, `nirf` or `target RATIO`.
     pub curve: String,
     /// Hemisphere rays per texel asked for; 0 where a target chose them.
     pub rays: u32,
@@ -39,7 +39,7 @@ pub struct ErrorPoint {
 
 impl ErrorPoint {
     /// A bake of the whole texture: `value(i)` is the irradiance of texel i, `rays` were traced for `texels` texels.
-    fn of_whole(
+    pub(super) fn of_whole(
         (curve, samples): (String, [u32; 2]),
         reference: &Reference,
         value: impl Fn(usize) -> Vec3,

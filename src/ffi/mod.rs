@@ -5,6 +5,8 @@
 #[allow(unsafe_code)]
 pub mod embree;
 #[allow(unsafe_code)]
+pub mod oidn;
+#[allow(unsafe_code)]
 pub mod oiio;
 pub mod ray;
 #[allow(unsafe_code)]

@@ -257,7 +257,7 @@ pub(super) fn coarse_texels(surface: &Surface) -> Texels {
 }
 
 /// Values of covered texels as a texture, filled outside charts.
-pub(super) fn texture_of(texels: &Texels, values: &[Vec3]) -> RgbPlane {
+pub(crate) fn texture_of(texels: &Texels, values: &[Vec3]) -> RgbPlane {
     fill_uncovered(&texels.scatter(values, Vec3::ZERO), &coverage(texels))
 }
 

@@ -17,6 +17,7 @@ pub(crate) use budget::rounds_worth;
 pub use budget::{Budget, parse_seconds};
 pub use checkpoint::{Checkpoints, Kept};
 pub use decisions::Sizes;
+pub(crate) use light::texture_of;
 pub use light::{Light, bake_irradiance_texels, reconstruct_light};
 pub use options::{Fit, SolveOptions, Switch};
 pub use presets::{Quality, SolveRequest};
