@@ -142,7 +142,8 @@ pub(super) fn ladders(
     progress: &Progress,
 ) -> Vec<ErrorPoint> {
     let base = IrtOptions { seed: ground.options.seed, ..IrtOptions::default() };
-    let uniform: &[u32] = if full { &[32, 64, 128, 256, 512, 1024, 2048, 4096, 8192] } else { &[64, 256, 1024, 2048] };
+    let uniform: &[u32] =
+        if full { &[32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 16_384] } else { &[64, 256, 1024, 2048, 8192, 16_384] };
     let cosine: &[u32] = if full { &[32, 64, 128, 256, 512, 1024, 2048, 4096] } else { &[64, 256, 1024, 2048] };
     let mis: &[u32] = if full { &[8, 16, 32, 64, 128, 256, 512, 1024, 2048] } else { &[16, 64, 256, 1024] };
     let mut all: Vec<IrtOptions> = Vec::new();

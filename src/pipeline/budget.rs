@@ -27,7 +27,7 @@ const ALBEDO: f64 = 1.28 * FUSING;
 const RAYS_PER_LOOK: f64 = 52.0;
 /// Costs in rays of the coarse bake: filtering an irradiance texel once, its missing light, an edge pixel of the views, a pixel of
 /// the report, a written value.
-const FILTER: f64 = 60.0;
+const FILTER: f64 = 30.0;
 const MISSING_LIGHT: f64 = 30.0;
 const EDGES: f64 = 66.0;
 const REPORT_PIXEL: f64 = 28.0;
