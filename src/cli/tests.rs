@@ -37,6 +37,24 @@ fn every_option_has_a_help_sentence_of_its_own() {
     walk(&Cli::command(), "unbake");
 }
 
+/// Where the help names a number as an option's default, it is the preset's.
+#[test]
+fn defaults_in_the_help_are_those_of_the_default_preset() {
+    let preset = serde_json::to_value(crate::pipeline::SolveOptions::default()).expect("options");
+    let command = Cli::command();
+    let solve = command.find_subcommand("solve").expect("a verb");
+    let mut compared = 0;
+    for arg in solve.get_arguments() {
+        let (Some(help), Some(key)) = (arg.get_help().map(ToString::to_string), arg.get_long()) else { continue };
+        let stated = help.split_once("[default: ").and_then(|(_, rest)| rest.split([']', ' ']).next()?.parse::<f64>().ok());
+        if let (Some(stated), Some(actual)) = (stated, preset.get(key).and_then(serde_json::Value::as_f64)) {
+            assert!((stated - actual).abs() < 1e-6, "--{key}: the help says {stated}, the preset {actual}");
+            compared += 1;
+        }
+    }
+    assert!(compared >= 8, "{compared}");
+}
+
 /// Arguments that say what to work on or how to run rather than how to compute: the only ones without a key.
 const WITHOUT_KEY: [&str; 13] = [
     "config",

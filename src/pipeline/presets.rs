@@ -115,14 +115,14 @@ pub struct SolveRequest {
     /// Reduce photographs by this factor before anything else [default: 1].
     #[arg(long, value_name = "FACTOR")]
     pub photo_reduction: Option<usize>,
-    /// Hemisphere rays per irradiance texel, on average [default: 128].
+    /// Hemisphere rays per irradiance texel, on average [default: 136].
     #[arg(long, value_name = "N")]
     pub irradiance_rays: Option<u32>,
-    /// Emitter samples per irradiance texel, on average [default: 32].
+    /// Emitter samples per irradiance texel, on average [default: 68].
     #[arg(long, value_name = "N")]
     pub emitter_samples: Option<u32>,
     /// Rounds in which they are spent: after each, more go to those texels seen by some view whose errors are largest; 1 = all texels
-    /// alike [default: 2].
+    /// alike [default: 3].
     #[arg(long, value_name = "N")]
     pub irradiance_rounds: Option<u32>,
     /// Relative error of irradiance at which a texel is done [default: 0.01].
