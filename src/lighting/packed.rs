@@ -1,7 +1,7 @@
 //! Radiance in eight bytes a texel, in tiles of a cache line per row: what rays from one place meet lies close together in memory.
 //!
-//! Three mantissas of 18 bits share an exponent: a brightest channel keeps 4·10⁻⁶ of its value, where half floats of the same size would
-//! keep 5·10⁻⁴ and end at 65,504.
+//! Three mantissas of 17 bits and a sign share an exponent: a brightest channel keeps all but 8·10⁻⁶ of its value, where half floats of
+//! the same size would lose 5·10⁻⁴ and end at 65,504. Signs are for differences of light.
 
 use crate::ffi::simd::prefetch;
 use crate::image::RgbPlane;
@@ -12,7 +12,7 @@ use rayon::prelude::*;
 const LINE: usize = 8;
 /// Rows of a tile; it is [`LINE`] wide.
 const ROWS: usize = 8;
-/// Bits of a channel's mantissa.
+/// Bits of a channel's mantissa, sign included.
 const BITS: u32 = 18;
 
 /// Texels of one cache line.
@@ -92,34 +92,35 @@ impl PackedTexels {
     }
 }
 
-/// Red, green and blue from the lowest bits on, then the exponent of the last bit's worth, as a float's. What is negative or not a
-/// number counts as zero.
+/// Red, green and blue from the lowest bits on, then the exponent of the last bit's worth, as a float's. What is not a number counts as
+/// zero.
 fn pack(radiance: Vec3) -> u64 {
-    let v = radiance.to_array().map(|x| x.max(0.0).min(f32::MAX));
-    let most = v[0].max(v[1]).max(v[2]);
-    let exponent = (most.to_bits() >> 23) as i32 - (BITS as i32 - 1);
-    let mantissas = |exponent: i32| {
-        // in double precision the quotient is exact
-        let worth = f64::from(f32::from_bits((exponent as u32) << 23));
-        v.map(|x| (f64::from(x) / worth).round_ties_even() as u64)
-    };
+    let v = radiance.to_array().map(|x| if x.is_nan() { 0.0 } else { x.clamp(-f32::MAX, f32::MAX) });
+    let most = v.iter().fold(0.0f32, |most, x| most.max(x.abs()));
+    let exponent = (most.to_bits() >> 23) as i32 - (BITS as i32 - 2);
     // below: too dim to be told from black (10⁻³³)
     if exponent <= 0 {
         return 0;
     }
-    let mut m = mantissas(exponent);
-    let mut e = exponent;
-    if m.iter().any(|m| *m >> BITS > 0) {
+    let mantissas = |exponent: i32| {
+        // in double precision the quotient is exact
+        let worth = f64::from(f32::from_bits((exponent as u32) << 23));
+        v.map(|x| (f64::from(x) / worth).round_ties_even() as i64)
+    };
+    let overflows = |m: &[i64; 3]| m.iter().any(|m| m.abs() >> (BITS - 1) > 0);
+    let (mut m, mut e) = (mantissas(exponent), exponent);
+    if overflows(&m) {
         e += 1;
         m = mantissas(e);
     }
-    m[0] | m[1] << BITS | m[2] << (2 * BITS) | (e as u64) << (3 * BITS)
+    let [r, g, b] = m.map(|m| m as u64 & ((1 << BITS) - 1));
+    r | g << BITS | b << (2 * BITS) | (e as u64) << (3 * BITS)
 }
 
 #[inline(always)]
 fn unpack(texel: u64) -> Vec3 {
-    const MANTISSA: u64 = (1 << BITS) - 1;
-    let channel = |c: u32| (texel >> (c * BITS) & MANTISSA) as i32 as f32;
+    // to the upper end and back: the sign comes along
+    let channel = |c: u32| ((texel << (64 - (c + 1) * BITS)) as i64 >> (64 - BITS)) as i32 as f32;
     Vec3::new(channel(0), channel(1), channel(2)) * f32::from_bits((texel >> (3 * BITS)) as u32 * (1 << 23))
 }
 
@@ -130,26 +131,26 @@ mod tests {
     use crate::sampling::KeyedRng;
 
     #[test]
-    fn a_brightest_channel_keeps_18_bits_and_the_others_as_much_of_it() {
+    fn a_brightest_channel_keeps_17_bits_and_the_others_as_much_of_it() {
         let mut rng = KeyedRng::new(3, 1);
         for exponent in -90..127 {
             for _ in 0..100 {
-                let v = Vec3::from_array(std::array::from_fn(|_| rng.next_f32())) * 2f32.powi(exponent);
+                let v = Vec3::from_array(std::array::from_fn(|_| 2.0 * rng.next_f32() - 1.0)) * 2f32.powi(exponent);
                 let error = (unpack(pack(v)) - v).abs().max_element();
-                assert!(error <= v.max_element() * 2f32.powi(-18), "{v}");
+                assert!(error <= v.abs().max_element() * 2f32.powi(-17), "{v}");
             }
         }
     }
 
     #[test]
     fn round_numbers_are_exact_and_extremes_stay_in_range() {
-        for v in [Vec3::ONE, Vec3::new(1.0, 0.5, 0.25), Vec3::splat(1e5), Vec3::ZERO, Vec3::new(65_536.0, 0.0, 3.0)] {
+        for v in [Vec3::ONE, Vec3::new(1.0, 0.5, 0.25), Vec3::splat(1e5), Vec3::ZERO, Vec3::new(65_536.0, 0.0, -3.0)] {
             assert_eq!(unpack(pack(v)), v);
         }
         // rounds up to a mantissa of one bit more
         let nearly = Vec3::splat(1.0 - f32::EPSILON / 2.0);
         assert_eq!(unpack(pack(nearly)), Vec3::ONE);
-        assert_eq!(unpack(pack(Vec3::new(f32::NAN, -1.0, 1e-45))), Vec3::ZERO);
+        assert_eq!(unpack(pack(Vec3::new(f32::NAN, -1.0, 1e-45))), Vec3::NEG_Y);
         for v in [Vec3::splat(f32::MAX), Vec3::splat(f32::INFINITY)] {
             assert!(unpack(pack(v)).min_element() >= 0.99 * f32::MAX);
         }
