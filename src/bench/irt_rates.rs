@@ -108,11 +108,11 @@ pub(super) fn rays_of(ground: &Ground, texels: &Texels, ids: &[usize], options: 
 
 /// The bare loops on all threads, in the batches of the tracer.
 pub(super) fn bare_closest(tracer: &EmbreeTracer, rays: &[Ray]) -> usize {
-    rays.par_chunks(BATCH).map(|r| tracer.scene().bare_closest(r)).sum()
+    rays.par_chunks(BATCH).with_max_len(1).map(|r| tracer.scene().bare_closest(r)).sum()
 }
 
 fn bare_occluded(tracer: &EmbreeTracer, rays: &[Ray]) -> usize {
-    rays.par_chunks(BATCH).map(|r| tracer.scene().bare_occluded(r)).sum()
+    rays.par_chunks(BATCH).with_max_len(1).map(|r| tracer.scene().bare_occluded(r)).sum()
 }
 
 /// What is compared: the three estimators, the pipeline's mixture, and emitter samples (almost) alone.

@@ -3,6 +3,7 @@
 //! Whatever all receivers share (unscrambled sample points) is computed once per round, whatever is the same for every ray of one
 //! receiver runs in vector registers, and a ray costs no allocation, no library call and few branches.
 
+use super::aiming::{Aimed, Aiming, Picks};
 use super::irt::{Bake, Estimator, IrtOptions, PARTS, Receiver};
 use super::lamp_choice::LampChoice;
 use super::sources::PORTAL;
@@ -112,14 +113,15 @@ pub(super) struct Bundle {
     hits: Vec<Hit>,
     shadow: Vec<Ray>,
     hidden: Vec<u8>,
-    /// Per emitter sample of one receiver.
-    picks: Vec<Pick>,
+    /// Of one receiver: the first lamp of each interval of numbers, and its emitter samples.
+    guide: Vec<u32>,
+    picks: Picks,
     /// Per shadow ray.
     aimed: Vec<Aimed>,
     /// Per hemisphere ray: where its radiance is stored, and its weight.
     terms: Vec<(u32, f32)>,
-    /// Per shadow ray that arrives: its triangle and then where its radiance is stored, and its number.
-    arrived: Vec<(u32, u32)>,
+    /// Numbers of the shadow rays that arrive at a surface.
+    arrived: Vec<u32>,
     /// Rays that leave the scene, and their directions.
     outside: Vec<u32>,
     sky: [Vec<f32>; 3],
@@ -137,34 +139,13 @@ struct Span {
     rays: Range<usize>,
 }
 
-/// An emitter sample that waits for its shadow ray: what its radiance is multiplied by, where that comes from, whose it is.
-#[derive(Clone, Copy, Default)]
-struct Aimed {
-    weight: f32,
-    place: [f32; 2],
-    /// Triangle of its source, or [`PORTAL`].
-    triangle: u32,
-    /// Index into the sums.
-    owner: u32,
-}
-
-/// An emitter sample of which the source is chosen.
-#[derive(Clone, Copy)]
-struct Pick {
-    /// Slot of the source, and the probability of its lamp.
-    slot: u32,
-    probability: f32,
-    place: [f32; 2],
-    owner: u32,
-}
-
 impl Bundle {
     /// Traces one round of samples of every receiver; `add(k, parts)` takes the contributions of the k-th. Returns the rays traced.
     pub(super) fn run(
         &mut self,
         bake: &Bake,
         round: &Round,
-        receivers: &[Receiver],
+        receivers: impl ExactSizeIterator<Item = Receiver>,
         mut add: impl FnMut(usize, [Vec3; PARTS]),
     ) -> u64 {
         let n = receivers.len();
@@ -173,11 +154,11 @@ impl Bundle {
         grow(&mut self.choices, n, LampChoice::default());
         let (mut rays, mut lights) = (0, 0);
         for r in receivers {
-            let drawn = self.draw_hemisphere(bake, round, r, rays);
+            let drawn = self.draw_hemisphere(bake, round, &r, rays);
             rays = drawn.end;
-            let lit = !round.lights.is_empty() && self.choose(bake, round, r);
+            let lit = !round.lights.is_empty() && self.choose(bake, round, &r);
             if lit {
-                lights = self.draw_lights(bake, round, r, lights);
+                lights = self.draw_lights(bake, round, &r, lights);
             }
             self.spans.push(Span { lit, rays: drawn });
         }
@@ -203,7 +184,7 @@ impl Bundle {
         grow(&mut self.shadow, lights, nowhere);
         grow(&mut self.hidden, lights, 0);
         grow(&mut self.aimed, lights, Aimed::default());
-        grow(&mut self.arrived, lights, (0, 0));
+        grow(&mut self.arrived, lights, 0);
         grow(&mut self.outside, rays.max(lights), 0);
         self.sky.iter_mut().for_each(|c| grow(c, rays.max(lights), 0.0));
         self.columns.iter_mut().for_each(|c| grow(c, round.hemisphere.len().max(round.lights.len()), 0.0));
@@ -251,47 +232,54 @@ impl Bundle {
             self.order[(u * round.slots as f32) as usize] = s as u32;
         }
         let first = (PARTS * self.spans.len()) as u32;
-        // choosing first, computing then: the sources arrive from memory side by side
-        self.picks.clear();
-        let mut walk = self.choices[self.spans.len()].walk();
-        // (an interval may have no sample)
-        for s in self.order.iter().map(|&s| s as usize).filter(|&s| s < n) {
-            let (slot, probability) = bake.emitters.pick_next(&mut walk, u[s]);
-            let owner = first + (s * PARTS / n) as u32;
-            self.picks.push(Pick { slot, probability, place: [v[s], w[s]], owner });
-        }
-        self.picks.iter().take(AHEAD).for_each(|pick| bake.emitters.expect_source(pick.slot));
-        let origin = r.position + r.face_normal * bake.offset;
-        let (total_rays, total_lights) = (round.total_rays as f32 * FRAC_1_PI, round.total_lights as f32);
-        let (shadow, aimed) = (&mut self.shadow[at..at + n], &mut self.aimed[at..at + n]);
-        let mut kept = 0;
-        for (k, pick) in self.picks.iter().enumerate() {
-            if let Some(later) = self.picks.get(k + AHEAD) {
-                bake.emitters.expect_source(later.slot);
+        let picks = &mut self.picks;
+        picks.reserve(n);
+        let choice = &self.choices[self.spans.len()];
+        choice.guide(round.slots, &mut self.guide);
+        let mut k = 0;
+        for (&s, &first_lamp) in self.order.iter().zip(&self.guide) {
+            // (an interval may have no sample)
+            let s = s as usize;
+            if s < n {
+                let (slot, probability) = bake.emitters.pick(choice, first_lamp, u[s]);
+                picks.source[k] = slot;
+                picks.probability[k] = probability;
+                picks.place[0][k] = v[s];
+                picks.place[1][k] = w[s];
+                picks.owner[k] = first + (s * PARTS / n) as u32;
+                k += 1;
             }
-            let aim = bake.emitters.source(pick.slot).aim(origin, pick.place);
-            let direction = Vec3::from_array(aim.ray.direction);
-            let cosine = r.normal.dot(direction);
-            // balance heuristic, over a common denominator
-            let weight =
-                cosine * aim.cosine / (total_lights * (pick.probability * aim.density) + total_rays * cosine * aim.cosine);
-            shadow[kept] = aim.ray;
-            aimed[kept] = Aimed { weight, place: aim.place, triangle: aim.triangle, owner: pick.owner };
-            kept += usize::from(aim.in_front() & (cosine > 0.0) & (r.face_normal.dot(direction) > 0.0));
         }
-        at + kept
+        picks.source[..n].iter_mut().for_each(|s| *s = bake.emitters.source_in(*s));
+        at + run_widest(Aiming {
+            sources: bake.emitters.sources(),
+            field: bake.field,
+            picks,
+            count: n,
+            origin: r.position + r.face_normal * bake.offset,
+            normal: r.normal,
+            face_normal: r.face_normal,
+            samples: round.total_lights as f32,
+            rays: round.total_rays as f32,
+            shadow: &mut self.shadow[at..at + n],
+            aimed: &mut self.aimed[at..at + n],
+        })
     }
 
     /// Adds what the first `count` hemisphere rays meet.
     fn gather_surfaces(&mut self, bake: &Bake, round: &Round, count: usize) {
         let (n, lights) = (round.total_rays as f32, round.total_lights as f32);
         let mut outside = 0;
+        let mixed = round.estimator == Estimator::Mis && lights > 0.0;
         let expect = |hit: &Hit| {
             bake.field.expect_triangle(hit.triangle);
-            bake.emitters.expect_hit(hit.triangle);
+            if mixed {
+                bake.emitters.expect_hit(hit.triangle);
+            }
         };
         self.hits.iter().take(AHEAD).for_each(expect);
         for (span, choice) in self.spans.iter().zip(&self.choices) {
+            let choice = (mixed && span.lit).then_some(choice);
             for k in span.rays.clone() {
                 if let Some(later) = self.hits.get(k + AHEAD) {
                     expect(later);
@@ -300,12 +288,10 @@ impl Bundle {
                 // a single texel: the mean over the ray's cone mixes charts and gains nothing beside this many rays (CHANGELOG)
                 let (address, facing) = bake.field.address(hit, Vec3::from_array(self.rays[k].direction), 0.0);
                 bake.field.expect_texel(address);
-                let weight = match (round.estimator, span.lit.then_some(choice)) {
-                    (Estimator::Uniform, _) => TAU * cosine / n,
-                    (Estimator::Mis, Some(choice)) => {
-                        cosine / (n * (cosine * FRAC_1_PI) + lights * bake.emitters.hit_pdf(choice, hit, facing))
-                    }
-                    (Estimator::Cosine | Estimator::Mis, _) => PI / n,
+                let weight = match choice {
+                    Some(choice) => cosine / (n * (cosine * FRAC_1_PI) + lights * bake.emitters.hit_pdf(choice, hit, facing)),
+                    None if round.estimator == Estimator::Uniform => TAU * cosine / n,
+                    None => PI / n,
                 };
                 self.terms[k] = (address, weight);
                 self.outside[outside] = k as u32;
@@ -337,22 +323,16 @@ impl Bundle {
     fn gather_lights(&mut self, bake: &Bake, count: usize) {
         let (mut arrived, mut outside) = (0, 0);
         for l in 0..count {
-            let triangle = self.aimed[l].triangle;
-            self.arrived[arrived] = (triangle, l as u32);
+            let (free, portal) = (self.hidden[l] == 0, self.aimed[l].address == PORTAL);
+            self.arrived[arrived] = l as u32;
             self.outside[outside] = l as u32;
-            let (free, portal) = (self.hidden[l] == 0, triangle == PORTAL);
             arrived += usize::from(free & !portal);
             outside += usize::from(free & portal);
         }
-        self.arrived[..arrived].iter().for_each(|(triangle, _)| bake.field.expect_triangle(*triangle));
-        for (at, l) in &mut self.arrived[..arrived] {
-            let [u, v] = self.aimed[*l as usize].place;
-            *at = bake.field.emitted_address(*at as usize, u, v);
-            bake.field.expect_texel(*at);
-        }
-        for &(address, l) in &self.arrived[..arrived] {
-            let aimed = &self.aimed[l as usize];
-            self.sums[aimed.owner as usize] += bake.field.texel(address) * aimed.weight;
+        let arrived = self.arrived[..arrived].iter().map(|l| &self.aimed[*l as usize]);
+        arrived.clone().for_each(|aimed| bake.field.expect_texel(aimed.address));
+        for aimed in arrived {
+            self.sums[aimed.owner as usize] += bake.field.texel(aimed.address) * aimed.weight;
         }
         self.look_outside(outside, |b, k| &b.shadow[k]);
         let [x, y, z] = self.sky.each_mut().map(|c| &mut c[..outside]);

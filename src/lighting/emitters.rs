@@ -9,8 +9,8 @@
 
 use super::LightField;
 use super::hull::Hull;
-use super::lamp_choice::{LampChoice, LampShapes, LampWalk, Piece};
-use super::sources::{EmitterSample, GRAZING, SHORT, Source};
+use super::lamp_choice::{LampChoice, LampShapes, Piece};
+use super::sources::{Columns, GRAZING, PORTAL, SHORT, Sources};
 use crate::ffi::simd::prefetch;
 use crate::geometry::Mesh;
 use crate::math::luminance;
@@ -46,6 +46,17 @@ const ALIKE_NORMALS: f32 = 0.95;
 const MIN_EXCESS: f32 = 2.0;
 /// How much brighter than the brightest reflecting surfaces (99 % quantile of E/π) an unlabelled emitter must be.
 const BRIGHTER: f32 = 3.0;
+
+/// A direction towards an emitter.
+#[derive(Clone, Copy, Debug)]
+pub struct EmitterSample {
+    /// Shadow ray: hits nothing if the emitter is visible.
+    pub ray: Ray,
+    /// Radiance arriving if visible.
+    pub radiance: Vec3,
+    /// Density per steradian at the receiver.
+    pub pdf: f32,
+}
 
 /// What one texel says about emission.
 #[derive(Clone, Copy, Debug)]
@@ -125,7 +136,7 @@ pub struct Emitters {
     lamps: Vec<Lamp>,
     shapes: LampShapes,
     /// The pieces of all lamps, lamp by lamp.
-    sources: Vec<Source>,
+    sources: Sources,
     /// The pieces again, lamp by lamp, each as often as it is likely.
     slots: Vec<u32>,
     /// Per triangle, and once more for no triangle: lamp and density per m² within the lamp; density 0 where it is not sampled.
@@ -147,7 +158,7 @@ impl Emitters {
         let mut out = Self {
             lamps: Vec::new(),
             shapes: LampShapes::default(),
-            sources: Vec::new(),
+            sources: Sources::default(),
             slots: Vec::new(),
             triangle_slot: vec![(0, 0.0); mesh.triangles.len() + 1],
             portal_slot: Vec::new(),
@@ -190,14 +201,16 @@ impl Emitters {
         }
         for (i, item) in items.iter().enumerate() {
             let density = table.pmf(i) / item.1;
-            let (slot, source) = match &kind {
+            match &kind {
                 LampKind::Triangles(ids) => {
-                    (&mut self.triangle_slot[ids[i] as usize], Source::of_triangle(mesh, field, ids[i], density))
+                    self.triangle_slot[ids[i] as usize] = (lamp, density);
+                    self.sources.push_triangle(mesh, field, ids[i], density);
                 }
-                LampKind::Portal(ids) => (&mut self.portal_slot[ids[i] as usize], Source::of_portal(&self.hull, ids[i], density)),
-            };
-            *slot = (lamp, density);
-            self.sources.push(source);
+                LampKind::Portal(ids) => {
+                    self.portal_slot[ids[i] as usize] = (lamp, density);
+                    self.sources.push_portal(&self.hull, ids[i], density);
+                }
+            }
         }
         let first = self.slots.len() as u32;
         self.slots.extend(table.owners().iter().map(|i| base + i));
@@ -291,13 +304,12 @@ impl Emitters {
                     found.iter_mut().zip(&expected).for_each(|(f, e)| f[1] += e);
                     for (k, lamp) in self.lamps.iter().enumerate() {
                         let u = sequence.point3((probe * lamps + k) as u32);
-                        let source = self.source(lamp.slot(u[0]));
-                        let aim = source.aim(origin, [u[1], u[2]]);
-                        let cosine = n.dot(Vec3::from_array(aim.ray.direction));
-                        if aim.in_front() && cosine > 0.0 {
+                        let Some(sample) = self.aim(field, lamp.slot(u[0]), origin, [u[1], u[2]]) else { continue };
+                        let cosine = n.dot(Vec3::from_array(sample.ray.direction));
+                        if cosine > 0.0 {
                             // at most what was expected: one sample of a lamp nearby says little of the others
-                            let light = (luminance(source.radiance(field, &aim)) * cosine / aim.pdf()).max(0.0);
-                            rays.push(aim.ray);
+                            let light = (luminance(sample.radiance) * cosine / sample.pdf).max(0.0);
+                            rays.push(sample.ray);
                             owners.push((k, light.min(expected[k])));
                         }
                     }
@@ -362,41 +374,26 @@ impl Emitters {
     #[must_use]
     #[inline]
     pub fn sample(&self, field: &LightField, choice: &LampChoice, origin: Vec3, u: [f32; 3]) -> Option<EmitterSample> {
-        let (source, probability) = self.pick(choice, u[0]);
-        let aim = self.source(source).aim(origin, [u[1], u[2]]);
-        aim.in_front().then(|| EmitterSample {
-            ray: aim.ray,
-            radiance: self.source(source).radiance(field, &aim),
-            pdf: probability * aim.pdf(),
+        let (lamp, rest) = choice.sample(u[0]);
+        let sample = self.aim(field, self.lamps[lamp].slot(rest), origin, [u[1], u[2]])?;
+        Some(EmitterSample { pdf: choice.pmf(lamp) * sample.pdf, ..sample })
+    }
+
+    /// A direction to the point of a slot's source that `place` in [0, 1)² stands for, with the density within its lamp; `None` if the
+    /// source faces away.
+    #[inline]
+    fn aim(&self, field: &LightField, slot: u32, origin: Vec3, place: [f32; 2]) -> Option<EmitterSample> {
+        let index = [self.slots[slot as usize]];
+        let aims = self.sources.aim(field, origin, &index, [&[place[0]], &[place[1]]], &mut Columns::default());
+        let (direction, facing) = (Vec3::from_array(aims.direction.map(|d| d[0])), aims.facing[0]);
+        (facing > 0.0).then(|| EmitterSample {
+            ray: Ray::new(origin, direction, aims.t_far[0]),
+            radiance: match aims.address[0] {
+                PORTAL => field.environment.radiance(direction),
+                address => field.texel(address),
+            },
+            pdf: aims.density[0] / facing,
         })
-    }
-
-    /// The slot of a source that `u` in [0, 1) stands for, and the probability of its lamp.
-    #[inline(always)]
-    fn pick(&self, choice: &LampChoice, u: f32) -> (u32, f32) {
-        let (lamp, rest) = choice.sample(u);
-        (self.lamps[lamp].slot(rest), choice.pmf(lamp))
-    }
-
-    /// The same for the next of ascending numbers. The slot is on its way into the cache.
-    #[inline(always)]
-    pub(super) fn pick_next(&self, walk: &mut LampWalk, u: f32) -> (u32, f32) {
-        let (lamp, rest) = walk.next(u);
-        let slot = self.lamps[lamp].slot(rest);
-        prefetch(&self.slots, slot as usize);
-        (slot, walk.choice().pmf(lamp))
-    }
-
-    /// Tells the cache that [`Self::source`] will be asked for soon.
-    #[inline(always)]
-    pub(super) fn expect_source(&self, slot: u32) {
-        prefetch(&self.sources, self.slots[slot as usize] as usize);
-    }
-
-    /// The source of a slot.
-    #[inline(always)]
-    pub(super) fn source(&self, slot: u32) -> &Source {
-        &self.sources[self.slots[slot as usize] as usize]
     }
 
     /// Density per steradian with which [`Self::sample`] draws the direction of a ray from `origin` that ended in `hit`.
@@ -411,6 +408,27 @@ impl Emitters {
         } else {
             self.miss_pdf(choice, origin, direction)
         }
+    }
+
+    /// The pieces of all lamps.
+    pub(super) fn sources(&self) -> &Sources {
+        &self.sources
+    }
+
+    /// The slot of a source that `u` in [0, 1) stands for, and the probability of its lamp; `first` is from [`LampChoice::guide`]. The slot
+    /// is on its way into the cache.
+    #[inline(always)]
+    pub(super) fn pick(&self, choice: &LampChoice, first: u32, u: f32) -> (u32, f32) {
+        let (lamp, rest) = choice.sample_in(first, u);
+        let slot = self.lamps[lamp].slot(rest);
+        prefetch(&self.slots, slot as usize);
+        (slot, choice.pmf(lamp))
+    }
+
+    /// The number of the source of a slot.
+    #[inline(always)]
+    pub(super) fn source_in(&self, slot: u32) -> u32 {
+        self.slots[slot as usize]
     }
 
     /// Tells the cache that [`Self::hit_pdf`] will be asked for a hit on `triangle` soon.

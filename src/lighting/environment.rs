@@ -1,6 +1,6 @@
 //! Radiance of directions in which no geometry is hit: what lies beyond the windows.
 
-use crate::ffi::simd::with_widest;
+use crate::ffi::simd::{prefetch, with_widest};
 use crate::gbuffer::ObservedView;
 use crate::geometry::{Camera, Projection};
 use crate::image::{Plane, RgbPlane};
@@ -13,6 +13,8 @@ use std::f32::consts::FRAC_1_PI;
 /// Size of the environment map: 0.7° per pixel, finer than the parallax of a window seen from two places in a room.
 const WIDTH: usize = 512;
 const HEIGHT: usize = 256;
+/// How many directions before its turn the memory is asked for what one needs.
+const AHEAD: usize = 8;
 const FRAC_1_TAU: f32 = 0.5 * FRAC_1_PI;
 
 /// A distant environment: an equirectangular map in world axes.
@@ -109,6 +111,11 @@ impl Environment {
             }
         });
         for k in 0..n {
+            if let (Some(x), Some(y)) = (x.get(k + AHEAD), y.get(k + AHEAD)) {
+                let (at, next, _) = self.taps(*x, *y);
+                prefetch(&self.padded, at);
+                prefetch(&self.padded, next);
+            }
             each(k, self.at(x[k], y[k]));
         }
     }
@@ -123,13 +130,18 @@ impl Environment {
 
     #[inline(always)]
     fn at(&self, x: f32, y: f32) -> Vec3 {
-        let (w, h) = (self.map.width as u32, self.map.height as u32);
-        let (column, row) = ((x as u32).min(w), (y as u32).min(h));
-        let (tx, ty) = (x - column as f32, y - row as f32);
-        let at = (row * (w + 2) + column) as usize;
-        let next = at + w as usize + 2;
+        let (at, next, [tx, ty]) = self.taps(x, y);
         let (upper, lower) = (&self.padded[at..at + 2], &self.padded[next..next + 2]);
         (upper[0] * (1.0 - tx) + upper[1] * tx) * (1.0 - ty) + (lower[0] * (1.0 - tx) + lower[1] * tx) * ty
+    }
+
+    /// Where the upper and the lower two of four taps begin, and the shares of the right and of the lower ones.
+    #[inline(always)]
+    fn taps(&self, x: f32, y: f32) -> (usize, usize, [f32; 2]) {
+        let (w, h) = (self.map.width as u32, self.map.height as u32);
+        let (column, row) = ((x as u32).min(w), (y as u32).min(h));
+        let at = (row * (w + 2) + column) as usize;
+        (at, at + w as usize + 2, [x - column as f32, y - row as f32])
     }
 
     /// Whether any light comes from outside.

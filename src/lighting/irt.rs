@@ -8,18 +8,16 @@ use super::bundle::{Bundle, Round};
 use super::{Emitters, LightField};
 use crate::geometry::Mesh;
 use crate::math::luminance;
-use crate::parallel;
 use crate::progress::Progress;
 use crate::trace::Tracer;
 use glam::Vec3;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 /// Independent estimates that a bake keeps of every value: what the others say decides which neighbours one is filtered with, so more
 /// of them leave more to decide by.
 pub const PARTS: usize = 8;
-/// Texels per parallel task.
-const CHUNK: usize = 256;
 
 /// How irradiance is estimated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -105,24 +103,33 @@ pub fn bake_irradiance(
     options: &IrtOptions,
     progress: &Progress,
 ) -> Irradiance {
-    let rays = AtomicU64::new(0);
-    let parts = parallel::map_chunks(count, CHUNK, |range| {
-        let receivers: Vec<Receiver> = range.clone().map(&receiver).collect();
-        let out = bake_chunk(bake, &receivers, options);
-        rays.fetch_add(out.rays, Ordering::Relaxed);
-        progress.advance(range.len() as u64);
-        out
-    });
-    let mut all = Irradiance { rays: rays.into_inner(), ..Irradiance::default() };
-    all.value.reserve_exact(count);
-    all.parts.reserve_exact(count);
-    all.error.reserve_exact(count);
-    for p in parts {
-        all.value.extend(p.value);
-        all.parts.extend(p.parts);
-        all.error.extend(p.error);
-    }
-    all
+    let mut out =
+        Irradiance { value: vec![Vec3::ZERO; count], parts: vec![[Vec3::ZERO; PARTS]; count], error: vec![0.0; count], rays: 0 };
+    let lights = if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 };
+    let [ray, light] = options.drawn;
+    let round = Round::new(options, [ray, ray + options.rays.max(PARTS as u32)], [light, light + lights]);
+    let group = round.group();
+    // buffers that no thread uses
+    let idle: Mutex<Vec<Bundle>> = Mutex::default();
+    let idle = || idle.lock().unwrap_or_else(PoisonError::into_inner);
+    let groups = out.value.par_chunks_mut(group).zip(out.parts.par_chunks_mut(group)).zip(out.error.par_chunks_mut(group));
+    out.rays = groups
+        .enumerate()
+        .with_max_len(1)
+        .map(|(g, ((value, parts), error))| {
+            let mut bundle = idle().pop().unwrap_or_default();
+            let members = g * group..g * group + value.len();
+            let rays = bundle.run(bake, &round, members.map(&receiver), |k, shares| {
+                value[k] = shares.iter().sum();
+                parts[k] = shares.map(|s| PARTS as f32 * s);
+                error[k] = (spread(&parts[k].map(luminance)).1 / PARTS as f32).sqrt();
+            });
+            idle().push(bundle);
+            progress.advance(value.len() as u64);
+            rays
+        })
+        .sum();
+    out
 }
 
 impl Irradiance {
@@ -145,25 +152,6 @@ impl Irradiance {
             self.parts[i] = std::array::from_fn(|p| 0.5 * self.parts[i][p] + more.parts[k][p]);
         }
     }
-}
-
-fn bake_chunk(bake: &Bake, receivers: &[Receiver], options: &IrtOptions) -> Irradiance {
-    let n = receivers.len();
-    let mut out = Irradiance { value: vec![Vec3::ZERO; n], parts: vec![[Vec3::ZERO; PARTS]; n], error: vec![0.0; n], rays: 0 };
-    let lights = if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 };
-    let [ray, light] = options.drawn;
-    let round = Round::new(options, [ray, ray + options.rays.max(PARTS as u32)], [light, light + lights]);
-    let mut bundle = Bundle::default();
-    for (g, group) in receivers.chunks(round.group()).enumerate() {
-        let first = g * round.group();
-        out.rays += bundle.run(bake, &round, group, |k, shares| {
-            let parts = shares.map(|s| PARTS as f32 * s);
-            out.value[first + k] = shares.iter().sum();
-            out.error[first + k] = (spread(&parts.map(luminance)).1 / PARTS as f32).sqrt();
-            out.parts[first + k] = parts;
-        });
-    }
-    out
 }
 
 /// Mean of the parts, and the variance of one relative to its square.

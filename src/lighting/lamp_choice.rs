@@ -211,9 +211,32 @@ impl LampChoice {
         (k, rest(self.start(k), x))
     }
 
-    /// Draws lamps as [`Self::sample`] does, for numbers in ascending order.
-    pub(super) fn walk(&self) -> LampWalk<'_> {
-        LampWalk { choice: self, lamp: 0, start: self.start(0) }
+    /// Writes for each of `cells` equal parts of [0, 1) the first lamp that [`Self::sample_in`] can draw there.
+    pub(super) fn guide(&self, cells: usize, first: &mut Vec<u32>) {
+        first.clear();
+        first.resize(cells + 1, 0);
+        // a lamp may end a rounding later than it does: it is only looked at in vain
+        let scale = cells as f32 / self.sum() * (1.0 + 4.0 * f32::EPSILON);
+        for (end, lamp) in self.ends.iter().zip(1..) {
+            first[((end * scale) as usize).min(cells)] = lamp;
+        }
+        let mut ended = 0;
+        for f in first.iter_mut() {
+            (*f, ended) = (ended, ended.max(*f));
+        }
+    }
+
+    /// What [`Self::sample`] draws from `u`; `first` is its part's entry of [`Self::guide`].
+    #[inline(always)]
+    pub(super) fn sample_in(&self, first: u32, u: f32) -> (usize, f32) {
+        let (x, last) = (u * self.sum(), self.ends.len() - 1);
+        let first = (first as usize).min(last);
+        // mostly one step or none: not a branch that would be guessed wrongly
+        let mut lamp = (first + usize::from(self.ends[first] <= x)).min(last);
+        while self.ends[lamp] <= x && lamp < last {
+            lamp += 1;
+        }
+        (lamp, rest(self.start(lamp), x))
     }
 
     fn sum(&self) -> f32 {
@@ -239,35 +262,6 @@ fn rest([start, per_weight]: [f32; 2], x: f32) -> f32 {
     ((x - start) * per_weight).clamp(0.0, 1.0 - f32::EPSILON)
 }
 
-/// See [`LampChoice::walk`].
-pub(super) struct LampWalk<'a> {
-    choice: &'a LampChoice,
-    /// The lamp drawn last, and its [`LampChoice::start`].
-    lamp: usize,
-    start: [f32; 2],
-}
-
-impl<'a> LampWalk<'a> {
-    /// What [`LampChoice::sample`] draws from `u`, which is no less than the number before.
-    #[inline(always)]
-    pub(super) fn next(&mut self, u: f32) -> (usize, f32) {
-        let (choice, x) = (self.choice, u * self.choice.sum());
-        let before = self.lamp;
-        while choice.ends[self.lamp] <= x && self.lamp + 1 < choice.ends.len() {
-            self.lamp += 1;
-        }
-        if self.lamp > before {
-            self.start = choice.start(self.lamp);
-        }
-        (self.lamp, rest(self.start, x))
-    }
-
-    /// Whose lamps are drawn.
-    pub(super) fn choice(&self) -> &'a LampChoice {
-        self.choice
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -279,12 +273,19 @@ mod tests {
         choice.set(|w| *w = weights.to_vec());
         assert!(!choice.is_empty());
         let n = 1 << 16;
-        let (mut count, mut rest_sum, mut last, mut walk) = ([0u32; 7], 0.0f64, 0, choice.walk());
+        let (mut count, mut rest_sum, mut last) = ([0u32; 7], 0.0f64, 0);
+        let guides = [1, 8, 64].map(|cells| {
+            let mut first = Vec::new();
+            choice.guide(cells, &mut first);
+            (cells, first)
+        });
         for i in 0..n {
             let u = (i as f32 + 0.5) / n as f32;
             let (k, rest) = choice.sample(u);
             assert!(k >= last && (0.0..1.0).contains(&rest));
-            assert_eq!(walk.next(u), (k, rest));
+            for (cells, first) in &guides {
+                assert_eq!(choice.sample_in(first[(u * *cells as f32) as usize], u), (k, rest));
+            }
             last = k;
             count[k] += 1;
             rest_sum += f64::from(rest);

@@ -5,7 +5,7 @@
 
 use super::Environment;
 use super::packed::{PackedTexels, Tiles};
-use crate::ffi::simd::prefetch;
+use crate::ffi::simd::{prefetch, whole_within};
 use crate::gbuffer::Orientation;
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
@@ -38,8 +38,17 @@ struct Lookup {
 struct Level {
     size: Vec2,
     /// Last column, last row.
-    last: [u32; 2],
+    last: Vec2,
     tiles: Tiles,
+}
+
+impl Level {
+    /// Address of the texel at a place of the texture.
+    #[inline(always)]
+    fn address(&self, uv: Vec2) -> u32 {
+        let p = uv * self.size;
+        self.tiles.address(whole_within(p.x, self.last.x), whole_within(p.y, self.last.y))
+    }
 }
 
 /// Incident radiance along traced rays.
@@ -94,7 +103,7 @@ impl LightField {
         let mut store = |plane: &RgbPlane, level: &mut Level| {
             *level = Level {
                 size: Vec2::new(plane.width as f32, plane.height as f32),
-                last: [plane.width as u32 - 1, plane.height as u32 - 1],
+                last: Vec2::new(plane.width as f32 - 1.0, plane.height as f32 - 1.0),
                 tiles: texels.push_plane(plane),
             };
         };
@@ -137,10 +146,7 @@ impl LightField {
 
     #[inline(always)]
     fn at(&self, l: &Lookup, level: usize, u: f32, v: f32) -> u32 {
-        let level = &self.levels[level];
-        let p = (l.uv + l.uv_edge1 * u + l.uv_edge2 * v) * level.size;
-        let (x, y) = ((p.x as u32).min(level.last[0]), (p.y as u32).min(level.last[1]));
-        level.tiles.address(x, y)
+        self.levels[level].address(l.uv + l.uv_edge1 * u + l.uv_edge2 * v)
     }
 
     /// Tells the cache that [`Self::address`] will be asked for a hit on `triangle` soon.
@@ -162,18 +168,21 @@ impl LightField {
         self.texels.get(address)
     }
 
-    /// Where the radiance is stored that a triangle sends out at barycentrics (u, v): where a ray that hits it there finds it.
+    /// Where the radiance is stored that an emitting or reflecting triangle sends out at a place of the texture: where a ray that hits it
+    /// there finds it.
     #[inline(always)]
-    pub(super) fn emitted_address(&self, triangle: usize, u: f32, v: f32) -> u32 {
-        let l = &self.lookups[triangle];
-        self.at(l, l.least_level as usize, u, v)
+    pub(super) fn sent_address(&self, uv: Vec2, emitting: bool) -> u32 {
+        // both have the same size
+        let (level, full) = (&self.levels[0], &self.levels[FULL]);
+        level.address(uv).wrapping_add(if emitting { full.tiles.since(&level.tiles) } else { 0 })
     }
 
     /// Radiance that a triangle sends out at barycentrics (u, v).
     #[must_use]
     #[inline]
     pub fn emitted(&self, triangle: usize, u: f32, v: f32) -> Vec3 {
-        self.texel(self.emitted_address(triangle, u, v))
+        let l = &self.lookups[triangle];
+        self.texel(self.at(l, l.least_level as usize, u, v))
     }
 
     /// Whether any texel of triangle `t` emits.

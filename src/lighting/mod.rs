@@ -1,6 +1,7 @@
 //! The light of the scene as textures: observed radiance (TBL), emitters, environment and irradiance (IrT).
 
 mod adaptive;
+mod aiming;
 mod bundle;
 mod emitters;
 mod environment;
@@ -18,7 +19,7 @@ mod sweep;
 mod tbl;
 
 pub use adaptive::{Budget, bake_surface};
-pub use emitters::{EmissionEvidence, Emitters, detect_emissive};
+pub use emitters::{EmissionEvidence, EmitterSample, Emitters, detect_emissive};
 pub use environment::Environment;
 pub use filter::SurfaceFilter;
 pub(crate) use hull::Hull;
@@ -29,6 +30,5 @@ pub use light_field::LightField;
 pub use neighbourhood::Patch;
 pub use nirf::{Nirf, NirfCost, NirfOptions, train_nirf};
 pub use reflection::{Gaze, Levels, Reflector};
-pub use sources::EmitterSample;
 pub(crate) use tbl::prefer_clean;
 pub use tbl::{Fusion, UNSEEN, fuse_radiance};

@@ -44,6 +44,14 @@ impl Tiles {
     }
 }
 
+impl Tiles {
+    /// What an address here exceeds that of the same texel of `other`, a plane as large, by (wrapping around).
+    #[inline(always)]
+    pub(super) fn since(&self, other: &Self) -> u32 {
+        self.first.wrapping_sub(other.first)
+    }
+}
+
 impl PackedTexels {
     /// Address of a texel that is black.
     pub(super) const BLACK: u32 = 0;

@@ -1,106 +1,196 @@
 //! Triangles and portal cells that send out light, packed for sampling: what one sample needs lies side by side in memory.
 
 use super::{Hull, LightField};
+use crate::ffi::simd::{prefetch, transpose4};
 use crate::geometry::Mesh;
-use crate::sampling::square_to_triangle;
-use crate::trace::Ray;
-use glam::Vec3;
-
-/// A direction towards an emitter.
-#[derive(Clone, Copy, Debug)]
-pub struct EmitterSample {
-    /// Shadow ray: hits nothing if the emitter is visible.
-    pub ray: Ray,
-    /// Radiance arriving if visible.
-    pub radiance: Vec3,
-    /// Density per steradian at the receiver.
-    pub pdf: f32,
-}
+use bytemuck::{Pod, Zeroable};
+use glam::{Vec2, Vec3};
 
 /// Shadow rays end this share of their length before the surface they aim at: ten times the rounding of positions and no more, for
 /// what lies between would be overlooked.
 pub(super) const SHORT: f32 = 1e-4;
 
-/// A flat piece of a lamp, one cache line.
-#[derive(Clone, Copy, Debug)]
-#[repr(align(64))]
-pub(super) struct Source {
-    corner: Vec3,
-    edge1: Vec3,
-    edge2: Vec3,
-    /// Unit normal of the side that sends out light.
-    normal: Vec3,
-    /// Density per m² within its lamp.
-    density: f32,
-    /// The mesh triangle; [`PORTAL`] for a cell of the hull.
-    triangle: u32,
-}
-
-/// Marks a source that is a parallelogram through which the environment is seen.
-pub(super) const PORTAL: u32 = u32::MAX;
-
-impl Source {
-    pub(super) fn of_triangle(mesh: &Mesh, field: &LightField, t: u32, density: f32) -> Self {
-        let [a, b, c] = mesh.corners(t as usize);
-        Self { corner: a, edge1: b - a, edge2: c - a, normal: field.outward_normal(t as usize), density, triangle: t }
-    }
-
-    pub(super) fn of_portal(hull: &Hull, cell: u32, density: f32) -> Self {
-        let [corner, edge1, edge2, normal] = hull.cell_frame(cell);
-        Self { corner, edge1, edge2, normal, density, triangle: PORTAL }
-    }
-
-    /// The direction to the point of the source that `u` in [0, 1)² stands for; nothing is looked up or decided yet.
-    #[inline(always)]
-    pub(super) fn aim(&self, origin: Vec3, u: [f32; 2]) -> Aim {
-        let portal = self.triangle == PORTAL;
-        let folded = square_to_triangle(u);
-        let place = if portal { u } else { folded };
-        let d = self.corner + self.edge1 * place[0] + self.edge2 * place[1] - origin;
-        let d2 = d.length_squared();
-        let length = d2.sqrt();
-        let inverse = 1.0 / length;
-        let cosine = -self.normal.dot(d) * inverse;
-        let t_far = if portal { f32::INFINITY } else { length * (1.0 - SHORT) };
-        Aim { ray: Ray::new(origin, d * inverse, t_far), cosine, density: self.density * d2, place, triangle: self.triangle }
-    }
-
-    /// Radiance that arrives along `aim` if nothing is in the way.
-    #[inline]
-    pub(super) fn radiance(&self, field: &LightField, aim: &Aim) -> Vec3 {
-        match self.triangle {
-            PORTAL => field.environment.radiance(Vec3::from_array(aim.ray.direction)),
-            t => field.emitted(t as usize, aim.place[0], aim.place[1]),
-        }
-    }
-}
-
 /// Below this cosine at the source it counts as seen from behind.
 pub(super) const GRAZING: f32 = 1e-6;
 
-/// A direction to a point of a source, which may face away.
-pub(super) struct Aim {
-    /// Shadow ray.
-    pub ray: Ray,
-    /// Density per steradian at the receiver times `cosine`; that of the source within its lamp.
-    pub density: f32,
-    /// At the source; negative where the receiver is behind it.
-    pub cosine: f32,
-    /// Barycentrics of the point, or its place on the portal's cell.
-    pub place: [f32; 2],
-    /// The mesh triangle; [`PORTAL`] where the environment is what shines.
-    pub triangle: u32,
+/// A flat piece of a lamp, one cache line: a triangle or a parallelogram, turned so that edge 1 × edge 2 points to where its light
+/// goes.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C, align(64))]
+struct Source {
+    corner: Vec3,
+    edge1: Vec3,
+    edge2: Vec3,
+    /// Density per m² within its lamp, times the length of edge 1 × edge 2.
+    density: f32,
+    /// The corner in the texture and the edges there; zero for a portal.
+    uv: Vec2,
+    uv_edge1: Vec2,
+    uv_edge2: Vec2,
 }
 
-impl Aim {
-    /// Whether the receiver lies in front of the source (false too where the cosine is not a number).
-    #[inline(always)]
-    pub(super) fn in_front(&self) -> bool {
-        self.cosine > GRAZING
+/// Numbers of a [`Source`].
+const NUMBERS: usize = 16;
+const _: () = assert!(size_of::<Source>() == NUMBERS * size_of::<f32>());
+
+impl Source {
+    /// `density` is per m² within its lamp; light goes where `normal` points.
+    fn new(corner: Vec3, mut edges: [Vec3; 2], normal: Vec3, density: f32, uv: Vec2, mut uv_edges: [Vec2; 2]) -> Self {
+        let doubled_area = edges[0].cross(edges[1]);
+        if doubled_area.dot(normal) < 0.0 {
+            edges.reverse();
+            uv_edges.reverse();
+        }
+        let density = density * doubled_area.length();
+        Self { corner, edge1: edges[0], edge2: edges[1], density, uv, uv_edge1: uv_edges[0], uv_edge2: uv_edges[1] }
+    }
+}
+
+/// What a source is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// A triangle that emits.
+    Emitting,
+    /// A triangle that reflects much light.
+    Reflecting,
+    /// A parallelogram through which the environment is seen.
+    Portal,
+}
+
+/// All sources, in the order of their kinds.
+#[derive(Default)]
+pub(super) struct Sources {
+    list: Vec<Source>,
+    /// Where the emitting ones end, and the reflecting ones.
+    ends: [u32; 2],
+}
+
+/// Room for N sources, number by number.
+pub(super) struct Columns<const N: usize>([[f32; N]; NUMBERS]);
+
+impl<const N: usize> Default for Columns<N> {
+    fn default() -> Self {
+        Self([[0.0; N]; NUMBERS])
+    }
+}
+
+/// Directions to one point each of N sources, column by column; the sources may face away. Nothing is traced yet.
+pub(super) struct Aims<const N: usize> {
+    /// Unit directions.
+    pub direction: [[f32; N]; 3],
+    /// Where shadow rays end.
+    pub t_far: [f32; N],
+    /// Cosine at the source, times a number that is `density`'s too; 0 where the receiver is behind it or sees it under less than
+    /// [`GRAZING`].
+    pub facing: [f32; N],
+    /// `density / facing` is the density per steradian at the receiver, that of the source within its lamp.
+    pub density: [f32; N],
+    /// Address of the point's radiance in the light field; [`PORTAL`] where the environment is what shines.
+    pub address: [u32; N],
+}
+
+/// No address: the radiance is that of the environment.
+pub(super) const PORTAL: u32 = u32::MAX;
+
+impl Sources {
+    /// How many there are.
+    pub(super) fn len(&self) -> usize {
+        self.list.len()
     }
 
-    /// Density per steradian at the receiver; that of the source within its lamp.
-    pub(super) fn pdf(&self) -> f32 {
-        self.density / self.cosine
+    /// Adds a triangle, which comes after those that emit if it does not; `density` is per m² within its lamp.
+    pub(super) fn push_triangle(&mut self, mesh: &Mesh, field: &LightField, t: u32, density: f32) {
+        let t = t as usize;
+        let ([a, b, c], [uv_a, uv_b, uv_c]) = (mesh.corners(t), mesh.corner_uvs(t));
+        let uv_edges = [uv_b - uv_a, uv_c - uv_a];
+        let kind = if field.is_emissive(t) { Kind::Emitting } else { Kind::Reflecting };
+        self.push(kind, Source::new(a, [b - a, c - a], field.outward_normal(t), density, uv_a, uv_edges));
+    }
+
+    /// Adds a cell of the hull, which comes last.
+    pub(super) fn push_portal(&mut self, hull: &Hull, cell: u32, density: f32) {
+        let [corner, edge1, edge2, normal] = hull.cell_frame(cell);
+        self.push(Kind::Portal, Source::new(corner, [edge1, edge2], normal, density, Vec2::ZERO, [Vec2::ZERO; 2]));
+    }
+
+    fn push(&mut self, kind: Kind, source: Source) {
+        self.list.push(source);
+        self.ends.iter_mut().skip(kind as usize).for_each(|end| *end = self.list.len() as u32);
+    }
+
+    #[inline(always)]
+    fn is_emitting(&self, index: u32) -> bool {
+        index < self.ends[0]
+    }
+
+    #[inline(always)]
+    fn is_portal(&self, index: u32) -> bool {
+        index >= self.ends[1]
+    }
+
+    /// Tells the cache that [`Self::aim`] will be asked for a source soon.
+    #[inline(always)]
+    pub(super) fn expect(&self, index: u32) {
+        prefetch(&self.list, index as usize);
+    }
+
+    /// The directions from `origin` to the points that `place` in [0, 1)² stands for, each on the source with the number `index`.
+    #[inline(always)]
+    pub(super) fn aim<const N: usize>(
+        &self,
+        field: &LightField,
+        origin: Vec3,
+        index: &[u32; N],
+        place: [&[f32; N]; 2],
+        Columns(columns): &mut Columns<N>,
+    ) -> Aims<N> {
+        let numbers = |i: u32| -> [[f32; 4]; NUMBERS / 4] { bytemuck::cast(self.list[i as usize]) };
+        let (fours, rest) = index.as_chunks::<4>();
+        for (k, four) in fours.iter().enumerate() {
+            let sources = four.map(numbers);
+            for q in 0..NUMBERS / 4 {
+                for (c, column) in transpose4(sources.map(|s| s[q])).into_iter().enumerate() {
+                    columns[4 * q + c][4 * k..4 * k + 4].copy_from_slice(&column);
+                }
+            }
+        }
+        for (k, i) in rest.iter().enumerate() {
+            for (c, number) in numbers(*i).into_iter().flatten().enumerate() {
+                columns[c][N - rest.len() + k] = number;
+            }
+        }
+        let [ax, ay, az, bx, by, bz, cx, cy, cz, density, uv_x, uv_y, uv1_x, uv1_y, uv2_x, uv2_y] = &*columns;
+        let mut out = Aims { direction: [[0.0; N]; 3], t_far: [0.0; N], facing: [0.0; N], density: [0.0; N], address: [0; N] };
+        let [x, y, z] = &mut out.direction;
+        let (mut u, mut v) = (*place[0], *place[1]);
+        for k in 0..N {
+            // what a triangle folds away is what a parallelogram keeps
+            let half = if self.is_portal(index[k]) { 0.0 } else { 0.5 } * u[k].min(v[k]);
+            (u[k], v[k]) = (u[k] - half, v[k] - half);
+        }
+        for k in 0..N {
+            let (edge1, edge2) = (Vec3::new(bx[k], by[k], bz[k]), Vec3::new(cx[k], cy[k], cz[k]));
+            let d = Vec3::new(ax[k], ay[k], az[k]) + edge1 * u[k] + edge2 * v[k] - origin;
+            let d2 = d.length_squared();
+            let length = d2.sqrt();
+            let unit = d * (1.0 / length);
+            let doubled_area = edge1.cross(edge2);
+            let facing = -doubled_area.dot(unit);
+            let least = GRAZING * doubled_area.length_squared().sqrt();
+            (x[k], y[k], z[k]) = (unit.x, unit.y, unit.z);
+            out.t_far[k] = length * (1.0 - SHORT);
+            out.facing[k] = if facing > least { facing } else { 0.0 };
+            out.density[k] = density[k] * d2;
+        }
+        for k in 0..N {
+            let uv = Vec2::new(uv_x[k] + uv1_x[k] * u[k] + uv2_x[k] * v[k], uv_y[k] + uv1_y[k] * u[k] + uv2_y[k] * v[k]);
+            out.address[k] = field.sent_address(uv, self.is_emitting(index[k]));
+        }
+        for k in 0..N {
+            let portal = self.is_portal(index[k]);
+            out.t_far[k] = if portal { f32::INFINITY } else { out.t_far[k] };
+            out.address[k] = if portal { PORTAL } else { out.address[k] };
+        }
+        out
     }
 }

@@ -9,7 +9,8 @@ pub const CHUNK: usize = 4096;
 /// Maps fixed-size index ranges `[begin, end)` covering `0..len` in parallel and returns the results in order.
 pub fn map_chunks<T: Send>(len: usize, chunk: usize, f: impl Fn(std::ops::Range<usize>) -> T + Sync + Send) -> Vec<T> {
     let chunk = chunk.max(1);
-    (0..len.div_ceil(chunk)).into_par_iter().map(|i| f(i * chunk..((i + 1) * chunk).min(len))).collect()
+    // every chunk may go to another thread: longer runs would leave threads idle at the end
+    (0..len.div_ceil(chunk)).into_par_iter().with_max_len(1).map(|i| f(i * chunk..((i + 1) * chunk).min(len))).collect()
 }
 
 /// Sums `f(i)` over `0..len` in f64 with the same bits for any number of threads.

@@ -70,7 +70,7 @@ impl Tracer for EmbreeTracer {
         if rays.len() <= BATCH {
             return self.scene.closest(rays, hits);
         }
-        rays.par_chunks(BATCH).zip(hits.par_chunks_mut(BATCH)).for_each(|(r, h)| self.scene.closest(r, h));
+        rays.par_chunks(BATCH).zip(hits.par_chunks_mut(BATCH)).with_max_len(1).for_each(|(r, h)| self.scene.closest(r, h));
     }
 
     fn occluded(&self, rays: &[Ray], occluded: &mut [u8]) {
@@ -80,7 +80,10 @@ impl Tracer for EmbreeTracer {
         if rays.len() <= BATCH {
             return self.scene.occluded(rays, occluded, width);
         }
-        rays.par_chunks(BATCH).zip(occluded.par_chunks_mut(BATCH)).for_each(|(r, o)| self.scene.occluded(r, o, width));
+        rays.par_chunks(BATCH)
+            .zip(occluded.par_chunks_mut(BATCH))
+            .with_max_len(1)
+            .for_each(|(r, o)| self.scene.occluded(r, o, width));
     }
 }
 
