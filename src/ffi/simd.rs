@@ -88,7 +88,7 @@ pub fn transpose4(rows: [[f32; 4]; 4]) -> [[f32; 4]; 4] {
                 _mm_movehl_ps(cd_high, ab_high),
             ]
         };
-        columns.map(|c| bytemuck::cast(c))
+        columns.map(bytemuck::cast)
     }
     #[cfg(not(target_arch = "x86_64"))]
     std::array::from_fn(|c| rows.map(|row| row[c]))

@@ -186,10 +186,10 @@ impl Sources {
             let uv = Vec2::new(uv_x[k] + uv1_x[k] * u[k] + uv2_x[k] * v[k], uv_y[k] + uv1_y[k] * u[k] + uv2_y[k] * v[k]);
             out.address[k] = field.sent_address(uv, self.is_emitting(index[k]));
         }
-        for k in 0..N {
-            let portal = self.is_portal(index[k]);
-            out.t_far[k] = if portal { f32::INFINITY } else { out.t_far[k] };
-            out.address[k] = if portal { PORTAL } else { out.address[k] };
+        for ((i, t_far), address) in index.iter().zip(&mut out.t_far).zip(&mut out.address) {
+            let portal = self.is_portal(*i);
+            *t_far = if portal { f32::INFINITY } else { *t_far };
+            *address = if portal { PORTAL } else { *address };
         }
         out
     }
