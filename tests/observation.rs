@@ -4,7 +4,7 @@ mod common;
 
 use common::lit::{Quad, box_quads, mesh_of};
 use glam::{Mat3, Quat, Vec3};
-use unbake::gbuffer::{Observation, ObservedView, Observer, Orientation, ViewBuffer};
+use unbake::gbuffer::{Observation, ObservedView, Observer, Orientation, ViewBuffer, estimate_gains};
 use unbake::geometry::{Camera, Lens, Mesh, Projection};
 use unbake::image::Plane;
 use unbake::lighting::{Fusion, UNSEEN, fuse_radiance};
@@ -290,4 +290,152 @@ fn unseen_texels_say_so() {
     }
     let (_, masked) = fuse(&quads, &views, &mesh, 32);
     assert!(masked.views.iter().all(|v| *v == 0) && masked.radiance.iter().all(|r| *r == Vec3::ZERO));
+}
+
+/// Paint from dark to bright, a wall ten times its neighbour, with a gentle pattern on it.
+fn paint(quad: usize, p: Vec3) -> Vec3 {
+    let base = [0.2, 2.0, 0.5, 1.2, 0.3, 0.8, 0.6, 1.5, 0.25, 1.0, 0.4, 0.7][quad % 12];
+    base * Vec3::new(1.0 + 0.1 * (2.0 * p.x + p.y).sin(), 1.0 + 0.1 * (2.0 * p.z).cos(), 1.0 - 0.1 * (1.5 * p.y - p.z).sin())
+}
+
+/// Photographs by four cameras of the painted surfaces of `real`, looked up on the stated mesh.
+fn painted(real: &[Quad], stated: &Mesh, shade: impl Fn(usize, Vec3) -> Vec3) -> Vec<ObservedView> {
+    let real = EmbreeTracer::new(&mesh_of(real)).expect("Embree");
+    let tracer = EmbreeTracer::new(stated).expect("Embree");
+    let view = |camera: &Camera| {
+        let seen = ViewBuffer::trace(camera, &real);
+        let (w, h) = (camera.width, camera.height);
+        let shade = |i: usize| match seen.triangle.data[i] {
+            Hit::MISS => Vec3::ZERO,
+            t => shade(t as usize / 2, seen.position(i % w, i / w)),
+        };
+        let radiance = Plane { width: w, height: h, data: (0..w * h).map(shade).collect() };
+        let buffer = ViewBuffer::trace(camera, &tracer);
+        let clean = buffer.clean_pixels(stated, None);
+        ObservedView { buffer, radiance, clean, labels: None, valid: None }
+    };
+    cameras()[..4].iter().map(view).collect()
+}
+
+/// Relative errors of the fused radiance of clean texels against the paint: root mean square, 99 % quantile, worst.
+fn off_paint(fusion: &Fusion, texels: &Texels, mesh: &Mesh) -> [f32; 3] {
+    let off = |i: usize| {
+        let truth = paint(texels.point[i].triangle as usize / 2, texels.position(mesh, i));
+        ((fusion.radiance[i] - truth) / truth).abs().max_element()
+    };
+    let mut all: Vec<f32> = (0..texels.len()).filter(|&i| fusion.clean[i]).map(off).collect();
+    assert!(all.len() > 4_000, "{} clean texels", all.len());
+    all.sort_by(f32::total_cmp);
+    let rms = (all.iter().map(|e| e * e).sum::<f32>() / all.len() as f32).sqrt();
+    [rms, all[all.len() * 99 / 100], all[all.len() - 1]]
+}
+
+/// One view's image lies a pixel beside its geometry, beside walls ten times as bright.
+#[test]
+fn a_view_off_by_a_pixel_hardly_changes_the_fused_radiance() {
+    let quads = room();
+    let mesh = mesh_of(&quads);
+    let views = painted(&quads, &mesh, paint);
+    let error = |views: &[ObservedView]| {
+        let (texels, fusion) = fuse(&quads, views, &mesh, 128);
+        off_paint(&fusion, &texels, &mesh)
+    };
+    let still = error(&views);
+    println!("registered: {still:.4?}");
+    assert!(still[0] < 0.005 && still[2] < 0.03, "{still:?}");
+    for (v, (dx, dy)) in [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1)].into_iter().enumerate() {
+        let mut shifted = views.clone();
+        let image = &views[v % 4].radiance;
+        let (w, h) = (image.width as i32, image.height as i32);
+        let from = |i: i32| ((i % w + dx).rem_euclid(w) + w * (i / w + dy).clamp(0, h - 1)) as usize;
+        shifted[v % 4].radiance.data = (0..w * h).map(|i| image.data[from(i)]).collect();
+        let moved = error(&shifted);
+        println!("view {} by ({dx}, {dy}): {moved:.4?}", v % 4);
+        assert!(moved[0] < 0.01 && moved[1] < 0.03 && moved[2] < 0.15, "view {} by ({dx}, {dy}): {moved:?}", v % 4);
+    }
+}
+
+/// The mesh is a centimetre off the room that was photographed: a block beside its place, a wall before it.
+#[test]
+fn a_mesh_off_by_a_centimetre_hardly_changes_the_fused_radiance() {
+    let stated = room();
+    let mesh = mesh_of(&stated);
+    let mut real = room();
+    real[6..].iter_mut().for_each(|q| q.corner += Vec3::new(0.0071, 0.0, -0.0071));
+    real[5].corner += Vec3::Z * 0.01;
+    real[2].corner -= Vec3::X * 0.01;
+    let (texels, fusion) = fuse(&stated, &painted(&real, &mesh, paint), &mesh, 128);
+    let off = off_paint(&fusion, &texels, &mesh);
+    println!("a centimetre off: {off:.4?}");
+    assert!(off[0] < 0.02 && off[1] < 0.05, "{off:?}");
+}
+
+/// Views of different exposure and white balance, through the estimate of their gains: up to one factor for all, the radiance is as if all
+/// had been exposed alike.
+#[test]
+fn views_of_different_exposure_fuse_to_one_radiance() {
+    let quads = room();
+    let mesh = mesh_of(&quads);
+    let mut views = painted(&quads, &mesh, paint);
+    let gains = [Vec3::new(1.5, 1.4, 1.3), Vec3::new(0.7, 0.75, 0.8), Vec3::new(1.2, 1.2, 1.2), Vec3::new(0.8, 0.8, 0.75)];
+    for (view, gain) in views.iter_mut().zip(gains) {
+        view.radiance.data.iter_mut().for_each(|l| *l *= gain);
+    }
+    let orientation = Orientation::of_winding(mesh.triangles.len());
+    // what is common to all views stays
+    let common = gains.iter().fold(Vec3::ONE, |a, g| a * *g).powf(0.25);
+    let error = |views: &[ObservedView]| {
+        let (texels, mut fusion) = fuse(&quads, views, &mesh, 128);
+        fusion.radiance.iter_mut().for_each(|l| *l /= common);
+        off_paint(&fusion, &texels, &mesh)
+    };
+    let before = error(&views);
+    let found = estimate_gains(&Observer { mesh: &mesh, views: &views }, &orientation);
+    assert!(found.is_needed(), "{found:?}");
+    for (v, view) in views.iter_mut().enumerate() {
+        view.radiance.data.iter_mut().for_each(|l| *l *= found.correction(v));
+    }
+    let after = error(&views);
+    println!("as photographed {before:.4?}, balanced {after:.4?}");
+    assert!(before[0] > 0.1, "{before:?}");
+    assert!(after[0] < 0.01 && after[1] < 0.02, "{after:?}");
+}
+
+/// A wall of two charts of different density, photographed with noise: texels that meet at the seam agree as far as the noise lets them.
+#[test]
+fn both_sides_of_a_seam_agree() {
+    let mut quads = room();
+    let (wall, share) = (quads[2], 0.27);
+    quads[2].edge_v = wall.edge_v * share;
+    quads.push(Quad { corner: wall.corner + wall.edge_v * share, edge_v: wall.edge_v * (1.0 - share), ..wall });
+    let mesh = mesh_of(&quads);
+    let of = |q: usize| if q == 12 { 2 } else { q };
+    let noise = |p: Vec3| {
+        let mut rng = KeyedRng::new(4, u64::from((p.x * 3.1 + p.y * 7.7 + p.z * 1.3).to_bits()));
+        1.0 + 0.05 * 12f32.sqrt() * (rng.next_f32() - 0.5)
+    };
+    let views = painted(&quads, &mesh, |q, p| paint(of(q), p) * noise(p));
+    let (texels, fusion) = fuse(&quads, &views, &mesh, 256);
+    let at = |i: usize| texels.position(&mesh, i);
+    let relative = |i: usize| luminance(fusion.radiance[i]) / luminance(paint(2, at(i))) - 1.0;
+    let seam = (wall.corner + wall.edge_v * share).z;
+    let near = |quad: usize| -> Vec<usize> {
+        let of = |i: &usize| texels.point[*i].triangle as usize / 2 == quad && (at(*i).z - seam).abs() < 0.05 && fusion.clean[*i];
+        (0..texels.len()).filter(of).collect()
+    };
+    let (left, right) = (near(2), near(12));
+    assert!(left.len() > 50 && right.len() > 25, "{} {}", left.len(), right.len());
+    let squares = |x: &[f32]| x.iter().map(|e| e * e).sum::<f32>() / x.len() as f32;
+    let own = squares(&left.iter().chain(&right).map(|&i| relative(i)).collect::<Vec<_>>());
+    let steps: Vec<f32> = right
+        .iter()
+        .map(|&i| {
+            let closest = left.iter().min_by(|a, b| at(**a).distance(at(i)).total_cmp(&at(**b).distance(at(i)))).expect("some");
+            relative(i) - relative(*closest)
+        })
+        .collect();
+    let mean = steps.iter().sum::<f32>() / steps.len() as f32;
+    println!("{} pairs: noise {:.4}, steps {:.4}, their mean {mean:.4}", steps.len(), own.sqrt(), squares(&steps).sqrt());
+    assert!(own.sqrt() < 0.05, "noise {:.4}", own.sqrt());
+    assert!(squares(&steps) < 1.5 * 2.0 * own && mean.abs() < 0.01, "steps {:.4}, mean {mean:.4}", squares(&steps).sqrt());
 }

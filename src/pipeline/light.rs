@@ -401,7 +401,63 @@ fn complete_radiance(surface: &Surface, irradiance: &RgbPlane, emissive: &[bool]
 
 #[cfg(test)]
 mod tests {
+    use super::super::surface::tests::{box_scene, unseen};
     use super::*;
+
+    /// What nobody sees sends out its class's share of what it receives: all of it at most, whatever glints its class shows elsewhere, and
+    /// nothing in the dark.
+    #[test]
+    fn unseen_texels_do_not_invent_light() {
+        let scene = box_scene();
+        let mut surface = unseen(&scene, 96);
+        let wall = |i: usize| surface.texels.point[i].triangle as usize / 2;
+        let walls: Vec<usize> = (0..surface.texels.len()).map(wall).collect();
+        // light that falls off across every wall, and next to none on the last
+        let received: Vec<Vec3> = (0..walls.len())
+            .map(|i| Vec3::splat((1 + surface.texels.cell[i] % 96) as f32 * if walls[i] == 5 { 1e-6 } else { 1.0 }))
+            .collect();
+        let irradiance = texture_of(&surface.texels, &received);
+        let white: Vec<Vec3> = (0..walls.len()).map(|i| surface.texels.lookup(&scene.mesh, &irradiance, i) * FRAC_1_PI).collect();
+        let colour = Vec3::new(0.4, 0.2, 0.6);
+        for (i, &w) in walls.iter().enumerate() {
+            // every third texel is seen clean, another third at edges only
+            let (clean, edge) = (i % 3 == 0, i % 3 == 1);
+            let (radiance, clean, views) = match w {
+                // matte paint, of which the last wall is painted too
+                0 | 4 => (colour * white[i], clean, u8::from(clean)),
+                // a highlight on all of the class that is seen
+                1 => (9.0 * white[i], clean, u8::from(clean)),
+                // seen at edges, mixed with something brighter, or a little brighter itself
+                2 => (if clean { colour } else { 40.0 * colour } * white[i], clean, u8::from(clean || edge)),
+                3 => (if clean { colour } else { 1.2 * colour } * white[i], clean, u8::from(clean || edge)),
+                _ => (Vec3::ZERO, false, 0),
+            };
+            (surface.fusion.radiance[i], surface.fusion.peak[i]) = (radiance, radiance);
+            (surface.fusion.clean[i], surface.fusion.views[i]) = (clean, views);
+        }
+        surface.labels = walls.iter().map(|w| if *w == 5 { 1 } else { 1 + *w as u16 }).collect();
+        let filled = complete_radiance(&surface, &irradiance, &[false; 12]);
+        let near = |a: Vec3, b: Vec3| (a - b).abs().max_element() <= 1e-4 * b.max_element();
+        let mut checked = [0; 6];
+        for (i, &w) in walls.iter().enumerate() {
+            let (f, got) = (&surface.fusion, filled[i]);
+            assert!(f.clean[i] || got.cmple(white[i] * 1.0001).all(), "wall {w}, texel {i}: {got} of {}", white[i]);
+            let expected = match w {
+                _ if f.clean[i] => f.radiance[i],
+                1 => white[i],
+                3 if f.views[i] > 0 => f.radiance[i],
+                _ => colour * white[i],
+            };
+            assert!(near(got, expected), "wall {w}, texel {i}: {got} for {expected}");
+            checked[w] += u32::from(!f.clean[i]);
+        }
+        assert!(checked.iter().all(|n| *n > 100), "{checked:?}");
+        // without any clean look at a class: half of what it receives
+        surface.fusion.clean.fill(false);
+        surface.fusion.views.fill(0);
+        let filled = complete_radiance(&surface, &irradiance, &[false; 12]);
+        assert!(filled.iter().zip(&white).all(|(l, w)| near(*l, 0.5 * *w)));
+    }
 
     #[test]
     fn a_lamp_does_not_make_its_frame_shine() {

@@ -155,3 +155,93 @@ fn unseen_far_sides(
     }
     (out, received.rays)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::surface::tests::{box_scene, unseen};
+    use super::*;
+    use crate::brdf::Reflectance;
+    use crate::lighting::Emitters;
+    use std::f32::consts::PI;
+
+    const SIDE: usize = 96;
+    const ALBEDO: f32 = 0.6;
+
+    /// A furnace of irradiance π whose first pass sends out `radiance`, after the second: irradiance beside π and albedo of each texel, with
+    /// its place and whether it is floor; and the specular reflectance of the walls. `known` are the walls whose material is.
+    fn furnace(radiance: f32, known: impl Fn(usize) -> bool) -> (Vec<(f32, f32, Vec3, bool)>, f32) {
+        let scene = box_scene();
+        let surface = unseen(&scene, SIDE);
+        let (mesh, n) = (&scene.mesh, surface.texels.len());
+        let flat = |v: f32| Plane::filled(SIDE, SIDE, Vec3::splat(v));
+        let none = Plane::filled(SIDE, SIDE, false);
+        let field = LightField::new(mesh, &surface.orientation, flat(radiance), &none, &[], Vec::new(), Environment::black());
+        let emitters = Emitters::new(mesh, &field, &surface.tracer, &[]);
+        let mut light = Light {
+            field,
+            emitters,
+            emissive: vec![false; mesh.triangles.len()],
+            radiance: flat(radiance),
+            texels: surface.texels.clone(),
+            irradiance: flat(PI),
+            error: vec![0.0; n],
+            rays: 0,
+        };
+        let wall = |i: usize| surface.texels.point[i].triangle as usize / 2;
+        let mut albedo = AlbedoEstimate {
+            value: vec![Vec3::splat(ALBEDO); n],
+            error: (0..n).map(|i| if known(wall(i)) { 0.1 } else { f32::INFINITY }).collect(),
+            looks: vec![1.0; n],
+            specular_share: vec![0.0; n],
+            clean: vec![true; n],
+            footprint: vec![0.01; n],
+        };
+        let lobes = WideLobes::new(Reflectance::Paper);
+        let (_, rays) = add_missing_light(&surface, &mut light, &mut albedo, (&lobes, &|_| 0.8), 1, &Progress::silent());
+        assert!(rays > 0);
+        let of = |i: usize| {
+            let e = surface.texels.lookup(mesh, &light.irradiance, i).x / PI;
+            (e, albedo.value[i].x, surface.texels.position(mesh, i), wall(i) == 0)
+        };
+        ((0..n).map(of).collect(), lobes.mean_response(0.8))
+    }
+
+    /// With diffuse radiance alone the specular part is missing: E grows by ρ, and what is reflected diffusely stays.
+    #[test]
+    fn a_furnace_gets_the_light_its_walls_mirror() {
+        // as photographed past all reflections; with a highlight taken for light; black; far too bright
+        for radiance in [ALBEDO, 0.8, 0.0, 2.0] {
+            let (texels, specular) = furnace(radiance, |_| true);
+            assert!(specular > 0.01 && specular < 0.1, "{specular}");
+            let expected = (1.0 + ALBEDO + specular - radiance).clamp(LIMITS.0, LIMITS.1);
+            for (e, albedo, p, _) in texels {
+                assert!((e / expected - 1.0).abs() < 2e-3, "radiance {radiance}, {p}: {e} for {expected}");
+                assert!((albedo * e / ALBEDO - 1.0).abs() < 1e-4, "radiance {radiance}, {p}: albedo {albedo}");
+            }
+        }
+    }
+
+    /// If only the ceiling's material is known, the floor gets its share of that by the ceiling's form factor.
+    #[test]
+    fn missing_light_falls_off_as_form_factors_say() {
+        let (texels, specular) = furnace(0.0, |wall| wall == 1);
+        // of a rectangle from the point below its corner, x and y in units of the height
+        let corner = |x: f32, y: f32| {
+            let half = |x: f32, y: f32| x / (1.0 + x * x).sqrt() * (y / (1.0 + x * x).sqrt()).atan();
+            (half(x, y) + half(y, x)) / (2.0 * PI)
+        };
+        let height = 3.0;
+        let (mut square, mut count) = (0.0, 0);
+        for (e, _, p, _) in texels.iter().filter(|t| t.3) {
+            let [x, z] = [p.x, p.z].map(|v| v / height);
+            let [far_x, far_z] = [4.0 / height - x, 5.0 / height - z];
+            let share = corner(x, z) + corner(far_x, z) + corner(x, far_z) + corner(far_x, far_z);
+            let expected = 1.0 + (ALBEDO + specular) * share;
+            assert!((e / expected - 1.0).abs() < 0.03, "{p}: {e} for {expected}");
+            square += (e / expected - 1.0).powi(2);
+            count += 1;
+        }
+        let rms = (square / count as f32).sqrt();
+        assert!(count > 400 && rms < 0.006, "{count} texels, rms {rms}");
+    }
+}

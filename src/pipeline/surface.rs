@@ -228,8 +228,54 @@ pub(super) fn coverage(texels: &Texels) -> Plane<bool> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
+    use glam::{DVec3, Vec2};
+
+    /// A box of 4 × 3 × 5 m seen from inside: floor, ceiling and four walls, two triangles and a cell of the atlas each.
+    pub fn box_scene() -> Scene {
+        let size = Vec3::new(4.0, 3.0, 5.0);
+        let [x, y, z] = [Vec3::X * size.x, Vec3::Y * size.y, Vec3::Z * size.z];
+        let walls = [(Vec3::ZERO, z, x), (y, x, z), (Vec3::ZERO, y, z), (x, z, y), (Vec3::ZERO, x, y), (z, y, x)];
+        let mut mesh = Mesh::default();
+        for (i, (corner, u, v)) in walls.into_iter().enumerate() {
+            let first = mesh.positions.len() as u32;
+            let cell = Vec2::new((i % 3) as f32, (i / 3) as f32);
+            for (a, b) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
+                mesh.positions.push(corner + u * a + v * b);
+                mesh.uvs.push((cell + Vec2::new(0.1 + 0.8 * a, 0.1 + 0.8 * b)) / 3.0);
+                mesh.normals.push(u.cross(v).normalize());
+            }
+            mesh.triangles.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+        }
+        Scene::from_parts(std::path::PathBuf::new(), DVec3::ZERO, mesh, Vec::new(), Vec::new())
+    }
+
+    /// The surface of a scene of which no view sees anything: what is seen is up to the test.
+    pub fn unseen(scene: &Scene, side: usize) -> Surface<'_> {
+        let texels = Texels::rasterize(&scene.mesh, side, side);
+        let (n, triangles) = (texels.len(), scene.mesh.triangles.len());
+        let fusion = Fusion {
+            radiance: vec![Vec3::ZERO; n],
+            clean: vec![false; n],
+            peak: vec![Vec3::ZERO; n],
+            views: vec![0; n],
+            label: vec![0; n],
+            floor: vec![f32::INFINITY; n],
+        };
+        Surface {
+            scene,
+            tracer: EmbreeTracer::new(&scene.mesh).expect("Embree"),
+            views: Vec::new(),
+            orientation: Orientation::of_winding(triangles),
+            sizes: Sizes { albedo: side, roughness: side, irradiance: side },
+            labels: texels.point.iter().map(|p| 1 + p.triangle as u16 / 2).collect(),
+            texels,
+            fusion,
+            back: vec![Vec3::ZERO; triangles],
+            offset: 7e-5,
+        }
+    }
 
     #[test]
     fn a_reduced_photograph_keeps_its_brightness_even_beyond_its_size() {
