@@ -10,7 +10,7 @@ use tempfile::TempDir;
 use unbake::Error;
 use unbake::formats;
 use unbake::image::Plane;
-use unbake::pipeline::{Checkpoints, SolveOptions, Solved, reconstruct};
+use unbake::pipeline::{Checkpoints, SolveOptions, Solved, Surface, reconstruct, reconstruct_light};
 use unbake::progress::Progress;
 use unbake::scene::{LoadOptions, Scene, Split};
 use unbake::solution::{SaveOptions, Solution};
@@ -119,6 +119,28 @@ fn materials_are_near_the_truth() {
         assert!((mean - truth).abs() < bound, "class {label}: roughness {mean:.3} against {truth}");
     }
     assert!(s.emission.data.iter().any(|e| e.x > 20.0), "the lamps of radiance 48 are found");
+}
+
+/// What no view sees is filled in with the light that it can reflect of what arrives there, by a finer bake than the one that filled it,
+/// in shelves and below furniture as elsewhere; what single texels have too much is little.
+#[test]
+fn unseen_texels_send_out_no_more_than_they_receive() {
+    let scene = load();
+    let options = SolveOptions { albedo_size: 2 * SIDE, irradiance_size: 2 * SIDE, irradiance_rays: 64, ..options() };
+    let surface = Surface::observe(&scene, &options, &Progress::silent()).expect("observed");
+    let light = reconstruct_light(&surface, &options, &Progress::silent());
+    let (mut sent, mut received, mut excess, mut count) = (0.0, 0.0, 0.0, 0);
+    let unseen = |i: &usize| surface.fusion.views[*i] == 0 && !light.emissive[surface.texels.point[*i].triangle as usize];
+    for i in (0..surface.texels.len()).filter(unseen) {
+        let white = surface.texels.lookup(&scene.mesh, &light.irradiance, i) / std::f32::consts::PI;
+        let radiance = light.radiance.data[surface.texels.cell[i] as usize];
+        sent += f64::from(radiance.element_sum());
+        received += f64::from(white.element_sum());
+        excess += f64::from((radiance - white).max(Vec3::ZERO).element_sum());
+        count += 1;
+    }
+    println!("{count} unseen texels send {:.3} of what they receive, {:.4} of it in excess", sent / received, excess / received);
+    assert!(count > 10_000 && sent < 0.75 * received && excess < 0.07 * received, "{sent} {received} {excess}");
 }
 
 #[test]

@@ -63,8 +63,7 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let known = with_slivers(&scene.mesh, &surface.texels, known_lights(surface, options));
     let observed: Vec<bool> = surface.fusion.views.iter().map(|v| *v > 0).collect();
     let first_look = trusted_radiance(surface, &known);
-    let trusted: Vec<bool> = (0..observed.len()).map(|i| surface.fusion.clean[i] || lit(surface, &known, i)).collect();
-    let mut radiance = filled_radiance(surface, &first_look, &trusted);
+    let mut radiance = first_radiance(surface, &first_look, &known);
     let coarse = coarse_texels(surface);
     let coarse_options = IrtOptions { rays: 64, emitter_samples: 16, seed: options.seed ^ 1, ..IrtOptions::default() };
     let mut rays = 0;
@@ -248,6 +247,16 @@ fn with_slivers(mesh: &Mesh, texels: &Texels, mut emissive: Vec<bool>) -> Vec<bo
 fn filled_radiance(surface: &Surface, values: &[Vec3], observed: &[bool]) -> RgbPlane {
     let plane = surface.texels.scatter(values, Vec3::ZERO);
     fill_uncovered(&plane, &surface.texels.scatter(observed, false))
+}
+
+/// A first look at the radiance: where no clean pixel shows it, that of texels nearby in the atlas. Lamps are no guide to those around
+/// them: unseen books beside a lamp's chart would shine like the lamp, and light their shelf.
+fn first_radiance(surface: &Surface, values: &[Vec3], known: &[bool]) -> RgbPlane {
+    let lamp = |i: usize| lit(surface, known, i);
+    let guides: Vec<bool> = (0..values.len()).map(|i| surface.fusion.clean[i] && !lamp(i)).collect();
+    let mut plane = filled_radiance(surface, values, &guides);
+    (0..values.len()).filter(|&i| lamp(i)).for_each(|i| plane.data[surface.texels.cell[i] as usize] = values[i]);
+    plane
 }
 
 /// Covered texels of the coarse irradiance texture.
