@@ -113,6 +113,8 @@ extern "C" int unbake_image_write(const char *path, int width, int height, int c
         OIIO::ImageSpec spec(width, height, channels, type);
         spec.channelnames.assign(names, names + channels);
         spec.attribute("compression", "zip");
+        // Otherwise the hour of writing: equal pixels are to be equal files.
+        spec.attribute("DateTime", "1970:01:01 00:00:00");
         if (!output->open(path, spec) || !output->write_image(type, data) || !output->close()) {
             report(error, size, output->geterror());
             return 0;

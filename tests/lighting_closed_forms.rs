@@ -529,7 +529,7 @@ fn surface(lit: &Lit, receivers: &[Receiver], rounds: u32) -> Irradiance {
 /// The same with further samples only where they matter.
 fn surface_where(lit: &Lit, receivers: &[Receiver], importance: &[f32], rounds: u32) -> Irradiance {
     let patches: Vec<Patch> = receivers.iter().map(|r| Patch { position: r.position, normal: r.normal, size: 0.05 }).collect();
-    let budget = Budget { samples: [96, 48], rounds, filter: true, target: 0.001, seed: 3 };
+    let budget = Budget { estimator: Estimator::Mis, samples: [96, 48], rounds, filter: true, target: 0.001, seed: 3 };
     bake_surface(&lit.bake(), &patches, |i| receivers[i], importance, &budget, &Progress::silent())
 }
 

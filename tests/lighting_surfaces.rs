@@ -51,7 +51,7 @@ impl Atlas {
         let receiver = |i: usize| self.receivers[i];
         let (bake, silent) = (lit.bake(), Progress::silent());
         let surface = |samples: [u32; 2]| {
-            let budget = Budget { samples, rounds: 3, filter: true, target: 0.01, seed: 5 };
+            let budget = Budget { estimator: Estimator::Mis, samples, rounds: 3, filter: true, target: 0.01, seed: 5 };
             bake_surface(&bake, &self.patches, receiver, &self.importance, &budget, &silent)
         };
         let plain = bake_irradiance(&bake, self.receivers.len(), receiver, &IrtOptions::default(), &silent);
@@ -338,7 +338,7 @@ fn texels_within_the_target_stop() {
     let rays = |quads: &[Quad], target: f32, rounds: u32| {
         let (lit, atlas) = (Lit::new(quads, Environment::black()), Atlas::new(quads, 128));
         let (n, receiver) = (atlas.receivers.len(), |i: usize| atlas.receivers[i]);
-        let budget = Budget { samples: [96, 48], rounds, filter: true, target, seed: 3 };
+        let budget = Budget { estimator: Estimator::Mis, samples: [96, 48], rounds, filter: true, target, seed: 3 };
         let out = bake_surface(&lit.bake(), &atlas.patches, receiver, &vec![1.0; n], &budget, &Progress::silent());
         // the powers of two within two thirds of the budget
         let first = IrtOptions { rays: 64, emitter_samples: 32, seed: 3, ..IrtOptions::default() };
@@ -385,4 +385,29 @@ fn the_stated_error_is_true() {
         println!("{how}: states {stated:.4}, is {rms:.4}, worst {worst:.3}");
         assert!((0.5..2.0).contains(&(stated / rms)), "{how}: states {stated:.4}, is {rms:.4}");
     }
+}
+
+/// Whatever the estimator, the budget is what it spends and a large lamp's light what it finds; only `Mis` asks for the lamp.
+#[test]
+fn every_estimator_spends_the_budget_and_finds_the_light() {
+    let lamp = quad([1.0, 2.9, 0.5], [2.0, 0.0, 0.0], [0.0, 0.0, 2.0], 10.0, true);
+    let quads = rooms(&[], &[lamp]);
+    let (lit, atlas) = (Lit::new(&quads, Environment::black()), Atlas::new(&quads, 128));
+    let floor = atlas.among(|q, p| q == FLOOR && p.x < 4.0);
+    let expected: Vec<f64> =
+        floor.iter().map(|&i| 10.0 * lambert(&lamp.corners(), atlas.receivers[i].position, Vec3::Y)).collect();
+    let texels = atlas.receivers.len() as u64;
+    let rms = [Estimator::Uniform, Estimator::Cosine, Estimator::Mis].map(|estimator| {
+        let budget = Budget { estimator, samples: [96, 48], rounds: 3, filter: true, target: 0.0, seed: 5 };
+        let out =
+            bake_surface(&lit.bake(), &atlas.patches, |i| atlas.receivers[i], &atlas.importance, &budget, &Progress::silent());
+        // (how many of the samples towards the lamp need no ray is estimated)
+        assert!(out.rays <= 147 * texels, "{estimator:?}: {} rays for {texels} texels", out.rays);
+        if estimator != Estimator::Mis {
+            assert!(out.rays > 138 * texels, "{estimator:?}: {} rays for {texels} texels", out.rays);
+        }
+        errors(&out, &floor, &expected).0
+    });
+    let [uniform, cosine, mis] = rms;
+    assert!(uniform < 0.2 && cosine < 0.1 && mis < 0.02 && mis < cosine && cosine < uniform, "{rms:?}");
 }

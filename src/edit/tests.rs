@@ -45,6 +45,7 @@ fn furnace(albedo: f32, radiance: f32) -> Solution {
         radiance: grey(48, radiance),
         emission: grey(48, 0.0),
         confidence: Plane::filled(48, 48, Vec2::ZERO),
+        irradiance_error: None,
         labels,
         rooms: Plane::filled(48, 48, 1),
         environment: Plane::filled(4, 2, Vec3::ZERO),

@@ -25,7 +25,10 @@ const DIM: f32 = 0.5;
 /// What a texture's irradiance may cost.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Budget {
-    /// Hemisphere rays and emitter samples per texel, on average.
+    /// How irradiance is estimated. Only `Mis` asks emitters, and only what can be continued is spent in several rounds: `Uniform`
+    /// draws all at once.
+    pub estimator: Estimator,
+    /// Hemisphere rays and emitter samples per texel, on average; without emitters these are hemisphere rays as well.
     pub samples: [u32; 2],
     /// Rounds in which they are spent; 1 = all texels alike.
     pub rounds: u32,
@@ -37,12 +40,22 @@ pub struct Budget {
     pub seed: u64,
 }
 
+impl Budget {
+    /// What is spent where the estimator allows for no more.
+    fn within_estimator(&self) -> Self {
+        let samples = if self.estimator == Estimator::Mis { self.samples } else { [self.samples.iter().sum(), 0] };
+        let rounds = if self.estimator == Estimator::Uniform { 1 } else { self.rounds };
+        Self { samples, rounds, ..self.clone() }
+    }
+}
+
 /// The samples of texels level by level: twice as many on each as on the one below.
 struct Levels {
     /// Hemisphere rays and emitter samples of level 0.
     base: [u32; 2],
     /// The level of the first round where texels matter.
     first: u8,
+    estimator: Estimator,
     seed: u64,
 }
 
@@ -57,14 +70,14 @@ impl Levels {
         let first = first.map(|s| if s == 0 { 0 } else { s.max(least) });
         let spare = |steps: &u8| first.iter().all(|s| *s == 0 || (s % (1 << steps) == 0 && s >> steps >= least));
         let steps = if budget.rounds > 1 { (0..=SPARED).rev().find(spare).unwrap_or(0) } else { 0 };
-        Self { base: first.map(|s| s >> steps), first: steps, seed: budget.seed }
+        Self { base: first.map(|s| s >> steps), first: steps, estimator: budget.estimator, seed: budget.seed }
     }
 
     /// What takes a texel from a level, or from nothing, to another.
     fn options(&self, from: Option<u8>, to: u8) -> IrtOptions {
         let drawn = self.base.map(|s| from.map_or(0, |l| s << l));
         let [rays, emitter_samples] = [0, 1].map(|k| (self.base[k] << to) - drawn[k]);
-        IrtOptions { estimator: Estimator::Mis, drawn, rays, emitter_samples, seed: self.seed }
+        IrtOptions { estimator: self.estimator, drawn, rays, emitter_samples, seed: self.seed }
     }
 }
 
@@ -79,7 +92,7 @@ pub fn bake_surface(
     budget: &Budget,
     progress: &Progress,
 ) -> Irradiance {
-    let count = patches.len();
+    let (count, budget) = (patches.len(), &budget.within_estimator());
     if !budget.filter {
         let levels = Levels::new(&Budget { rounds: 1, ..budget.clone() });
         return bake_irradiance(bake, count, &receiver, &levels.options(None, 0), progress);

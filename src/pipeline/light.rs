@@ -140,6 +140,7 @@ pub fn bake_irradiance_texels(
     progress: &Progress,
 ) -> Irradiance {
     let budget = Budget {
+        estimator: options.irradiance_estimator,
         samples: [options.irradiance_rays, options.emitter_samples],
         target: options.irradiance_error,
         rounds: options.irradiance_rounds,

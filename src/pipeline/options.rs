@@ -2,6 +2,7 @@
 
 use super::{Budget, Checkpoints, Quality};
 use crate::brdf::Reflectance;
+use crate::lighting::Estimator;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 
@@ -46,6 +47,8 @@ pub struct SolveOptions {
     pub fit: Fit,
     /// Photographs are reduced by this factor, 1 or more.
     pub photo_reduction: usize,
+    /// How irradiance is estimated.
+    pub irradiance_estimator: Estimator,
     /// Hemisphere rays per irradiance texel, on average.
     pub irradiance_rays: u32,
     /// Emitter samples per irradiance texel, on average.

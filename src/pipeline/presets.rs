@@ -6,6 +6,7 @@ use super::budget::parse_seconds;
 use super::{Budget, Checkpoints, Fit, SolveOptions, Switch};
 use crate::brdf::Reflectance;
 use crate::highlight::LEVELS;
+use crate::lighting::Estimator;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
@@ -33,6 +34,7 @@ impl SolveOptions {
             irradiance_size: 1024,
             fit: Fit::default(),
             photo_reduction: 1,
+            irradiance_estimator: Estimator::Mis,
             irradiance_rays: 136,
             emitter_samples: 68,
             irradiance_rounds: 3,
@@ -115,6 +117,10 @@ pub struct SolveRequest {
     /// Reduce photographs by this factor before anything else [default: 1].
     #[arg(long, value_name = "FACTOR")]
     pub photo_reduction: Option<usize>,
+    /// How irradiance is estimated: mis = hemisphere rays and emitter samples; the others take hemisphere rays for both, cosine in rounds,
+    /// uniform (the paper's) all at once [default: mis].
+    #[arg(long, value_enum, value_name = "ESTIMATOR")]
+    pub irradiance_estimator: Option<Estimator>,
     /// Hemisphere rays per irradiance texel, on average [default: 136].
     #[arg(long, value_name = "N")]
     pub irradiance_rays: Option<u32>,
@@ -206,6 +212,7 @@ impl SolveRequest {
                 irradiance: fit(self.irradiance_size.is_some()),
             },
             photo_reduction: self.photo_reduction.unwrap_or(preset.photo_reduction),
+            irradiance_estimator: self.irradiance_estimator.unwrap_or(preset.irradiance_estimator),
             irradiance_rays: self.irradiance_rays.unwrap_or(preset.irradiance_rays),
             emitter_samples: self.emitter_samples.unwrap_or(preset.emitter_samples),
             irradiance_rounds: self.irradiance_rounds.unwrap_or(preset.irradiance_rounds),

@@ -299,6 +299,7 @@ fn assemble(
         radiance: light.radiance.clone(),
         emission: texels.scatter(&emission, Vec3::ZERO),
         confidence: texels.scatter(&confidence, Vec2::splat(1e4)),
+        irradiance_error: Some(light.texels.scatter(&light.error, 0.0)),
         rooms,
         labels,
         environment: light.field.environment.map().clone(),

@@ -31,6 +31,8 @@ pub struct Solution {
     pub emission: RgbPlane,
     /// Standard errors (albedo, roughness); 1e4 = unobserved.
     pub confidence: Plane<Vec2>,
+    /// Relative standard error of the irradiance's luminance, 0 outside charts; `None` where nobody estimated it.
+    pub irradiance_error: Option<Plane<f32>>,
     /// Class ids per texel, 0 = unlabelled.
     pub labels: Plane<u16>,
     /// Room ids per texel, 0 = outside.
@@ -75,6 +77,7 @@ pub(crate) mod tests {
             radiance: ramp(8, 8, 2.0),
             emission,
             confidence: Plane { width: 16, height: 16, data: (0..256).map(|i| Vec2::new(i as f32 * 0.01, 1e4)).collect() },
+            irradiance_error: Some(Plane { width: 16, height: 16, data: (0..256).map(|i| i as f32 * 0.001).collect() }),
             labels: Plane { width: 16, height: 16, data: (0..256).map(|i| (i % 7) as u16 * 9000).collect() },
             rooms: Plane::filled(16, 16, 1),
             environment: ramp(8, 4, 3.0),

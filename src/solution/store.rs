@@ -26,6 +26,9 @@ pub const FILES: [&str; 10] = [
     "scene.glb",
 ];
 
+/// A file that only solutions with a stated error of their irradiance have.
+const IRRADIANCE_ERROR: &str = "irradiance_error.exr";
+
 /// The largest finite half-precision value.
 const HALF_MAX: f32 = 65_504.0;
 
@@ -53,12 +56,19 @@ impl Solution {
             write_radiometric(&at("radiance.exr"), &self.radiance)?;
             write_radiometric(&at("emission.exr"), &self.emission)?;
             write_two_channels_half(at("confidence.exr"), &self.confidence)?;
+            if let Some(error) = &self.irradiance_error {
+                write_plane_half(at(IRRADIANCE_ERROR), error)?;
+            }
             write_png16(at("labels.png"), &self.labels)?;
             write_png16(at("rooms.png"), &self.rooms)?;
             write_radiometric(&at("environment.exr"), &self.environment)
         };
         let (glb, textures) = rayon::join(glb, textures);
         textures.and(glb)?;
+        match &self.irradiance_error {
+            Some(_) => aside.publish(folder, &[IRRADIANCE_ERROR])?,
+            None => remove_if_there(&folder.join(IRRADIANCE_ERROR))?,
+        }
         aside.publish(folder, &FILES)
     }
 
@@ -87,6 +97,10 @@ impl Solution {
             radiance: rgb("radiance.exr")?,
             emission: rgb("emission.exr")?,
             confidence: read_two_channels(folder.join("confidence.exr"))?,
+            irradiance_error: match folder.join(IRRADIANCE_ERROR) {
+                path if path.is_file() => Some(read_plane(path)?),
+                _ => None,
+            },
             labels: read_labels(folder.join("labels.png"))?,
             rooms: read_labels(folder.join("rooms.png"))?,
             environment: rgb("environment.exr")?,
@@ -114,6 +128,11 @@ impl Solution {
             .or_else(|| {
                 let i = self.confidence.data.iter().position(|v| !v.is_finite())?;
                 Some(("confidence", i, self.confidence.width))
+            })
+            .or_else(|| {
+                let error = self.irradiance_error.as_ref()?;
+                let i = error.data.iter().position(|v| !v.is_finite())?;
+                Some(("irradiance error", i, error.width))
             });
         match first {
             None => Ok(()),
@@ -132,6 +151,14 @@ fn write_radiometric(path: &Path, plane: &RgbPlane) -> Result<()> {
         write_rgb_float(path, plane)
     } else {
         write_rgb_half(path, plane).map(drop)
+    }
+}
+
+/// Removes a file that an earlier solution may have left.
+fn remove_if_there(path: &Path) -> Result<()> {
+    match std::fs::remove_file(path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(path, e)),
+        _ => Ok(()),
     }
 }
 
@@ -188,6 +215,7 @@ mod tests {
             .collect();
         names.sort();
         let mut expected = FILES.map(String::from).to_vec();
+        expected.push(IRRADIANCE_ERROR.into());
         expected.sort();
         assert_eq!(names, expected, "exactly the promised files, nothing left aside");
 

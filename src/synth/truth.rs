@@ -46,6 +46,7 @@ fn assemble(apartment: &Apartment, mesh: Mesh, texture: &Plane<Vec4>) -> Solutio
         radiance: black(),
         emission: texels.scatter(&emitted, Vec3::ZERO),
         confidence: Plane::filled(4, 4, Vec2::ZERO),
+        irradiance_error: None,
         labels: texels.scatter(&labels, 0),
         rooms: Plane::filled(4, 4, 0),
         reflectance: crate::brdf::Reflectance::Paper,

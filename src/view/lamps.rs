@@ -292,6 +292,7 @@ mod tests {
             radiance: Plane::filled(8, 8, Vec3::ZERO),
             emission,
             confidence: Plane::filled(8, 8, Vec2::ZERO),
+            irradiance_error: None,
             labels: Plane::filled(8, 8, 3),
             rooms: Plane::filled(8, 8, 1),
             reflectance: crate::brdf::Reflectance::Paper,
