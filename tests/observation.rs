@@ -235,7 +235,7 @@ fn fuse(quads: &[Quad], views: &[ObservedView], mesh: &Mesh, side: usize) -> (Te
     (texels, fusion)
 }
 
-/// One of five views sees a highlight twenty times as bright on half of everything: what three or more views see stays.
+/// One of four views sees a highlight twenty times as bright on half of everything: what another view sees as well stays.
 #[test]
 fn a_highlight_in_one_view_does_not_become_light() {
     let quads = room();
@@ -244,20 +244,18 @@ fn a_highlight_in_one_view_does_not_become_light() {
     let mut views: Vec<ObservedView> = cameras()[..4].iter().map(|c| photograph(&mesh, &quads, &tracer, *c, *c)).collect();
     views[1].radiance.data.iter_mut().enumerate().for_each(|(i, p)| *p *= if i % 256 < 128 { 20.0 } else { 1.0 });
     let (texels, fusion) = fuse(&quads, &views, &mesh, 128);
-    let (mut checked, mut lowest) = (0, 0);
+    let (mut checked, mut pairs) = (0, 0);
     for i in 0..texels.len() {
         let truth = luminance(quads[texels.point[i].triangle as usize / 2].radiance);
-        if fusion.clean[i] && fusion.views[i] >= 3 {
+        if fusion.clean[i] && fusion.views[i] >= 2 {
             let got = luminance(fusion.radiance[i]);
             assert!((got / truth - 1.0).abs() < 0.1, "texel {i}: {got} against {truth} from {} views", fusion.views[i]);
             checked += 1;
-        }
-        if fusion.clean[i] && fusion.views[i] >= 2 {
+            pairs += usize::from(fusion.views[i] == 2);
             assert!((fusion.floor[i] / truth - 1.0).abs() < 1e-3, "the darkest look is free of the highlight");
-            lowest += 1;
         }
     }
-    assert!(checked > 2_000 && lowest > checked, "{checked} {lowest}");
+    assert!(checked > 2_000 && pairs > 100, "{checked} {pairs}");
 }
 
 #[test]

@@ -15,6 +15,9 @@ use glam::Vec3;
 /// Texels per parallel task.
 const CHUNK: usize = 2048;
 
+/// Relative difference of two looks up to which both count alike.
+const ALIKE: f32 = 0.05;
+
 /// The label of a texel that no view sees.
 pub const UNSEEN: u32 = u32::MAX;
 
@@ -96,6 +99,14 @@ fn vote_label(seen: &[Observation]) -> u32 {
     ballot.iter().fold((UNSEEN, 0.0f32), |best, b| if b.1 > best.1 { *b } else { best }).0
 }
 
+/// Weighted median of weighted numbers, and the median distance from it.
+fn middle_and_spread(order: &[(f32, f32)]) -> (f32, f32) {
+    let median = weighted_median(order).map_or(0.0, |i| order[i].0);
+    let mut spread: Vec<f32> = order.iter().map(|o| (o.0 - median).abs()).collect();
+    spread.sort_by(f32::total_cmp);
+    (median, spread[spread.len() / 2])
+}
+
 /// Weighted median by luminance, then a Huber-weighted mean around it.
 fn robust_mean(seen: &[Observation]) -> Vec3 {
     match seen {
@@ -109,10 +120,12 @@ fn robust_mean(seen: &[Observation]) -> Vec3 {
     weights.sort_by(f32::total_cmp);
     let most = weights[weights.len() / 2];
     order.iter_mut().for_each(|o| o.1 = o.1.min(most));
-    let median = weighted_median(&order).map_or(0.0, |i| order[i].0);
-    let mut spread: Vec<f32> = order.iter().map(|o| (o.0 - median).abs()).collect();
-    spread.sort_by(f32::total_cmp);
-    let scale = 1.5 * spread[spread.len() / 2] + 0.02 * median + f32::MIN_POSITIVE;
+    let (median, spread) = match order[..] {
+        // of two that disagree by more than noise the darker is nearer to the truth: reflections only add
+        [a, b] => (a.0.min(b.0), (a.0 - b.0).abs().min(ALIKE * a.0.min(b.0))),
+        _ => middle_and_spread(&order),
+    };
+    let scale = 1.5 * spread + 0.02 * median + f32::MIN_POSITIVE;
     let (mut sum, mut total) = (Vec3::ZERO, 0.0);
     for o in seen {
         let distance = (luminance(o.radiance) - median).abs() / scale;

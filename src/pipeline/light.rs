@@ -139,6 +139,9 @@ pub fn bake_irradiance_texels(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Irradiance {
+    if let Some(epochs) = options.nirf {
+        return super::neural::field_at_texels(surface, field, emitters, texels, epochs, options, progress);
+    }
     let budget = Budget {
         estimator: options.irradiance_estimator,
         samples: [options.irradiance_rays, options.emitter_samples],

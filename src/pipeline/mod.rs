@@ -6,6 +6,7 @@ mod checkpoint;
 mod decisions;
 mod labels;
 mod light;
+mod neural;
 mod options;
 mod painted;
 mod presets;

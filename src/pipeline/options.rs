@@ -49,6 +49,8 @@ pub struct SolveOptions {
     pub photo_reduction: usize,
     /// How irradiance is estimated.
     pub irradiance_estimator: Estimator,
+    /// Epochs for which the paper's neural irradiance field is trained, which then takes the place of the rays of irradiance texels.
+    pub nirf: Option<u32>,
     /// Hemisphere rays per irradiance texel, on average.
     pub irradiance_rays: u32,
     /// Emitter samples per irradiance texel, on average.
@@ -132,6 +134,9 @@ impl SolveOptions {
             if samples > 1 << 20 {
                 return wrong(format!("--{flag} {samples}: must be at most 1048576"));
             }
+        }
+        if let Some(epochs) = self.nirf.filter(|e| !(1..=1_000_000).contains(e)) {
+            return wrong(format!("--nirf {epochs}: must be from 1 to 1000000 epochs (the paper: 2000)"));
         }
         if !(1..=16).contains(&self.irradiance_rounds) {
             return wrong(format!("--irradiance-rounds {}: must be from 1 to 16", self.irradiance_rounds));

@@ -35,6 +35,7 @@ impl SolveOptions {
             fit: Fit::default(),
             photo_reduction: 1,
             irradiance_estimator: Estimator::Mis,
+            nirf: None,
             irradiance_rays: 136,
             emitter_samples: 68,
             irradiance_rounds: 3,
@@ -121,6 +122,10 @@ pub struct SolveRequest {
     /// uniform (the paper's) all at once [default: mis].
     #[arg(long, value_enum, value_name = "ESTIMATOR")]
     pub irradiance_estimator: Option<Estimator>,
+    /// Take irradiance from the paper's neural field instead, trained for so many epochs (the paper: 2000): its lighting ablation, less exact
+    /// and slower.
+    #[arg(long, value_name = "EPOCHS", conflicts_with_all = ["target_error", "budget"])]
+    pub nirf: Option<u32>,
     /// Hemisphere rays per irradiance texel, on average [default: 136].
     #[arg(long, value_name = "N")]
     pub irradiance_rays: Option<u32>,
@@ -213,6 +218,7 @@ impl SolveRequest {
             },
             photo_reduction: self.photo_reduction.unwrap_or(preset.photo_reduction),
             irradiance_estimator: self.irradiance_estimator.unwrap_or(preset.irradiance_estimator),
+            nirf: self.nirf,
             irradiance_rays: self.irradiance_rays.unwrap_or(preset.irradiance_rays),
             emitter_samples: self.emitter_samples.unwrap_or(preset.emitter_samples),
             irradiance_rounds: self.irradiance_rounds.unwrap_or(preset.irradiance_rounds),

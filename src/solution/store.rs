@@ -254,6 +254,26 @@ mod tests {
     }
 
     #[test]
+    fn the_irradiances_error_is_kept_and_an_old_one_removed() {
+        let folder = tempfile::tempdir().expect("temp");
+        let mut solution = small_solution();
+        solution.save(folder.path(), &SaveOptions::default()).expect("saves");
+        let back = Solution::load(folder.path()).expect("loads").irradiance_error.expect("is there");
+        let stated = solution.irradiance_error.take().expect("is stated");
+        assert!(back.data.iter().zip(&stated.data).all(|(a, b)| (a - b).abs() <= b * 5e-4 + 1e-7));
+        solution.save(folder.path(), &SaveOptions::default()).expect("saves");
+        assert!(Solution::load(folder.path()).expect("loads").irradiance_error.is_none(), "nobody's error");
+    }
+
+    #[test]
+    fn the_hour_of_writing_is_not_in_the_files() {
+        let folder = tempfile::tempdir().expect("temp");
+        small_solution().save(folder.path(), &SaveOptions::default()).expect("saves");
+        let bytes = std::fs::read(folder.path().join("albedo.exr")).expect("reads");
+        assert!(bytes.windows(19).any(|w| w == b"1970:01:01 00:00:00"));
+    }
+
+    #[test]
     fn a_failed_save_leaves_the_old_solution() {
         let folder = tempfile::tempdir().expect("temp");
         let solution = small_solution();
@@ -265,7 +285,7 @@ mod tests {
         let message = broken.save(folder.path(), &SaveOptions::default()).expect_err("refuses").to_string();
         assert!(message.contains("roughness texture is not finite at texel (3, 0)"), "{message}");
         assert_eq!(std::fs::read(folder.path().join("albedo.exr")).expect("reads"), before);
-        assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), FILES.len());
+        assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), FILES.len() + 1);
     }
 
     #[test]

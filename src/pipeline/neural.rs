@@ -1,0 +1,34 @@
+//! Irradiance from the paper's neural field in place of the texture's rays: its lighting ablation (method §3.2).
+
+use super::{SolveOptions, Surface};
+use crate::lighting::{Emitters, Irradiance, LightField, NirfOptions, PARTS, train_nirf};
+use crate::math::luminance;
+use crate::progress::Progress;
+use crate::texture::Texels;
+use glam::Vec3;
+use std::f32::consts::FRAC_PI_2;
+
+/// Trains a field for `epochs` and reads it out at every texel. The stated error is what the last epoch's loss amounts to, the noise of its
+/// targets included.
+pub(super) fn field_at_texels(
+    surface: &Surface,
+    field: &LightField,
+    emitters: &Emitters,
+    texels: &Texels,
+    epochs: u32,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Irradiance {
+    let training = NirfOptions { epochs, seed: NirfOptions::default().seed ^ options.seed, ..NirfOptions::default() };
+    let bake = surface.bake(field, emitters);
+    let (nirf, cost) = progress.stage("neural irradiance field", u64::from(epochs), |p| {
+        train_nirf(&bake, &|t, u, v| surface.normals(t, u, v), &training, p, &mut |_, _| {})
+    });
+    let points: Vec<(Vec3, Vec3)> =
+        (0..texels.len()).map(|i| surface.receiver(texels, i)).map(|r| (r.position, r.normal)).collect();
+    let value: Vec<Vec3> = nirf.irradiance(&points).into_iter().map(|e| e.max(Vec3::ZERO)).collect();
+    // a mean |log(1+E) − target| of l is a standard deviation of √(π/2)·l, if it is normal
+    let spread = FRAC_PI_2.sqrt() * cost.loss as f32;
+    let error = value.iter().map(|e| luminance(*e)).map(|e| spread * (1.0 + e) / e.max(f32::MIN_POSITIVE)).map(|e| e.min(1e4));
+    Irradiance { error: error.collect(), parts: value.iter().map(|e| [*e; PARTS]).collect(), value, rays: cost.rays }
+}
