@@ -128,8 +128,9 @@ fn robust_mean(seen: &[Observation]) -> Vec3 {
     let scale = 1.5 * spread + 0.02 * median + f32::MIN_POSITIVE;
     let (mut sum, mut total) = (Vec3::ZERO, 0.0);
     for o in seen {
-        let distance = (luminance(o.radiance) - median).abs() / scale;
-        let w = sharpness(o).sqrt() / distance.max(1.0);
+        let far = ((luminance(o.radiance) - median).abs() / scale).max(1.0);
+        // the brighter of a pair has no third to speak for it: the farther off, the less it moves the mean at all
+        let w = sharpness(o).sqrt() / if seen.len() == 2 { far * far } else { far };
         sum += o.radiance * w;
         total += w;
     }
