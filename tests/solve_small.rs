@@ -10,6 +10,7 @@ use tempfile::TempDir;
 use unbake::Error;
 use unbake::formats;
 use unbake::image::Plane;
+use unbake::lighting::Estimator;
 use unbake::pipeline::{Checkpoints, SolveOptions, Solved, Surface, reconstruct, reconstruct_light};
 use unbake::progress::Progress;
 use unbake::scene::{LoadOptions, Scene, Split};
@@ -163,6 +164,27 @@ fn bits_do_not_depend_on_the_number_of_threads() {
 
 /// A million times darker or brighter photographs of the same room: the materials are the same to the last bit, because powers of
 /// two scale floating-point numbers exactly and no threshold is absolute.
+/// The paper's estimators and its field stand in for the default's light, less exactly.
+#[test]
+fn other_estimators_of_irradiance_are_whole_solutions() {
+    let scene = load();
+    let best = &reference().solution;
+    let off = |other: &SolveOptions| {
+        let solved = reconstruct(&scene, other, &Progress::silent()).expect("reconstructs").solution;
+        sane(&solved);
+        let stated = solved.irradiance_error.as_ref().expect("is stated");
+        assert!(stated.data.iter().all(|e| (0.0..=1e4).contains(e)) && stated.data.iter().any(|e| *e > 0.0));
+        let pairs = || solved.irradiance.data.iter().zip(&best.irradiance.data);
+        let square = |v: Vec3| f64::from(v.length_squared());
+        (pairs().map(|(a, b)| square(*a - *b)).sum::<f64>() / pairs().map(|(_, b)| square(*b)).sum::<f64>()).sqrt()
+    };
+    let with = |irradiance_estimator| off(&SolveOptions { irradiance_estimator, ..options() });
+    let (uniform, cosine) = (with(Estimator::Uniform), with(Estimator::Cosine));
+    let field = off(&SolveOptions { nirf: Some(2), ..options() });
+    assert!(cosine < 0.15 && uniform < 0.3 && field.is_finite(), "{cosine} {uniform} {field}");
+    assert!(cosine > 0.0 && uniform > 0.0 && field > cosine, "{cosine} {uniform} {field}");
+}
+
 #[test]
 fn exposure_does_not_change_materials() {
     let a = &reference().solution;
