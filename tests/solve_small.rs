@@ -162,8 +162,6 @@ fn bits_do_not_depend_on_the_number_of_threads() {
     assert_eq!(a.mesh, b.mesh);
 }
 
-/// A million times darker or brighter photographs of the same room: the materials are the same to the last bit, because powers of
-/// two scale floating-point numbers exactly and no threshold is absolute.
 /// The paper's estimators and its field stand in for the default's light, less exactly.
 #[test]
 fn other_estimators_of_irradiance_are_whole_solutions() {
@@ -185,6 +183,8 @@ fn other_estimators_of_irradiance_are_whole_solutions() {
     assert!(cosine > 0.0 && uniform > 0.0 && field > cosine, "{cosine} {uniform} {field}");
 }
 
+/// A million times darker or brighter photographs of the same room: the materials are the same to the last bit, because powers of
+/// two scale floating-point numbers exactly and no threshold is absolute.
 #[test]
 fn exposure_does_not_change_materials() {
     let a = &reference().solution;

@@ -44,7 +44,7 @@ pub(super) fn measure(ground: &Ground, texels: &Texels, reference: &Reference, e
         (r.position, r.normal)
     };
     let points: Vec<(Vec3, Vec3)> = reference.ids.iter().map(|&i| place(i)).collect();
-    let options = NirfOptions { epochs, seed: NirfOptions::default().seed ^ ground.options.seed, ..NirfOptions::default() };
+    let options = NirfOptions::of_run(epochs, ground.options.seed);
     let mut checkpoints = Vec::new();
     let bake = ground.bake(&surface.tracer);
     let mut each = |field: &Nirf, cost: &NirfCost| {

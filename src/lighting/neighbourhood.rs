@@ -98,6 +98,12 @@ impl Neighbourhood {
         Self { octaves, octave_of, rank }
     }
 
+    /// The texels of a group that are of the octave itself.
+    fn members<'a>(&'a self, octave: &'a Octave, group: &Group) -> impl Iterator<Item = usize> + use<'a> {
+        let all = octave.sorted[group.range.clone()].iter().map(|&i| i as usize);
+        all.filter(|&i| self.octave_of[i] == octave.octave)
+    }
+
     /// `f(i, near, scratch)` for every texel that is `asked` for, with the texels within `reach` texels of it, itself among them; the
     /// default for all others. In the order of the texels.
     pub(super) fn map<S: Default, R: Send + Sync + Clone + Default>(
@@ -119,8 +125,7 @@ impl Neighbourhood {
         tasks.into_par_iter().for_each_init(
             || (Candidates::default(), Vec::new(), S::default()),
             |(candidates, near, scratch), (o, group, own)| {
-                let all = &o.sorted[group.range.clone()];
-                let members = || all.iter().map(|&i| i as usize).filter(|&i| self.octave_of[i] == o.octave);
+                let members = || self.members(o, group);
                 let Some(bounds) = bounds(members().filter(|&i| asked(i)).map(|i| &patches[i]), reach) else { return };
                 candidates.fill(patches, o, group, bounds);
                 for (i, out) in members().zip(own).filter(|(i, _)| asked(*i)) {
@@ -155,11 +160,11 @@ impl Neighbourhood {
         let tasks: Vec<(&Octave, &Group)> = self.octaves.iter().flat_map(|o| o.groups.iter().map(move |g| (o, g))).collect();
         let each = |(candidates, found): &mut (Candidates, Vec<Near>), (o, group): (&Octave, &Group)| {
             let (mut near, mut ends) = (Vec::new(), Vec::new());
-            let members = || o.sorted[group.range.clone()].iter().copied().filter(|&i| self.octave_of[i as usize] == o.octave);
-            if let Some(bounds) = bounds(members().map(|i| &patches[i as usize]), reach) {
+            let members = || self.members(o, group);
+            if let Some(bounds) = bounds(members().map(|i| &patches[i]), reach) {
                 candidates.fill(patches, o, group, bounds);
                 for i in members() {
-                    candidates.find(&patches[i as usize], reach, found);
+                    candidates.find(&patches[i], reach, found);
                     near.extend(found.iter().map(|n| (n.id, n.distance2)));
                     ends.push((i, near.len() as u32));
                 }
@@ -173,7 +178,7 @@ impl Neighbourhood {
         for (list, ends) in found {
             let mut start = 0;
             for (i, end) in ends {
-                place[i as usize] = (near.len() as u32, std::mem::replace(&mut start, end)..end);
+                place[i] = (near.len() as u32, std::mem::replace(&mut start, end)..end);
             }
             near.push(list);
         }

@@ -54,6 +54,15 @@ impl Default for NirfOptions {
     }
 }
 
+impl NirfOptions {
+    /// The paper's, for so many epochs; `seed` is the run's.
+    #[must_use]
+    pub fn of_run(epochs: u32, seed: u64) -> Self {
+        let paper = Self::default();
+        Self { epochs, seed: paper.seed ^ seed, ..paper }
+    }
+}
+
 /// What a training cost.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NirfCost {

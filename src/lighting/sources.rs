@@ -3,6 +3,7 @@
 use super::{Hull, LightField};
 use crate::ffi::simd::{prefetch, transpose4};
 use crate::geometry::Mesh;
+use crate::sampling::square_to_triangle;
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
 
@@ -46,23 +47,12 @@ impl Source {
     }
 }
 
-/// What a source is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
-    /// A triangle that emits.
-    Emitting,
-    /// A triangle that reflects much light.
-    Reflecting,
-    /// A parallelogram through which the environment is seen.
-    Portal,
-}
-
-/// All sources, in the order of their kinds.
+/// All sources: triangles that emit, triangles that reflect much light, parallelograms through which the environment is seen.
 #[derive(Default)]
 pub(super) struct Sources {
     list: Vec<Source>,
-    /// Where the emitting ones end, and the reflecting ones.
-    ends: [u32; 2],
+    emitting_end: u32,
+    triangles_end: u32,
 }
 
 /// Room for N sources, number by number.
@@ -103,29 +93,27 @@ impl Sources {
         let t = t as usize;
         let ([a, b, c], [uv_a, uv_b, uv_c]) = (mesh.corners(t), mesh.corner_uvs(t));
         let uv_edges = [uv_b - uv_a, uv_c - uv_a];
-        let kind = if field.is_emissive(t) { Kind::Emitting } else { Kind::Reflecting };
-        self.push(kind, Source::new(a, [b - a, c - a], field.outward_normal(t), density, uv_a, uv_edges));
+        self.list.push(Source::new(a, [b - a, c - a], field.outward_normal(t), density, uv_a, uv_edges));
+        self.triangles_end = self.list.len() as u32;
+        if field.is_emissive(t) {
+            self.emitting_end = self.triangles_end;
+        }
     }
 
     /// Adds a cell of the hull, which comes last.
     pub(super) fn push_portal(&mut self, hull: &Hull, cell: u32, density: f32) {
         let [corner, edge1, edge2, normal] = hull.cell_frame(cell);
-        self.push(Kind::Portal, Source::new(corner, [edge1, edge2], normal, density, Vec2::ZERO, [Vec2::ZERO; 2]));
-    }
-
-    fn push(&mut self, kind: Kind, source: Source) {
-        self.list.push(source);
-        self.ends.iter_mut().skip(kind as usize).for_each(|end| *end = self.list.len() as u32);
+        self.list.push(Source::new(corner, [edge1, edge2], normal, density, Vec2::ZERO, [Vec2::ZERO; 2]));
     }
 
     #[inline(always)]
     fn is_emitting(&self, index: u32) -> bool {
-        index < self.ends[0]
+        index < self.emitting_end
     }
 
     #[inline(always)]
     fn is_portal(&self, index: u32) -> bool {
-        index >= self.ends[1]
+        index >= self.triangles_end
     }
 
     /// Tells the cache that [`Self::aim`] will be asked for a source soon.
@@ -164,9 +152,8 @@ impl Sources {
         let [x, y, z] = &mut out.direction;
         let (mut u, mut v) = (*place[0], *place[1]);
         for k in 0..N {
-            // what a triangle folds away is what a parallelogram keeps
-            let half = if self.is_portal(index[k]) { 0.0 } else { 0.5 } * u[k].min(v[k]);
-            (u[k], v[k]) = (u[k] - half, v[k] - half);
+            let folded = square_to_triangle([u[k], v[k]]);
+            [u[k], v[k]] = if self.is_portal(index[k]) { [u[k], v[k]] } else { folded };
         }
         for k in 0..N {
             let (edge1, edge2) = (Vec3::new(bx[k], by[k], bz[k]), Vec3::new(cx[k], cy[k], cz[k]));

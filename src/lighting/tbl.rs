@@ -99,38 +99,46 @@ fn vote_label(seen: &[Observation]) -> u32 {
     ballot.iter().fold((UNSEEN, 0.0f32), |best, b| if b.1 > best.1 { *b } else { best }).0
 }
 
-/// Weighted median of weighted numbers, and the median distance from it.
-fn middle_and_spread(order: &[(f32, f32)]) -> (f32, f32) {
-    let median = weighted_median(order).map_or(0.0, |i| order[i].0);
-    let mut spread: Vec<f32> = order.iter().map(|o| (o.0 - median).abs()).collect();
-    spread.sort_by(f32::total_cmp);
-    (median, spread[spread.len() / 2])
-}
-
-/// Weighted median by luminance, then a Huber-weighted mean around it.
+/// The radiance that the looks agree on.
 fn robust_mean(seen: &[Observation]) -> Vec3 {
     match seen {
-        [] => return Vec3::ZERO,
-        [one] => return one.radiance,
-        _ => {}
+        [] => Vec3::ZERO,
+        [one] => one.radiance,
+        [a, b] => {
+            // of two that disagree by more than noise the darker is nearer to the truth: reflections only add. No third speaks for the
+            // brighter: the farther off it is, the less it moves the mean at all
+            let [a, b] = [a, b].map(|o| luminance(o.radiance));
+            let darker = a.min(b);
+            mean_around(seen, darker, (a - b).abs().min(ALIKE * darker), |far| far * far)
+        }
+        _ => {
+            let (median, spread) = median_and_spread(seen);
+            mean_around(seen, median, spread, |far| far)
+        }
     }
+}
+
+/// Weighted median by luminance, and the median distance from it.
+fn median_and_spread(seen: &[Observation]) -> (f32, f32) {
     let mut order: Vec<(f32, f32)> = seen.iter().map(|o| (luminance(o.radiance), sharpness(o).sqrt())).collect();
     // no single view, however sharp, may outvote the others: a highlight is often seen from nearby
     let mut weights: Vec<f32> = order.iter().map(|o| o.1).collect();
     weights.sort_by(f32::total_cmp);
     let most = weights[weights.len() / 2];
     order.iter_mut().for_each(|o| o.1 = o.1.min(most));
-    let (median, spread) = match order[..] {
-        // of two that disagree by more than noise the darker is nearer to the truth: reflections only add
-        [a, b] => (a.0.min(b.0), (a.0 - b.0).abs().min(ALIKE * a.0.min(b.0))),
-        _ => middle_and_spread(&order),
-    };
-    let scale = 1.5 * spread + 0.02 * median + f32::MIN_POSITIVE;
+    let median = weighted_median(&order).map_or(0.0, |i| order[i].0);
+    let mut spread: Vec<f32> = order.iter().map(|o| (o.0 - median).abs()).collect();
+    spread.sort_by(f32::total_cmp);
+    (median, spread[spread.len() / 2])
+}
+
+/// Mean weighted by sharpness over `penalty(d)`, d being the distance from a luminance in units of what `spread` allows for, at least 1.
+fn mean_around(seen: &[Observation], centre: f32, spread: f32, penalty: impl Fn(f32) -> f32) -> Vec3 {
+    let scale = 1.5 * spread + 0.02 * centre + f32::MIN_POSITIVE;
     let (mut sum, mut total) = (Vec3::ZERO, 0.0);
     for o in seen {
-        let far = ((luminance(o.radiance) - median).abs() / scale).max(1.0);
-        // the brighter of a pair has no third to speak for it: the farther off, the less it moves the mean at all
-        let w = sharpness(o).sqrt() / if seen.len() == 2 { far * far } else { far };
+        let far = ((luminance(o.radiance) - centre).abs() / scale).max(1.0);
+        let w = sharpness(o).sqrt() / penalty(far);
         sum += o.radiance * w;
         total += w;
     }

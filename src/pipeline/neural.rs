@@ -6,6 +6,7 @@ use crate::math::luminance;
 use crate::progress::Progress;
 use crate::texture::Texels;
 use glam::Vec3;
+use rayon::prelude::*;
 use std::f32::consts::FRAC_PI_2;
 
 /// Trains a field for `epochs` and reads it out at every texel. The stated error is what the last epoch's loss amounts to, the noise of its
@@ -19,13 +20,13 @@ pub(super) fn field_at_texels(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Irradiance {
-    let training = NirfOptions { epochs, seed: NirfOptions::default().seed ^ options.seed, ..NirfOptions::default() };
+    let training = NirfOptions::of_run(epochs, options.seed);
     let bake = surface.bake(field, emitters);
     let (nirf, cost) = progress.stage("neural irradiance field", u64::from(epochs), |p| {
         train_nirf(&bake, &|t, u, v| surface.normals(t, u, v), &training, p, &mut |_, _| {})
     });
     let points: Vec<(Vec3, Vec3)> =
-        (0..texels.len()).map(|i| surface.receiver(texels, i)).map(|r| (r.position, r.normal)).collect();
+        (0..texels.len()).into_par_iter().map(|i| surface.receiver(texels, i)).map(|r| (r.position, r.normal)).collect();
     let value: Vec<Vec3> = nirf.irradiance(&points).into_iter().map(|e| e.max(Vec3::ZERO)).collect();
     // a mean |log(1+E) − target| of l is a standard deviation of √(π/2)·l, if it is normal
     let spread = FRAC_PI_2.sqrt() * cost.loss as f32;
