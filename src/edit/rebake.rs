@@ -82,7 +82,14 @@ pub fn follow_light(before: &Solution, edited: &mut Solution, seed: u64, progres
         let dark = vec![false; mesh.triangles.len()];
         let field = LightField::new(&mesh, &orientation, plane, &none, &dark, Vec::new(), Environment::black());
         let emitters = Emitters::new(&mesh, &field, &tracer, &[]);
-        let bake = Bake { mesh: &mesh, tracer: &tracer, field: &field, emitters: &emitters, offset: (hi - lo).length() * 1e-5 };
+        let bake = Bake {
+            mesh: &mesh,
+            tracer: &tracer,
+            field: &field,
+            emitters: &emitters,
+            offset: (hi - lo).length() * 1e-5,
+            bounce: None,
+        };
         let options = IrtOptions {
             estimator: Estimator::Cosine,
             rays: if bounce == 0 { RAYS } else { RAYS / 4 },

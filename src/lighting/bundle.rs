@@ -7,6 +7,7 @@ use super::aiming::{Aimed, Aiming, Picks};
 use super::irt::{Bake, Estimator, IrtOptions, PARTS, Receiver};
 use super::lamp_choice::LampChoice;
 use super::sources::PORTAL;
+use super::specular_bounce::Bounces;
 use super::sweep::Sweep;
 use crate::ffi::simd::{Kernel, run_widest};
 use crate::math::Frame;
@@ -128,6 +129,7 @@ pub(super) struct Bundle {
     /// Per sample of one receiver: coordinates, directions, cosines.
     columns: [Vec<f32>; 7],
     order: Vec<u32>,
+    bounces: Bounces,
     /// Per receiver and part.
     sums: Vec<Vec3>,
 }
@@ -167,11 +169,12 @@ impl Bundle {
         self.sums.clear();
         self.sums.resize(PARTS * n, Vec3::ZERO);
         self.gather_surfaces(bake, round, rays);
+        let bounced = self.gather_bounces(bake, rays);
         self.gather_lights(bake, lights);
         for (k, parts) in self.sums.as_chunks::<PARTS>().0.iter().enumerate() {
             add(k, *parts);
         }
-        (rays + lights) as u64
+        (rays + lights) as u64 + bounced
     }
 
     fn reserve(&mut self, rays: usize, lights: usize, round: &Round) {
@@ -317,6 +320,13 @@ impl Bundle {
             };
             self.sums[owner] += radiance * weight;
         });
+    }
+
+    /// Adds what glossy surfaces mirror along the first `count` hemisphere rays; returns the rays traced.
+    fn gather_bounces(&mut self, bake: &Bake, count: usize) -> u64 {
+        let Some(bounce) = bake.bounce else { return 0 };
+        let Self { rays, hits, bounces, sums, owners, terms, .. } = self;
+        bounce.follow(&rays[..count], &hits[..count], bounces, |k, radiance| sums[owners[k] as usize] += radiance * terms[k].1)
     }
 
     /// Adds what arrives from emitters along the first `count` shadow rays.

@@ -5,7 +5,7 @@
 //! Sobol' sequence per texel that a later bake continues where more samples are wanted.
 
 use super::bundle::{Bundle, Round};
-use super::{Emitters, LightField};
+use super::{Emitters, LightField, SpecularBounce};
 use crate::geometry::Mesh;
 use crate::math::luminance;
 use crate::progress::Progress;
@@ -92,6 +92,8 @@ pub struct Bake<'a> {
     pub emitters: &'a Emitters,
     /// Distance by which rays start above the surface, metres.
     pub offset: f32,
+    /// What glossy surfaces mirror towards the receivers, beyond what `field` says that they send.
+    pub bounce: Option<&'a SpecularBounce<'a>>,
 }
 
 /// Bakes the irradiance of `count` receivers given by `receiver(i)`.

@@ -15,6 +15,7 @@ mod nirf;
 mod packed;
 mod reflection;
 mod sources;
+mod specular_bounce;
 mod sweep;
 mod tbl;
 
@@ -30,5 +31,6 @@ pub use light_field::LightField;
 pub use neighbourhood::Patch;
 pub use nirf::{Nirf, NirfCost, NirfOptions, train_nirf};
 pub use reflection::{Gaze, Levels, Reflector};
+pub use specular_bounce::{Glossy, SpecularBounce};
 pub(crate) use tbl::prefer_clean;
 pub use tbl::{Fusion, UNSEEN, fuse_radiance};

@@ -187,7 +187,7 @@ impl Surface<'_> {
     /// What irradiance bakes take, in the light of `field` and `emitters`.
     #[must_use]
     pub fn bake<'b>(&'b self, field: &'b LightField, emitters: &'b Emitters) -> Bake<'b> {
-        Bake { mesh: &self.scene.mesh, tracer: &self.tracer, field, emitters, offset: self.offset }
+        Bake { mesh: &self.scene.mesh, tracer: &self.tracer, field, emitters, offset: self.offset, bounce: None }
     }
 
     /// Whether some view sees the place of each texel of `texels`.

@@ -3,15 +3,20 @@
 //! The bake takes every texel to send the radiance that cameras saw in all directions alike. Photographs look at floors and tables
 //! from above and mostly past their reflections; the robust mean over views drops what is left of those. A dielectric sends out a
 //! twentieth of the light it receives by specular reflection, a dark floor more than a quarter of all it sends out. And surfaces that
-//! face away from every camera, like the upper side of a hanging lamp, are black to it. So, with materials known, every texel gets the
-//! flux its material sends out, E (A + ρ) / π with ρ the hemispherical reflectance of the specular lobe under even light, far sides that
-//! nobody saw get what their class reflects, and the difference to the first pass is baked at a low resolution and added to E.
+//! face away from every camera, like the upper side of a hanging lamp, are black to it. So, with materials known, every texel sends out
+//! what its material does: E A / π to all sides; where the specular lobe is wide, its flux E ρ / π as well, ρ being its hemispherical
+//! reflectance under even light; where it is narrow, towards every receiver what it mirrors there ([`SpecularBounce`]). Far sides that
+//! nobody saw get what their class reflects. The difference to the first pass is baked at a low resolution and added to E.
 
 use super::light::{coarse_texels, patches, texture_of};
 use super::{Light, Surface};
+use crate::brdf::Reflectance;
 use crate::image::{Plane, Wrap};
-use crate::inverse::{AlbedoEstimate, WideLobes};
-use crate::lighting::{Environment, Estimator, Irradiance, IrtOptions, LightField, Receiver, SurfaceFilter, bake_irradiance};
+use crate::inverse::{AlbedoEstimate, WIDE, WideLobes};
+use crate::lighting::{
+    Bake, Environment, Estimator, Glossy, Irradiance, IrtOptions, LightField, Receiver, Reflector, SpecularBounce, SurfaceFilter,
+    bake_irradiance,
+};
 use crate::math::luminance;
 use crate::optim::median;
 use crate::progress::Progress;
@@ -22,6 +27,8 @@ use std::f32::consts::FRAC_1_PI;
 
 /// Rays per texel for the difference: it is a few percent of the whole, and so is its noise.
 const RAYS: u32 = 256;
+/// Of so many rays that meet narrow lobes one is followed further: what these send is a small part even of the difference.
+const ONE_IN: u32 = 2;
 /// Rays per far side at most, and for all far sides: rays that meet many of them average their noise.
 const FAR_SIDE_RAYS: u32 = 32;
 const ALL_FAR_SIDES: usize = 1 << 24;
@@ -36,20 +43,22 @@ pub(super) fn add_missing_light(
     surface: &Surface,
     light: &mut Light,
     albedo: &mut AlbedoEstimate,
-    (lobes, roughness): (&WideLobes, &(dyn Fn(usize) -> f32 + Sync)),
+    (model, lobes, roughness): (Reflectance, &WideLobes, &(dyn Fn(usize) -> f32 + Sync)),
     seed: u64,
     progress: &Progress,
 ) -> (f32, u64) {
     let mesh = &surface.scene.mesh;
     let texels = &surface.texels;
     let irradiance = |i: usize| texels.lookup(mesh, &light.irradiance, i);
+    let known = |i: usize| !light.emissive[texels.point[i].triangle as usize] && albedo.error[i].is_finite();
+    let glossy = |i: usize| known(i) && roughness(i) < WIDE;
     let missing: Vec<Vec3> = (0..texels.len())
         .into_par_iter()
         .map(|i| {
-            if light.emissive[texels.point[i].triangle as usize] || !albedo.error[i].is_finite() {
+            if !known(i) {
                 return Vec3::ZERO;
             }
-            let specular = Vec3::splat(lobes.mean_response(roughness(i)));
+            let specular = Vec3::splat(if glossy(i) { 0.0 } else { lobes.mean_response(roughness(i)) });
             if albedo.clean[i] {
                 let sent = irradiance(i) * (albedo.value[i].clamp(Vec3::ZERO, Vec3::ONE) + specular) * FRAC_1_PI;
                 sent - light.radiance.data[texels.cell[i] as usize]
@@ -73,12 +82,29 @@ pub(super) fn add_missing_light(
     let coarse = coarse_texels(surface);
     let options =
         IrtOptions { estimator: Estimator::Cosine, rays: RAYS, emitter_samples: 0, seed: seed ^ 2, ..IrtOptions::default() };
-    let bake = surface.bake(&field, &light.emitters);
+    // where a lobe is narrow: its roughness, and 1
+    let lobe = |i: usize| if glossy(i) { Vec3::new(roughness(i), 1.0, 0.0) } else { Vec3::ZERO };
+    let narrow = texture_of(texels, &(0..texels.len()).into_par_iter().map(lobe).collect::<Vec<_>>());
+    let first_pass = surface.bake(&light.field, &light.emitters);
+    let bounce = SpecularBounce {
+        reflector: Reflector { bake: &first_pass, rays_per_lobe: 1, emitter_samples: 1, model, seed: seed ^ 4 },
+        surface: &|hit| {
+            let (t, size) = (hit.triangle as usize, Vec2::new(narrow.width as f32, narrow.height as f32));
+            let lobe = *narrow.nearest(mesh.uv(t, hit.u, hit.v) * size);
+            (lobe.y > 0.5).then(|| {
+                let (normal, face_normal) = surface.normals(t, hit.u, hit.v);
+                Glossy { normal, face_normal, roughness: lobe.x / lobe.y }
+            })
+        },
+        one_in: ONE_IN,
+    };
+    let bake = Bake { bounce: Some(&bounce), ..surface.bake(&field, &light.emitters) };
     let more = bake_irradiance(&bake, coarse.len(), |i| surface.receiver(&coarse, i), &options, progress);
     let rays = more.rays;
     // relative, it is smooth wherever the surface is, so that its noise can be filtered away
     let relative = |i: usize, more: Vec3| {
         let e = coarse.lookup(mesh, &light.irradiance, i);
+        // (parts one by one: of the few rays that find something very bright, most is chance)
         Vec3::from_array(std::array::from_fn(|c| if e[c] > 0.0 { 1.0 + more[c] / e[c] } else { 1.0 }))
             .clamp(Vec3::splat(LIMITS.0), Vec3::splat(LIMITS.1))
     };
@@ -160,50 +186,74 @@ fn unseen_far_sides(
 mod tests {
     use super::super::surface::tests::{box_scene, unseen};
     use super::*;
-    use crate::brdf::Reflectance;
+    use crate::brdf::{fresnel, smith_g1};
     use crate::lighting::Emitters;
     use std::f32::consts::PI;
 
-    const SIDE: usize = 96;
+    const SIDE: usize = 384;
     const ALBEDO: f32 = 0.6;
 
-    /// A furnace of irradiance π whose first pass sends out `radiance`, after the second: irradiance beside π and albedo of each texel, with
-    /// its place and whether it is floor; and the specular reflectance of the walls. `known` are the walls whose material is.
-    fn furnace(radiance: f32, known: impl Fn(usize) -> bool) -> (Vec<(f32, f32, Vec3, bool)>, f32) {
+    /// One side of the box: the radiance of its first pass, and whether its material is known, which it then is.
+    struct Wall {
+        radiance: f32,
+        known: bool,
+        albedo: f32,
+        roughness: f32,
+    }
+
+    /// A texel after the second pass: its irradiance beside π, which was that of the first, its albedo, its place, and its side of the box.
+    struct After {
+        gain: f32,
+        albedo: f32,
+        place: Vec3,
+        wall: usize,
+    }
+
+    /// The second pass in a box that its first pass found to receive π everywhere.
+    fn second_pass(wall: impl Fn(usize) -> Wall + Sync) -> Vec<After> {
         let scene = box_scene();
         let surface = unseen(&scene, SIDE);
         let (mesh, n) = (&scene.mesh, surface.texels.len());
-        let flat = |v: f32| Plane::filled(SIDE, SIDE, Vec3::splat(v));
+        let number = |i: usize| surface.texels.point[i].triangle as usize / 2;
+        let radiance = texture_of(&surface.texels, &(0..n).map(|i| Vec3::splat(wall(number(i)).radiance)).collect::<Vec<_>>());
         let none = Plane::filled(SIDE, SIDE, false);
-        let field = LightField::new(mesh, &surface.orientation, flat(radiance), &none, &[], Vec::new(), Environment::black());
+        let field = LightField::new(mesh, &surface.orientation, radiance.clone(), &none, &[], Vec::new(), Environment::black());
         let emitters = Emitters::new(mesh, &field, &surface.tracer, &[]);
         let mut light = Light {
             field,
             emitters,
             emissive: vec![false; mesh.triangles.len()],
-            radiance: flat(radiance),
+            radiance,
             texels: surface.texels.clone(),
-            irradiance: flat(PI),
+            irradiance: Plane::filled(SIDE, SIDE, Vec3::splat(PI)),
             error: vec![0.0; n],
             rays: 0,
         };
-        let wall = |i: usize| surface.texels.point[i].triangle as usize / 2;
         let mut albedo = AlbedoEstimate {
-            value: vec![Vec3::splat(ALBEDO); n],
-            error: (0..n).map(|i| if known(wall(i)) { 0.1 } else { f32::INFINITY }).collect(),
+            value: (0..n).map(|i| Vec3::splat(wall(number(i)).albedo)).collect(),
+            error: (0..n).map(|i| if wall(number(i)).known { 0.1 } else { f32::INFINITY }).collect(),
             looks: vec![1.0; n],
             specular_share: vec![0.0; n],
             clean: vec![true; n],
             footprint: vec![0.01; n],
         };
-        let lobes = WideLobes::new(Reflectance::Paper);
-        let (_, rays) = add_missing_light(&surface, &mut light, &mut albedo, (&lobes, &|_| 0.8), 1, &Progress::silent());
+        let (model, roughness) = (Reflectance::Paper, |i: usize| wall(number(i)).roughness);
+        let material = (model, &WideLobes::new(model), &roughness as &(dyn Fn(usize) -> f32 + Sync));
+        let (_, rays) = add_missing_light(&surface, &mut light, &mut albedo, material, 1, &Progress::silent());
         assert!(rays > 0);
-        let of = |i: usize| {
-            let e = surface.texels.lookup(mesh, &light.irradiance, i).x / PI;
-            (e, albedo.value[i].x, surface.texels.position(mesh, i), wall(i) == 0)
+        let of = |i: usize| After {
+            gain: surface.texels.lookup(mesh, &light.irradiance, i).x / PI,
+            albedo: albedo.value[i].x,
+            place: surface.texels.position(mesh, i),
+            wall: number(i),
         };
-        ((0..n).map(of).collect(), lobes.mean_response(0.8))
+        (0..n).map(of).collect()
+    }
+
+    /// A furnace whose first pass sends out `radiance`, and the specular reflectance of its walls; `known` are those whose material is.
+    fn furnace(radiance: f32, known: impl Fn(usize) -> bool + Sync) -> (Vec<After>, f32) {
+        let wall = |w: usize| Wall { radiance, known: known(w), albedo: ALBEDO, roughness: 0.8 };
+        (second_pass(wall), WideLobes::new(Reflectance::Paper).mean_response(0.8))
     }
 
     /// With diffuse radiance alone the specular part is missing: E grows by ρ, and what is reflected diffusely stays.
@@ -214,7 +264,7 @@ mod tests {
             let (texels, specular) = furnace(radiance, |_| true);
             assert!(specular > 0.01 && specular < 0.1, "{specular}");
             let expected = (1.0 + ALBEDO + specular - radiance).clamp(LIMITS.0, LIMITS.1);
-            for (e, albedo, p, _) in texels {
+            for After { gain: e, albedo, place: p, .. } in texels {
                 assert!((e / expected - 1.0).abs() < 2e-3, "radiance {radiance}, {p}: {e} for {expected}");
                 assert!((albedo * e / ALBEDO - 1.0).abs() < 1e-4, "radiance {radiance}, {p}: albedo {albedo}");
             }
@@ -232,7 +282,7 @@ mod tests {
         };
         let height = 3.0;
         let (mut square, mut count) = (0.0, 0);
-        for (e, _, p, _) in texels.iter().filter(|t| t.3) {
+        for After { gain: e, place: p, .. } in texels.iter().filter(|t| t.wall == 0) {
             let [x, z] = [p.x, p.z].map(|v| v / height);
             let [far_x, far_z] = [4.0 / height - x, 5.0 / height - z];
             let share = corner(x, z) + corner(far_x, z) + corner(x, far_z) + corner(far_x, far_z);
@@ -243,5 +293,42 @@ mod tests {
         }
         let rms = (square / count as f32).sqrt();
         assert!(count > 400 && rms < 0.006, "{count} texels, rms {rms}");
+    }
+
+    /// A mirror for a ceiling shows the shining wall upside down: the floor gets what Fresnel and masking leave of that image, most of
+    /// it beside the opposite wall. Sent out to all sides alike, the same light would be spread.
+    #[test]
+    fn a_mirror_sends_its_light_where_the_image_is_seen() {
+        const RADIANCE: f32 = 20.0;
+        let texels = second_pass(|w| Wall {
+            radiance: if w == 2 { RADIANCE } else { 0.0 },
+            known: w == 1,
+            albedo: 0.0,
+            roughness: crate::brdf::MIN_ROUGHNESS,
+        });
+        let image = |p: Vec3| {
+            // the wall x = 0, mirrored at y = 3: cosines at the floor and at the ceiling are the same
+            let (steps, mut sum) = (60, 0.0);
+            for k in 0..steps * steps {
+                let [y, z] = [k / steps, k % steps].map(|i| (i as f32 + 0.5) / steps as f32);
+                let d = Vec3::new(0.0, 3.0 + 3.0 * y, 5.0 * z) - p;
+                let (d2, cosine) = (d.length_squared(), d.y / d.length());
+                let response = fresnel(cosine) * smith_g1(cosine, crate::brdf::MIN_ROUGHNESS).powi(2);
+                sum += response * cosine * (p.x / d.length()) / d2;
+            }
+            sum * 15.0 / (steps * steps) as f32
+        };
+        let (mut square, mut count, mut most, mut sums) = (0.0, 0, 0.0f32, [0.0f32; 2]);
+        for t in texels.iter().filter(|t| t.wall == 0) {
+            let (got, expected) = (t.gain - 1.0, RADIANCE * image(t.place) * FRAC_1_PI);
+            assert!((got - expected).abs() < 0.25 * expected + 0.01, "{}: {got} for {expected}", t.place);
+            square += (got - expected).powi(2);
+            most = most.max(expected);
+            sums = [sums[0] + got, sums[1] + expected];
+            count += 1;
+        }
+        let (rms, share) = ((square / count as f32).sqrt(), sums[0] / sums[1]);
+        assert!(count > 5000 && most > 0.05 && rms < 0.08 * most, "{count} texels, rms {rms} of {most}");
+        assert!((share - 1.0).abs() < 0.03, "{share} of the light");
     }
 }

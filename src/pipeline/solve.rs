@@ -163,7 +163,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     }
     if options.missing_light != Switch::Off {
         let (change, traced) = progress.stage("missing light", 0, |p| {
-            add_missing_light(&surface, &mut light, &mut albedo, (&lobes, &roughness), options.seed, p)
+            add_missing_light(&surface, &mut light, &mut albedo, (model, &lobes, &roughness), options.seed, p)
         });
         rays += traced;
         progress.note(format!(

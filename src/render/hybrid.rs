@@ -166,6 +166,7 @@ impl<'a> HybridRenderer<'a> {
             field: &self.field,
             emitters: &self.emitters,
             offset: self.offset,
+            bounce: None,
         };
         let (model, seed) = (self.solution.reflectance, self.options.seed);
         Reflector { bake: &bake, rays_per_lobe, emitter_samples, model, seed }.reflect(

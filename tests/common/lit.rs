@@ -150,7 +150,7 @@ impl Lit {
     pub fn bake(&self) -> Bake<'_> {
         let (lo, hi) = self.mesh.bounds();
         let offset = (hi - lo).length() * 1e-5;
-        Bake { mesh: &self.mesh, tracer: &self.tracer, field: &self.field, emitters: &self.emitters, offset }
+        Bake { mesh: &self.mesh, tracer: &self.tracer, field: &self.field, emitters: &self.emitters, offset, bounce: None }
     }
 }
 
