@@ -4,8 +4,8 @@
 //! local linear regression over the texels around it, in position and normal, with non-local-means weights (Bitterli et al. 2016,
 //! "Nonlinearly Weighted First-order Regression for Denoising Monte Carlo Renderings"; Rousselle et al. 2012): a gradient costs no
 //! bias, not even where a chart ends, and shadow edges stay where they exceed the noise. Each part of the samples is weighted by what
-//! the others say, so that noise does not choose its own company. Texels are neighbours in space, across charts. No surface is
-//! quite as even as the regression: a texel with many samples keeps its own estimate.
+//! the others say, so that noise does not choose its own company. Texels are neighbours in space, across charts, where they see each
+//! other. No surface is quite as even as the regression: a texel with many samples keeps its own estimate.
 
 use super::neighbourhood::{Discs, Near, Neighbourhood, Patch};
 use super::screens::Screens;

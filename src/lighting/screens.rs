@@ -316,12 +316,12 @@ mod tests {
     fn texels_beneath_something_low_look_below_it() {
         let patches = floor();
         const HIGH: f32 = 0.17;
-        let (lo, hi) = (10.03, 19.96);
-        let rug = [Vec3::new(lo, HIGH, lo), (hi - lo) * Vec3::X, (hi - lo) * Vec3::Z];
-        let corners = [[lo, lo], [hi, lo], [hi, hi], [lo, hi]];
+        let [x0, z0, x1, z1] = [10.03, 10.09, 19.96, 19.88];
+        let corners = [[x0, z0], [x1, z0], [x1, z1], [x0, z1]];
+        let rug = [Vec3::new(x0, HIGH, z0), (x1 - x0) * Vec3::X, (z1 - z0) * Vec3::Z];
         let sides = (0..4).map(|k| wall(corners[k], corners[(k + 1) % 4], HIGH));
         let screens = screens(&patches, &mesh(&sides.chain([rug]).collect::<Vec<_>>()));
-        let beneath = |i: usize| [patches[i].position.x, patches[i].position.z].iter().all(|x| (lo..hi).contains(x));
+        let beneath = |i: usize| (x0..x1).contains(&patches[i].position.x) && (z0..z1).contains(&patches[i].position.z);
         for (i, j) in pairs(&patches) {
             assert_eq!(hides(&screens, i, j), beneath(i) != beneath(j), "{:?} {:?}", patches[i], patches[j]);
         }
