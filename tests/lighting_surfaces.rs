@@ -33,10 +33,9 @@ impl Atlas {
             let n = mesh.face_normal(of(i));
             Receiver { position: mesh.position(of(i), u, v), normal: n, face_normal: n, key: u64::from(texels.cell[i]) }
         };
-        let patch = |i: usize| Patch {
-            position: texels.position(&mesh, i),
-            normal: mesh.face_normal(of(i)),
-            size: texels.texel_area(&mesh, of(i)).sqrt(),
+        let patch = |i: usize| {
+            let Receiver { position, normal, .. } = receiver(i);
+            Patch { position, normal, size: texels.texel_area(&mesh, of(i)).sqrt() }
         };
         Self {
             receivers: (0..texels.len()).map(receiver).collect(),
@@ -150,10 +149,10 @@ fn a_dim_room_next_door_keeps_its_own_light() {
 }
 
 /// The worst case: a sheet that shines from its far side, of which nobody draws samples, so that a part of a first round may well have
-/// found nothing. What crosses the wall then stays a small share of the bright side's, and shrinks with the samples.
+/// found nothing: noise parts nothing, but the two sides of the wall do not see each other.
 #[test]
-fn light_that_rays_find_by_chance_hardly_leaks() {
-    for (side, bounds) in [(2.0f32, [0.004, 0.0005]), (1.0, [0.2, 0.05])] {
+fn light_that_rays_find_by_chance_does_not_leak() {
+    for side in [2.0f32, 1.0, 0.4] {
         let mut quads = rooms(WALLS[0], &[]);
         quads.push(quad([1.0, 2.9, 1.0], [0.0, 0.0, side], [side, 0.0, 0.0], 0.0, false)); // front faces up
         let mesh = mesh_of(&quads);
@@ -163,11 +162,11 @@ fn light_that_rays_find_by_chance_hardly_leaks() {
         let atlas = Atlas::new(&quads, 256);
         let [dark, near] = [(4.0, 4.4), (3.6, 4.0)].map(|(from, to)| atlas.among(|q, p| q < 6 && p.x > from && p.x < to));
         let elsewhere = atlas.among(|q, p| q < 6 && p.x > 4.6);
-        for ((how, out), bound) in atlas.bakes(&lit).iter().zip([0.0, bounds[0], bounds[1]]) {
+        for (how, out) in &atlas.bakes(&lit) {
             let mean = |ids: &[usize]| ids.iter().map(|&i| f64::from(out.value[i].x)).sum::<f64>() / ids.len() as f64;
             let share = mean(&dark) / mean(&near);
             println!("sheet of {side} m, {how}: {share:.5} of the light beside the wall leaks");
-            assert!(mean(&near) > 0.1 && share <= bound, "sheet of {side} m, {how}: {share:.5}");
+            assert!(mean(&near) > 0.1 * f64::from(side * side) && share == 0.0, "sheet of {side} m, {how}: {share:.5}");
             assert_eq!(mean(&elsewhere), 0.0, "beyond the filter's reach");
         }
     }
@@ -244,16 +243,12 @@ fn solids_in_solids_are_black_inside_and_right_outside() {
         .collect();
     let brightest = expected.iter().fold(0.0f64, |a, b| a.max(*b));
     for (how, out) in atlas.bakes(&lit) {
-        // the filter may give texels that no one sees, just inside, a trace of their neighbours' light outside
-        let inside = |i: &usize| f64::from(out.value[*i].x) / brightest;
-        let leak = hidden.iter().map(inside).fold(0.0, f64::max);
-        let mean = hidden.iter().map(inside).sum::<f64>() / hidden.len() as f64;
-        let most = [("plain", 0.0), ("draft", 0.05), ("standard", 0.02)].into_iter().find(|m| m.0 == how).expect("known").1;
-        assert!(leak <= most && mean <= 0.03 * most, "{how}: a leak of {leak:.4} of the brightest, {mean:.5} on average");
+        let leak = hidden.iter().map(|&i| f64::from(out.value[i].x)).fold(0.0, f64::max) / brightest;
+        assert_eq!(leak, 0.0, "{how}: inside");
         let off = |k: usize| (f64::from(out.value[open[k]].x) - expected[k]).abs() / brightest;
         let rms = ((0..open.len()).map(|k| off(k).powi(2)).sum::<f64>() / open.len() as f64).sqrt();
         let worst = (0..open.len()).map(off).fold(0.0, f64::max);
-        println!("solids, {how}: of the brightest rms {rms:.4}, worst {worst:.4}, inside {leak:.4}, on average {mean:.5}");
+        println!("solids, {how}: of the brightest rms {rms:.4}, worst {worst:.4}");
         assert!(how == "plain" || (rms < 0.015 && worst < 0.15), "{how}: rms {rms:.4}, worst {worst:.4}");
     }
 }

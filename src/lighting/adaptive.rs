@@ -98,7 +98,7 @@ pub fn bake_surface(
         return bake_irradiance(bake, count, &receiver, &levels.options(None, 0), progress);
     }
     let levels = Levels::new(budget);
-    let filter = SurfaceFilter::new(patches);
+    let filter = SurfaceFilter::new(patches, bake.tracer);
     let matters = |i: usize| importance[i] > 0.0;
     let mut level: Vec<u8> = (0..count).map(|i| if matters(i) { levels.first } else { 0 }).collect();
     let mut baked =

@@ -4,13 +4,15 @@
 //! local linear regression over the texels around it, in position and normal, with non-local-means weights (Bitterli et al. 2016,
 //! "Nonlinearly Weighted First-order Regression for Denoising Monte Carlo Renderings"; Rousselle et al. 2012): a gradient costs no
 //! bias, not even where a chart ends, and shadow edges stay where they exceed the noise. Each part of the samples is weighted by what
-//! the others say, so that noise does not choose its own company. Texels are neighbours in space, across charts. No surface is
-//! quite as even as the regression: a texel with many samples keeps its own estimate.
+//! the others say, so that noise does not choose its own company. Texels are neighbours in space, across charts, where they see each
+//! other. No surface is quite as even as the regression: a texel with many samples keeps its own estimate.
 
 use super::neighbourhood::{Discs, Near, Neighbourhood, Patch};
+use super::screens::Screens;
 use super::{Irradiance, PARTS, spread};
 use crate::ffi::simd::{Kernel, run_widest};
 use crate::math::luminance;
+use crate::trace::Tracer;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -102,10 +104,12 @@ struct Node {
 }
 
 impl<'a> SurfaceFilter<'a> {
-    /// Finds the neighbourhoods of the texels.
+    /// Finds the neighbourhoods of the texels; those that do not see each other share nothing.
     #[must_use]
-    pub fn new(patches: &'a [Patch]) -> Self {
+    pub fn new(patches: &'a [Patch], tracer: &dyn Tracer) -> Self {
         let around = Neighbourhood::new(patches);
+        let screens = Screens::new(patches, &around, REACH, tracer);
+        let around = around.parted_by(screens);
         Self { patches, discs: around.discs(patches, DISC), around, per_different: 1.0 / DIFFERENT }
     }
 
@@ -514,7 +518,9 @@ fn intercepts<const TERMS: usize, const SIZE: usize>(mut matrix: [Lanes; SIZE], 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Mesh;
     use crate::sampling::KeyedRng;
+    use crate::trace::BruteForce;
 
     /// Every third texel has many samples and is darker than its noisy neighbours: their light must not be mixed into it.
     #[test]
@@ -536,7 +542,7 @@ mod tests {
             .collect();
         let value = parts.iter().map(|p| p.iter().sum::<Vec3>() / PARTS as f32).collect();
         let baked = Irradiance { value, parts, ..Irradiance::default() };
-        let (filtered, _) = SurfaceFilter::new(&patches).filter(&baked, &level, |_| true);
+        let (filtered, _) = SurfaceFilter::new(&patches, &BruteForce::new(&Mesh::default())).filter(&baked, &level, |_| true);
         let fine: Vec<usize> = (0..patches.len()).filter(|&i| many(i)).collect();
         let error = |v: &[Vec3]| (fine.iter().map(|&i| (v[i].x - 1.0).powi(2)).sum::<f32>() / fine.len() as f32).sqrt();
         let (before, after) = (error(&baked.value), error(&filtered.value));

@@ -14,6 +14,7 @@ mod neighbourhood;
 mod nirf;
 mod packed;
 mod reflection;
+mod screens;
 mod sources;
 mod specular_bounce;
 mod sweep;

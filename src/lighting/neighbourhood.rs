@@ -1,8 +1,9 @@
-//! Which texels lie around a texel on the same smooth surface, in space and across charts.
+//! Which texels lie around a texel on the same smooth surface, in space and across charts, and are not hidden from it.
 //!
 //! Texels are sorted into cubes and there by direction; those of one such group share a list of candidates, copied side by side. Charts
 //! of different density live in different grids (octaves of texel size), so that the number of neighbours does not grow with the density of a chart next door.
 
+use super::screens::Screens;
 use crate::ffi::simd::with_widest;
 use crate::math::Frame;
 use glam::Vec3;
@@ -19,12 +20,25 @@ const FLAT: f32 = 0.15;
 /// A texel as a piece of surface.
 #[derive(Clone, Copy, Debug)]
 pub struct Patch {
-    /// Position of its centre, metres.
+    /// Where its light is sampled, metres: its centre, but off the walls that it touches.
     pub position: Vec3,
     /// Unit shading normal on the lit side.
     pub normal: Vec3,
     /// Side of the texel on the surface, metres.
     pub size: f32,
+}
+
+impl Patch {
+    /// Whether `other` lies within `reach` texels on the same smooth surface: what the search finds ([`Candidates::find`]), to the bit.
+    pub(super) fn reaches(&self, other: &Self, reach: f32) -> bool {
+        let step = other.position - self.position;
+        let (d2, height) = (step.length_squared(), self.normal.dot(step));
+        let limit = (reach * self.size) * (reach * self.size);
+        d2 < limit
+            && d2 * (1.0 / limit.max(f32::MIN_POSITIVE)) < 1.0
+            && self.normal.dot(other.normal) > SMOOTH
+            && height * height <= FLAT * FLAT * d2
+    }
 }
 
 /// The surroundings of every texel.
@@ -34,6 +48,8 @@ pub(super) struct Neighbourhood {
     octave_of: Vec<i32>,
     /// Place of every texel in the order of the groups that it is a member of.
     rank: Vec<u32>,
+    /// Who is hidden from whom.
+    screens: Screens,
 }
 
 /// Texels of similar size sorted by cube.
@@ -95,7 +111,20 @@ impl Neighbourhood {
         let mut rank = vec![0; patches.len()];
         let members = octaves.iter().flat_map(|o| o.sorted.iter().filter(|i| octave_of[**i as usize] == o.octave));
         members.zip(0..).for_each(|(&i, place)| rank[i as usize] = place);
-        Self { octaves, octave_of, rank }
+        Self { octaves, octave_of, rank, screens: Screens::default() }
+    }
+
+    /// The same without texels that are hidden from each other.
+    pub(super) fn parted_by(self, screens: Screens) -> Self {
+        Self { screens, ..self }
+    }
+
+    /// Takes away those of the texels around texel `i` that are hidden from it.
+    fn part(&self, i: usize, near: &mut Vec<Near>) {
+        let hidden = self.screens.of(i);
+        if !hidden.is_empty() {
+            near.retain(|n| hidden.binary_search(&n.id).is_err());
+        }
     }
 
     /// The texels of a group that are of the octave itself.
@@ -130,6 +159,7 @@ impl Neighbourhood {
                 candidates.fill(patches, o, group, bounds);
                 for (i, out) in members().zip(own).filter(|(i, _)| asked(*i)) {
                     candidates.find(&patches[i], reach, near);
+                    self.part(i, near);
                     *out = f(i, near, scratch);
                 }
             },
@@ -165,6 +195,7 @@ impl Neighbourhood {
                 candidates.fill(patches, o, group, bounds);
                 for i in members() {
                     candidates.find(&patches[i], reach, found);
+                    self.part(i, found);
                     near.extend(found.iter().map(|n| (n.id, n.distance2)));
                     ends.push((i, near.len() as u32));
                 }
@@ -373,17 +404,7 @@ mod tests {
                 assert!(list.is_empty(), "texel {i} was not asked for");
                 continue;
             }
-            let plain: Vec<u32> = index
-                .iter()
-                .copied()
-                .filter(|&j| {
-                    let q = &patches[j as usize];
-                    let step = q.position - p.position;
-                    step.length_squared() < (reach * p.size).powi(2)
-                        && q.normal.dot(p.normal) > SMOOTH
-                        && p.normal.dot(step).abs() <= FLAT * step.length()
-                })
-                .collect();
+            let plain: Vec<u32> = index.iter().copied().filter(|&j| p.reaches(&patches[j as usize], reach)).collect();
             assert!(plain.len() > 10, "texel {i} has company");
             assert_eq!(*list, plain, "texel {i}");
         }

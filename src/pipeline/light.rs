@@ -168,17 +168,13 @@ fn importance(surface: &Surface, texels: &Texels) -> Vec<f32> {
     seen.iter().zip(&texels.interior).map(of).collect()
 }
 
-/// The texels as pieces of surface.
+/// The texels as pieces of surface, each on the side of a wall from which its light comes.
 #[must_use]
 pub fn patches(surface: &Surface, texels: &Texels) -> Vec<Patch> {
     let mesh = &surface.scene.mesh;
     let patch = |i: usize| {
-        let p = texels.point[i];
-        Patch {
-            position: texels.position(mesh, i),
-            normal: surface.normals(p.triangle as usize, p.u, p.v).0,
-            size: texels.texel_area(mesh, p.triangle as usize).sqrt(),
-        }
+        let Receiver { position, normal, .. } = surface.receiver(texels, i);
+        Patch { position, normal, size: texels.texel_area(mesh, texels.point[i].triangle as usize).sqrt() }
     };
     (0..texels.len()).into_par_iter().map(patch).collect()
 }
