@@ -30,8 +30,6 @@ const SLOPES: usize = 4;
 const TERMS: usize = SLOPES + 1;
 /// A turn of the normal that counts as much as the reach.
 const TURN: f32 = 4.0;
-/// Turns of the normal below which they take no part: the ridge would hold back their slopes anyway.
-const FLAT: f32 = 5e-4;
 /// Ridge on the slopes relative to the weights' sum: decides only where the neighbours do not.
 const RIDGE: f32 = 1e-4;
 /// Standard deviations of the small disc's mean that the regression may lie off it.
@@ -358,12 +356,7 @@ impl Kernel for Regression<'_> {
             let falloff = (1.0 - n.distance2) * (1.0 - n.distance2);
             *weight = alike.weights(&others.part, others.variance, falloff * others.samples);
         }
-        let flat = near.iter().all(|n| n.along[2].abs().max(n.along[3].abs()) < FLAT);
-        let [red, green, blue] = if flat {
-            intercepts(flat_moments(near, weight), flat_right_side(near, weight, nodes))
-        } else {
-            intercepts(moments(near, weight), right_side(near, weight, nodes))
-        };
+        let [red, green, blue] = intercepts(moments(near, weight), right_side(near, weight, nodes));
         let reach = PLAUSIBLE * own.variance.sqrt();
         let mut out = [Vec3::ZERO; PARTS];
         for (p, out) in out.iter_mut().enumerate() {
@@ -387,24 +380,6 @@ impl Kernel for Regression<'_> {
 fn terms(n: &Near) -> [f32; SLOPES] {
     let [x, y, u, v] = n.along;
     [x, y, TURN * u, TURN * v]
-}
-
-/// The first rows of [`moments`], without the normal's.
-#[inline(always)]
-fn flat_moments(near: &[Near], weight: &[Lanes]) -> [Lanes; 6] {
-    let [mut m00, mut m10, mut m11, mut m20, mut m21, mut m22] = [[0.0; PARTS]; 6];
-    for (n, w) in near.iter().zip(weight) {
-        let t = terms(n);
-        add(&mut m00, w);
-        let row = times(w, t[0]);
-        add(&mut m10, &row);
-        add_scaled(&mut m11, &row, t[0]);
-        let row = times(w, t[1]);
-        add(&mut m20, &row);
-        add_scaled(&mut m21, &row, t[0]);
-        add_scaled(&mut m22, &row, t[1]);
-    }
-    [m00, m10, m11, m20, m21, m22]
 }
 
 /// Lower triangle of the normal equations' matrix, row by row: Σ w tᵣ t꜀ with t₀ = 1. (Every sum has a name so that it stays in a
@@ -444,26 +419,6 @@ fn moments(near: &[Near], weight: &[Lanes]) -> [Lanes; TERMS * (TERMS + 1) / 2] 
 #[inline(always)]
 fn right_side(near: &[Near], weight: &[Lanes], nodes: &[Node]) -> [[Lanes; 3]; TERMS] {
     let zero = [0.0; PARTS];
-    let [first, second, third] = flat_right_side(near, weight, nodes);
-    let ([mut r3, mut g3, mut b3], [mut r4, mut g4, mut b4]) = ([zero; 3], [zero; 3]);
-    for (n, w) in near.iter().zip(weight) {
-        let ([r, g, b], t) = (&nodes[n.id as usize].value, terms(n));
-        let row = times(w, t[2]);
-        add_product(&mut r3, &row, r);
-        add_product(&mut g3, &row, g);
-        add_product(&mut b3, &row, b);
-        let row = times(w, t[3]);
-        add_product(&mut r4, &row, r);
-        add_product(&mut g4, &row, g);
-        add_product(&mut b4, &row, b);
-    }
-    [first, second, third, [r3, g3, b3], [r4, g4, b4]]
-}
-
-/// Its rows without the normal's.
-#[inline(always)]
-fn flat_right_side(near: &[Near], weight: &[Lanes], nodes: &[Node]) -> [[Lanes; 3]; 3] {
-    let zero = [0.0; PARTS];
     let ([mut r0, mut g0, mut b0], [mut r1, mut g1, mut b1], [mut r2, mut g2, mut b2]) = ([zero; 3], [zero; 3], [zero; 3]);
     for (n, w) in near.iter().zip(weight) {
         let ([r, g, b], t) = (&nodes[n.id as usize].value, terms(n));
@@ -479,13 +434,25 @@ fn flat_right_side(near: &[Near], weight: &[Lanes], nodes: &[Node]) -> [[Lanes; 
         add_product(&mut g2, &row, g);
         add_product(&mut b2, &row, b);
     }
-    [[r0, g0, b0], [r1, g1, b1], [r2, g2, b2]]
+    let ([mut r3, mut g3, mut b3], [mut r4, mut g4, mut b4]) = ([zero; 3], [zero; 3]);
+    for (n, w) in near.iter().zip(weight) {
+        let ([r, g, b], t) = (&nodes[n.id as usize].value, terms(n));
+        let row = times(w, t[2]);
+        add_product(&mut r3, &row, r);
+        add_product(&mut g3, &row, g);
+        add_product(&mut b3, &row, b);
+        let row = times(w, t[3]);
+        add_product(&mut r4, &row, r);
+        add_product(&mut g4, &row, g);
+        add_product(&mut b4, &row, b);
+    }
+    [[r0, g0, b0], [r1, g1, b1], [r2, g2, b2], [r3, g3, b3], [r4, g4, b4]]
 }
 
 /// The constants of the regressions, channel by channel: the slopes are eliminated one after the other, last to first. Not finite where
 /// no neighbour has weight.
 #[inline(always)]
-fn intercepts<const TERMS: usize, const SIZE: usize>(mut matrix: [Lanes; SIZE], mut right: [[Lanes; 3]; TERMS]) -> [Lanes; 3] {
+fn intercepts(mut matrix: [Lanes; TERMS * (TERMS + 1) / 2], mut right: [[Lanes; 3]; TERMS]) -> [Lanes; 3] {
     let at = |row: usize, column: usize| row * (row + 1) / 2 + column;
     let ridge = times(&matrix[0], RIDGE);
     for r in (1..TERMS).rev() {
