@@ -13,6 +13,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 use std::ops::Range;
+use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
 /// Height over the surface, in texels, at which texels look at each other. Between neighbours a convex surface rises less than a
 /// quarter above their line: d θ / 8 for normals θ = acos 0.95 apart at a distance of d = 6.
@@ -93,26 +94,34 @@ impl Screens {
 
     /// From the hidden ones that each texel found out about, every pair once.
     fn mutual(found: &[Vec<u32>]) -> Self {
-        let pairs =
-            || found.iter().enumerate().flat_map(|(i, list)| list.iter().flat_map(move |&j| [(i, j), (j as usize, i as u32)]));
-        let mut end = vec![0; found.len()];
-        pairs().for_each(|(i, _)| end[i] += 1);
+        let each_way = |each: &(dyn Fn(usize, u32) + Sync)| {
+            found.par_iter().enumerate().for_each(|(i, list)| {
+                list.iter().for_each(|&j| {
+                    each(i, j);
+                    each(j as usize, i as u32);
+                });
+            });
+        };
+        let next: Vec<AtomicUsize> = found.iter().map(|_| AtomicUsize::new(0)).collect();
+        each_way(&|i, _| {
+            next[i].fetch_add(1, Ordering::Relaxed);
+        });
         let mut sum = 0;
-        for end in &mut end {
-            // (the start at first: it moves to the end as the list fills)
-            sum += std::mem::replace(end, sum);
+        for next in &next {
+            sum += next.swap(sum, Ordering::Relaxed);
         }
-        let mut hidden = vec![0; sum];
-        for (i, j) in pairs() {
-            hidden[end[i]] = j;
-            end[i] += 1;
-        }
+        let hidden: Vec<AtomicU32> = (0..sum).into_par_iter().map(|_| AtomicU32::new(0)).collect();
+        each_way(&|i, j| hidden[next[i].fetch_add(1, Ordering::Relaxed)].store(j, Ordering::Relaxed));
+        // (where each list begins has moved to where it ends)
+        let end: Vec<usize> = next.into_iter().map(AtomicUsize::into_inner).collect();
+        let mut hidden: Vec<u32> = hidden.into_iter().map(AtomicU32::into_inner).collect();
         let (mut rest, mut start, mut lists) = (hidden.as_mut_slice(), 0, Vec::new());
         for &end in &end {
             let (list, others) = rest.split_at_mut(end - start);
             (rest, start) = (others, end);
             lists.push(list);
         }
+        // whoever wrote first
         lists.into_par_iter().for_each(|list| list.sort_unstable());
         Self { hidden, end }
     }
