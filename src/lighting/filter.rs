@@ -125,44 +125,42 @@ impl<'a> SurfaceFilter<'a> {
     pub fn filter(&self, baked: &Irradiance, level: &[u8], asked: impl Fn(usize) -> bool + Sync) -> (Irradiance, Vec<f32>) {
         // in a unit near the mean: whatever the exposure, nothing squared underflows
         let unit = power_of_two_near(baked);
-        let scaled = baked.parts.par_iter().map(|parts| parts.map(|p| p / unit)).collect();
-        let baked = &Irradiance { parts: scaled, rays: baked.rays, ..Irradiance::default() };
-        let noise = self.noise(baked, level);
+        let scaled = |i: usize| baked.parts[i].map(|p| p / unit);
+        let noise = self.noise(&scaled, level);
         let told: Vec<Told> = noise.par_iter().map(Told::from).collect();
         let per_different = self.per_different;
         let guide = |i: usize| run_widest(Guide { own: &noise[i], told: &told, near: self.discs.of(i), per_different });
         let guides: Vec<Noise> = (0..noise.len()).into_par_iter().map(guide).collect();
-        let node = |(parts, guide): (&[Vec3; PARTS], &Noise)| Node {
-            value: std::array::from_fn(|c| parts.map(|p| p[c])),
-            others: guide.others(),
+        let node = |(i, guide): (usize, &Noise)| {
+            let parts = scaled(i);
+            Node { value: std::array::from_fn(|c| parts.map(|p| p[c])), others: guide.others() }
         };
-        let nodes: Vec<Node> = baked.parts.par_iter().zip(&guides).map(node).collect();
-        let smooth = self.around.map(self.patches, REACH, &asked, |i, near, weight| {
+        let nodes: Vec<Node> = guides.par_iter().enumerate().map(node).collect();
+        let mut parts = self.around.map(self.patches, REACH, &asked, |i, near, weight| {
             run_widest(Regression { own: &guides[i], part: &nodes[i].value, nodes: &nodes, near, per_different, weight })
         });
-        let own = |i: usize| {
-            let (smooth, part, own) = (&smooth[i], &baked.parts[i], noise[i].own_share());
-            if asked(i) { std::array::from_fn(|p| smooth[p].lerp(part[p], own)) } else { *part }
-        };
-        let parts: Vec<[Vec3; PARTS]> = (0..noise.len()).into_par_iter().map(own).collect();
+        parts.par_iter_mut().enumerate().for_each(|(i, smooth)| {
+            let (part, own) = (scaled(i), noise[i].own_share());
+            *smooth = if asked(i) { std::array::from_fn(|p| smooth[p].lerp(part[p], own)) } else { part };
+        });
         let (error, certain) = self.remaining_error(&noise, &parts, &asked).into_iter().unzip();
-        let parts: Vec<[Vec3; PARTS]> = parts.into_par_iter().map(|parts| parts.map(|p| p * unit)).collect();
+        parts.par_iter_mut().for_each(|parts| parts.iter_mut().for_each(|p| *p *= unit));
         let value = parts.par_iter().map(|p| p.iter().sum::<Vec3>() / PARTS as f32).collect();
         (Irradiance { value, parts, error, rays: baked.rays }, certain)
     }
 
     /// Variance of one part's luminance. The scatter of a single texel's parts is a poor variance: the relative variance of one sample is
     /// averaged over the disc.
-    fn noise(&self, baked: &Irradiance, level: &[u8]) -> Vec<Noise> {
+    fn noise(&self, parts: &(impl Fn(usize) -> [Vec3; PARTS] + Sync), level: &[u8]) -> Vec<Noise> {
         let samples = |l: u8| f32::from(1u16 << l);
-        let own = |(parts, l): (&[Vec3; PARTS], &u8)| {
-            let (mean, variance) = spread(&parts.map(luminance));
+        let own = |(i, l): (usize, &u8)| {
+            let (mean, variance) = spread(&parts(i).map(luminance));
             [samples(*l) * variance * mean * mean, mean * mean]
         };
-        let own: Vec<[f32; 2]> = baked.parts.par_iter().zip(level).map(own).collect();
+        let own: Vec<[f32; 2]> = level.par_iter().enumerate().map(own).collect();
         let of = |i: usize| {
             let [variance, square] = sums(self.discs.of(i), &own);
-            let (part, n) = (baked.parts[i].map(luminance), samples(level[i]));
+            let (part, n) = (parts(i).map(luminance), samples(level[i]));
             let noise = Noise { part, variance: 0.0, samples: n };
             Noise { variance: if square > 0.0 { variance / square * noise.mean().powi(2) / n } else { 0.0 }, ..noise }
         };
