@@ -8,7 +8,7 @@
 //! other. No surface is quite as even as the regression: a texel with many samples keeps its own estimate.
 
 use super::neighbourhood::{Discs, Near, Neighbourhood, Patch};
-use super::screens::Screens;
+use super::screens::find_hidden;
 use super::{Irradiance, PARTS, spread};
 use crate::ffi::simd::{Kernel, run_widest};
 use crate::math::luminance;
@@ -106,8 +106,8 @@ impl<'a> SurfaceFilter<'a> {
     #[must_use]
     pub fn new(patches: &'a [Patch], tracer: &dyn Tracer) -> Self {
         let around = Neighbourhood::new(patches);
-        let screens = Screens::new(patches, &around, REACH, tracer);
-        let around = around.parted_by(screens);
+        let hidden = find_hidden(patches, &around, REACH, tracer);
+        let around = around.without(hidden);
         Self { patches, discs: around.discs(patches, DISC), around, per_different: 1.0 / DIFFERENT }
     }
 

@@ -6,6 +6,7 @@ mod bundle;
 mod emitters;
 mod environment;
 mod filter;
+mod hidden;
 mod hull;
 mod irt;
 mod lamp_choice;

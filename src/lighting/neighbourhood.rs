@@ -3,7 +3,7 @@
 //! Texels are sorted into cubes and there by direction; those of one such group share a list of candidates, copied side by side. Charts
 //! of different density live in different grids (octaves of texel size), so that the number of neighbours does not grow with the density of a chart next door.
 
-use super::screens::Screens;
+use super::hidden::Hidden;
 use crate::ffi::simd::with_widest;
 use crate::math::Frame;
 use glam::Vec3;
@@ -29,15 +29,34 @@ pub struct Patch {
 }
 
 impl Patch {
-    /// Whether `other` lies within `reach` texels on the same smooth surface: what the search finds ([`Candidates::find`]), to the bit.
+    /// Whether `other` lies within `reach` texels on the same smooth surface.
     pub(super) fn reaches(&self, other: &Self, reach: f32) -> bool {
-        let step = other.position - self.position;
-        let (d2, height) = (step.length_squared(), self.normal.dot(step));
-        let limit = (reach * self.size) * (reach * self.size);
-        d2 < limit
-            && d2 * (1.0 / limit.max(f32::MIN_POSITIVE)) < 1.0
-            && self.normal.dot(other.normal) > SMOOTH
-            && height * height <= FLAT * FLAT * d2
+        Reach::new(self.size, reach).share(other.position - self.position, [self.normal, other.normal]) < 1.0
+    }
+}
+
+/// How far the surroundings of a texel go: the square, and one over it.
+#[derive(Clone, Copy)]
+struct Reach {
+    limit: f32,
+    per_limit: f32,
+}
+
+impl Reach {
+    fn new(size: f32, reach: f32) -> Self {
+        let limit = (reach * size) * (reach * size);
+        Self { limit, per_limit: 1.0 / limit.max(f32::MIN_POSITIVE) }
+    }
+
+    /// Squared length of a step between two texels with these normals as a share of the square; 1 if the second does not lie within it on
+    /// the first's smooth surface.
+    #[inline(always)]
+    fn share(self, step: Vec3, [normal, other]: [Vec3; 2]) -> f32 {
+        let d2 = step.length_squared();
+        let smooth = normal.dot(other) > SMOOTH;
+        let height = normal.dot(step);
+        let flat = height * height <= FLAT * FLAT * d2;
+        if (d2 < self.limit) & smooth & flat { d2 * self.per_limit } else { 1.0 }
     }
 }
 
@@ -49,7 +68,7 @@ pub(super) struct Neighbourhood {
     /// Place of every texel in the order of the groups that it is a member of.
     rank: Vec<u32>,
     /// Who is hidden from whom.
-    screens: Screens,
+    hidden: Hidden,
 }
 
 /// Texels of similar size sorted by cube.
@@ -111,30 +130,12 @@ impl Neighbourhood {
         let mut rank = vec![0; patches.len()];
         let members = octaves.iter().flat_map(|o| o.sorted.iter().filter(|i| octave_of[**i as usize] == o.octave));
         members.zip(0..).for_each(|(&i, place)| rank[i as usize] = place);
-        Self { octaves, octave_of, rank, screens: Screens::default() }
+        Self { octaves, octave_of, rank, hidden: Hidden::default() }
     }
 
     /// The same without texels that are hidden from each other.
-    pub(super) fn parted_by(self, screens: Screens) -> Self {
-        Self { screens, ..self }
-    }
-
-    /// Takes away those of the texels around texel `i` that are hidden from it.
-    fn part(&self, i: usize, near: &mut Vec<Near>) {
-        let hidden = self.screens.of(i);
-        if !hidden.is_empty() {
-            // most are told apart by a few bits of their numbers
-            const WORDS: usize = 16;
-            let mut some = [0u64; WORDS];
-            let bit = |id: u32| ((id >> 6) as usize % WORDS, 1u64 << (id % 64));
-            for (word, bit) in hidden.iter().map(|id| bit(*id)) {
-                some[word] |= bit;
-            }
-            near.retain(|n| {
-                let (word, bit) = bit(n.id);
-                some[word] & bit == 0 || hidden.binary_search(&n.id).is_err()
-            });
-        }
+    pub(super) fn without(self, hidden: Hidden) -> Self {
+        Self { hidden, ..self }
     }
 
     /// The texels of a group that are of the octave itself.
@@ -169,7 +170,7 @@ impl Neighbourhood {
                 candidates.fill(patches, o, group, bounds);
                 for (i, out) in members().zip(own).filter(|(i, _)| asked(*i)) {
                     candidates.find(&patches[i], reach, near);
-                    self.part(i, near);
+                    self.hidden.part(i, near, |n| n.id);
                     *out = f(i, near, scratch);
                 }
             },
@@ -205,7 +206,7 @@ impl Neighbourhood {
                 candidates.fill(patches, o, group, bounds);
                 for i in members() {
                     candidates.find(&patches[i], reach, found);
-                    self.part(i, found);
+                    self.hidden.part(i, found, |n| n.id);
                     near.extend(found.iter().map(|n| (n.id, n.distance2)));
                     ends.push((i, near.len() as u32));
                 }
@@ -318,19 +319,14 @@ impl Candidates {
             // (copies: what is read through a reference could change with every value written)
             let Patch { position, normal, size } = *p;
             let Frame { t, b, .. } = Frame::from_normal(normal);
-            let limit = (reach * size) * (reach * size);
-            let (per_limit, per_reach) = (1.0 / limit.max(f32::MIN_POSITIVE), 1.0 / (reach * size).max(f32::MIN_POSITIVE));
+            let (around, per_reach) = (Reach::new(size, reach), 1.0 / (reach * size).max(f32::MIN_POSITIVE));
             let (x, y, z) = (&self.position[0][..n], &self.position[1][..n], &self.position[2][..n]);
             let (nx, ny, nz) = (&self.normal[0][..n], &self.normal[1][..n], &self.normal[2][..n]);
             let distance2 = &mut self.distance2[..n];
             let [s0, s1, n0, n1] = self.along.each_mut().map(|c| &mut c[..n]);
             for k in 0..n {
                 let (step, other) = (Vec3::new(x[k], y[k], z[k]) - position, Vec3::new(nx[k], ny[k], nz[k]));
-                let d2 = step.length_squared();
-                let smooth = normal.dot(other) > SMOOTH;
-                let height = normal.dot(step);
-                let flat = height * height <= FLAT * FLAT * d2;
-                distance2[k] = if (d2 < limit) & smooth & flat { d2 * per_limit } else { 1.0 };
+                distance2[k] = around.share(step, [normal, other]);
                 (s0[k], s1[k]) = (step.dot(t) * per_reach, step.dot(b) * per_reach);
                 (n0[k], n1[k]) = (other.dot(t), other.dot(b));
             }
@@ -414,7 +410,17 @@ mod tests {
                 assert!(list.is_empty(), "texel {i} was not asked for");
                 continue;
             }
-            let plain: Vec<u32> = index.iter().copied().filter(|&j| p.reaches(&patches[j as usize], reach)).collect();
+            let plain: Vec<u32> = index
+                .iter()
+                .copied()
+                .filter(|&j| {
+                    let q = &patches[j as usize];
+                    let step = q.position - p.position;
+                    step.length_squared() < (reach * p.size).powi(2)
+                        && q.normal.dot(p.normal) > SMOOTH
+                        && p.normal.dot(step).abs() <= FLAT * step.length()
+                })
+                .collect();
             assert!(plain.len() > 10, "texel {i} has company");
             assert_eq!(*list, plain, "texel {i}");
         }

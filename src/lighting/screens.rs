@@ -5,15 +5,14 @@
 //! places near which anything stands at all; there, rays to the neighbours that may lie behind it decide. Who hides from whom is
 //! mutual, whichever of the two found out.
 
+use super::hidden::Hidden;
 use super::neighbourhood::{Neighbourhood, Patch};
 use crate::math::Frame;
 use crate::parallel::map_chunks;
 use crate::trace::{BATCH, Hit, Ray, Tracer};
 use glam::Vec3;
-use rayon::prelude::*;
 use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 use std::ops::Range;
-use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
 /// Height over the surface, in texels, at which texels look at each other. Between neighbours a convex surface rises less than a
 /// quarter above their line: d θ / 8 for normals θ = acos 0.95 apart at a distance of d = 6.
@@ -29,15 +28,6 @@ const SPOKE: [[f32; 2]; SPOKES] = {
 };
 /// Share of the way to what a fan met within which nothing hides.
 const BEFORE: f32 = 0.75;
-
-/// The texels hidden from each.
-#[derive(Default)]
-pub(super) struct Screens {
-    /// Texel by texel, ascending.
-    hidden: Vec<u32>,
-    /// Where each texel's end; empty where nobody looked.
-    end: Vec<usize>,
-}
 
 /// Texels that look around.
 struct Looks<'a> {
@@ -64,73 +54,31 @@ struct Sight {
     blocked: Vec<u8>,
 }
 
-impl Screens {
-    /// Asks which of the texels within `reach` texels of each are hidden from it.
-    pub(super) fn new(patches: &[Patch], around: &Neighbourhood, reach: f32, tracer: &dyn Tracer) -> Self {
-        let looks = Looks { patches, eyes: eyes(patches, tracer), reach };
-        let fans = fans(&looks, tracer);
-        let obstructed = |i: usize| fans[i].iter().any(|d| d.is_finite());
-        // of two that may be hidden from each other the one with the lower number asks
-        let asks_itself = |j: usize, i: usize| {
-            let asks = || {
-                let [x, y] = looks.toward(j, i);
-                may_hide(x, y, &fans[j]) && patches[j].reaches(&patches[i], reach)
-            };
-            j < i && asks()
+/// Asks which of the texels within `reach` texels of each are hidden from it.
+pub(super) fn find_hidden(patches: &[Patch], around: &Neighbourhood, reach: f32, tracer: &dyn Tracer) -> Hidden {
+    let looks = Looks { patches, eyes: eyes(patches, tracer), reach };
+    let fans = fans(&looks, tracer);
+    let obstructed = |i: usize| fans[i].iter().any(|d| d.is_finite());
+    // of two that may be hidden from each other the one with the lower number asks
+    let asks_itself = |j: usize, i: usize| {
+        let asks = || {
+            let [x, y] = looks.toward(j, i);
+            may_hide(x, y, &fans[j]) && patches[j].reaches(&patches[i], reach)
         };
-        let found = around.map(patches, reach, obstructed, |i, near, sight: &mut Sight| {
-            let unsure = near.iter().filter(|n| may_hide(n.along[0], n.along[1], &fans[i]));
-            sight.ids.clear();
-            sight.ids.extend(unsure.map(|n| n.id).filter(|&j| !asks_itself(j as usize, i)));
-            sight.rays.clear();
-            sight.rays.extend(sight.ids.iter().map(|&j| between(looks.eyes[i], looks.eyes[j as usize])));
-            sight.blocked.resize(sight.ids.len(), 0);
-            tracer.occluded(&sight.rays, &mut sight.blocked);
-            let blocked = sight.ids.iter().zip(&sight.blocked).filter(|(_, blocked)| **blocked != 0);
-            blocked.map(|(j, _)| *j).collect::<Vec<u32>>()
-        });
-        Self::mutual(&found)
-    }
-
-    /// From the hidden ones that each texel found out about, every pair once.
-    fn mutual(found: &[Vec<u32>]) -> Self {
-        let each_way = |each: &(dyn Fn(usize, u32) + Sync)| {
-            found.par_iter().enumerate().for_each(|(i, list)| {
-                list.iter().for_each(|&j| {
-                    each(i, j);
-                    each(j as usize, i as u32);
-                });
-            });
-        };
-        let next: Vec<AtomicUsize> = found.iter().map(|_| AtomicUsize::new(0)).collect();
-        each_way(&|i, _| {
-            next[i].fetch_add(1, Ordering::Relaxed);
-        });
-        let mut sum = 0;
-        for next in &next {
-            sum += next.swap(sum, Ordering::Relaxed);
-        }
-        let hidden: Vec<AtomicU32> = (0..sum).into_par_iter().map(|_| AtomicU32::new(0)).collect();
-        each_way(&|i, j| hidden[next[i].fetch_add(1, Ordering::Relaxed)].store(j, Ordering::Relaxed));
-        // (where each list begins has moved to where it ends)
-        let end: Vec<usize> = next.into_iter().map(AtomicUsize::into_inner).collect();
-        let mut hidden: Vec<u32> = hidden.into_iter().map(AtomicU32::into_inner).collect();
-        let (mut rest, mut start, mut lists) = (hidden.as_mut_slice(), 0, Vec::new());
-        for &end in &end {
-            let (list, others) = rest.split_at_mut(end - start);
-            (rest, start) = (others, end);
-            lists.push(list);
-        }
-        // whoever wrote first
-        lists.into_par_iter().for_each(|list| list.sort_unstable());
-        Self { hidden, end }
-    }
-
-    /// The texels hidden from texel `i`, ascending.
-    pub(super) fn of(&self, i: usize) -> &[u32] {
-        let Some(&end) = self.end.get(i) else { return &[] };
-        &self.hidden[if i == 0 { 0 } else { self.end[i - 1] }..end]
-    }
+        j < i && asks()
+    };
+    let found = around.map(patches, reach, obstructed, |i, near, sight: &mut Sight| {
+        let unsure = near.iter().filter(|n| may_hide(n.along[0], n.along[1], &fans[i]));
+        sight.ids.clear();
+        sight.ids.extend(unsure.map(|n| n.id).filter(|&j| !asks_itself(j as usize, i)));
+        sight.rays.clear();
+        sight.rays.extend(sight.ids.iter().map(|&j| between(looks.eyes[i], looks.eyes[j as usize])));
+        sight.blocked.resize(sight.ids.len(), 0);
+        tracer.occluded(&sight.rays, &mut sight.blocked);
+        let blocked = sight.ids.iter().zip(&sight.blocked).filter(|(_, blocked)| **blocked != 0);
+        blocked.map(|(j, _)| *j).collect::<Vec<u32>>()
+    });
+    Hidden::mutual(&found)
 }
 
 /// The places from which texels look at each other: lower where something hangs over them.
@@ -221,8 +169,8 @@ mod tests {
         [at(from), at(to) - at(from), height * Vec3::Y]
     }
 
-    fn screens(patches: &[Patch], mesh: &Mesh) -> Screens {
-        Screens::new(patches, &Neighbourhood::new(patches), REACH, &EmbreeTracer::new(mesh).expect("embree"))
+    fn hidden(patches: &[Patch], mesh: &Mesh) -> Hidden {
+        find_hidden(patches, &Neighbourhood::new(patches), REACH, &EmbreeTracer::new(mesh).expect("embree"))
     }
 
     /// Neighbours i, j of each other, whether hidden or not.
@@ -231,8 +179,8 @@ mod tests {
         Neighbourhood::new(patches).map(patches, REACH, |_| true, ids).concat()
     }
 
-    fn hides(screens: &Screens, i: usize, j: usize) -> bool {
-        screens.of(i).binary_search(&(j as u32)).is_ok()
+    fn hides(hidden: &Hidden, i: usize, j: usize) -> bool {
+        hidden.of(i).binary_search(&(j as u32)).is_ok()
     }
 
     /// Whatever way a wall runs, texels see their own side of it and nothing of the other's, however near to it they lie.
@@ -242,7 +190,7 @@ mod tests {
         let pairs = pairs(&patches);
         // (one passes a texel's centre by 0.0013 of it)
         for (from, to) in [([20.0, -9.0], [20.0, 50.0]), ([19.63, -9.0], [19.41, 50.0]), ([-9.0, 7.0], [50.0, 31.0])] {
-            let screens = screens(&patches, &mesh(&[wall(from, to, 9.0)]));
+            let hidden = hidden(&patches, &mesh(&[wall(from, to, 9.0)]));
             let side = |i: usize| {
                 let p = patches[i].position;
                 (to[0] - from[0]) * (p.z - from[1]) > (to[1] - from[1]) * (p.x - from[0])
@@ -250,7 +198,7 @@ mod tests {
             let across = pairs.iter().filter(|(i, j)| side(*i) != side(*j)).count();
             assert!(across > 3000, "{across}");
             for &(i, j) in &pairs {
-                assert_eq!(hides(&screens, i, j), side(i) != side(j), "{from:?}: {:?} {:?}", patches[i], patches[j]);
+                assert_eq!(hides(&hidden, i, j), side(i) != side(j), "{from:?}: {:?} {:?}", patches[i], patches[j]);
             }
         }
     }
@@ -270,7 +218,7 @@ mod tests {
             ([8.2, 33.3], [8.2, 28.1]),
         ];
         let mesh = mesh(&walls.map(|(from, to)| wall(from, to, 3.0)));
-        let (screens, brute) = (screens(&patches, &mesh), BruteForce::new(&mesh));
+        let (hidden, brute) = (hidden(&patches, &mesh), BruteForce::new(&mesh));
         let pairs = pairs(&patches);
         let eye = |i: usize| patches[i].position + HEIGHT * Vec3::Y;
         let rays: Vec<Ray> = pairs.iter().map(|&(i, j)| between(eye(i), eye(j))).collect();
@@ -278,9 +226,9 @@ mod tests {
         brute.occluded(&rays, &mut blocked);
         let (mut all, mut missed) = (0, 0);
         for (&(i, j), blocked) in pairs.iter().zip(blocked) {
-            assert_eq!(hides(&screens, i, j), hides(&screens, j, i), "mutual");
-            assert!(blocked == 1 || !hides(&screens, i, j), "{:?} sees {:?}", patches[i], patches[j]);
-            (all, missed) = (all + usize::from(blocked), missed + usize::from(blocked == 1 && !hides(&screens, i, j)));
+            assert_eq!(hides(&hidden, i, j), hides(&hidden, j, i), "mutual");
+            assert!(blocked == 1 || !hides(&hidden, i, j), "{:?} sees {:?}", patches[i], patches[j]);
+            (all, missed) = (all + usize::from(blocked), missed + usize::from(blocked == 1 && !hides(&hidden, i, j)));
         }
         println!("{missed} of {all} hidden pairs missed");
         assert!(all > 5000 && missed * 1000 <= all, "{missed} of {all}");
@@ -289,9 +237,9 @@ mod tests {
     #[test]
     fn a_step_lower_than_half_a_texel_hides_nothing() {
         let patches = floor();
-        let step = |height: f32| screens(&patches, &mesh(&[wall([20.2, -9.0], [20.2, 50.0], height)]));
-        assert!(step(0.45).hidden.is_empty());
-        assert!(!step(0.55).hidden.is_empty());
+        let step = |height: f32| hidden(&patches, &mesh(&[wall([20.2, -9.0], [20.2, 50.0], height)]));
+        assert!(step(0.45).is_empty());
+        assert!(!step(0.55).is_empty());
     }
 
     /// Seen from outside a ball is convex, from inside concave: neither way do neighbours hide from each other, few texels to the radius or many.
@@ -314,9 +262,9 @@ mod tests {
             let centre = |t: usize| (mesh.triangles[t].iter().map(|&k| mesh.positions[k as usize]).sum::<Vec3>()) / 3.0;
             let patch = |p: Vec3| Patch { position: p, normal: inside * p.normalize(), size: 1.0 / radius };
             let patches: Vec<Patch> = (0..mesh.triangles.len()).map(|t| patch(centre(t))).collect();
-            let screens = screens(&patches, &mesh);
+            let hidden = hidden(&patches, &mesh);
             assert!(pairs(&patches).len() > 10 * patches.len(), "texels have company");
-            assert!(screens.hidden.is_empty(), "radius {radius}, {inside}: {} hidden", screens.hidden.len());
+            assert!(hidden.is_empty(), "radius {radius}, {inside}");
         }
     }
 
@@ -329,10 +277,10 @@ mod tests {
         let corners = [[x0, z0], [x1, z0], [x1, z1], [x0, z1]];
         let rug = [Vec3::new(x0, HIGH, z0), (x1 - x0) * Vec3::X, (z1 - z0) * Vec3::Z];
         let sides = (0..4).map(|k| wall(corners[k], corners[(k + 1) % 4], HIGH));
-        let screens = screens(&patches, &mesh(&sides.chain([rug]).collect::<Vec<_>>()));
+        let hidden = hidden(&patches, &mesh(&sides.chain([rug]).collect::<Vec<_>>()));
         let beneath = |i: usize| (x0..x1).contains(&patches[i].position.x) && (z0..z1).contains(&patches[i].position.z);
         for (i, j) in pairs(&patches) {
-            assert_eq!(hides(&screens, i, j), beneath(i) != beneath(j), "{:?} {:?}", patches[i], patches[j]);
+            assert_eq!(hides(&hidden, i, j), beneath(i) != beneath(j), "{:?} {:?}", patches[i], patches[j]);
         }
     }
 }
