@@ -115,8 +115,9 @@ pub fn bake_surface(
         (rays, samples) = (first.rays, (ids.len() as u64) << l);
     }
     let total = (1.0 - KEPT_BACK) * f64::from(budget.samples.iter().sum::<u32>()) * count as f64;
+    let judged = if budget.rounds > 1 { filter.some_of(matters) } else { Vec::new() };
     for round in 1..budget.rounds {
-        let (filtered, certain) = filter.filter(&baked, &level, matters);
+        let (filtered, certain) = filter.filter(&baked, &level, |i| judged[i]);
         let promising = |i: usize| if certain[i] > budget.target { certain[i] * importance[i].sqrt() } else { 0.0 };
         let left = (total - baked.rays as f64).max(0.0) / f64::from(budget.rounds - round);
         let cost = left * samples as f64 / rays.max(1) as f64;

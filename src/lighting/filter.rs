@@ -12,6 +12,7 @@ use super::screens::find_hidden;
 use super::{Irradiance, PARTS, spread};
 use crate::ffi::simd::{Kernel, run_widest};
 use crate::math::luminance;
+use crate::sampling::hash_u64;
 use crate::trace::Tracer;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -41,6 +42,10 @@ const UNEVEN: f32 = 0.008;
 const COMPLEMENTARY: f32 = 0.4;
 /// Standard deviation of the mean of squares by which parts and filtered parts differ, in one part's variance.
 const CHANCE: f32 = 0.36;
+/// Of the texels whose error is asked for, one in so many is filtered, and those in whose disc fewer than `FILTERED_LEAST` are: left
+/// out, such lonely texels would not be found where they are wrong (CHANGELOG).
+const FILTERED_ONE_IN: u64 = 4;
+const FILTERED_LEAST: usize = 2;
 /// How many other parts a part is compared with.
 const OTHERS: f32 = (PARTS - 1) as f32;
 
@@ -147,6 +152,16 @@ impl<'a> SurfaceFilter<'a> {
         parts.par_iter_mut().for_each(|parts| parts.iter_mut().for_each(|p| *p *= unit));
         let value = parts.par_iter().map(|p| p.iter().sum::<Vec3>() / PARTS as f32).collect();
         (Irradiance { value, parts, error, rays: baked.rays }, certain)
+    }
+
+    /// Some of the texels that `matter`: enough of them that what [`Self::filter`] says of their error holds for all, errors being
+    /// averages over discs.
+    #[must_use]
+    pub fn some_of(&self, matter: impl Fn(usize) -> bool + Sync) -> Vec<bool> {
+        let drawn = |i: usize| matter(i) && hash_u64(0, i as u64).is_multiple_of(FILTERED_ONE_IN);
+        let drawn: Vec<bool> = (0..self.patches.len()).into_par_iter().map(drawn).collect();
+        let around = |i: usize| self.discs.of(i).iter().filter(|(j, _)| drawn[*j as usize]).take(FILTERED_LEAST).count();
+        (0..drawn.len()).into_par_iter().map(|i| drawn[i] || (matter(i) && around(i) < FILTERED_LEAST)).collect()
     }
 
     /// Variance of one part's luminance. The scatter of a single texel's parts is a poor variance: the relative variance of one sample is

@@ -8,6 +8,7 @@ use crate::ffi::simd::with_widest;
 use crate::math::Frame;
 use glam::Vec3;
 use rayon::prelude::*;
+use std::f32::consts::PI;
 use std::ops::Range;
 
 /// Side of a cube in texels: smaller ones waste less on candidates out of reach, larger ones need fewer look-ups.
@@ -79,6 +80,8 @@ struct Octave {
     cell: f32,
     /// Texels in the order of their groups.
     sorted: Vec<u32>,
+    /// Their positions and normals in that order, a column per coordinate.
+    columns: [Vec<f32>; 6],
     /// In the order of their cubes.
     groups: Vec<Group>,
 }
@@ -90,22 +93,27 @@ struct Group {
     range: Range<usize>,
     /// How many of them are of the octave itself.
     members: usize,
-    /// Mean normal, and the largest angle from it.
+    /// Mean normal, and the largest angle from it; its sine and cosine.
     axis: Vec3,
     spread: f32,
+    spread_sin_cos: (f32, f32),
 }
 
 /// Texels of the cubes around a few texels, a column per property.
 #[derive(Default)]
 struct Candidates {
     ids: Vec<u32>,
-    position: [Vec<f32>; 3],
-    normal: [Vec<f32>; 3],
+    /// Positions, then normals.
+    columns: [Vec<f32>; 6],
     distance2: Vec<f32>,
     /// Along the two axes of the texel in question: positions, then normals.
     along: [Vec<f32>; 4],
     /// Which are near.
     near: Vec<u32>,
+    /// While they are looked for: where they may lie in the order of the groups, which of one such run are some (1 or 0), and their places.
+    runs: Vec<Range<usize>>,
+    inside: Vec<u32>,
+    places: Vec<u32>,
 }
 
 /// A texel on the same smooth surface as the one whose surroundings are asked for.
@@ -167,7 +175,7 @@ impl Neighbourhood {
             |(candidates, near, scratch), (o, group, own)| {
                 let members = || self.members(o, group);
                 let Some(bounds) = bounds(members().filter(|&i| asked(i)).map(|i| &patches[i]), reach) else { return };
-                candidates.fill(patches, o, group, bounds);
+                candidates.fill(o, group, bounds);
                 for (i, out) in members().zip(own).filter(|(i, _)| asked(*i)) {
                     candidates.find(&patches[i], reach, near);
                     self.hidden.part(i, near, |n| n.id);
@@ -203,7 +211,7 @@ impl Neighbourhood {
             let (mut near, mut ends) = (Vec::new(), Vec::new());
             let members = || self.members(o, group);
             if let Some(bounds) = bounds(members().map(|i| &patches[i]), reach) {
-                candidates.fill(patches, o, group, bounds);
+                candidates.fill(o, group, bounds);
                 for i in members() {
                     candidates.find(&patches[i], reach, found);
                     self.hidden.part(i, found, |n| n.id);
@@ -260,10 +268,15 @@ impl Octave {
             let axis = normals().sum::<Vec3>().normalize_or(Vec3::Z);
             let spread = normals().map(|n| axis.dot(n).clamp(-1.0, 1.0).acos()).fold(0.0, f32::max);
             let members = keyed[range.clone()].iter().filter(|k| octave_of[k.2 as usize] == o).count();
-            Group { cube: keyed[range.start].0, axis, spread, members, range }
+            Group { cube: keyed[range.start].0, axis, spread, spread_sin_cos: spread.sin_cos(), members, range }
         };
         let groups = ranges.into_par_iter().map(group).collect();
-        Self { octave: o, cell, groups, sorted: keyed.into_iter().map(|k| k.2).collect() }
+        let sorted: Vec<u32> = keyed.par_iter().map(|k| k.2).collect();
+        let column = |c: usize| {
+            let of = |p: &Patch| if c < 3 { p.position[c] } else { p.normal[c - 3] };
+            sorted.par_iter().map(|i| of(&patches[*i as usize])).collect()
+        };
+        Self { octave: o, cell, groups, columns: std::array::from_fn(column), sorted }
     }
 
     /// The groups whose cubes meet a box; those of one row of cubes lie side by side.
@@ -289,23 +302,50 @@ fn facing(normal: Vec3) -> u8 {
 
 impl Candidates {
     /// Takes the texels of `octave` within `bounds` that may lie on one smooth surface with texels of `group`.
-    fn fill(&mut self, patches: &[Patch], octave: &Octave, group: &Group, bounds: [Vec3; 2]) {
-        self.ids.clear();
-        let columns = self.position.iter_mut().chain(&mut self.normal);
-        columns.for_each(Vec::clear);
+    fn fill(&mut self, octave: &Octave, group: &Group, bounds: [Vec3; 2]) {
+        let Self { ids, columns, runs, inside, places, .. } = self;
         // a little more, for what rounding takes away
         let turn = SMOOTH.acos() + group.spread + 1e-3;
-        let cosine = turn.min(std::f32::consts::PI).cos();
-        for near in octave.within(bounds).filter(|g| g.axis.angle_between(group.axis) <= turn + g.spread) {
-            for &i in &octave.sorted[near.range.clone()] {
-                let p = &patches[i as usize];
-                if p.position.cmpge(bounds[0]).all() && p.position.cmple(bounds[1]).all() && p.normal.dot(group.axis) >= cosine {
-                    self.ids.push(i);
-                    self.position.iter_mut().zip(p.position.to_array()).for_each(|(c, x)| c.push(x));
-                    self.normal.iter_mut().zip(p.normal.to_array()).for_each(|(c, x)| c.push(x));
-                }
+        let (sin, cos) = turn.sin_cos();
+        let may = |g: &&Group| {
+            let (g_sin, g_cos) = g.spread_sin_cos;
+            turn + g.spread >= PI || g.axis.dot(group.axis) >= cos * g_cos - sin * g_sin
+        };
+        runs.clear();
+        for near in octave.within(bounds).filter(may) {
+            match runs.last_mut() {
+                Some(last) if last.end == near.range.start => last.end = near.range.end,
+                _ => runs.push(near.range.clone()),
             }
         }
+        grow(inside, runs.iter().map(Range::len).max().unwrap_or(0));
+        grow(places, runs.iter().map(Range::len).sum());
+        let (cosine, mut kept) = (turn.min(PI).cos(), 0);
+        with_widest(|| {
+            // (copies: what is read through a reference could change with every value written)
+            let ([lo, hi], axis) = (bounds, group.axis);
+            for run in runs.iter() {
+                let [x, y, z, nx, ny, nz] = octave.columns.each_ref().map(|c| &c[run.clone()]);
+                let inside = &mut inside[..run.len()];
+                for (k, inside) in inside.iter_mut().enumerate() {
+                    let within = (x[k] >= lo.x) & (x[k] <= hi.x) & (y[k] >= lo.y) & (y[k] <= hi.y) & (z[k] >= lo.z) & (z[k] <= hi.z);
+                    *inside = u32::from(within & (nx[k] * axis.x + ny[k] * axis.y + nz[k] * axis.z >= cosine));
+                }
+                // (written whether inside or not: a branch would be mispredicted every other time)
+                for (place, inside) in run.clone().zip(inside) {
+                    places[kept] = place as u32;
+                    kept += *inside as usize;
+                }
+            }
+        });
+        let places = places[..kept].iter().map(|p| *p as usize);
+        let take = |to: &mut Vec<f32>, from: &[f32]| {
+            to.clear();
+            to.extend(places.clone().map(|p| from[p]));
+        };
+        columns.iter_mut().zip(&octave.columns).for_each(|(to, from)| take(to, from));
+        ids.clear();
+        ids.extend(places.map(|p| octave.sorted[p]));
         let n = self.ids.len();
         self.distance2.resize(n, 0.0);
         self.along.iter_mut().for_each(|c| c.resize(n, 0.0));
@@ -320,8 +360,7 @@ impl Candidates {
             let Patch { position, normal, size } = *p;
             let Frame { t, b, .. } = Frame::from_normal(normal);
             let (around, per_reach) = (Reach::new(size, reach), 1.0 / (reach * size).max(f32::MIN_POSITIVE));
-            let (x, y, z) = (&self.position[0][..n], &self.position[1][..n], &self.position[2][..n]);
-            let (nx, ny, nz) = (&self.normal[0][..n], &self.normal[1][..n], &self.normal[2][..n]);
+            let [x, y, z, nx, ny, nz] = self.columns.each_ref().map(|c| &c[..n]);
             let distance2 = &mut self.distance2[..n];
             let [s0, s1, n0, n1] = self.along.each_mut().map(|c| &mut c[..n]);
             for k in 0..n {
@@ -342,6 +381,12 @@ impl Candidates {
         out.clear();
         let near = near[..kept].iter().map(|k| *k as usize);
         out.extend(near.map(|k| Near { id: ids[k], distance2: distance2[k], along: along.map(|c| c[k]) }));
+    }
+}
+
+fn grow(buffer: &mut Vec<u32>, least: usize) {
+    if buffer.len() < least {
+        buffer.resize(least, 0);
     }
 }
 
