@@ -125,7 +125,7 @@ impl<'a> SurfaceFilter<'a> {
 
     /// The filtered irradiance of `baked` (one value per texel, from 2^`level` times as many samples as the fewest); its `error` tells
     /// the relative error that remains, bias included. Beside it the part of that error that is
-    /// not itself noise: what should decide where samples are added. Texels not `asked` for keep their own estimate.
+    /// not itself noise: what should decide where samples are added. Texels not `asked` for get the luminance of their disc instead.
     #[must_use]
     pub fn filter(&self, baked: &Irradiance, level: &[u8], asked: impl Fn(usize) -> bool + Sync) -> (Irradiance, Vec<f32>) {
         // in a unit near the mean: whatever the exposure, nothing squared underflows
@@ -146,7 +146,10 @@ impl<'a> SurfaceFilter<'a> {
         });
         parts.par_iter_mut().enumerate().for_each(|(i, smooth)| {
             let (part, own) = (scaled(i), noise[i].own_share());
-            *smooth = if asked(i) { std::array::from_fn(|p| smooth[p].lerp(part[p], own)) } else { part };
+            *smooth = match asked(i) {
+                true => std::array::from_fn(|p| smooth[p].lerp(part[p], own)),
+                false => guides[i].part.map(Vec3::splat),
+            };
         });
         let (error, certain) = self.remaining_error(&noise, &parts, &asked).into_iter().unzip();
         parts.par_iter_mut().for_each(|parts| parts.iter_mut().for_each(|p| *p *= unit));

@@ -328,7 +328,8 @@ impl Candidates {
                 let [x, y, z, nx, ny, nz] = octave.columns.each_ref().map(|c| &c[run.clone()]);
                 let inside = &mut inside[..run.len()];
                 for (k, inside) in inside.iter_mut().enumerate() {
-                    let within = (x[k] >= lo.x) & (x[k] <= hi.x) & (y[k] >= lo.y) & (y[k] <= hi.y) & (z[k] >= lo.z) & (z[k] <= hi.z);
+                    let within =
+                        (x[k] >= lo.x) & (x[k] <= hi.x) & (y[k] >= lo.y) & (y[k] <= hi.y) & (z[k] >= lo.z) & (z[k] <= hi.z);
                     *inside = u32::from(within & (nx[k] * axis.x + ny[k] * axis.y + nz[k] * axis.z >= cosine));
                 }
                 // (written whether inside or not: a branch would be mispredicted every other time)

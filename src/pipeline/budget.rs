@@ -25,10 +25,11 @@ const FUSING: f64 = 0.25;
 const ALBEDO: f64 = 1.28 * FUSING;
 /// Rays of the coarse bake in the time of a look: what counts until that bake tells.
 const RAYS_PER_LOOK: f64 = 52.0;
-/// Costs in rays of the coarse bake: filtering an irradiance texel once, its missing light, an edge pixel of the views, a pixel of
-/// the report, a written value.
-const FILTER: f64 = 30.0;
-const MISSING_LIGHT: f64 = 30.0;
+/// Costs in rays of the coarse bake: filtering an irradiance texel (screens and neighbours included), judging it between two rounds, its
+/// missing light, an edge pixel of the views, a pixel of the report, a written value.
+const FILTER: f64 = 35.0;
+const JUDGING: f64 = 8.0;
+const MISSING_LIGHT: f64 = 60.0;
 const EDGES: f64 = 66.0;
 const REPORT_PIXEL: f64 = 28.0;
 const WRITTEN: f64 = 0.25;
@@ -42,9 +43,10 @@ const SAMPLES: [f64; 2] = [4.0, 2048.0];
 const SPECULAR: [f64; 2] = [1.0, 4096.0];
 const USUAL_SAMPLES: f64 = 160.0;
 
-/// Samples per irradiance texel and round after the first from which rounds pay: two take 0.6 to 0.8 of the error of one at the same 39
-/// rays, and one more pass of the filter.
-const WORTH_ROUNDS: f64 = 36.0;
+/// Samples per irradiance texel from which a second round pays, and for every further one: at 24 samples two rounds take 0.6 to 0.7 of
+/// the error of one, at 51 and 64 three take no less than two (CHANGELOG).
+const WORTH_SECOND: f64 = 24.0;
+const WORTH_FURTHER: f64 = 48.0;
 
 /// Cost of what a run does in any case, in rays per pixel of the views: highlights, pilots, specular images of one ray.
 const LEAST: f64 = 4.0;
@@ -53,9 +55,9 @@ const LEAST_FREE: f64 = 0.35;
 /// Share of the whole budget by which the solution at edges may exceed it.
 const OVERDRAFT: f64 = 0.08;
 
-/// The most rounds, of at most `most`, that are worth their passes of the filter where `samples(rounds)` per texel are left to them.
+/// The most rounds, of at most `most`, that are worth what judging the texels between them costs where `samples(rounds)` per texel are left to them.
 pub(crate) fn rounds_worth(most: u32, samples: impl Fn(u32) -> f64) -> u32 {
-    (2..=most).rev().find(|&r| samples(r) >= WORTH_ROUNDS * f64::from(r - 1)).unwrap_or(most.min(1))
+    (2..=most).rev().find(|&r| samples(r) >= WORTH_SECOND + WORTH_FURTHER * f64::from(r - 2)).unwrap_or(most.min(1))
 }
 
 /// What there is to do, and how fast a look is.
@@ -173,8 +175,8 @@ impl Budget {
         self.note(|m| m.fusion = seconds);
     }
 
-    /// Samples per irradiance texel and the rounds to spend them in, after the coarse bake traced `rays` in `seconds`. Each of at
-    /// most `rounds` ends with a pass of the filter; with few samples ([`WORTH_ROUNDS`]) the passes are better spent on rays.
+    /// Samples per irradiance texel and the rounds to spend them in, after the coarse bake traced `rays` in `seconds`. There
+    /// are at most `rounds`; with few samples ([`WORTH_SECOND`]) the time between them is better spent on rays.
     pub(super) fn irradiance_samples(
         &self,
         texels: usize,
@@ -187,7 +189,8 @@ impl Budget {
         let m = self.measured();
         let left = self.left() - self.tail();
         let per_sample = m.ray * texels.max(1) as f64;
-        let affordable = |rounds: u32| IRRADIANCE * left / per_sample - f64::from(rounds) * FILTER;
+        let filter = |rounds: u32| rounds.checked_sub(1).map_or(0.0, |between| FILTER + JUDGING * f64::from(between));
+        let affordable = |rounds: u32| IRRADIANCE * left / per_sample - filter(rounds);
         let rounds = rounds_worth(rounds, affordable);
         let n = affordable(rounds).clamp(SAMPLES[0], SAMPLES[1]) as u32;
         progress.decide(
@@ -322,7 +325,7 @@ mod tests {
         assert_eq!(sizes(-1.0).albedo, LEAST_SIDE);
         let samples = |s: f64| at(s).irradiance_samples(500_000, 5_000_000, 1.0, 2, &p);
         assert_eq!(samples(1.0), (4, 1));
-        let [(few, once), (many, twice)] = [samples(15.0), samples(120.0)];
+        let [(few, once), (many, twice)] = [samples(10.0), samples(120.0)];
         assert!(few > 8 && many > few && [once, twice] == [1, 2], "{few} in {once}, {many} in {twice}");
         assert!(samples_for(0.02, 0.096, 64, &p).abs_diff(64 * 4) <= 1);
         assert_eq!(at(10.0).evidence(100, 1.0, 1000, 50, &p), 50);
