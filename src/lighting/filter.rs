@@ -145,10 +145,11 @@ impl<'a> SurfaceFilter<'a> {
             run_widest(Regression { own: &guides[i], part: &nodes[i].value, nodes: &nodes, near, per_different, weight })
         });
         parts.par_iter_mut().enumerate().for_each(|(i, smooth)| {
-            let (part, own) = (scaled(i), noise[i].own_share());
-            *smooth = match asked(i) {
-                true => std::array::from_fn(|p| smooth[p].lerp(part[p], own)),
-                false => guides[i].part.map(Vec3::splat),
+            *smooth = if asked(i) {
+                let (part, own) = (scaled(i), noise[i].own_share());
+                std::array::from_fn(|p| smooth[p].lerp(part[p], own))
+            } else {
+                guides[i].part.map(Vec3::splat)
             };
         });
         let (error, certain) = self.remaining_error(&noise, &parts, &asked).into_iter().unzip();

@@ -110,7 +110,8 @@ struct Candidates {
     along: [Vec<f32>; 4],
     /// Which are near.
     near: Vec<u32>,
-    /// While they are looked for: where they may lie in the order of the groups, which of one such run are some (1 or 0), and their places.
+    /// Memory for the search: runs of the groups' order where they may lie, for every texel of one run whether it is one (1 or 0), and
+    /// the places of those that are.
     runs: Vec<Range<usize>>,
     inside: Vec<u32>,
     places: Vec<u32>,
@@ -318,8 +319,8 @@ impl Candidates {
                 _ => runs.push(near.range.clone()),
             }
         }
-        grow(inside, runs.iter().map(Range::len).max().unwrap_or(0));
-        grow(places, runs.iter().map(Range::len).sum());
+        inside.resize(runs.iter().map(Range::len).max().unwrap_or(0), 0);
+        places.resize(runs.iter().map(Range::len).sum(), 0);
         let (cosine, mut kept) = (turn.min(PI).cos(), 0);
         with_widest(|| {
             // (copies: what is read through a reference could change with every value written)
@@ -382,12 +383,6 @@ impl Candidates {
         out.clear();
         let near = near[..kept].iter().map(|k| *k as usize);
         out.extend(near.map(|k| Near { id: ids[k], distance2: distance2[k], along: along.map(|c| c[k]) }));
-    }
-}
-
-fn grow(buffer: &mut Vec<u32>, least: usize) {
-    if buffer.len() < least {
-        buffer.resize(least, 0);
     }
 }
 

@@ -55,7 +55,8 @@ const LEAST_FREE: f64 = 0.35;
 /// Share of the whole budget by which the solution at edges may exceed it.
 const OVERDRAFT: f64 = 0.08;
 
-/// The most rounds, of at most `most`, that are worth what judging the texels between them costs where `samples(rounds)` per texel are left to them.
+/// The most rounds, of at most `most`, that are worth what judging the texels between them costs, where `samples(rounds)` per texel
+/// are left to them.
 pub(crate) fn rounds_worth(most: u32, samples: impl Fn(u32) -> f64) -> u32 {
     (2..=most).rev().find(|&r| samples(r) >= WORTH_SECOND + WORTH_FURTHER * f64::from(r - 2)).unwrap_or(most.min(1))
 }
