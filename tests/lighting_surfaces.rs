@@ -335,8 +335,8 @@ fn texels_within_the_target_stop() {
         let (n, receiver) = (atlas.receivers.len(), |i: usize| atlas.receivers[i]);
         let budget = Budget { estimator: Estimator::Mis, samples: [96, 48], rounds, filter: true, target, seed: 3 };
         let out = bake_surface(&lit.bake(), &atlas.patches, receiver, &vec![1.0; n], &budget, &Progress::silent());
-        // the powers of two within two thirds of the budget
-        let first = IrtOptions { rays: 64, emitter_samples: 32, seed: 3, ..IrtOptions::default() };
+        // the powers of two within half of the budget
+        let first = IrtOptions { rays: 32, emitter_samples: 16, seed: 3, ..IrtOptions::default() };
         (out.rays, bake_irradiance(&lit.bake(), n, receiver, &first, &Progress::silent()).rays, n as u64)
     };
     for rounds in [2, 4] {

@@ -134,7 +134,7 @@ fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &P
     let (r, e) = (ground.options.irradiance_rays, ground.options.emitter_samples);
     let part = |n: u32| [(r / n).max(2), (e / n).max(1)];
     let others: &[[u32; 2]] =
-        if bench.full { &[part(8), part(4), [2 * r, 2 * e], [4 * r, 4 * e]] } else { &[part(8), part(6), part(4)] };
+        if bench.full { &[part(8), part(4), [2 * r, 2 * e], [4 * r, 4 * e]] } else { &[part(10), part(8), part(6), part(4)] };
     let ours = pipeline_point(&ground, texels, &reference, [r, e], progress);
     for &o in others {
         points.push(pipeline_point(&ground, texels, &reference, o, progress));

@@ -1,22 +1,23 @@
 //! Irradiance of a whole texture from a budget of rays: where sharing samples over the surface does not suffice, more are drawn.
 //!
-//! A first round gives every texel that matters the same samples, the others a quarter of them. After each round the filter tells what error it leaves, noise and bias; of the
-//! texels that matter, those where doubling the samples promises most per ray are doubled, once or several times, until the budget is
-//! spent or the target reached. Several rounds draw powers of two, whatever the budget: Sobol' points in other numbers are no nets.
+//! A first round gives every texel that matters the same samples, the others a quarter of them, or half of them, where so few cannot be
+//! divided, only as many. After each round small discs around the texels tell what error is to be expected; of the texels that matter, those
+//! where doubling the samples promises most per ray are doubled, once or several times, until the budget is spent or the target reached.
+//! At last all are filtered. Several rounds draw powers of two, whatever the budget: Sobol' points in other numbers are no nets.
 
+use super::filter::Judgement;
 use super::{Bake, Estimator, Irradiance, IrtOptions, PARTS, Patch, Receiver, SurfaceFilter, bake_irradiance};
-use crate::math::luminance;
 use crate::progress::Progress;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Share of the budget that the first of several rounds may take.
-const FIRST: [u32; 2] = [2, 3];
+/// One over the share of the budget that the first of several rounds may take: what fewer samples have not found is not looked for.
+const FIRST: u32 = 2;
 /// Doublings between the first round's samples where texels do not matter and where they do.
 const SPARED: u8 = 2;
 /// Doublings of a texel in one round, and in all.
 const MAX_STEPS: u8 = 4;
-const MAX_LEVEL: u8 = 8 + SPARED;
+const MAX_LEVEL: u8 = 9 + SPARED;
 /// Share of the budget that is kept back: of the samples of doubled texels, fewer may go untraced than of the others'.
 const KEPT_BACK: f64 = 0.005;
 /// Irradiance, as a share of the mean, below which an error counts less than its relative size.
@@ -49,9 +50,9 @@ impl Budget {
     }
 }
 
-/// The samples of texels level by level: twice as many on each as on the one below.
+/// The samples of texels level by level: none on level 0, then twice as many on each as on the one below.
 struct Levels {
-    /// Hemisphere rays and emitter samples of level 0.
+    /// Hemisphere rays and emitter samples of level 1.
     base: [u32; 2],
     /// The level of the first round where texels matter.
     first: u8,
@@ -63,22 +64,41 @@ impl Levels {
     fn new(budget: &Budget) -> Self {
         let first = match budget.rounds {
             0 | 1 => budget.samples,
-            _ => budget.samples.map(|s| if s == 0 { 0 } else { power_of_two_within(s * FIRST[0] / FIRST[1]) }),
+            _ => budget.samples.map(|s| if s == 0 { 0 } else { power_of_two_within(s / FIRST) }),
         };
         // what the filter decides by are parts, none of which may lack a kind of samples
         let least = PARTS as u32;
         let first = first.map(|s| if s == 0 { 0 } else { s.max(least) });
         let spare = |steps: &u8| first.iter().all(|s| *s == 0 || (s % (1 << steps) == 0 && s >> steps >= least));
         let steps = if budget.rounds > 1 { (0..=SPARED).rev().find(spare).unwrap_or(0) } else { 0 };
-        Self { base: first.map(|s| s >> steps), first: steps, estimator: budget.estimator, seed: budget.seed }
+        Self { base: first.map(|s| s >> steps), first: 1 + steps, estimator: budget.estimator, seed: budget.seed }
     }
 
-    /// What takes a texel from a level, or from nothing, to another.
-    fn options(&self, from: Option<u8>, to: u8) -> IrtOptions {
-        let drawn = self.base.map(|s| from.map_or(0, |l| s << l));
-        let [rays, emitter_samples] = [0, 1].map(|k| (self.base[k] << to) - drawn[k]);
+    /// The levels of the first round.
+    fn of_first_round(
+        &self,
+        filter: &SurfaceFilter,
+        matters: impl Fn(usize) -> bool + Sync,
+        count: usize,
+        rounds: u32,
+    ) -> Vec<u8> {
+        let others = rounds > 1 && self.first <= SPARED;
+        let sampled = if others { filter.thinned(&matters) } else { vec![true; count] };
+        let level = |(i, sampled): (usize, &bool)| if matters(i) { self.first } else { u8::from(*sampled) };
+        sampled.par_iter().enumerate().map(level).collect()
+    }
+
+    /// What takes a texel from a level to a higher one.
+    fn options(&self, from: u8, to: u8) -> IrtOptions {
+        let drawn = self.base.map(|s| s * samples(from));
+        let [rays, emitter_samples] = [0, 1].map(|k| self.base[k] * samples(to) - drawn[k]);
         IrtOptions { estimator: self.estimator, drawn, rays, emitter_samples, seed: self.seed }
     }
+}
+
+/// The samples of a level, in those of level 1.
+fn samples(level: u8) -> u32 {
+    (1 << level) >> 1
 }
 
 /// Bakes and filters the irradiance of texels given by `patches` and `receiver(i)`. An error of texel i counts `importance[i]` in [0, 1];
@@ -95,52 +115,49 @@ pub fn bake_surface(
     let (count, budget) = (patches.len(), &budget.within_estimator());
     if !budget.filter {
         let levels = Levels::new(&Budget { rounds: 1, ..budget.clone() });
-        return bake_irradiance(bake, count, &receiver, &levels.options(None, 0), progress);
+        return bake_irradiance(bake, count, &receiver, &levels.options(0, 1), progress);
     }
     let levels = Levels::new(budget);
     let filter = SurfaceFilter::new(patches, bake.tracer);
-    let matters = |i: usize| importance[i] > 0.0;
-    let mut level: Vec<u8> = (0..count).map(|i| if matters(i) { levels.first } else { 0 }).collect();
+    let mut level = levels.of_first_round(&filter, |i| importance[i] > 0.0, count, budget.rounds);
     let mut baked =
         Irradiance { value: vec![Vec3::ZERO; count], parts: vec![Default::default(); count], ..Irradiance::default() };
     // rays traced where it matters, and for how many samples: what cannot carry light is not traced and costs nothing
-    let (mut rays, mut samples) = (0, 0);
+    let (mut rays, mut drawn) = (0, 0);
     let at = |level: &[u8], l: u8, keep: &dyn Fn(usize) -> bool| -> Vec<u32> {
         (0..count as u32).filter(|&i| level[i as usize] == l && keep(i as usize)).collect()
     };
-    for l in 0..=levels.first {
+    for l in 1..=levels.first {
         let ids = at(&level, l, &|_| true);
-        let first = bake_irradiance(bake, ids.len(), |k| receiver(ids[k] as usize), &levels.options(None, l), progress);
+        let first = bake_irradiance(bake, ids.len(), |k| receiver(ids[k] as usize), &levels.options(0, l), progress);
         baked.put(&ids, &first);
-        (rays, samples) = (first.rays, (ids.len() as u64) << l);
+        (rays, drawn) = (first.rays, ids.len() as u64 * u64::from(samples(l)));
     }
     let total = (1.0 - KEPT_BACK) * f64::from(budget.samples.iter().sum::<u32>()) * count as f64;
-    let judged = if budget.rounds > 1 { filter.some_of(matters) } else { Vec::new() };
     for round in 1..budget.rounds {
-        let (filtered, certain) = filter.filter(&baked, &level, |i| judged[i]);
-        let promising = |i: usize| if certain[i] > budget.target { certain[i] * importance[i].sqrt() } else { 0.0 };
+        let Judgement { light, error } = filter.judge(&baked, |i| samples(level[i]) as f32);
+        let promising = |i: usize| if error[i] > budget.target { error[i] * importance[i].sqrt() } else { 0.0 };
         let left = (total - baked.rays as f64).max(0.0) / f64::from(budget.rounds - round);
-        let cost = left * samples as f64 / rays.max(1) as f64;
-        let wanted = most_promising(&filtered.value, &promising, &level, cost as u64);
+        let cost = left * drawn as f64 / rays.max(1) as f64;
+        let wanted = most_promising(&light, &promising, &level, cost as u64);
         if wanted == level {
             break;
         }
-        for l in 0..MAX_LEVEL {
+        for l in 1..MAX_LEVEL {
             let ids = at(&level, l, &|i| wanted[i] > l);
-            let more = bake_irradiance(bake, ids.len(), |k| receiver(ids[k] as usize), &levels.options(Some(l), l + 1), progress);
+            let more = bake_irradiance(bake, ids.len(), |k| receiver(ids[k] as usize), &levels.options(l, l + 1), progress);
             baked.double(&ids, &more);
             rays += more.rays;
-            samples += (ids.len() as u64) << l;
+            drawn += ids.len() as u64 * u64::from(samples(l));
             ids.iter().for_each(|&i| level[i as usize] = l + 1);
         }
     }
-    filter.filter(&baked, &level, |_| true).0
+    filter.filter(&baked, |i| samples(level[i]) as f32)
 }
 
 /// The level that each texel should reach. Those with a relative `error` are doubled in the order in which their squared error falls
-/// most per sample, taking it to halve each time; `cost` is what may be spent, in samples of a texel of level 0.
-fn most_promising(value: &[Vec3], error: &(impl Fn(usize) -> f32 + Sync), level: &[u8], cost: u64) -> Vec<u8> {
-    let light: Vec<f32> = value.par_iter().map(|e| luminance(*e)).collect();
+/// most per sample, taking it to halve each time; `cost` is what may be spent, in samples of a texel of level 1.
+fn most_promising(light: &[f32], error: &(impl Fn(usize) -> f32 + Sync), level: &[u8], cost: u64) -> Vec<u8> {
     let mean = (crate::parallel::sum_f64(light.len(), |i| f64::from(light[i])) / light.len().max(1) as f64) as f32;
     let mut order: Vec<(f32, u32)> = (0..light.len())
         .into_par_iter()
@@ -149,7 +166,7 @@ fn most_promising(value: &[Vec3], error: &(impl Fn(usize) -> f32 + Sync), level:
             // between relative error, which albedos inherit, and absolute error, by which irradiance is judged
             let share = light[i] / mean.max(f32::MIN_POSITIVE);
             let weight = share * share * share / (share * share + DIM * DIM);
-            let gain = weight * error(i).powi(2) / f32::from(1u16 << level[i]);
+            let gain = weight * error(i).powi(2) / samples(level[i]) as f32;
             (0..MAX_STEPS.min(MAX_LEVEL - level[i])).map(move |s| (gain / f32::from(1u16 << (2 * s)), i as u32))
         })
         .filter(|(gain, _)| *gain > 0.0)
@@ -159,7 +176,7 @@ fn most_promising(value: &[Vec3], error: &(impl Fn(usize) -> f32 + Sync), level:
     let mut left = cost;
     for (_, i) in order {
         let w = &mut wanted[i as usize];
-        let Some(rest) = left.checked_sub(1 << *w) else { break };
+        let Some(rest) = left.checked_sub(u64::from(samples(*w))) else { break };
         left = rest;
         *w += 1;
     }

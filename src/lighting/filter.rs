@@ -42,10 +42,9 @@ const UNEVEN: f32 = 0.008;
 const COMPLEMENTARY: f32 = 0.4;
 /// Standard deviation of the mean of squares by which parts and filtered parts differ, in one part's variance.
 const CHANCE: f32 = 0.36;
-/// Of the texels whose error is asked for, one in so many is filtered, and those in whose disc fewer than `FILTERED_LEAST` are: left
-/// out, such lonely texels would not be found where they are wrong (CHANGELOG).
-const FILTERED_ONE_IN: u64 = 4;
-const FILTERED_LEAST: usize = 2;
+/// Of the texels that may be left without samples one in so many has some, and so have those in whose disc fewer than `COMPANY` have.
+const SAMPLED_ONE_IN: u64 = 2;
+const COMPANY: usize = 5;
 /// How many other parts a part is compared with.
 const OTHERS: f32 = (PARTS - 1) as f32;
 
@@ -66,7 +65,7 @@ type Lanes = [f32; PARTS];
 struct Noise {
     part: Lanes,
     variance: f32,
-    /// Number of samples relative to other texels.
+    /// Number of samples relative to other texels; 0 if it has none and is nothing by itself.
     samples: f32,
 }
 
@@ -87,6 +86,23 @@ impl Noise {
         let sum = self.part.iter().sum::<f32>();
         Self { part: self.part.map(|p| (sum - p) / OTHERS), variance: self.variance / OTHERS, samples: self.samples }
     }
+}
+
+/// The texels as the regression compares them.
+struct Guided {
+    /// Of what follows.
+    unit: f32,
+    noise: Vec<Noise>,
+    /// What the small disc says of each.
+    guides: Vec<Noise>,
+}
+
+/// Where samples are wanted.
+pub struct Judgement {
+    /// Luminance per texel.
+    pub light: Vec<f32>,
+    /// Relative error that is to be expected per texel.
+    pub error: Vec<f32>,
 }
 
 /// What a texel tells its neighbours' guides: its parts, what the others of each say, and how much it counts.
@@ -123,87 +139,95 @@ impl<'a> SurfaceFilter<'a> {
         Self { per_different: 1.0 / different, ..self }
     }
 
-    /// The filtered irradiance of `baked` (one value per texel, from 2^`level` times as many samples as the fewest); its `error` tells
-    /// the relative error that remains, bias included. Beside it the part of that error that is
-    /// not itself noise: what should decide where samples are added. Texels not `asked` for get the luminance of their disc instead.
+    /// The filtered irradiance of `baked`, of whose values the i-th comes from `samples(i)` samples, relative to the others': 0 where there
+    /// are none and the neighbours decide alone. Its `error` tells the relative error that remains, bias included.
     #[must_use]
-    pub fn filter(&self, baked: &Irradiance, level: &[u8], asked: impl Fn(usize) -> bool + Sync) -> (Irradiance, Vec<f32>) {
-        // in a unit near the mean: whatever the exposure, nothing squared underflows
-        let unit = power_of_two_near(baked);
-        let scaled = |i: usize| baked.parts[i].map(|p| p / unit);
-        let noise = self.noise(&scaled, level);
-        let told: Vec<Told> = noise.par_iter().map(Told::from).collect();
+    pub fn filter(&self, baked: &Irradiance, samples: impl Fn(usize) -> f32 + Sync) -> Irradiance {
+        let Guided { unit, noise, guides } = self.guided(baked, samples);
         let per_different = self.per_different;
-        let guide = |i: usize| run_widest(Guide { own: &noise[i], told: &told, near: self.discs.of(i), per_different });
-        let guides: Vec<Noise> = (0..noise.len()).into_par_iter().map(guide).collect();
+        let scaled = |i: usize| baked.parts[i].map(|p| p / unit);
         let node = |(i, guide): (usize, &Noise)| {
             let parts = scaled(i);
             Node { value: std::array::from_fn(|c| parts.map(|p| p[c])), others: guide.others() }
         };
         let nodes: Vec<Node> = guides.par_iter().enumerate().map(node).collect();
-        let mut parts = self.around.map(self.patches, REACH, &asked, |i, near, weight| {
+        let everywhere = |_| true;
+        let mut parts = self.around.map(self.patches, REACH, everywhere, |i, near, weight| {
             run_widest(Regression { own: &guides[i], part: &nodes[i].value, nodes: &nodes, near, per_different, weight })
         });
         parts.par_iter_mut().enumerate().for_each(|(i, smooth)| {
-            *smooth = if asked(i) {
-                let (part, own) = (scaled(i), noise[i].own_share());
-                std::array::from_fn(|p| smooth[p].lerp(part[p], own))
-            } else {
-                guides[i].part.map(Vec3::splat)
-            };
+            let (part, own) = (scaled(i), noise[i].own_share());
+            *smooth = std::array::from_fn(|p| smooth[p].lerp(part[p], own));
         });
-        let (error, certain) = self.remaining_error(&noise, &parts, &asked).into_iter().unzip();
+        let error = self.remaining_error(&noise, |i| parts[i].map(luminance), 0.0);
         parts.par_iter_mut().for_each(|parts| parts.iter_mut().for_each(|p| *p *= unit));
         let value = parts.par_iter().map(|p| p.iter().sum::<Vec3>() / PARTS as f32).collect();
-        (Irradiance { value, parts, error, rays: baked.rays }, certain)
+        Irradiance { value, parts, error, rays: baked.rays }
     }
 
-    /// Some of the texels that `matter`: enough of them that what [`Self::filter`] says of their error holds for all, errors being
-    /// averages over discs.
+    /// Where samples are wanted, at a tenth of what filtering costs: what the small discs say of the light, and of its error. Of what they miss
+    /// only as much counts as is not chance; their noise counts as if parts did not complement each other, for where they have little
+    /// company, the regression will have little too.
     #[must_use]
-    pub fn some_of(&self, matter: impl Fn(usize) -> bool + Sync) -> Vec<bool> {
-        let drawn = |i: usize| matter(i) && hash_u64(0, i as u64).is_multiple_of(FILTERED_ONE_IN);
+    pub fn judge(&self, baked: &Irradiance, samples: impl Fn(usize) -> f32 + Sync) -> Judgement {
+        let Guided { unit, noise, guides } = self.guided(baked, samples);
+        let mut error = self.remaining_error(&noise, |i| guides[i].part, 1.0);
+        error.par_iter_mut().zip(&guides).for_each(|(error, guide)| {
+            let mean = guide.mean();
+            let noise = guide.variance / PARTS as f32 / (mean * mean);
+            *error = if mean > 0.0 { (*error * *error + noise).sqrt() } else { 0.0 };
+        });
+        Judgement { light: guides.par_iter().map(|g| unit * g.mean()).collect(), error }
+    }
+
+    /// The texels to sample if all that are `needed` shall be, and the others be left to the filter: enough of these for that.
+    #[must_use]
+    pub fn thinned(&self, needed: impl Fn(usize) -> bool + Sync) -> Vec<bool> {
+        let drawn = |i: usize| needed(i) || hash_u64(0, i as u64).is_multiple_of(SAMPLED_ONE_IN);
         let drawn: Vec<bool> = (0..self.patches.len()).into_par_iter().map(drawn).collect();
-        let around = |i: usize| self.discs.of(i).iter().filter(|(j, _)| drawn[*j as usize]).take(FILTERED_LEAST).count();
-        (0..drawn.len()).into_par_iter().map(|i| drawn[i] || (matter(i) && around(i) < FILTERED_LEAST)).collect()
+        let company = |i: usize| self.discs.of(i).iter().filter(|(j, _)| drawn[*j as usize]).count();
+        (0..drawn.len()).into_par_iter().map(|i| drawn[i] || company(i) < COMPANY).collect()
+    }
+
+    /// The noise of the texels and their guides.
+    fn guided(&self, baked: &Irradiance, samples: impl Fn(usize) -> f32 + Sync) -> Guided {
+        // in a unit near the mean: whatever the exposure, nothing squared underflows
+        let unit = power_of_two_near(baked);
+        let noise = self.noise(|i| baked.parts[i].map(|p| p / unit), samples);
+        let told: Vec<Told> = noise.par_iter().map(Told::from).collect();
+        let per_different = self.per_different;
+        let guide = |i: usize| run_widest(Guide { own: &noise[i], told: &told, near: self.discs.of(i), per_different });
+        let guides = (0..noise.len()).into_par_iter().map(guide).collect();
+        Guided { unit, noise, guides }
     }
 
     /// Variance of one part's luminance. The scatter of a single texel's parts is a poor variance: the relative variance of one sample is
     /// averaged over the disc.
-    fn noise(&self, parts: &(impl Fn(usize) -> [Vec3; PARTS] + Sync), level: &[u8]) -> Vec<Noise> {
-        let samples = |l: u8| f32::from(1u16 << l);
-        let own = |(i, l): (usize, &u8)| {
+    fn noise(&self, parts: impl Fn(usize) -> [Vec3; PARTS] + Sync, samples: impl Fn(usize) -> f32 + Sync) -> Vec<Noise> {
+        let own = |i: usize| {
             let (mean, variance) = spread(&parts(i).map(luminance));
-            [samples(*l) * variance * mean * mean, mean * mean]
+            [samples(i) * variance * mean * mean, mean * mean]
         };
-        let own: Vec<[f32; 2]> = level.par_iter().enumerate().map(own).collect();
+        let own: Vec<[f32; 2]> = (0..self.patches.len()).into_par_iter().map(own).collect();
         let of = |i: usize| {
             let [variance, square] = sums(self.discs.of(i), &own);
-            let (part, n) = (parts(i).map(luminance), samples(level[i]));
-            let noise = Noise { part, variance: 0.0, samples: n };
-            Noise { variance: if square > 0.0 { variance / square * noise.mean().powi(2) / n } else { 0.0 }, ..noise }
+            let noise = Noise { part: parts(i).map(luminance), variance: 0.0, samples: samples(i) };
+            let known = square > 0.0 && noise.samples > 0.0;
+            Noise { variance: if known { variance / square * noise.mean().powi(2) / noise.samples } else { 0.0 }, ..noise }
         };
-        (0..level.len()).into_par_iter().map(of).collect()
+        (0..own.len()).into_par_iter().map(of).collect()
     }
 
-    /// Relative error of the filtered texels: what a filtered part misses of the other, unfiltered ones beyond their noise and its own
-    /// (what is left is bias and the mean's noise), averaged over the disc by samples (else those with few would speak for those with many); at least what the filtered parts' scatter tells. Then the same
-    /// with the first estimate less one standard error: where the noise shared is large and what is left small, it is mostly chance.
-    fn remaining_error(
-        &self,
-        noise: &[Noise],
-        parts: &[[Vec3; PARTS]],
-        asked: &(impl Fn(usize) -> bool + Sync),
-    ) -> Vec<(f32, f32)> {
+    /// Relative error of `smooth`, the filtered parts: what a filtered part misses of the other, unfiltered ones beyond their noise and its
+    /// own (what is left is bias and the mean's noise), averaged over the disc by samples (else those with few would speak for those with
+    /// many), less so many `standard_errors`: where the noise shared is large and what is left small, it is mostly chance. At least what
+    /// the filtered parts' scatter tells.
+    fn remaining_error(&self, noise: &[Noise], smooth: impl Fn(usize) -> Lanes + Sync, standard_errors: f32) -> Vec<f32> {
         let own: Vec<[f32; 6]> = noise
             .par_iter()
-            .zip(parts)
             .enumerate()
-            .map(|(i, (n, parts))| {
-                if !asked(i) {
-                    return [0.0; 6];
-                }
-                let smooth = parts.map(luminance);
+            .map(|(i, n)| {
+                let smooth = smooth(i);
                 let (mean, variance) = spread(&smooth);
                 let variance = variance * mean * mean;
                 let others = n.others();
@@ -216,8 +240,8 @@ impl<'a> SurfaceFilter<'a> {
         let of = |i: usize| {
             let [missed, differ, square, variance, weights, squares] = sums(self.discs.of(i), &own);
             let count = weights * weights / squares.max(f32::MIN_POSITIVE);
-            let relative = |missed: f32| if square > 0.0 { (missed.max(differ) / square).sqrt() } else { 0.0 };
-            (relative(missed), relative(missed - CHANCE * variance / count.max(1.0).sqrt()))
+            let chance = standard_errors * CHANCE * variance / count.max(1.0).sqrt();
+            if square > 0.0 { ((missed - chance).max(differ) / square).sqrt() } else { 0.0 }
         };
         (0..own.len()).into_par_iter().map(of).collect()
     }
@@ -262,7 +286,7 @@ impl Kernel for Guide<'_> {
     #[inline(always)]
     fn run(self) -> Noise {
         let Self { own, told, near, per_different } = self;
-        let alike = Alike { own: own.others(), floor: indifferent(own.mean()), per_different };
+        let alike = Alike::new(own, per_different);
         let (mut weights, mut sum, mut spread) = ([0.0; PARTS], [0.0; PARTS], [0.0; PARTS]);
         for (id, distance2) in near {
             let t = &told[*id as usize];
@@ -296,6 +320,13 @@ struct Alike {
 }
 
 impl Alike {
+    /// All are like one that has no samples.
+    #[inline(always)]
+    fn new(own: &Noise, per_different: f32) -> Self {
+        let per_different = if own.samples > 0.0 { per_different } else { 0.0 };
+        Self { own: own.others(), floor: indifferent(own.mean()), per_different }
+    }
+
     /// Weights, part by part, of a texel of which the other parts say `told`, with `variance`; `most` where they do not differ. They are
     /// (1 − d/D)⁶ up to the squared difference d = D, zero beyond: about exp(−6 d/D) at the price of a few products.
     #[inline(always)]
@@ -366,7 +397,7 @@ impl Kernel for Regression<'_> {
     fn run(self) -> [Vec3; PARTS] {
         let Self { own, part, nodes, near, per_different, weight } = self;
         // the weights of one part's values come from the others
-        let alike = Alike { own: own.others(), floor: indifferent(own.mean()), per_different };
+        let alike = Alike::new(own, per_different);
         weight.resize(near.len(), [0.0; PARTS]);
         for (n, weight) in near.iter().zip(weight.iter_mut()) {
             let others = &nodes[n.id as usize].others;
@@ -515,7 +546,7 @@ mod tests {
         let patches: Vec<Patch> = (0..SIDE * SIDE)
             .map(|i| Patch { position: Vec3::new((i % SIDE) as f32, (i / SIDE) as f32, 0.0), normal: Vec3::Z, size: 1.0 })
             .collect();
-        let level: Vec<u8> = (0..patches.len()).map(|i| if many(i) { 8 } else { 0 }).collect();
+        let samples = |i: usize| if many(i) { 256.0 } else { 1.0 };
         let parts: Vec<[Vec3; PARTS]> = (0..patches.len())
             .map(|i| {
                 let mut rng = KeyedRng::new(7, i as u64);
@@ -526,7 +557,7 @@ mod tests {
             .collect();
         let value = parts.iter().map(|p| p.iter().sum::<Vec3>() / PARTS as f32).collect();
         let baked = Irradiance { value, parts, ..Irradiance::default() };
-        let (filtered, _) = SurfaceFilter::new(&patches, &BruteForce::new(&Mesh::default())).filter(&baked, &level, |_| true);
+        let filtered = SurfaceFilter::new(&patches, &BruteForce::new(&Mesh::default())).filter(&baked, samples);
         let fine: Vec<usize> = (0..patches.len()).filter(|&i| many(i)).collect();
         let error = |v: &[Vec3]| (fine.iter().map(|&i| (v[i].x - 1.0).powi(2)).sum::<f32>() / fine.len() as f32).sqrt();
         let (before, after) = (error(&baked.value), error(&filtered.value));

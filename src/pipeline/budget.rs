@@ -28,7 +28,7 @@ const RAYS_PER_LOOK: f64 = 52.0;
 /// Costs in rays of the coarse bake: filtering an irradiance texel (screens and neighbours included), judging it between two rounds, its
 /// missing light, an edge pixel of the views, a pixel of the report, a written value.
 const FILTER: f64 = 35.0;
-const JUDGING: f64 = 8.0;
+const JUDGING: f64 = 3.0;
 const MISSING_LIGHT: f64 = 60.0;
 const EDGES: f64 = 66.0;
 const REPORT_PIXEL: f64 = 28.0;
@@ -43,10 +43,9 @@ const SAMPLES: [f64; 2] = [4.0, 2048.0];
 const SPECULAR: [f64; 2] = [1.0, 4096.0];
 const USUAL_SAMPLES: f64 = 160.0;
 
-/// Samples per irradiance texel from which a second round pays, and for every further one: at 24 samples two rounds take 0.6 to 0.7 of
-/// the error of one, at 51 and 64 three take no less than two (CHANGELOG).
-const WORTH_SECOND: f64 = 24.0;
-const WORTH_FURTHER: f64 = 48.0;
+/// Samples per irradiance texel from which a second round pays, and for every further one (CHANGELOG).
+const WORTH_SECOND: f64 = 18.0;
+const WORTH_FURTHER: f64 = 24.0;
 
 /// Cost of what a run does in any case, in rays per pixel of the views: highlights, pilots, specular images of one ray.
 const LEAST: f64 = 4.0;
@@ -326,7 +325,7 @@ mod tests {
         assert_eq!(sizes(-1.0).albedo, LEAST_SIDE);
         let samples = |s: f64| at(s).irradiance_samples(500_000, 5_000_000, 1.0, 2, &p);
         assert_eq!(samples(1.0), (4, 1));
-        let [(few, once), (many, twice)] = [samples(10.0), samples(120.0)];
+        let [(few, once), (many, twice)] = [samples(8.0), samples(120.0)];
         assert!(few > 8 && many > few && [once, twice] == [1, 2], "{few} in {once}, {many} in {twice}");
         assert!(samples_for(0.02, 0.096, 64, &p).abs_diff(64 * 4) <= 1);
         assert_eq!(at(10.0).evidence(100, 1.0, 1000, 50, &p), 50);

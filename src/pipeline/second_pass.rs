@@ -114,7 +114,7 @@ pub(super) fn add_missing_light(
         ..more
     };
     let patches = patches(surface, &coarse);
-    let (ratio, _) = SurfaceFilter::new(&patches, &surface.tracer).filter(&relative, &vec![0; coarse.len()], |_| true);
+    let ratio = SurfaceFilter::new(&patches, &surface.tracer).filter(&relative, |_| 1.0);
     let ratio = texture_of(&coarse, &ratio.value);
     let before = &light.irradiance;
     let size = Vec2::new(ratio.width as f32 / before.width as f32, ratio.height as f32 / before.height as f32);

@@ -79,7 +79,7 @@ impl<'a> Lightmap<'a> {
             let patches: Vec<Patch> = points.iter().zip(&open).map(patch).collect();
             let value = parts.iter().map(|p| p.iter().sum::<Vec3>() / PARTS as f32).collect();
             let baked = Irradiance { value, error: vec![0.0; parts.len()], parts, rays: 0 };
-            SurfaceFilter::new(&patches, tracer).parting_at(PARTING).filter(&baked, &vec![0; patches.len()], |_| true).0.value
+            SurfaceFilter::new(&patches, tracer).parting_at(PARTING).filter(&baked, |_| 1.0).value
         });
         let mut plane = Plane::filled(side, side, Vec3::ZERO);
         let mut covered = Plane::filled(side, side, false);
