@@ -21,6 +21,8 @@ use std::ops::Range;
 
 /// Rays per batch, about: enough to hide the cost of a foreign call, few enough to stay in the cache.
 const BATCH: usize = 4096;
+/// Emitter samples of a receiver from which a table of the lamps at its numbers pays.
+const GUIDED: usize = 24;
 /// How many rays before its turn the memory is asked for what a hit needs.
 const AHEAD: usize = 24;
 
@@ -238,14 +240,17 @@ impl Bundle {
         let picks = &mut self.picks;
         picks.reserve(n);
         let choice = &self.choices[self.spans.len()];
-        choice.guide(round.slots, &mut self.guide);
+        let guided = n >= GUIDED;
+        if guided {
+            choice.guide(round.slots, &mut self.guide);
+        }
         let mut k = 0;
-        for (&s, &first_lamp) in self.order.iter().zip(&self.guide) {
+        for (slot, &s) in self.order.iter().enumerate() {
             // (an interval may have no sample)
             let s = s as usize;
             if s < n {
-                let (slot, probability) = bake.emitters.pick(choice, first_lamp, u[s]);
-                picks.source[k] = slot;
+                let (source, probability) = bake.emitters.pick(choice, guided.then(|| self.guide[slot]), u[s]);
+                picks.source[k] = source;
                 picks.probability[k] = probability;
                 picks.place[0][k] = v[s];
                 picks.place[1][k] = w[s];

@@ -415,11 +415,14 @@ impl Emitters {
         &self.sources
     }
 
-    /// The slot of a source that `u` in [0, 1) stands for, and the probability of its lamp; `first` is from [`LampChoice::guide`]. The slot
-    /// is on its way into the cache.
+    /// The slot of a source that `u` in [0, 1) stands for, and the probability of its lamp; `first` is from [`LampChoice::guide`], if at
+    /// hand. The slot is on its way into the cache.
     #[inline(always)]
-    pub(super) fn pick(&self, choice: &LampChoice, first: u32, u: f32) -> (u32, f32) {
-        let (lamp, rest) = choice.sample_in(first, u);
+    pub(super) fn pick(&self, choice: &LampChoice, first: Option<u32>, u: f32) -> (u32, f32) {
+        let (lamp, rest) = match first {
+            Some(first) => choice.sample_in(first, u),
+            None => choice.sample(u),
+        };
         let slot = self.lamps[lamp].slot(rest);
         prefetch(&self.slots, slot as usize);
         (slot, choice.pmf(lamp))

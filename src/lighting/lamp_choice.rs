@@ -37,8 +37,8 @@ pub(super) struct Piece {
 
 /// Lamps that are summed side by side.
 const LANES: usize = 8;
-/// Steps in which the level of [`LampShapes::rebalance`] is found; each leaves lamps out.
-const LEVEL_STEPS: u32 = 4;
+/// Steps in which the level of [`LampShapes::rebalance`] is found, nearly; each leaves lamps out.
+const LEVEL_STEPS: u32 = 2;
 /// Least factor on a lamp's probability, however well hemisphere rays meet it.
 const LEAST: f32 = 0.03;
 
@@ -170,6 +170,47 @@ fn sums_below(limit: f32, weights: &[f32], dimness: &[f32]) -> [f32; 2] {
     [sum.iter().sum(), met.iter().sum()]
 }
 
+/// The sums of the weights up to and with each; weights become what is left of them there after rounding.
+struct Sums<'a> {
+    weights: &'a mut [f32],
+    ends: &'a mut [f32],
+}
+
+/// Stretches of the weights that are summed side by side, for one sum would wait for every addition.
+const STRETCHES: usize = 8;
+
+impl Kernel for Sums<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { weights, ends } = self;
+        let length = weights.len() / STRETCHES;
+        let mut sums = [0.0f32; STRETCHES];
+        for k in 0..length {
+            for (s, sum) in sums.iter_mut().enumerate() {
+                *sum += weights[s * length + k];
+                ends[s * length + k] = *sum;
+            }
+        }
+        let (stretches, rest) = ends.split_at_mut(STRETCHES * length);
+        let mut before = 0.0;
+        for (stretch, sum) in stretches.chunks_exact_mut(length.max(1)).zip(sums) {
+            // (the same added to ascending numbers leaves them ascending)
+            stretch.iter_mut().for_each(|end| *end += before);
+            before += sum;
+        }
+        for (end, w) in rest.iter_mut().zip(&weights[STRETCHES * length..]) {
+            before += w;
+            *end = before;
+        }
+        let mut before = 0.0;
+        for (w, end) in weights.iter_mut().zip(&*ends) {
+            (*w, before) = (end - before, *end);
+        }
+    }
+}
+
 /// The probability of each lamp at one point. What is sampled is exactly what [`Self::pmf`] says; lamps keep the order of the numbers
 /// they are drawn by, hence their stratification.
 #[derive(Clone, Debug, Default)]
@@ -184,15 +225,9 @@ impl LampChoice {
     /// Takes the weights that `fill` writes, one per lamp.
     pub(super) fn set(&mut self, fill: impl FnOnce(&mut Vec<f32>)) {
         fill(&mut self.weights);
-        self.ends.clear();
-        let mut sum = 0.0f32;
-        self.ends.extend(self.weights.iter_mut().map(|w| {
-            let before = sum;
-            sum += *w;
-            // what is left of it after rounding
-            *w = sum - before;
-            sum
-        }));
+        self.ends.resize(self.weights.len(), 0.0);
+        run_widest(Sums { weights: &mut self.weights, ends: &mut self.ends });
+        let sum = self.ends.last().copied().unwrap_or(0.0);
         self.inverse = if sum > 0.0 && sum.is_finite() { 1.0 / sum } else { 0.0 };
     }
 
@@ -211,7 +246,7 @@ impl LampChoice {
         (k, rest(self.start(k), x))
     }
 
-    /// Writes for each of `cells` equal parts of [0, 1) the first lamp that [`Self::sample_in`] can draw there.
+    /// Writes for each of `cells` equal parts of [0, 1) the first lamp that [`Self::sample_in`] can draw there: it pays where many are drawn.
     pub(super) fn guide(&self, cells: usize, first: &mut Vec<u32>) {
         first.clear();
         first.resize(cells + 1, 0);

@@ -11,14 +11,11 @@ pub(super) struct Sweep {
 
 /// Cells along a side at most.
 const MAX_SIDE: usize = 64;
-/// So few points lie too far apart to have nodes in common, in whatever order.
-const FEW: usize = 16;
 
 impl Sweep {
     /// For about `count` points at a time: one a cell.
     pub(super) fn new(count: usize) -> Self {
-        let side = if count > FEW { (count as f64).sqrt().ceil() as usize } else { 1 };
-        let side = side.next_power_of_two().min(MAX_SIDE);
+        let side = ((count as f64).sqrt().ceil() as usize).next_power_of_two().min(MAX_SIDE);
         let cells = (0..side * side).map(|i| place_on_curve(side as u32, [(i % side) as u32, (i / side) as u32]));
         Self { side, place: cells.collect() }
     }
