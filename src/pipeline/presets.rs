@@ -133,7 +133,7 @@ pub struct SolveRequest {
     #[arg(long, value_name = "N")]
     pub emitter_samples: Option<u32>,
     /// Rounds in which they are spent: after each, more go to those texels seen by some view whose errors are largest; 1 = all texels
-    /// alike [default: 3].
+    /// alike [default: 4].
     #[arg(long, value_name = "N")]
     pub irradiance_rounds: Option<u32>,
     /// Relative error of irradiance at which a texel is done [default: 0.01].
