@@ -1,9 +1,10 @@
 //! Irradiance of a whole texture from a budget of rays: where sharing samples over the surface does not suffice, more are drawn.
 //!
-//! A first round gives every texel that matters the same samples, the others a quarter of them, or half of them, where so few cannot be
-//! divided, only as many. After each round small discs around the texels tell what error is to be expected; of the texels that matter, those
-//! where doubling the samples promises most per ray are doubled, once or several times, until the budget is spent or the target reached.
-//! At last all are filtered. Several rounds draw powers of two, whatever the budget: Sobol' points in other numbers are no nets.
+//! A first round gives every texel that matters the same samples, the others a quarter of them; samples too few to be divided by so much
+//! go to every other one of these instead. After each round small discs around the texels tell what error is to be expected; of the texels
+//! that matter, those where doubling the samples promises most per ray are doubled, once or several times, until the budget is spent or the
+//! target reached. At last all are filtered. Several rounds draw powers of two, whatever the budget: Sobol' points in other numbers are no
+//! nets.
 
 use super::filter::Judgement;
 use super::{Bake, Estimator, Irradiance, IrtOptions, PARTS, Patch, Receiver, SurfaceFilter, bake_irradiance};
@@ -54,8 +55,10 @@ impl Budget {
 struct Levels {
     /// Hemisphere rays and emitter samples of level 1.
     base: [u32; 2],
-    /// The level of the first round where texels matter.
+    /// The level of the first round where texels matter; elsewhere it is 1.
     first: u8,
+    /// Whether samples are too few to be divided where texels do not matter: some of these have none then.
+    thinned: bool,
     estimator: Estimator,
     seed: u64,
 }
@@ -71,19 +74,19 @@ impl Levels {
         let first = first.map(|s| if s == 0 { 0 } else { s.max(least) });
         let spare = |steps: &u8| first.iter().all(|s| *s == 0 || (s % (1 << steps) == 0 && s >> steps >= least));
         let steps = if budget.rounds > 1 { (0..=SPARED).rev().find(spare).unwrap_or(0) } else { 0 };
-        Self { base: first.map(|s| s >> steps), first: 1 + steps, estimator: budget.estimator, seed: budget.seed }
+        Self {
+            base: first.map(|s| s >> steps),
+            first: 1 + steps,
+            thinned: budget.rounds > 1 && steps < SPARED,
+            estimator: budget.estimator,
+            seed: budget.seed,
+        }
     }
 
     /// The levels of the first round.
-    fn of_first_round(
-        &self,
-        filter: &SurfaceFilter,
-        matters: impl Fn(usize) -> bool + Sync,
-        count: usize,
-        rounds: u32,
-    ) -> Vec<u8> {
-        let others = rounds > 1 && self.first <= SPARED;
-        let sampled = if others { filter.thinned(&matters) } else { vec![true; count] };
+    fn of_first_round(&self, filter: &SurfaceFilter, importance: &[f32]) -> Vec<u8> {
+        let matters = |i: usize| importance[i] > 0.0;
+        let sampled = if self.thinned { filter.thinned(matters) } else { vec![true; importance.len()] };
         let level = |(i, sampled): (usize, &bool)| if matters(i) { self.first } else { u8::from(*sampled) };
         sampled.par_iter().enumerate().map(level).collect()
     }
@@ -102,7 +105,7 @@ fn samples(level: u8) -> u32 {
 }
 
 /// Bakes and filters the irradiance of texels given by `patches` and `receiver(i)`. An error of texel i counts `importance[i]` in [0, 1];
-/// where that is 0, the first of several rounds is all it gets, with a quarter of the others' samples.
+/// where that is 0, the first of several rounds is all it gets, with a quarter or half of the others' samples on average.
 #[must_use]
 pub fn bake_surface(
     bake: &Bake,
@@ -119,7 +122,7 @@ pub fn bake_surface(
     }
     let levels = Levels::new(budget);
     let filter = SurfaceFilter::new(patches, bake.tracer);
-    let mut level = levels.of_first_round(&filter, |i| importance[i] > 0.0, count, budget.rounds);
+    let mut level = levels.of_first_round(&filter, importance);
     let mut baked =
         Irradiance { value: vec![Vec3::ZERO; count], parts: vec![Default::default(); count], ..Irradiance::default() };
     // rays traced where it matters, and for how many samples: what cannot carry light is not traced and costs nothing

@@ -245,12 +245,12 @@ impl Bundle {
             choice.guide(round.slots, &mut self.guide);
         }
         let mut k = 0;
-        for (slot, &s) in self.order.iter().enumerate() {
+        for (interval, &s) in self.order.iter().enumerate() {
             // (an interval may have no sample)
             let s = s as usize;
             if s < n {
-                let (source, probability) = bake.emitters.pick(choice, guided.then(|| self.guide[slot]), u[s]);
-                picks.source[k] = source;
+                let (slot, probability) = bake.emitters.pick(choice, guided.then(|| self.guide[interval]), u[s]);
+                picks.source[k] = slot;
                 picks.probability[k] = probability;
                 picks.place[0][k] = v[s];
                 picks.place[1][k] = w[s];

@@ -98,7 +98,7 @@ struct Guided {
 }
 
 /// Where samples are wanted.
-pub struct Judgement {
+pub(super) struct Judgement {
     /// Luminance per texel.
     pub light: Vec<f32>,
     /// Relative error that is to be expected per texel.
@@ -151,10 +151,14 @@ impl<'a> SurfaceFilter<'a> {
             Node { value: std::array::from_fn(|c| parts.map(|p| p[c])), others: guide.others() }
         };
         let nodes: Vec<Node> = guides.par_iter().enumerate().map(node).collect();
-        let everywhere = |_| true;
-        let mut parts = self.around.map(self.patches, REACH, everywhere, |i, near, weight| {
-            run_widest(Regression { own: &guides[i], part: &nodes[i].value, nodes: &nodes, near, per_different, weight })
-        });
+        let mut parts = self.around.map(
+            self.patches,
+            REACH,
+            |_| true,
+            |i, near, weight| {
+                run_widest(Regression { own: &guides[i], part: &nodes[i].value, nodes: &nodes, near, per_different, weight })
+            },
+        );
         parts.par_iter_mut().enumerate().for_each(|(i, smooth)| {
             let (part, own) = (scaled(i), noise[i].own_share());
             *smooth = std::array::from_fn(|p| smooth[p].lerp(part[p], own));
@@ -165,11 +169,11 @@ impl<'a> SurfaceFilter<'a> {
         Irradiance { value, parts, error, rays: baked.rays }
     }
 
-    /// Where samples are wanted, at a tenth of what filtering costs: what the small discs say of the light, and of its error. Of what they miss
-    /// only as much counts as is not chance; their noise counts as if parts did not complement each other, for where they have little
-    /// company, the regression will have little too.
+    /// Where samples are wanted, at a tenth of what filtering costs: what the small discs say of the light, and of its error. Of what they
+    /// miss only as much counts as is not chance; their noise counts as if parts did not complement each other, for where they have
+    /// little company, the regression will have little too.
     #[must_use]
-    pub fn judge(&self, baked: &Irradiance, samples: impl Fn(usize) -> f32 + Sync) -> Judgement {
+    pub(super) fn judge(&self, baked: &Irradiance, samples: impl Fn(usize) -> f32 + Sync) -> Judgement {
         let Guided { unit, noise, guides } = self.guided(baked, samples);
         let mut error = self.remaining_error(&noise, |i| guides[i].part, 1.0);
         error.par_iter_mut().zip(&guides).for_each(|(error, guide)| {
@@ -182,7 +186,7 @@ impl<'a> SurfaceFilter<'a> {
 
     /// The texels to sample if all that are `needed` shall be, and the others be left to the filter: enough of these for that.
     #[must_use]
-    pub fn thinned(&self, needed: impl Fn(usize) -> bool + Sync) -> Vec<bool> {
+    pub(super) fn thinned(&self, needed: impl Fn(usize) -> bool + Sync) -> Vec<bool> {
         let drawn = |i: usize| needed(i) || hash_u64(0, i as u64).is_multiple_of(SAMPLED_ONE_IN);
         let drawn: Vec<bool> = (0..self.patches.len()).into_par_iter().map(drawn).collect();
         let company = |i: usize| self.discs.of(i).iter().filter(|(j, _)| drawn[*j as usize]).count();

@@ -35,7 +35,7 @@ pub(super) struct Piece {
     pub power: f64,
 }
 
-/// Lamps that are summed side by side.
+/// Sums over lamps that run side by side: a single one would wait for every addition.
 const LANES: usize = 8;
 /// Steps in which the level of [`LampShapes::rebalance`] is found, nearly; each leaves lamps out.
 const LEVEL_STEPS: u32 = 2;
@@ -170,14 +170,12 @@ fn sums_below(limit: f32, weights: &[f32], dimness: &[f32]) -> [f32; 2] {
     [sum.iter().sum(), met.iter().sum()]
 }
 
-/// The sums of the weights up to and with each; weights become what is left of them there after rounding.
+/// The sums of the weights up to and with each, found in as many stretches as there are lanes; weights become what is left of them there
+/// after rounding.
 struct Sums<'a> {
     weights: &'a mut [f32],
     ends: &'a mut [f32],
 }
-
-/// Stretches of the weights that are summed side by side, for one sum would wait for every addition.
-const STRETCHES: usize = 8;
 
 impl Kernel for Sums<'_> {
     type Output = ();
@@ -185,22 +183,22 @@ impl Kernel for Sums<'_> {
     #[inline(always)]
     fn run(self) {
         let Self { weights, ends } = self;
-        let length = weights.len() / STRETCHES;
-        let mut sums = [0.0f32; STRETCHES];
+        let length = weights.len() / LANES;
+        let mut sums = [0.0f32; LANES];
         for k in 0..length {
             for (s, sum) in sums.iter_mut().enumerate() {
                 *sum += weights[s * length + k];
                 ends[s * length + k] = *sum;
             }
         }
-        let (stretches, rest) = ends.split_at_mut(STRETCHES * length);
+        let (stretches, rest) = ends.split_at_mut(LANES * length);
         let mut before = 0.0;
         for (stretch, sum) in stretches.chunks_exact_mut(length.max(1)).zip(sums) {
             // (the same added to ascending numbers leaves them ascending)
             stretch.iter_mut().for_each(|end| *end += before);
             before += sum;
         }
-        for (end, w) in rest.iter_mut().zip(&weights[STRETCHES * length..]) {
+        for (end, w) in rest.iter_mut().zip(&weights[LANES * length..]) {
             before += w;
             *end = before;
         }
