@@ -26,9 +26,6 @@ const INDIFFERENT: f32 = 2e-3;
 /// Squared differences, in variances beyond the one that noise explains, from which texels have nothing in common. A kernel that falls
 /// faster picks neighbours by their noise (CHANGELOG).
 const DIFFERENT: f32 = 16.0;
-/// Slopes of the regression: two of position, two of the normal.
-const SLOPES: usize = 4;
-const TERMS: usize = SLOPES + 1;
 /// A turn of the normal that counts as much as the reach.
 const TURN: f32 = 4.0;
 /// Ridge on the slopes relative to the weights' sum: decides only where the neighbours do not.
@@ -151,18 +148,19 @@ impl<'a> SurfaceFilter<'a> {
             Node { value: std::array::from_fn(|c| parts.map(|p| p[c])), others: guide.others() }
         };
         let nodes: Vec<Node> = guides.par_iter().enumerate().map(node).collect();
-        let mut parts = self.around.map(
+        let found = self.around.map(
             self.patches,
             REACH,
             |_| true,
+            |i| guides[i].samples > 0.0,
             |i, near, weight| {
-                run_widest(Regression { own: &guides[i], part: &nodes[i].value, nodes: &nodes, near, per_different, weight })
+                let (part, own) = (scaled(i), noise[i].own_share());
+                let smooth =
+                    run_widest(Regression { own: &guides[i], part: &nodes[i].value, nodes: &nodes, near, per_different, weight });
+                std::array::from_fn::<_, PARTS, _>(|p| smooth[p].lerp(part[p], own))
             },
         );
-        parts.par_iter_mut().enumerate().for_each(|(i, smooth)| {
-            let (part, own) = (scaled(i), noise[i].own_share());
-            *smooth = std::array::from_fn(|p| smooth[p].lerp(part[p], own));
-        });
+        let mut parts = self.around.by_texel(&found);
         let error = self.remaining_error(&noise, |i| parts[i].map(luminance), 0.0);
         parts.par_iter_mut().for_each(|parts| parts.iter_mut().for_each(|p| *p *= unit));
         let value = parts.par_iter().map(|p| p.iter().sum::<Vec3>() / PARTS as f32).collect();
@@ -408,7 +406,14 @@ impl Kernel for Regression<'_> {
             let falloff = (1.0 - n.distance2) * (1.0 - n.distance2);
             *weight = alike.weights(&others.part, others.variance, falloff * others.samples);
         }
-        let [red, green, blue] = intercepts(moments(near, weight), right_side(near, weight, nodes));
+        let (moments, right) = (moments_of_place(near, weight), right_of_place(near, weight, nodes));
+        let [red, green, blue] = if is_flat(near) {
+            intercepts(moments, right)
+        } else {
+            let ([a, b, c, d, e, f], [g, h, i, j, k, l, m, n, o]) = (moments, moments_of_turn(near, weight));
+            let ([p, q, r], [s, t]) = (right, right_of_turn(near, weight, nodes));
+            intercepts([a, b, c, d, e, f, g, h, i, j, k, l, m, n, o], [p, q, r, s, t])
+        };
         let reach = PLAUSIBLE * own.variance.sqrt();
         let mut out = [Vec3::ZERO; PARTS];
         for (p, out) in out.iter_mut().enumerate() {
@@ -427,84 +432,113 @@ impl Kernel for Regression<'_> {
     }
 }
 
-/// The four slopes' terms of a neighbour.
+/// Whether the surface turns so little over the neighbours that the ridge outweighs the slopes of the normal.
 #[inline(always)]
-fn terms(n: &Near) -> [f32; SLOPES] {
-    let [x, y, u, v] = n.along;
-    [x, y, TURN * u, TURN * v]
+fn is_flat(near: &[Near]) -> bool {
+    let steepest = near.iter().fold(0.0f32, |most, n| most.max(n.along[2].abs()).max(n.along[3].abs()));
+    (TURN * steepest).powi(2) < 0.01 * RIDGE
 }
 
-/// Lower triangle of the normal equations' matrix, row by row: Σ w tᵣ t꜀ with t₀ = 1. (Every sum has a name so that it stays in a
-/// register.)
+/// A neighbour's terms of the slopes of position.
 #[inline(always)]
-fn moments(near: &[Near], weight: &[Lanes]) -> [Lanes; TERMS * (TERMS + 1) / 2] {
-    let zero = [0.0; PARTS];
-    let [mut m00, mut m10, mut m11, mut m20, mut m21] = [zero; 5];
-    let [mut m22, mut m30, mut m31, mut m32, mut m33] = [zero; 5];
-    let [mut m40, mut m41, mut m42, mut m43, mut m44] = [zero; 5];
+fn place(n: &Near) -> [f32; 2] {
+    [n.along[0], n.along[1]]
+}
+
+/// Its terms of the slopes of the normal.
+#[inline(always)]
+fn turn(n: &Near) -> [f32; 2] {
+    [TURN * n.along[2], TURN * n.along[3]]
+}
+
+// Sums over the neighbours: every one has a name so that it stays in a register, as many in each loop as there are registers.
+
+/// Lower triangle of the normal equations' matrix, row by row: Σ w tᵣ t꜀ with t₀ = 1, then the terms of position; the rows of the
+/// normal's terms follow from [`moments_of_turn`].
+#[inline(always)]
+fn moments_of_place(near: &[Near], weight: &[Lanes]) -> [Lanes; 6] {
+    let [mut m00, mut m10, mut m11, mut m20, mut m21, mut m22] = [[0.0; PARTS]; 6];
     for (n, w) in near.iter().zip(weight) {
-        let t = terms(n);
+        let [x, y] = place(n);
         add(&mut m00, w);
-        let row = times(w, t[0]);
+        let row = times(w, x);
         add(&mut m10, &row);
-        add_scaled(&mut m11, &row, t[0]);
-        let row = times(w, t[1]);
+        add_scaled(&mut m11, &row, x);
+        let row = times(w, y);
         add(&mut m20, &row);
-        add_scaled(&mut m21, &row, t[0]);
-        add_scaled(&mut m22, &row, t[1]);
-        let row = times(w, t[2]);
-        add(&mut m30, &row);
-        add_scaled(&mut m31, &row, t[0]);
-        add_scaled(&mut m32, &row, t[1]);
-        add_scaled(&mut m33, &row, t[2]);
-        let row = times(w, t[3]);
-        add(&mut m40, &row);
-        add_scaled(&mut m41, &row, t[0]);
-        add_scaled(&mut m42, &row, t[1]);
-        add_scaled(&mut m43, &row, t[2]);
-        add_scaled(&mut m44, &row, t[3]);
+        add_scaled(&mut m21, &row, x);
+        add_scaled(&mut m22, &row, y);
     }
-    [m00, m10, m11, m20, m21, m22, m30, m31, m32, m33, m40, m41, m42, m43, m44]
+    [m00, m10, m11, m20, m21, m22]
 }
 
-/// Right side of the normal equations: Σ w tᵣ v for each row, channel by channel. In two passes, for want of registers.
 #[inline(always)]
-fn right_side(near: &[Near], weight: &[Lanes], nodes: &[Node]) -> [[Lanes; 3]; TERMS] {
+fn moments_of_turn(near: &[Near], weight: &[Lanes]) -> [Lanes; 9] {
+    let [mut m30, mut m31, mut m32, mut m33, mut m40, mut m41, mut m42, mut m43, mut m44] = [[0.0; PARTS]; 9];
+    for (n, w) in near.iter().zip(weight) {
+        let ([x, y], [u, v]) = (place(n), turn(n));
+        let row = times(w, u);
+        add(&mut m30, &row);
+        add_scaled(&mut m31, &row, x);
+        add_scaled(&mut m32, &row, y);
+        add_scaled(&mut m33, &row, u);
+        let row = times(w, v);
+        add(&mut m40, &row);
+        add_scaled(&mut m41, &row, x);
+        add_scaled(&mut m42, &row, y);
+        add_scaled(&mut m43, &row, u);
+        add_scaled(&mut m44, &row, v);
+    }
+    [m30, m31, m32, m33, m40, m41, m42, m43, m44]
+}
+
+/// Right side of the normal equations: Σ w tᵣ v for each row, channel by channel.
+#[inline(always)]
+fn right_of_place(near: &[Near], weight: &[Lanes], nodes: &[Node]) -> [[Lanes; 3]; 3] {
     let zero = [0.0; PARTS];
     let ([mut r0, mut g0, mut b0], [mut r1, mut g1, mut b1], [mut r2, mut g2, mut b2]) = ([zero; 3], [zero; 3], [zero; 3]);
     for (n, w) in near.iter().zip(weight) {
-        let ([r, g, b], t) = (&nodes[n.id as usize].value, terms(n));
+        let ([r, g, b], [x, y]) = (&nodes[n.id as usize].value, place(n));
         add_product(&mut r0, w, r);
         add_product(&mut g0, w, g);
         add_product(&mut b0, w, b);
-        let row = times(w, t[0]);
+        let row = times(w, x);
         add_product(&mut r1, &row, r);
         add_product(&mut g1, &row, g);
         add_product(&mut b1, &row, b);
-        let row = times(w, t[1]);
+        let row = times(w, y);
         add_product(&mut r2, &row, r);
         add_product(&mut g2, &row, g);
         add_product(&mut b2, &row, b);
     }
+    [[r0, g0, b0], [r1, g1, b1], [r2, g2, b2]]
+}
+
+#[inline(always)]
+fn right_of_turn(near: &[Near], weight: &[Lanes], nodes: &[Node]) -> [[Lanes; 3]; 2] {
+    let zero = [0.0; PARTS];
     let ([mut r3, mut g3, mut b3], [mut r4, mut g4, mut b4]) = ([zero; 3], [zero; 3]);
     for (n, w) in near.iter().zip(weight) {
-        let ([r, g, b], t) = (&nodes[n.id as usize].value, terms(n));
-        let row = times(w, t[2]);
+        let ([r, g, b], [u, v]) = (&nodes[n.id as usize].value, turn(n));
+        let row = times(w, u);
         add_product(&mut r3, &row, r);
         add_product(&mut g3, &row, g);
         add_product(&mut b3, &row, b);
-        let row = times(w, t[3]);
+        let row = times(w, v);
         add_product(&mut r4, &row, r);
         add_product(&mut g4, &row, g);
         add_product(&mut b4, &row, b);
     }
-    [[r0, g0, b0], [r1, g1, b1], [r2, g2, b2], [r3, g3, b3], [r4, g4, b4]]
+    [[r3, g3, b3], [r4, g4, b4]]
 }
 
 /// The constants of the regressions, channel by channel: the slopes are eliminated one after the other, last to first. Not finite where
 /// no neighbour has weight.
 #[inline(always)]
-fn intercepts(mut matrix: [Lanes; TERMS * (TERMS + 1) / 2], mut right: [[Lanes; 3]; TERMS]) -> [Lanes; 3] {
+fn intercepts<const TERMS: usize, const MOMENTS: usize>(
+    mut matrix: [Lanes; MOMENTS],
+    mut right: [[Lanes; 3]; TERMS],
+) -> [Lanes; 3] {
     let at = |row: usize, column: usize| row * (row + 1) / 2 + column;
     let ridge = times(&matrix[0], RIDGE);
     for r in (1..TERMS).rev() {

@@ -63,10 +63,13 @@ impl Reach {
 
 /// The surroundings of every texel.
 pub(super) struct Neighbourhood {
+    /// Finest first.
     octaves: Vec<Octave>,
-    /// Octave of every texel's size.
-    octave_of: Vec<i32>,
-    /// Place of every texel in the order of the groups that it is a member of.
+    /// All texels, octave by octave, in the order of their groups.
+    sorted: Vec<u32>,
+    /// Their positions and normals in that order, a column per coordinate.
+    columns: [Vec<f32>; 6],
+    /// Place of every texel in that order.
     rank: Vec<u32>,
     /// Who is hidden from whom.
     hidden: Hidden,
@@ -74,14 +77,10 @@ pub(super) struct Neighbourhood {
 
 /// Texels of similar size sorted by cube.
 struct Octave {
-    /// Logarithm of the members' texel size; a grid also holds the octaves next to it.
+    /// Logarithm of their size.
     octave: i32,
     /// Side of a cube, metres.
     cell: f32,
-    /// Texels in the order of their groups.
-    sorted: Vec<u32>,
-    /// Their positions and normals in that order, a column per coordinate.
-    columns: [Vec<f32>; 6],
     /// In the order of their cubes.
     groups: Vec<Group>,
 }
@@ -89,10 +88,8 @@ struct Octave {
 /// Texels of one cube that face about the same way.
 struct Group {
     cube: [i32; 3],
-    /// Its texels, a range of [`Octave::sorted`].
+    /// Its texels, a range of [`Neighbourhood::sorted`].
     range: Range<usize>,
-    /// How many of them are of the octave itself.
-    members: usize,
     /// Mean normal, and the largest angle from it; its sine and cosine.
     axis: Vec3,
     spread: f32,
@@ -135,11 +132,18 @@ impl Neighbourhood {
         let mut present = octave_of.clone();
         present.par_sort_unstable();
         present.dedup();
-        let octaves: Vec<Octave> = present.iter().map(|&o| Octave::new(patches, &octave_of, o)).collect();
+        let (mut octaves, mut sorted) = (Vec::new(), Vec::with_capacity(patches.len()));
+        for o in present {
+            let members = (0..patches.len()).into_par_iter().filter(|&i| octave_of[i] == o);
+            octaves.push(Octave::new(patches, members, o, &mut sorted));
+        }
+        let column = |c: usize| {
+            let of = |p: &Patch| if c < 3 { p.position[c] } else { p.normal[c - 3] };
+            sorted.par_iter().map(|i| of(&patches[*i as usize])).collect()
+        };
         let mut rank = vec![0; patches.len()];
-        let members = octaves.iter().flat_map(|o| o.sorted.iter().filter(|i| octave_of[**i as usize] == o.octave));
-        members.zip(0..).for_each(|(&i, place)| rank[i as usize] = place);
-        Self { octaves, octave_of, rank, hidden: Hidden::default() }
+        sorted.iter().zip(0..).for_each(|(&i, place)| rank[i as usize] = place);
+        Self { octaves, columns: std::array::from_fn(column), sorted, rank, hidden: Hidden::default() }
     }
 
     /// The same without texels that are hidden from each other.
@@ -147,36 +151,49 @@ impl Neighbourhood {
         Self { hidden, ..self }
     }
 
-    /// The texels of a group that are of the octave itself.
-    fn members<'a>(&'a self, octave: &'a Octave, group: &Group) -> impl Iterator<Item = usize> + use<'a> {
-        let all = octave.sorted[group.range.clone()].iter().map(|&i| i as usize);
-        all.filter(|&i| self.octave_of[i] == octave.octave)
+    /// All texels in the order of [`Self::map`]: near ones side by side.
+    pub(super) fn order(&self) -> &[u32] {
+        &self.sorted
     }
 
-    /// `f(i, near, scratch)` for every texel that is `asked` for, with the texels within `reach` texels of it, itself among them; the
-    /// default for all others. In the order of the texels.
-    pub(super) fn map<S: Default, R: Send + Sync + Clone + Default>(
+    /// What [`Self::map`] found, in the order of the texels.
+    pub(super) fn by_texel<R: Copy + Send + Sync>(&self, found: &[R]) -> Vec<R> {
+        self.rank.par_iter().map(|&r| found[r as usize]).collect()
+    }
+
+    /// Groups with their octaves, in the order of the texels' ranges.
+    fn groups(&self) -> impl Iterator<Item = (&Octave, &Group)> {
+        self.octaves.iter().flat_map(|o| o.groups.iter().map(move |g| (o, g)))
+    }
+
+    /// The texels of a group.
+    fn members(&self, group: &Group) -> impl Iterator<Item = usize> + use<'_> {
+        self.sorted[group.range.clone()].iter().map(|&i| i as usize)
+    }
+
+    /// `f(i, near, scratch)` for every texel that is `asked` for, with those that `count` within `reach` texels of it, maybe itself among
+    /// them; the default for all others. In the order of [`Self::order`].
+    pub(super) fn map<S: Default, R: Send + Default>(
         &self,
         patches: &[Patch],
         reach: f32,
         asked: impl Fn(usize) -> bool + Sync,
+        count: impl Fn(usize) -> bool + Sync,
         f: impl Fn(usize, &[Near], &mut S) -> R + Sync,
     ) -> Vec<R> {
-        let mut results = vec![R::default(); patches.len()];
+        let mut results: Vec<R> = (0..patches.len()).into_par_iter().map(|_| R::default()).collect();
         let (mut rest, mut tasks) = (results.as_mut_slice(), Vec::new());
-        for o in &self.octaves {
-            for group in &o.groups {
-                let (own, others) = rest.split_at_mut(group.members);
-                tasks.push((o, group, own));
-                rest = others;
-            }
+        for (o, group) in self.groups() {
+            let (own, others) = rest.split_at_mut(group.range.len());
+            tasks.push((o, group, own));
+            rest = others;
         }
         tasks.into_par_iter().for_each_init(
             || (Candidates::default(), Vec::new(), S::default()),
             |(candidates, near, scratch), (o, group, own)| {
-                let members = || self.members(o, group);
+                let members = || self.members(group);
                 let Some(bounds) = bounds(members().filter(|&i| asked(i)).map(|i| &patches[i]), reach) else { return };
-                candidates.fill(o, group, bounds);
+                candidates.fill(self, o, group, bounds, &count);
                 for (i, out) in members().zip(own).filter(|(i, _)| asked(*i)) {
                     candidates.find(&patches[i], reach, near);
                     self.hidden.part(i, near, |n| n.id);
@@ -184,7 +201,7 @@ impl Neighbourhood {
                 }
             },
         );
-        self.rank.par_iter().map(|&r| results[r as usize].clone()).collect()
+        results
     }
 }
 
@@ -207,12 +224,12 @@ impl Discs {
 impl Neighbourhood {
     /// The texels within `reach` texels of each, on the same smooth surface.
     pub(super) fn discs(&self, patches: &[Patch], reach: f32) -> Discs {
-        let tasks: Vec<(&Octave, &Group)> = self.octaves.iter().flat_map(|o| o.groups.iter().map(move |g| (o, g))).collect();
+        let tasks: Vec<(&Octave, &Group)> = self.groups().collect();
         let each = |(candidates, found): &mut (Candidates, Vec<Near>), (o, group): (&Octave, &Group)| {
             let (mut near, mut ends) = (Vec::new(), Vec::new());
-            let members = || self.members(o, group);
+            let members = || self.members(group);
             if let Some(bounds) = bounds(members().map(|i| &patches[i]), reach) {
-                candidates.fill(o, group, bounds);
+                candidates.fill(self, o, group, bounds, |_| true);
                 for i in members() {
                     candidates.find(&patches[i], reach, found);
                     self.hidden.part(i, found, |n| n.id);
@@ -249,50 +266,53 @@ fn bounds<'a>(patches: impl Iterator<Item = &'a Patch>, reach: f32) -> Option<[V
 }
 
 impl Octave {
-    fn new(patches: &[Patch], octave_of: &[i32], o: i32) -> Self {
+    /// Sorts the `members` into groups and appends them to `sorted`.
+    fn new(patches: &[Patch], members: impl ParallelIterator<Item = usize>, o: i32, sorted: &mut Vec<u32>) -> Self {
         let cell = (2.0f32.powi(o) * CELL).max(f32::MIN_POSITIVE);
-        let mut keyed: Vec<([i32; 3], u8, u32)> = (0..patches.len())
-            .into_par_iter()
-            .filter(|&i| (octave_of[i] - o).abs() <= 1)
-            .map(|i| (cube(patches[i].position, cell), facing(patches[i].normal), i as u32))
-            .collect();
+        // cube, facing and number in one: what compares fast sorts fast
+        let key = |i: usize| {
+            let cube = cube(patches[i].position, cell).map(|c| (c + CUBES) as u128);
+            (cube[0] << 95) | (cube[1] << 65) | (cube[2] << 35) | (u128::from(facing(patches[i].normal)) << 32) | i as u128
+        };
+        let mut keyed: Vec<u128> = members.map(key).collect();
         keyed.par_sort_unstable();
+        let first = sorted.len();
+        sorted.par_extend(keyed.par_iter().map(|k| *k as u32));
         let mut ranges: Vec<Range<usize>> = Vec::new();
         for k in 0..keyed.len() {
             match ranges.last_mut() {
-                Some(last) if (keyed[last.start].0, keyed[last.start].1) == (keyed[k].0, keyed[k].1) => last.end = k + 1,
+                Some(last) if keyed[last.start] >> 32 == keyed[k] >> 32 => last.end = k + 1,
                 _ => ranges.push(k..k + 1),
             }
         }
         let group = |range: Range<usize>| {
-            let normals = || keyed[range.clone()].iter().map(|k| patches[k.2 as usize].normal);
-            let axis = normals().sum::<Vec3>().normalize_or(Vec3::Z);
-            let spread = normals().map(|n| axis.dot(n).clamp(-1.0, 1.0).acos()).fold(0.0, f32::max);
-            let members = keyed[range.clone()].iter().filter(|k| octave_of[k.2 as usize] == o).count();
-            Group { cube: keyed[range.start].0, axis, spread, spread_sin_cos: spread.sin_cos(), members, range }
+            let range = first + range.start..first + range.end;
+            let members = || sorted[range.clone()].iter().map(|&i| &patches[i as usize]);
+            let axis = members().map(|p| p.normal).sum::<Vec3>().normalize_or(Vec3::Z);
+            let spread = members().map(|p| axis.dot(p.normal).clamp(-1.0, 1.0).acos()).fold(0.0, f32::max);
+            let cube = cube(patches[sorted[range.start] as usize].position, cell);
+            Group { cube, axis, spread, spread_sin_cos: spread.sin_cos(), range }
         };
-        let groups = ranges.into_par_iter().map(group).collect();
-        let sorted: Vec<u32> = keyed.par_iter().map(|k| k.2).collect();
-        let column = |c: usize| {
-            let of = |p: &Patch| if c < 3 { p.position[c] } else { p.normal[c - 3] };
-            sorted.par_iter().map(|i| of(&patches[*i as usize])).collect()
-        };
-        Self { octave: o, cell, groups, columns: std::array::from_fn(column), sorted }
+        Self { octave: o, cell, groups: ranges.into_par_iter().map(group).collect() }
     }
 
     /// The groups whose cubes meet a box; those of one row of cubes lie side by side.
     fn within(&self, [lo, hi]: [Vec3; 2]) -> impl Iterator<Item = &Group> {
         let (lo, hi) = (cube(lo, self.cell), cube(hi, self.cell));
+        let mut rest = self.groups.as_slice();
         let rows = (lo[0]..=hi[0]).flat_map(move |x| (lo[1]..=hi[1]).map(move |y| [x, y]));
         rows.flat_map(move |[x, y]| {
-            let from = self.groups.partition_point(|g| g.cube < [x, y, lo[2]]);
-            self.groups[from..].iter().take_while(move |g| g.cube <= [x, y, hi[2]])
+            rest = &rest[rest.partition_point(|g| g.cube < [x, y, lo[2]])..];
+            rest.iter().take_while(move |g| g.cube <= [x, y, hi[2]])
         })
     }
 }
 
+/// Cubes lie within so many of the origin in every direction, those beyond in the outermost.
+const CUBES: i32 = 1 << 29;
+
 fn cube(p: Vec3, cell: f32) -> [i32; 3] {
-    (p / cell).floor().to_array().map(|x| x as i32)
+    (p / cell).floor().to_array().map(|x| (x as i32).clamp(-CUBES, CUBES - 1))
 }
 
 /// The coordinate axis that a normal is closest to, and its sign.
@@ -302,8 +322,8 @@ fn facing(normal: Vec3) -> u8 {
 }
 
 impl Candidates {
-    /// Takes the texels of `octave` within `bounds` that may lie on one smooth surface with texels of `group`.
-    fn fill(&mut self, octave: &Octave, group: &Group, bounds: [Vec3; 2]) {
+    /// Takes the texels of the octaves around one within `bounds` that `count` and may lie on one smooth surface with texels of `group`.
+    fn fill(&mut self, all: &Neighbourhood, octave: &Octave, group: &Group, bounds: [Vec3; 2], count: impl Fn(usize) -> bool) {
         let Self { ids, columns, runs, inside, places, .. } = self;
         // a little more, for what rounding takes away
         let turn = SMOOTH.acos() + group.spread + 1e-3;
@@ -313,7 +333,8 @@ impl Candidates {
             turn + g.spread >= PI || g.axis.dot(group.axis) >= cos * g_cos - sin * g_sin
         };
         runs.clear();
-        for near in octave.within(bounds).filter(may) {
+        let octaves = all.octaves.iter().filter(|o| (o.octave - octave.octave).abs() <= 1);
+        for near in octaves.flat_map(|o| o.within(bounds)).filter(may) {
             match runs.last_mut() {
                 Some(last) if last.end == near.range.start => last.end = near.range.end,
                 _ => runs.push(near.range.clone()),
@@ -326,7 +347,7 @@ impl Candidates {
             // (copies: what is read through a reference could change with every value written)
             let ([lo, hi], axis) = (bounds, group.axis);
             for run in runs.iter() {
-                let [x, y, z, nx, ny, nz] = octave.columns.each_ref().map(|c| &c[run.clone()]);
+                let [x, y, z, nx, ny, nz] = all.columns.each_ref().map(|c| &c[run.clone()]);
                 let inside = &mut inside[..run.len()];
                 for (k, inside) in inside.iter_mut().enumerate() {
                     let within =
@@ -340,14 +361,16 @@ impl Candidates {
                 }
             }
         });
-        let places = places[..kept].iter().map(|p| *p as usize);
+        places.truncate(kept);
+        places.retain(|p| count(all.sorted[*p as usize] as usize));
+        let places = places.iter().map(|p| *p as usize);
         let take = |to: &mut Vec<f32>, from: &[f32]| {
             to.clear();
             to.extend(places.clone().map(|p| from[p]));
         };
-        columns.iter_mut().zip(&octave.columns).for_each(|(to, from)| take(to, from));
+        columns.iter_mut().zip(&all.columns).for_each(|(to, from)| take(to, from));
         ids.clear();
-        ids.extend(places.map(|p| octave.sorted[p]));
+        ids.extend(places.map(|p| all.sorted[p]));
         let n = self.ids.len();
         self.distance2.resize(n, 0.0);
         self.along.iter_mut().for_each(|c| c.resize(n, 0.0));
@@ -419,8 +442,9 @@ mod tests {
         let places = [0.0, -1e-20, 1.0, -1e9, 1e30, -3e38];
         let patches: Vec<Patch> = sizes.iter().flat_map(|s| places.map(|x| at(x, *s))).chain([at(f32::NAN, 1.0)]).collect();
         let itself = |i: usize, near: &[Near], (): &mut ()| near.iter().any(|n| n.distance2 < 1.0 && n.id as usize == i);
-        let found = Neighbourhood::new(&patches).map(&patches, 9.0, |_| true, itself);
-        for (p, found) in patches.iter().zip(found) {
+        let around = Neighbourhood::new(&patches);
+        let found = around.map(&patches, 9.0, |_| true, |_| true, itself);
+        for (p, found) in patches.iter().zip(around.by_texel(&found)) {
             // a texel whose reach has no finite, positive square has no surroundings
             let limit = (9.0 * p.size).powi(2);
             let has_reach = limit > 0.0 && limit.is_finite() && p.position.is_finite();
@@ -433,8 +457,9 @@ mod tests {
         let patches = patches();
         let reach = 4.0;
         let index: Vec<u32> = (0..patches.len() as u32).collect();
-        let asked = |i: usize| !i.is_multiple_of(3);
-        let found = Neighbourhood::new(&patches).map(&patches, reach, asked, |i, near: &[Near], (): &mut ()| {
+        let around = Neighbourhood::new(&patches);
+        let (asked, counts) = (|i: usize| !i.is_multiple_of(3), |i: usize| !i.is_multiple_of(4));
+        let found = around.map(&patches, reach, asked, counts, |i, near: &[Near], (): &mut ()| {
             for n in near {
                 // places on the plane: with the height over it they are as far as stated
                 let (p, q) = (&patches[i], &patches[n.id as usize]);
@@ -445,7 +470,8 @@ mod tests {
             list.sort_unstable();
             list
         });
-        for (i, list) in found.iter().enumerate().step_by(7) {
+        for (&i, list) in around.order().iter().zip(&found).step_by(7) {
+            let i = i as usize;
             let p = &patches[i];
             if !asked(i) {
                 assert!(list.is_empty(), "texel {i} was not asked for");
@@ -457,7 +483,8 @@ mod tests {
                 .filter(|&j| {
                     let q = &patches[j as usize];
                     let step = q.position - p.position;
-                    step.length_squared() < (reach * p.size).powi(2)
+                    counts(j as usize)
+                        && step.length_squared() < (reach * p.size).powi(2)
                         && q.normal.dot(p.normal) > SMOOTH
                         && p.normal.dot(step).abs() <= FLAT * step.length()
                 })

@@ -67,7 +67,7 @@ pub(super) fn find_hidden(patches: &[Patch], around: &Neighbourhood, reach: f32,
         };
         j < i && asks()
     };
-    let found = around.map(patches, reach, obstructed, |i, near, sight: &mut Sight| {
+    let found = around.map(patches, reach, obstructed, |_| true, |i, near, sight: &mut Sight| {
         let unsure = near.iter().filter(|n| may_hide(n.along[0], n.along[1], &fans[i]));
         sight.ids.clear();
         sight.ids.extend(unsure.map(|n| n.id).filter(|&j| !asks_itself(j as usize, i)));
@@ -78,7 +78,7 @@ pub(super) fn find_hidden(patches: &[Patch], around: &Neighbourhood, reach: f32,
         let blocked = sight.ids.iter().zip(&sight.blocked).filter(|(_, blocked)| **blocked != 0);
         blocked.map(|(j, _)| *j).collect::<Vec<u32>>()
     });
-    Hidden::mutual(&found)
+    Hidden::mutual(around.order(), &found)
 }
 
 /// The places from which texels look at each other: lower where something hangs over them.
@@ -176,7 +176,8 @@ mod tests {
     /// Neighbours i, j of each other, whether hidden or not.
     fn pairs(patches: &[Patch]) -> Vec<(usize, usize)> {
         let ids = |i: usize, near: &[Near], (): &mut ()| near.iter().map(|n| (i, n.id as usize)).collect::<Vec<_>>();
-        Neighbourhood::new(patches).map(patches, REACH, |_| true, ids).concat()
+        let around = Neighbourhood::new(patches);
+        around.map(patches, REACH, |_| true, |_| true, ids).concat()
     }
 
     fn hides(hidden: &Hidden, i: usize, j: usize) -> bool {
