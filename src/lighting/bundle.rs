@@ -107,7 +107,7 @@ impl Round {
 #[derive(Default)]
 pub(super) struct Bundle {
     spans: Vec<Span>,
-    /// Per receiver: which lamps it asks; nobody's where no lamps are sampled.
+    /// Which lamps receivers ask, those that lie close together the same.
     choices: Vec<LampChoice>,
     rays: Vec<Ray>,
     cosines: Vec<f32>,
@@ -116,8 +116,9 @@ pub(super) struct Bundle {
     hits: Vec<Hit>,
     shadow: Vec<Ray>,
     hidden: Vec<u8>,
-    /// Of one receiver: the first lamp of each interval of numbers, and its emitter samples.
+    /// Of the last choice: the first lamp of each interval of numbers.
     guide: Vec<u32>,
+    /// Emitter samples of one receiver.
     picks: Picks,
     /// Per shadow ray.
     aimed: Vec<Aimed>,
@@ -136,10 +137,18 @@ pub(super) struct Bundle {
     sums: Vec<Vec3>,
 }
 
-/// Where the hemisphere rays of one receiver lie in the batch.
+/// Who was the last in a batch to choose lamps (position, normal), and how many have.
+#[derive(Default)]
+struct Chosen {
+    place: Option<(Vec3, Vec3)>,
+    count: usize,
+}
+
+/// One receiver's part of a batch.
 struct Span {
-    /// Whether lamps are sampled.
-    lit: bool,
+    /// Its choice of lamps, if it samples any.
+    choice: Option<usize>,
+    /// Where its hemisphere rays lie.
     rays: Range<usize>,
 }
 
@@ -156,15 +165,15 @@ impl Bundle {
         self.reserve(n * round.hemisphere.len(), n * round.lights.len(), round);
         self.spans.clear();
         grow(&mut self.choices, n, LampChoice::default());
-        let (mut rays, mut lights) = (0, 0);
+        let (mut rays, mut lights, mut chosen) = (0, 0, Chosen::default());
         for r in receivers {
             let drawn = self.draw_hemisphere(bake, round, &r, rays);
             rays = drawn.end;
-            let lit = !round.lights.is_empty() && self.choose(bake, round, &r);
-            if lit {
-                lights = self.draw_lights(bake, round, &r, lights);
+            let choice = if round.lights.is_empty() { None } else { self.choose(bake, round, &r, &mut chosen) };
+            if let Some(choice) = choice {
+                lights = self.draw_lights(bake, round, &r, choice, lights);
             }
-            self.spans.push(Span { lit, rays: drawn });
+            self.spans.push(Span { choice, rays: drawn });
         }
         bake.tracer.closest(&self.rays[..rays], &mut self.hits[..rays]);
         bake.tracer.occluded(&self.shadow[..lights], &mut self.hidden[..lights]);
@@ -216,17 +225,25 @@ impl Bundle {
         at..at + kept
     }
 
-    /// Finds which lamps the next receiver asks; false if none can send it light.
-    fn choose(&mut self, bake: &Bake, round: &Round, r: &Receiver) -> bool {
-        let rays_per_sample = round.total_rays as f32 / round.total_lights.max(1) as f32;
-        let k = self.spans.len();
-        bake.emitters.choose(r.position, r.normal, rays_per_sample, &mut self.choices[k]);
-        !self.choices[k].is_empty()
+    /// Finds which lamps the next receiver asks: those of the last one who chose, where that lies close. `None` if none can send it light.
+    fn choose(&mut self, bake: &Bake, round: &Round, r: &Receiver, chosen: &mut Chosen) -> Option<usize> {
+        let place = (r.position, r.normal);
+        if chosen.place.is_none_or(|p| !bake.emitters.alike([p, place])) {
+            let choice = &mut self.choices[chosen.count];
+            let rays_per_sample = round.total_rays as f32 / round.total_lights.max(1) as f32;
+            bake.emitters.choose(r.position, r.normal, rays_per_sample, choice);
+            if round.lights.len() >= GUIDED && !choice.is_empty() {
+                choice.guide(round.slots, &mut self.guide);
+            }
+            *chosen = Chosen { place: Some(place), count: chosen.count + 1 };
+        }
+        let choice = chosen.count - 1;
+        (!self.choices[choice].is_empty()).then_some(choice)
     }
 
     /// Writes the shadow rays of the next receiver from index `at` on, in the order of the lamps: neighbours in a packet then go the
     /// same way. Returns where they end.
-    fn draw_lights(&mut self, bake: &Bake, round: &Round, r: &Receiver, at: usize) -> usize {
+    fn draw_lights(&mut self, bake: &Bake, round: &Round, r: &Receiver, choice: usize, at: usize) -> usize {
         let n = round.lights.len();
         let [u, v, w, ..] = self.columns.each_mut().map(|c| &mut c[..n]);
         let sequence = SobolSequence::new(round.seed ^ 0x5eed_1a3b, r.key);
@@ -239,11 +256,8 @@ impl Bundle {
         let first = (PARTS * self.spans.len()) as u32;
         let picks = &mut self.picks;
         picks.reserve(n);
-        let choice = &self.choices[self.spans.len()];
+        let choice = &self.choices[choice];
         let guided = n >= GUIDED;
-        if guided {
-            choice.guide(round.slots, &mut self.guide);
-        }
         let mut k = 0;
         for (interval, &s) in self.order.iter().enumerate() {
             // (an interval may have no sample)
@@ -286,8 +300,8 @@ impl Bundle {
             }
         };
         self.hits.iter().take(AHEAD).for_each(expect);
-        for (span, choice) in self.spans.iter().zip(&self.choices) {
-            let choice = (mixed && span.lit).then_some(choice);
+        for span in &self.spans {
+            let choice = span.choice.filter(|_| mixed).map(|c| &self.choices[c]);
             for k in span.rays.clone() {
                 if let Some(later) = self.hits.get(k + AHEAD) {
                     expect(later);
@@ -315,10 +329,10 @@ impl Bundle {
             let k = self.outside[i] as usize;
             let owner = self.owners[k] as usize;
             let weight = match (round.estimator, &self.spans[owner / PARTS]) {
-                (Estimator::Mis, Span { lit: true, .. }) => {
+                (Estimator::Mis, Span { choice: Some(choice), .. }) => {
                     let ray = &self.rays[k];
                     let (origin, direction) = (Vec3::from_array(ray.origin), Vec3::from_array(ray.direction));
-                    let pdf = bake.emitters.miss_pdf(&self.choices[owner / PARTS], origin, direction);
+                    let pdf = bake.emitters.miss_pdf(&self.choices[*choice], origin, direction);
                     self.cosines[k] / (n * (self.cosines[k] * FRAC_1_PI) + lights * pdf)
                 }
                 _ => self.terms[k].1,
