@@ -84,9 +84,9 @@ impl Levels {
     }
 
     /// The levels of the first round.
-    fn of_first_round(&self, filter: &SurfaceFilter, importance: &[f32]) -> Vec<u8> {
-        let matters = |i: usize| importance[i] > 0.0;
-        let sampled = if self.thinned { filter.thinned(matters) } else { vec![true; importance.len()] };
+    fn of_first_round(&self, filter: &SurfaceFilter, importance: &(impl Fn(usize) -> f32 + Sync)) -> Vec<u8> {
+        let matters = |i: usize| importance(i) > 0.0;
+        let sampled = if self.thinned { filter.thinned(matters) } else { vec![true; filter.order().len()] };
         let level = |(i, sampled): (usize, &bool)| if matters(i) { self.first } else { u8::from(*sampled) };
         sampled.par_iter().enumerate().map(level).collect()
     }
@@ -122,13 +122,16 @@ pub fn bake_surface(
     }
     let levels = Levels::new(budget);
     let filter = SurfaceFilter::new(patches, bake.tracer);
-    let mut level = levels.of_first_round(&filter, importance);
+    // from here on in the filter's order
+    let order = filter.order();
+    let (receiver, importance) = (|k: usize| receiver(order[k] as usize), |k: usize| importance[order[k] as usize]);
+    let mut level = levels.of_first_round(&filter, &importance);
     let mut baked =
         Irradiance { value: vec![Vec3::ZERO; count], parts: vec![Default::default(); count], ..Irradiance::default() };
     // rays traced where it matters, and for how many samples: what cannot carry light is not traced and costs nothing
     let (mut rays, mut drawn) = (0, 0);
-    let at = |level: &[u8], l: u8, keep: &dyn Fn(usize) -> bool| -> Vec<u32> {
-        (0..count as u32).filter(|&i| level[i as usize] == l && keep(i as usize)).collect()
+    let at = |level: &[u8], l: u8, keep: &(dyn Fn(usize) -> bool + Sync)| -> Vec<u32> {
+        (0..count as u32).into_par_iter().filter(|&i| level[i as usize] == l && keep(i as usize)).collect()
     };
     for l in 1..=levels.first {
         let ids = at(&level, l, &|_| true);
@@ -139,7 +142,7 @@ pub fn bake_surface(
     let total = (1.0 - KEPT_BACK) * f64::from(budget.samples.iter().sum::<u32>()) * count as f64;
     for round in 1..budget.rounds {
         let Judgement { light, error } = filter.judge(&baked, |i| samples(level[i]) as f32);
-        let promising = |i: usize| if error[i] > budget.target { error[i] * importance[i].sqrt() } else { 0.0 };
+        let promising = |i: usize| if error[i] > budget.target { error[i] * importance(i).sqrt() } else { 0.0 };
         let left = (total - baked.rays as f64).max(0.0) / f64::from(budget.rounds - round);
         let cost = left * drawn as f64 / rays.max(1) as f64;
         let wanted = most_promising(&light, &promising, &level, cost as u64);
@@ -155,7 +158,7 @@ pub fn bake_surface(
             ids.iter().for_each(|&i| level[i as usize] = l + 1);
         }
     }
-    filter.filter(&baked, |i| samples(level[i]) as f32)
+    filter.back(&filter.filter_in_order(&baked, |i| samples(level[i]) as f32))
 }
 
 /// The level that each texel should reach. Those with a relative `error` are doubled in the order in which their squared error falls

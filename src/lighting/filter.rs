@@ -46,8 +46,7 @@ const COMPANY: usize = 5;
 const OTHERS: f32 = (PARTS - 1) as f32;
 
 /// The neighbourhoods of a set of texels.
-pub struct SurfaceFilter<'a> {
-    patches: &'a [Patch],
+pub struct SurfaceFilter {
     around: Neighbourhood,
     discs: Discs,
     /// One over the difference from which texels have nothing in common ([`DIFFERENT`]).
@@ -119,14 +118,14 @@ struct Node {
     others: Noise,
 }
 
-impl<'a> SurfaceFilter<'a> {
+impl SurfaceFilter {
     /// Finds the neighbourhoods of the texels; those that do not see each other share nothing.
     #[must_use]
-    pub fn new(patches: &'a [Patch], tracer: &dyn Tracer) -> Self {
+    pub fn new(patches: &[Patch], tracer: &dyn Tracer) -> Self {
         let around = Neighbourhood::new(patches);
-        let hidden = find_hidden(patches, &around, REACH, tracer);
+        let hidden = find_hidden(&around, REACH, tracer);
         let around = around.without(hidden);
-        Self { patches, discs: around.discs(patches, DISC), around, per_different: 1.0 / DIFFERENT }
+        Self { discs: around.discs(DISC), around, per_different: 1.0 / DIFFERENT }
     }
 
     /// The same for values of which a little bias costs more than noise: texels part at squared differences of `different` variances
@@ -140,6 +139,24 @@ impl<'a> SurfaceFilter<'a> {
     /// are none and the neighbours decide alone. Its `error` tells the relative error that remains, bias included.
     #[must_use]
     pub fn filter(&self, baked: &Irradiance, samples: impl Fn(usize) -> f32 + Sync) -> Irradiance {
+        let order = self.order();
+        self.back(&self.filter_in_order(&baked.at(order), |k| samples(order[k] as usize)))
+    }
+
+    /// The texels in the order in which they are filtered: what lies close in space lies close there.
+    pub(super) fn order(&self) -> &[u32] {
+        self.around.order()
+    }
+
+    /// What is given in [`Self::order`], in the order of the texels.
+    pub(super) fn back(&self, baked: &Irradiance) -> Irradiance {
+        let mut place = vec![0; self.order().len()];
+        self.order().iter().zip(0..).for_each(|(&i, k)| place[i as usize] = k);
+        baked.at(&place)
+    }
+
+    /// [`Self::filter`] in [`Self::order`], as all that follows.
+    pub(super) fn filter_in_order(&self, baked: &Irradiance, samples: impl Fn(usize) -> f32 + Sync) -> Irradiance {
         let Guided { unit, noise, guides } = self.guided(baked, samples);
         let per_different = self.per_different;
         let scaled = |i: usize| baked.parts[i].map(|p| p / unit);
@@ -148,8 +165,7 @@ impl<'a> SurfaceFilter<'a> {
             Node { value: std::array::from_fn(|c| parts.map(|p| p[c])), others: guide.others() }
         };
         let nodes: Vec<Node> = guides.par_iter().enumerate().map(node).collect();
-        let found = self.around.map(
-            self.patches,
+        let mut parts = self.around.map(
             REACH,
             |_| true,
             |i| guides[i].samples > 0.0,
@@ -160,7 +176,6 @@ impl<'a> SurfaceFilter<'a> {
                 std::array::from_fn::<_, PARTS, _>(|p| smooth[p].lerp(part[p], own))
             },
         );
-        let mut parts = self.around.by_texel(&found);
         let error = self.remaining_error(&noise, |i| parts[i].map(luminance), 0.0);
         parts.par_iter_mut().for_each(|parts| parts.iter_mut().for_each(|p| *p *= unit));
         let value = parts.par_iter().map(|p| p.iter().sum::<Vec3>() / PARTS as f32).collect();
@@ -186,7 +201,7 @@ impl<'a> SurfaceFilter<'a> {
     #[must_use]
     pub(super) fn thinned(&self, needed: impl Fn(usize) -> bool + Sync) -> Vec<bool> {
         let drawn = |i: usize| needed(i) || hash_u64(0, i as u64).is_multiple_of(SAMPLED_ONE_IN);
-        let drawn: Vec<bool> = (0..self.patches.len()).into_par_iter().map(drawn).collect();
+        let drawn: Vec<bool> = (0..self.order().len()).into_par_iter().map(drawn).collect();
         let company = |i: usize| self.discs.of(i).iter().filter(|(j, _)| drawn[*j as usize]).count();
         (0..drawn.len()).into_par_iter().map(|i| drawn[i] || company(i) < COMPANY).collect()
     }
@@ -210,7 +225,7 @@ impl<'a> SurfaceFilter<'a> {
             let (mean, variance) = spread(&parts(i).map(luminance));
             [samples(i) * variance * mean * mean, mean * mean]
         };
-        let own: Vec<[f32; 2]> = (0..self.patches.len()).into_par_iter().map(own).collect();
+        let own: Vec<[f32; 2]> = (0..self.order().len()).into_par_iter().map(own).collect();
         let of = |i: usize| {
             let [variance, square] = sums(self.discs.of(i), &own);
             let noise = Noise { part: parts(i).map(luminance), variance: 0.0, samples: samples(i) };
@@ -612,7 +627,9 @@ mod tests {
         let light = |i: usize| Vec3::new(1.0, 2.0, 3.0) * (1.0 + 0.02 * at(i).x + 0.01 * at(i).y);
         let tracer = BruteForce::new(&Mesh::default());
         let filter = SurfaceFilter::new(&patches, &tracer);
-        let sampled = filter.thinned(|i| i < SIDE);
+        let mut sampled = vec![false; patches.len()];
+        let thinned = filter.thinned(|k| filter.order()[k] < SIDE as u32);
+        filter.order().iter().zip(thinned).for_each(|(&i, s)| sampled[i as usize] = s);
         let count = sampled.iter().filter(|s| **s).count();
         assert!(sampled[..SIDE].iter().all(|s| *s) && count > SIDE * SIDE * 2 / 5 && count < SIDE * SIDE * 3 / 4, "{count}");
         let value: Vec<Vec3> = (0..patches.len()).map(|i| if sampled[i] { light(i) } else { Vec3::ZERO }).collect();

@@ -13,10 +13,10 @@ pub(super) struct Hidden {
 }
 
 impl Hidden {
-    /// From the hidden ones that each of the `texels` found out about, every pair once.
-    pub(super) fn mutual(texels: &[u32], found: &[Vec<u32>]) -> Self {
+    /// From the hidden ones that each texel found out about, every pair once.
+    pub(super) fn mutual(found: &[Vec<u32>]) -> Self {
         let next: Vec<AtomicUsize> = found.iter().map(|_| AtomicUsize::new(0)).collect();
-        each_way(texels, found, |i, _| {
+        each_way(found, |i, _| {
             next[i].fetch_add(1, Ordering::Relaxed);
         });
         let mut sum = 0;
@@ -24,7 +24,7 @@ impl Hidden {
             sum += next.swap(sum, Ordering::Relaxed);
         }
         let ids: Vec<AtomicU32> = (0..sum).into_par_iter().map(|_| AtomicU32::new(0)).collect();
-        each_way(texels, found, |i, j| ids[next[i].fetch_add(1, Ordering::Relaxed)].store(j, Ordering::Relaxed));
+        each_way(found, |i, j| ids[next[i].fetch_add(1, Ordering::Relaxed)].store(j, Ordering::Relaxed));
         // (where each list begins has moved to where it ends)
         let end: Vec<usize> = next.into_iter().map(AtomicUsize::into_inner).collect();
         let mut ids: Vec<u32> = ids.into_iter().map(AtomicU32::into_inner).collect();
@@ -70,11 +70,11 @@ impl Hidden {
 }
 
 /// `each(i, j)` and `each(j, i)` for every j that texel i found out about.
-fn each_way(texels: &[u32], found: &[Vec<u32>], each: impl Fn(usize, u32) + Sync) {
-    texels.par_iter().zip(found).for_each(|(&i, list)| {
+fn each_way(found: &[Vec<u32>], each: impl Fn(usize, u32) + Sync) {
+    found.par_iter().enumerate().for_each(|(i, list)| {
         list.iter().for_each(|&j| {
-            each(i as usize, j);
-            each(j as usize, i);
+            each(i, j);
+            each(j as usize, i as u32);
         });
     });
 }

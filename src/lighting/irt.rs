@@ -135,25 +135,48 @@ pub fn bake_irradiance(
 }
 
 impl Irradiance {
-    /// Sets the points `ids` to what a bake of them found. `error` stays as it was.
-    pub(super) fn put(&mut self, ids: &[u32], baked: &Self) {
-        self.rays += baked.rays;
-        for (k, &i) in ids.iter().enumerate() {
-            self.value[i as usize] = baked.value[k];
-            self.parts[i as usize] = baked.parts[k];
+    /// That of the points `ids`, in their order.
+    pub(super) fn at(&self, ids: &[u32]) -> Self {
+        fn at<T: Copy + Send + Sync>(ids: &[u32], from: &[T]) -> Vec<T> {
+            // (what a bake has not told of, it does not tell of in another order)
+            let ids = if from.is_empty() { &[] } else { ids };
+            ids.par_iter().map(|&i| from[i as usize]).collect()
         }
+        Self { value: at(ids, &self.value), parts: at(ids, &self.parts), error: at(ids, &self.error), rays: self.rays }
     }
 
-    /// Adds what a later bake drew at the points `ids`: as many samples again as they had before ([`IrtOptions::drawn`]).
+    /// Sets the points `ids`, ascending, to what a bake of them found. `error` stays as it was.
+    pub(super) fn put(&mut self, ids: &[u32], baked: &Self) {
+        self.rays += baked.rays;
+        for_each_of(ids, &mut self.value, &baked.value, |value, new| *value = *new);
+        for_each_of(ids, &mut self.parts, &baked.parts, |parts, new| *parts = *new);
+    }
+
+    /// Adds what a later bake drew at the points `ids`, ascending: as many samples again as they had before ([`IrtOptions::drawn`]).
     /// `error` stays as it was.
     pub fn double(&mut self, ids: &[u32], more: &Self) {
         self.rays += more.rays;
-        for (k, &i) in ids.iter().enumerate() {
-            let i = i as usize;
-            self.value[i] = 0.5 * self.value[i] + more.value[k];
-            self.parts[i] = std::array::from_fn(|p| 0.5 * self.parts[i][p] + more.parts[k][p]);
-        }
+        for_each_of(ids, &mut self.value, &more.value, |value, more| *value = 0.5 * *value + *more);
+        for_each_of(ids, &mut self.parts, &more.parts, |parts, more| {
+            parts.iter_mut().zip(more).for_each(|(part, more)| *part = 0.5 * *part + *more);
+        });
     }
+}
+
+/// `each(&mut to[ids[k]], &from[k])` for all `ids`, which ascend, in parallel.
+fn for_each_of<T: Send, U: Sync>(ids: &[u32], to: &mut [T], from: &[U], each: impl Fn(&mut T, &U) + Sync) {
+    const AT_ONCE: usize = 4096;
+    let (mut rest, mut skipped, mut tasks) = (to, 0, Vec::new());
+    for (ids, from) in ids.chunks(AT_ONCE).zip(from.chunks(AT_ONCE)) {
+        let first = skipped;
+        skipped = ids[ids.len() - 1] as usize + 1;
+        let (own, others) = rest.split_at_mut(skipped - first);
+        rest = others;
+        tasks.push((first, ids, own, from));
+    }
+    tasks.into_par_iter().for_each(|(first, ids, own, from)| {
+        ids.iter().zip(from).for_each(|(i, from)| each(&mut own[*i as usize - first], from));
+    });
 }
 
 /// Mean of the parts, and the variance of one relative to its square.

@@ -1,7 +1,8 @@
 //! Which texels lie around a texel on the same smooth surface, in space and across charts, and are not hidden from it.
 //!
 //! Texels are sorted into cubes and there by direction; those of one such group share a list of candidates, copied side by side. Charts
-//! of different density live in different grids (octaves of texel size), so that the number of neighbours does not grow with the density of a chart next door.
+//! of different density live in different grids (octaves of texel size), so that the number of neighbours does not grow with the density
+//! of a chart next door. Numbers of texels are places in that order everywhere: what lies close in space lies close in memory.
 
 use super::hidden::Hidden;
 use crate::ffi::simd::with_widest;
@@ -65,12 +66,12 @@ impl Reach {
 pub(super) struct Neighbourhood {
     /// Finest first.
     octaves: Vec<Octave>,
-    /// All texels, octave by octave, in the order of their groups.
-    sorted: Vec<u32>,
-    /// Their positions and normals in that order, a column per coordinate.
+    /// The texels' own numbers, octave by octave, in the order of their groups.
+    order: Vec<u32>,
+    /// In that order, as all that follows.
+    patches: Vec<Patch>,
+    /// Positions and normals, a column per coordinate.
     columns: [Vec<f32>; 6],
-    /// Place of every texel in that order.
-    rank: Vec<u32>,
     /// Who is hidden from whom.
     hidden: Hidden,
 }
@@ -88,7 +89,7 @@ struct Octave {
 /// Texels of one cube that face about the same way.
 struct Group {
     cube: [i32; 3],
-    /// Its texels, a range of [`Neighbourhood::sorted`].
+    /// Its texels.
     range: Range<usize>,
     /// Mean normal, and the largest angle from it; its sine and cosine.
     axis: Vec3,
@@ -107,11 +108,9 @@ struct Candidates {
     along: [Vec<f32>; 4],
     /// Which are near.
     near: Vec<u32>,
-    /// Memory for the search: runs of the groups' order where they may lie, for every texel of one run whether it is one (1 or 0), and
-    /// the places of those that are.
+    /// Memory for the search: runs of texels among which they may be, and for every texel of one run whether it is one (1 or 0).
     runs: Vec<Range<usize>>,
     inside: Vec<u32>,
-    places: Vec<u32>,
 }
 
 /// A texel on the same smooth surface as the one whose surroundings are asked for.
@@ -132,18 +131,17 @@ impl Neighbourhood {
         let mut present = octave_of.clone();
         present.par_sort_unstable();
         present.dedup();
-        let (mut octaves, mut sorted) = (Vec::new(), Vec::with_capacity(patches.len()));
+        let (mut octaves, mut order) = (Vec::new(), Vec::with_capacity(patches.len()));
         for o in present {
             let members = (0..patches.len()).into_par_iter().filter(|&i| octave_of[i] == o);
-            octaves.push(Octave::new(patches, members, o, &mut sorted));
+            octaves.push(Octave::new(patches, members, o, &mut order));
         }
+        let patches: Vec<Patch> = order.par_iter().map(|&i| patches[i as usize]).collect();
         let column = |c: usize| {
             let of = |p: &Patch| if c < 3 { p.position[c] } else { p.normal[c - 3] };
-            sorted.par_iter().map(|i| of(&patches[*i as usize])).collect()
+            patches.par_iter().map(of).collect()
         };
-        let mut rank = vec![0; patches.len()];
-        sorted.iter().zip(0..).for_each(|(&i, place)| rank[i as usize] = place);
-        Self { octaves, columns: std::array::from_fn(column), sorted, rank, hidden: Hidden::default() }
+        Self { octaves, columns: std::array::from_fn(column), patches, order, hidden: Hidden::default() }
     }
 
     /// The same without texels that are hidden from each other.
@@ -151,37 +149,31 @@ impl Neighbourhood {
         Self { hidden, ..self }
     }
 
-    /// All texels in the order of [`Self::map`]: near ones side by side.
+    /// The numbers that the texels had before they were sorted.
     pub(super) fn order(&self) -> &[u32] {
-        &self.sorted
+        &self.order
     }
 
-    /// What [`Self::map`] found, in the order of the texels.
-    pub(super) fn by_texel<R: Copy + Send + Sync>(&self, found: &[R]) -> Vec<R> {
-        self.rank.par_iter().map(|&r| found[r as usize]).collect()
+    /// The texels.
+    pub(super) fn patches(&self) -> &[Patch] {
+        &self.patches
     }
 
-    /// Groups with their octaves, in the order of the texels' ranges.
+    /// Groups with their octaves, in the order of their texels.
     fn groups(&self) -> impl Iterator<Item = (&Octave, &Group)> {
         self.octaves.iter().flat_map(|o| o.groups.iter().map(move |g| (o, g)))
     }
 
-    /// The texels of a group.
-    fn members(&self, group: &Group) -> impl Iterator<Item = usize> + use<'_> {
-        self.sorted[group.range.clone()].iter().map(|&i| i as usize)
-    }
-
     /// `f(i, near, scratch)` for every texel that is `asked` for, with those that `count` within `reach` texels of it, maybe itself among
-    /// them; the default for all others. In the order of [`Self::order`].
+    /// them; the default for all others.
     pub(super) fn map<S: Default, R: Send + Default>(
         &self,
-        patches: &[Patch],
         reach: f32,
         asked: impl Fn(usize) -> bool + Sync,
         count: impl Fn(usize) -> bool + Sync,
         f: impl Fn(usize, &[Near], &mut S) -> R + Sync,
     ) -> Vec<R> {
-        let mut results: Vec<R> = (0..patches.len()).into_par_iter().map(|_| R::default()).collect();
+        let mut results: Vec<R> = (0..self.patches.len()).into_par_iter().map(|_| R::default()).collect();
         let (mut rest, mut tasks) = (results.as_mut_slice(), Vec::new());
         for (o, group) in self.groups() {
             let (own, others) = rest.split_at_mut(group.range.len());
@@ -191,11 +183,11 @@ impl Neighbourhood {
         tasks.into_par_iter().for_each_init(
             || (Candidates::default(), Vec::new(), S::default()),
             |(candidates, near, scratch), (o, group, own)| {
-                let members = || self.members(group);
-                let Some(bounds) = bounds(members().filter(|&i| asked(i)).map(|i| &patches[i]), reach) else { return };
+                let members = group.range.clone().filter(|&i| asked(i));
+                let Some(bounds) = bounds(members.map(|i| &self.patches[i]), reach) else { return };
                 candidates.fill(self, o, group, bounds, &count);
-                for (i, out) in members().zip(own).filter(|(i, _)| asked(*i)) {
-                    candidates.find(&patches[i], reach, near);
+                for (i, out) in group.range.clone().zip(own).filter(|(i, _)| asked(*i)) {
+                    candidates.find(&self.patches[i], reach, near);
                     self.hidden.part(i, near, |n| n.id);
                     *out = f(i, near, scratch);
                 }
@@ -217,39 +209,31 @@ impl Discs {
     /// The texels around texel `i`, itself among them.
     pub(super) fn of(&self, i: usize) -> &[(u32, f32)] {
         let (group, range) = &self.place[i];
-        self.near.get(*group as usize).map_or(&[], |near| &near[range.start as usize..range.end as usize])
+        &self.near[*group as usize][range.start as usize..range.end as usize]
     }
 }
 
 impl Neighbourhood {
     /// The texels within `reach` texels of each, on the same smooth surface.
-    pub(super) fn discs(&self, patches: &[Patch], reach: f32) -> Discs {
-        let tasks: Vec<(&Octave, &Group)> = self.groups().collect();
-        let each = |(candidates, found): &mut (Candidates, Vec<Near>), (o, group): (&Octave, &Group)| {
-            let (mut near, mut ends) = (Vec::new(), Vec::new());
-            let members = || self.members(group);
-            if let Some(bounds) = bounds(members().map(|i| &patches[i]), reach) {
-                candidates.fill(self, o, group, bounds, |_| true);
-                for i in members() {
-                    candidates.find(&patches[i], reach, found);
-                    self.hidden.part(i, found, |n| n.id);
-                    near.extend(found.iter().map(|n| (n.id, n.distance2)));
-                    ends.push((i, near.len() as u32));
-                }
-                near.shrink_to_fit();
+    pub(super) fn discs(&self, reach: f32) -> Discs {
+        let groups: Vec<(&Octave, &Group)> = self.groups().collect();
+        let each = |(candidates, found): &mut (Candidates, Vec<Near>), (o, group): &(&Octave, &Group)| {
+            let (mut near, mut ranges) = (Vec::new(), Vec::with_capacity(group.range.len()));
+            let bounds = bounds(group.range.clone().map(|i| &self.patches[i]), reach);
+            candidates.fill(self, o, group, bounds.unwrap_or_default(), |_| true);
+            for i in group.range.clone() {
+                candidates.find(&self.patches[i], reach, found);
+                self.hidden.part(i, found, |n| n.id);
+                let start = near.len() as u32;
+                near.extend(found.iter().map(|n| (n.id, n.distance2)));
+                ranges.push(start..near.len() as u32);
             }
-            (near, ends)
+            near.shrink_to_fit();
+            (near, ranges)
         };
-        let found: Vec<_> = tasks.into_par_iter().map_init(Default::default, each).collect();
-        let mut place = vec![(u32::MAX, 0..0); patches.len()];
-        let mut near = Vec::with_capacity(found.len());
-        for (list, ends) in found {
-            let mut start = 0;
-            for (i, end) in ends {
-                place[i] = (near.len() as u32, std::mem::replace(&mut start, end)..end);
-            }
-            near.push(list);
-        }
+        let (near, ranges): (Vec<_>, Vec<_>) = groups.par_iter().map_init(Default::default, each).unzip();
+        let of_group = |(group, ranges): (usize, Vec<Range<u32>>)| ranges.into_iter().map(move |r| (group as u32, r));
+        let place = ranges.into_par_iter().enumerate().flat_map_iter(of_group).collect();
         Discs { near, place }
     }
 }
@@ -266,8 +250,8 @@ fn bounds<'a>(patches: impl Iterator<Item = &'a Patch>, reach: f32) -> Option<[V
 }
 
 impl Octave {
-    /// Sorts the `members` into groups and appends them to `sorted`.
-    fn new(patches: &[Patch], members: impl ParallelIterator<Item = usize>, o: i32, sorted: &mut Vec<u32>) -> Self {
+    /// Sorts the `members` into groups and appends them to `order`.
+    fn new(patches: &[Patch], members: impl ParallelIterator<Item = usize>, o: i32, order: &mut Vec<u32>) -> Self {
         let cell = (2.0f32.powi(o) * CELL).max(f32::MIN_POSITIVE);
         // cube, facing and number in one: what compares fast sorts fast
         let key = |i: usize| {
@@ -276,8 +260,8 @@ impl Octave {
         };
         let mut keyed: Vec<u128> = members.map(key).collect();
         keyed.par_sort_unstable();
-        let first = sorted.len();
-        sorted.par_extend(keyed.par_iter().map(|k| *k as u32));
+        let first = order.len();
+        order.par_extend(keyed.par_iter().map(|k| *k as u32));
         let mut ranges: Vec<Range<usize>> = Vec::new();
         for k in 0..keyed.len() {
             match ranges.last_mut() {
@@ -287,10 +271,10 @@ impl Octave {
         }
         let group = |range: Range<usize>| {
             let range = first + range.start..first + range.end;
-            let members = || sorted[range.clone()].iter().map(|&i| &patches[i as usize]);
+            let members = || order[range.clone()].iter().map(|&i| &patches[i as usize]);
             let axis = members().map(|p| p.normal).sum::<Vec3>().normalize_or(Vec3::Z);
             let spread = members().map(|p| axis.dot(p.normal).clamp(-1.0, 1.0).acos()).fold(0.0, f32::max);
-            let cube = cube(patches[sorted[range.start] as usize].position, cell);
+            let cube = cube(patches[order[range.start] as usize].position, cell);
             Group { cube, axis, spread, spread_sin_cos: spread.sin_cos(), range }
         };
         Self { octave: o, cell, groups: ranges.into_par_iter().map(group).collect() }
@@ -300,10 +284,17 @@ impl Octave {
     fn within(&self, [lo, hi]: [Vec3; 2]) -> impl Iterator<Item = &Group> {
         let (lo, hi) = (cube(lo, self.cell), cube(hi, self.cell));
         let mut rest = self.groups.as_slice();
-        let rows = (lo[0]..=hi[0]).flat_map(move |x| (lo[1]..=hi[1]).map(move |y| [x, y]));
-        rows.flat_map(move |[x, y]| {
-            rest = &rest[rest.partition_point(|g| g.cube < [x, y, lo[2]])..];
-            rest.iter().take_while(move |g| g.cube <= [x, y, hi[2]])
+        let mut slab = move |x: i32| {
+            rest = &rest[rest.partition_point(|g| g.cube < [x, lo[1], lo[2]])..];
+            &rest[..rest.partition_point(|g| g.cube <= [x, hi[1], hi[2]])]
+        };
+        let rows = move |slab: &'_ [Group]| if slab.is_empty() { 0..0 } else { lo[1]..hi[1] + 1 };
+        (lo[0]..=hi[0]).flat_map(move |x| {
+            let mut rest = slab(x);
+            rows(rest).flat_map(move |y| {
+                rest = &rest[rest.partition_point(|g| g.cube < [x, y, lo[2]])..];
+                rest.iter().take_while(move |g| g.cube <= [x, y, hi[2]])
+            })
         })
     }
 }
@@ -324,7 +315,7 @@ fn facing(normal: Vec3) -> u8 {
 impl Candidates {
     /// Takes the texels of the octaves around one within `bounds` that `count` and may lie on one smooth surface with texels of `group`.
     fn fill(&mut self, all: &Neighbourhood, octave: &Octave, group: &Group, bounds: [Vec3; 2], count: impl Fn(usize) -> bool) {
-        let Self { ids, columns, runs, inside, places, .. } = self;
+        let Self { ids, columns, runs, inside, .. } = self;
         // a little more, for what rounding takes away
         let turn = SMOOTH.acos() + group.spread + 1e-3;
         let (sin, cos) = turn.sin_cos();
@@ -341,7 +332,7 @@ impl Candidates {
             }
         }
         inside.resize(runs.iter().map(Range::len).max().unwrap_or(0), 0);
-        places.resize(runs.iter().map(Range::len).sum(), 0);
+        ids.resize(runs.iter().map(Range::len).sum(), 0);
         let (cosine, mut kept) = (turn.min(PI).cos(), 0);
         with_widest(|| {
             // (copies: what is read through a reference could change with every value written)
@@ -355,22 +346,18 @@ impl Candidates {
                     *inside = u32::from(within & (nx[k] * axis.x + ny[k] * axis.y + nz[k] * axis.z >= cosine));
                 }
                 // (written whether inside or not: a branch would be mispredicted every other time)
-                for (place, inside) in run.clone().zip(inside) {
-                    places[kept] = place as u32;
+                for (id, inside) in run.clone().zip(inside) {
+                    ids[kept] = id as u32;
                     kept += *inside as usize;
                 }
             }
         });
-        places.truncate(kept);
-        places.retain(|p| count(all.sorted[*p as usize] as usize));
-        let places = places.iter().map(|p| *p as usize);
-        let take = |to: &mut Vec<f32>, from: &[f32]| {
+        ids.truncate(kept);
+        ids.retain(|i| count(*i as usize));
+        for (to, from) in columns.iter_mut().zip(&all.columns) {
             to.clear();
-            to.extend(places.clone().map(|p| from[p]));
-        };
-        columns.iter_mut().zip(&all.columns).for_each(|(to, from)| take(to, from));
-        ids.clear();
-        ids.extend(places.map(|p| all.sorted[p]));
+            to.extend(ids.iter().map(|i| from[*i as usize]));
+        }
         let n = self.ids.len();
         self.distance2.resize(n, 0.0);
         self.along.iter_mut().for_each(|c| c.resize(n, 0.0));
@@ -443,8 +430,8 @@ mod tests {
         let patches: Vec<Patch> = sizes.iter().flat_map(|s| places.map(|x| at(x, *s))).chain([at(f32::NAN, 1.0)]).collect();
         let itself = |i: usize, near: &[Near], (): &mut ()| near.iter().any(|n| n.distance2 < 1.0 && n.id as usize == i);
         let around = Neighbourhood::new(&patches);
-        let found = around.map(&patches, 9.0, |_| true, |_| true, itself);
-        for (p, found) in patches.iter().zip(around.by_texel(&found)) {
+        let found = around.map(9.0, |_| true, |_| true, itself);
+        for (p, found) in around.patches().iter().zip(found) {
             // a texel whose reach has no finite, positive square has no surroundings
             let limit = (9.0 * p.size).powi(2);
             let has_reach = limit > 0.0 && limit.is_finite() && p.position.is_finite();
@@ -454,12 +441,12 @@ mod tests {
 
     #[test]
     fn neighbours_are_those_of_a_plain_search() {
-        let patches = patches();
         let reach = 4.0;
+        let around = Neighbourhood::new(&patches());
+        let patches = around.patches();
         let index: Vec<u32> = (0..patches.len() as u32).collect();
-        let around = Neighbourhood::new(&patches);
         let (asked, counts) = (|i: usize| !i.is_multiple_of(3), |i: usize| !i.is_multiple_of(4));
-        let found = around.map(&patches, reach, asked, counts, |i, near: &[Near], (): &mut ()| {
+        let found = around.map(reach, asked, counts, |i, near: &[Near], (): &mut ()| {
             for n in near {
                 // places on the plane: with the height over it they are as far as stated
                 let (p, q) = (&patches[i], &patches[n.id as usize]);
@@ -470,8 +457,7 @@ mod tests {
             list.sort_unstable();
             list
         });
-        for (&i, list) in around.order().iter().zip(&found).step_by(7) {
-            let i = i as usize;
+        for (i, list) in found.iter().enumerate().step_by(7) {
             let p = &patches[i];
             if !asked(i) {
                 assert!(list.is_empty(), "texel {i} was not asked for");

@@ -55,7 +55,8 @@ struct Sight {
 }
 
 /// Asks which of the texels within `reach` texels of each are hidden from it.
-pub(super) fn find_hidden(patches: &[Patch], around: &Neighbourhood, reach: f32, tracer: &dyn Tracer) -> Hidden {
+pub(super) fn find_hidden(around: &Neighbourhood, reach: f32, tracer: &dyn Tracer) -> Hidden {
+    let patches = around.patches();
     let looks = Looks { patches, eyes: eyes(patches, tracer), reach };
     let fans = fans(&looks, tracer);
     let obstructed = |i: usize| fans[i].iter().any(|d| d.is_finite());
@@ -67,18 +68,23 @@ pub(super) fn find_hidden(patches: &[Patch], around: &Neighbourhood, reach: f32,
         };
         j < i && asks()
     };
-    let found = around.map(patches, reach, obstructed, |_| true, |i, near, sight: &mut Sight| {
-        let unsure = near.iter().filter(|n| may_hide(n.along[0], n.along[1], &fans[i]));
-        sight.ids.clear();
-        sight.ids.extend(unsure.map(|n| n.id).filter(|&j| !asks_itself(j as usize, i)));
-        sight.rays.clear();
-        sight.rays.extend(sight.ids.iter().map(|&j| between(looks.eyes[i], looks.eyes[j as usize])));
-        sight.blocked.resize(sight.ids.len(), 0);
-        tracer.occluded(&sight.rays, &mut sight.blocked);
-        let blocked = sight.ids.iter().zip(&sight.blocked).filter(|(_, blocked)| **blocked != 0);
-        blocked.map(|(j, _)| *j).collect::<Vec<u32>>()
-    });
-    Hidden::mutual(around.order(), &found)
+    let found = around.map(
+        reach,
+        obstructed,
+        |_| true,
+        |i, near, sight: &mut Sight| {
+            let unsure = near.iter().filter(|n| may_hide(n.along[0], n.along[1], &fans[i]));
+            sight.ids.clear();
+            sight.ids.extend(unsure.map(|n| n.id).filter(|&j| !asks_itself(j as usize, i)));
+            sight.rays.clear();
+            sight.rays.extend(sight.ids.iter().map(|&j| between(looks.eyes[i], looks.eyes[j as usize])));
+            sight.blocked.resize(sight.ids.len(), 0);
+            tracer.occluded(&sight.rays, &mut sight.blocked);
+            let blocked = sight.ids.iter().zip(&sight.blocked).filter(|(_, blocked)| **blocked != 0);
+            blocked.map(|(j, _)| *j).collect::<Vec<u32>>()
+        },
+    );
+    Hidden::mutual(&found)
 }
 
 /// The places from which texels look at each other: lower where something hangs over them.
@@ -151,9 +157,9 @@ mod tests {
     const SIDE: usize = 40;
 
     /// A floor of 40 × 40 texels of 1 m in y = 0.
-    fn floor() -> Vec<Patch> {
+    fn floor() -> Neighbourhood {
         let at = |k: usize| Vec3::new((k % SIDE) as f32 + 0.5, 0.0, (k / SIDE) as f32 + 0.5);
-        (0..SIDE * SIDE).map(|k| Patch { position: at(k), normal: Vec3::Y, size: 1.0 }).collect()
+        Neighbourhood::new(&(0..SIDE * SIDE).map(|k| Patch { position: at(k), normal: Vec3::Y, size: 1.0 }).collect::<Vec<_>>())
     }
 
     /// Parallelograms: corner, two edges.
@@ -169,15 +175,14 @@ mod tests {
         [at(from), at(to) - at(from), height * Vec3::Y]
     }
 
-    fn hidden(patches: &[Patch], mesh: &Mesh) -> Hidden {
-        find_hidden(patches, &Neighbourhood::new(patches), REACH, &EmbreeTracer::new(mesh).expect("embree"))
+    fn hidden(around: &Neighbourhood, mesh: &Mesh) -> Hidden {
+        find_hidden(around, REACH, &EmbreeTracer::new(mesh).expect("embree"))
     }
 
     /// Neighbours i, j of each other, whether hidden or not.
-    fn pairs(patches: &[Patch]) -> Vec<(usize, usize)> {
+    fn pairs(around: &Neighbourhood) -> Vec<(usize, usize)> {
         let ids = |i: usize, near: &[Near], (): &mut ()| near.iter().map(|n| (i, n.id as usize)).collect::<Vec<_>>();
-        let around = Neighbourhood::new(patches);
-        around.map(patches, REACH, |_| true, |_| true, ids).concat()
+        around.map(REACH, |_| true, |_| true, ids).concat()
     }
 
     fn hides(hidden: &Hidden, i: usize, j: usize) -> bool {
@@ -187,11 +192,11 @@ mod tests {
     /// Whatever way a wall runs, texels see their own side of it and nothing of the other's, however near to it they lie.
     #[test]
     fn a_wall_hides_its_two_sides_from_each_other() {
-        let patches = floor();
-        let pairs = pairs(&patches);
+        let floor = floor();
+        let (patches, pairs) = (floor.patches(), pairs(&floor));
         // (one passes a texel's centre by 0.0013 of it)
         for (from, to) in [([20.0, -9.0], [20.0, 50.0]), ([19.63, -9.0], [19.41, 50.0]), ([-9.0, 7.0], [50.0, 31.0])] {
-            let hidden = hidden(&patches, &mesh(&[wall(from, to, 9.0)]));
+            let hidden = hidden(&floor, &mesh(&[wall(from, to, 9.0)]));
             let side = |i: usize| {
                 let p = patches[i].position;
                 (to[0] - from[0]) * (p.z - from[1]) > (to[1] - from[1]) * (p.x - from[0])
@@ -208,7 +213,8 @@ mod tests {
     /// exception, and always mutual.
     #[test]
     fn what_is_hidden_is_what_every_pair_would_find() {
-        let patches = floor();
+        let floor = floor();
+        let patches = floor.patches();
         let walls = [
             ([10.3, -1.0], [11.2, 15.7]),
             ([24.6, 10.2], [29.3, 12.4]),
@@ -219,8 +225,8 @@ mod tests {
             ([8.2, 33.3], [8.2, 28.1]),
         ];
         let mesh = mesh(&walls.map(|(from, to)| wall(from, to, 3.0)));
-        let (hidden, brute) = (hidden(&patches, &mesh), BruteForce::new(&mesh));
-        let pairs = pairs(&patches);
+        let (hidden, brute) = (hidden(&floor, &mesh), BruteForce::new(&mesh));
+        let pairs = pairs(&floor);
         let eye = |i: usize| patches[i].position + HEIGHT * Vec3::Y;
         let rays: Vec<Ray> = pairs.iter().map(|&(i, j)| between(eye(i), eye(j))).collect();
         let mut blocked = vec![0; rays.len()];
@@ -237,8 +243,8 @@ mod tests {
 
     #[test]
     fn a_step_lower_than_half_a_texel_hides_nothing() {
-        let patches = floor();
-        let step = |height: f32| hidden(&patches, &mesh(&[wall([20.2, -9.0], [20.2, 50.0], height)]));
+        let floor = floor();
+        let step = |height: f32| hidden(&floor, &mesh(&[wall([20.2, -9.0], [20.2, 50.0], height)]));
         assert!(step(0.45).is_empty());
         assert!(!step(0.55).is_empty());
     }
@@ -263,8 +269,9 @@ mod tests {
             let centre = |t: usize| (mesh.triangles[t].iter().map(|&k| mesh.positions[k as usize]).sum::<Vec3>()) / 3.0;
             let patch = |p: Vec3| Patch { position: p, normal: inside * p.normalize(), size: 1.0 / radius };
             let patches: Vec<Patch> = (0..mesh.triangles.len()).map(|t| patch(centre(t))).collect();
-            let hidden = hidden(&patches, &mesh);
-            assert!(pairs(&patches).len() > 10 * patches.len(), "texels have company");
+            let around = Neighbourhood::new(&patches);
+            let hidden = hidden(&around, &mesh);
+            assert!(pairs(&around).len() > 10 * patches.len(), "texels have company");
             assert!(hidden.is_empty(), "radius {radius}, {inside}");
         }
     }
@@ -272,15 +279,16 @@ mod tests {
     /// Beneath a sheet lower than half a texel texels see each other, and nobody beside it.
     #[test]
     fn texels_beneath_something_low_look_below_it() {
-        let patches = floor();
+        let floor = floor();
+        let patches = floor.patches();
         const HIGH: f32 = 0.17;
         let [x0, z0, x1, z1] = [10.03, 10.09, 19.96, 19.88];
         let corners = [[x0, z0], [x1, z0], [x1, z1], [x0, z1]];
         let rug = [Vec3::new(x0, HIGH, z0), (x1 - x0) * Vec3::X, (z1 - z0) * Vec3::Z];
         let sides = (0..4).map(|k| wall(corners[k], corners[(k + 1) % 4], HIGH));
-        let hidden = hidden(&patches, &mesh(&sides.chain([rug]).collect::<Vec<_>>()));
+        let hidden = hidden(&floor, &mesh(&sides.chain([rug]).collect::<Vec<_>>()));
         let beneath = |i: usize| (x0..x1).contains(&patches[i].position.x) && (z0..z1).contains(&patches[i].position.z);
-        for (i, j) in pairs(&patches) {
+        for (i, j) in pairs(&floor) {
             assert_eq!(hides(&hidden, i, j), beneath(i) != beneath(j), "{:?} {:?}", patches[i], patches[j]);
         }
     }
