@@ -333,11 +333,12 @@ fn texels_within_the_target_stop() {
     let rays = |quads: &[Quad], target: f32, rounds: u32| {
         let (lit, atlas) = (Lit::new(quads, Environment::black()), Atlas::new(quads, 128));
         let (n, receiver) = (atlas.receivers.len(), |i: usize| atlas.receivers[i]);
-        let budget = Budget { estimator: Estimator::Mis, samples: [96, 48], rounds, filter: true, target, seed: 3 };
-        let out = bake_surface(&lit.bake(), &atlas.patches, receiver, &vec![1.0; n], &budget, &Progress::silent());
-        // the powers of two within half of the budget
-        let first = IrtOptions { rays: 32, emitter_samples: 16, seed: 3, ..IrtOptions::default() };
-        (out.rays, bake_irradiance(&lit.bake(), n, receiver, &first, &Progress::silent()).rays, n as u64)
+        let rays = |samples: [u32; 2], rounds: u32| {
+            let budget = Budget { estimator: Estimator::Mis, samples, rounds, filter: true, target, seed: 3 };
+            bake_surface(&lit.bake(), &atlas.patches, receiver, &vec![1.0; n], &budget, &Progress::silent()).rays
+        };
+        // the first round: the powers of two within half of the budget
+        (rays([96, 48], rounds), rays([32, 16], 1), n as u64)
     };
     for rounds in [2, 4] {
         let (spent, first, _) = rays(&lamps, 10.0, rounds);

@@ -76,7 +76,8 @@ pub struct Receiver {
     pub normal: Vec3,
     /// Unit geometric normal on the lit side: rays start above it.
     pub face_normal: Vec3,
-    /// Key of its random numbers: equal keys give equal points whatever else is baked.
+    /// Key of its random numbers: equal keys give equal points whatever else is baked. The lamps asked may be those that suit the
+    /// receiver before it in the list, if that lies close.
     pub key: u64,
 }
 
