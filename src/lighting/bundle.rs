@@ -9,7 +9,7 @@ use super::lamp_choice::LampChoice;
 use super::sources::PORTAL;
 use super::specular_bounce::Bounces;
 use super::sweep::Sweep;
-use crate::ffi::simd::{Kernel, run_widest};
+use crate::ffi::simd::{Kernel, run_widest, whole_within};
 use crate::math::Frame;
 use crate::sampling::{
     KeyedRng, SobolBlock, SobolSequence, hammersley, square_to_cosine_hemisphere, square_to_uniform_hemisphere,
@@ -250,8 +250,9 @@ impl Bundle {
         run_widest(Coordinates { block: &round.lights, sequence, columns: [&mut *u, &mut *v, &mut *w] });
         self.order.clear();
         self.order.resize(round.slots, u32::MAX);
+        let slots = round.slots as f32;
         for (s, u) in u.iter().enumerate() {
-            self.order[(u * round.slots as f32) as usize] = s as u32;
+            self.order[whole_within(u * slots, slots - 1.0) as usize] = s as u32;
         }
         let first = (PARTS * self.spans.len()) as u32;
         let picks = &mut self.picks;

@@ -11,7 +11,7 @@ use super::LightField;
 use super::hull::Hull;
 use super::lamp_choice::{LampChoice, LampShapes, Piece};
 use super::sources::{Columns, GRAZING, PORTAL, SHORT, Sources};
-use crate::ffi::simd::prefetch;
+use crate::ffi::simd::{prefetch, whole_within};
 use crate::geometry::Mesh;
 use crate::math::luminance;
 use crate::sampling::{SlotTable, SobolSequence};
@@ -119,7 +119,7 @@ impl Lamp {
     /// The slot that `u` in [0, 1) stands for.
     #[inline(always)]
     fn slot(&self, u: f32) -> u32 {
-        self.first + (u * self.slots).min(self.slots - 1.0) as u32
+        self.first + whole_within(u * self.slots, self.slots - 1.0)
     }
 }
 
