@@ -23,7 +23,7 @@ pub struct IrtBench {
     #[arg(long, value_name = "N", default_value_t = 1000)]
     pub reference_texels: usize,
     /// Repetitions of each rate measurement; medians are reported.
-    #[arg(long, value_name = "N", default_value_t = 5)]
+    #[arg(long, value_name = "N", default_value_t = 15)]
     pub repetitions: usize,
     /// Longer ladders of sample counts, the pipeline at five sample counts, and meshes of up to 10 million triangles.
     #[arg(long)]
