@@ -447,7 +447,7 @@ impl Kernel for Regression<'_> {
     }
 }
 
-/// Whether the surface turns so little over the neighbours that the ridge outweighs the slopes of the normal.
+/// Whether the surface turns so little over the neighbours that the ridge outweighs the slopes of the normal a hundred times.
 #[inline(always)]
 fn is_flat(near: &[Near]) -> bool {
     let steepest = near.iter().fold(0.0f32, |most, n| most.max(n.along[2].abs()).max(n.along[3].abs()));

@@ -192,3 +192,23 @@ pub(crate) fn spread(parts: &[f32; PARTS]) -> (f32, f32) {
         (mean, 0.0)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_of_the_ascending_ids_is_visited_once_with_its_own() {
+        // more than are handed out at once, with gaps at both ends
+        let ids: Vec<u32> = (3..40_000).filter(|i| i % 7 > 2).collect();
+        let from: Vec<u32> = ids.iter().map(|i| 10 * i).collect();
+        let mut to = vec![1u32; 50_000];
+        for_each_of(&ids, &mut to, &from, |to, from| *to += from);
+        for (i, to) in (0u32..).zip(&to) {
+            let expected = if ids.binary_search(&i).is_ok() { 1 + 10 * i } else { 1 };
+            assert_eq!(*to, expected, "{i}");
+        }
+        for_each_of(&[], &mut to, &from, |to, _| *to = 0);
+        assert!(to.iter().all(|to| *to > 0));
+    }
+}
