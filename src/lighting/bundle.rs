@@ -5,7 +5,7 @@
 
 use super::aiming::{Aimed, Aiming, Picks};
 use super::irt::{Bake, Estimator, IrtOptions, PARTS, Receiver};
-use super::lamp_choice::LampChoice;
+use super::shared_choices::SharedChoices;
 use super::sources::PORTAL;
 use super::specular_bounce::Bounces;
 use super::sweep::Sweep;
@@ -97,6 +97,11 @@ impl Round {
         }
     }
 
+    /// Whether lamps are drawn by a table ([`LampChoice::guide`](super::LampChoice::guide)).
+    fn is_guided(&self) -> bool {
+        self.lights.len() >= GUIDED
+    }
+
     /// Receivers per batch.
     pub(super) fn group(&self) -> usize {
         (BATCH / (self.hemisphere.len() + self.lights.len()).max(1)).clamp(1, 64)
@@ -107,8 +112,8 @@ impl Round {
 #[derive(Default)]
 pub(super) struct Bundle {
     spans: Vec<Span>,
-    /// Which lamps receivers ask, those that lie close together the same.
-    choices: Vec<LampChoice>,
+    /// Which lamps receivers ask.
+    choices: SharedChoices,
     rays: Vec<Ray>,
     cosines: Vec<f32>,
     /// Per hemisphere ray: index into the sums.
@@ -137,13 +142,6 @@ pub(super) struct Bundle {
     sums: Vec<Vec3>,
 }
 
-/// Who was the last in a batch to choose lamps (position, normal), and how many have.
-#[derive(Default)]
-struct Chosen {
-    place: Option<(Vec3, Vec3)>,
-    count: usize,
-}
-
 /// One receiver's part of a batch.
 struct Span {
     /// Its choice of lamps, if it samples any.
@@ -164,12 +162,12 @@ impl Bundle {
         let n = receivers.len();
         self.reserve(n * round.hemisphere.len(), n * round.lights.len(), round);
         self.spans.clear();
-        grow(&mut self.choices, n, LampChoice::default());
-        let (mut rays, mut lights, mut chosen) = (0, 0, Chosen::default());
+        self.choices.clear();
+        let (mut rays, mut lights) = (0, 0);
         for r in receivers {
             let drawn = self.draw_hemisphere(bake, round, &r, rays);
             rays = drawn.end;
-            let choice = if round.lights.is_empty() { None } else { self.choose(bake, round, &r, &mut chosen) };
+            let choice = if round.lights.is_empty() { None } else { self.choose(bake, round, &r) };
             if let Some(choice) = choice {
                 lights = self.draw_lights(bake, round, &r, choice, lights);
             }
@@ -225,20 +223,16 @@ impl Bundle {
         at..at + kept
     }
 
-    /// Finds which lamps the next receiver asks: those of the last one who chose, where that lies close. `None` if none can send it light.
-    fn choose(&mut self, bake: &Bake, round: &Round, r: &Receiver, chosen: &mut Chosen) -> Option<usize> {
-        let place = (r.position, r.normal);
-        if chosen.place.is_none_or(|p| !bake.emitters.alike([p, place])) {
-            let choice = &mut self.choices[chosen.count];
-            let rays_per_sample = round.total_rays as f32 / round.total_lights.max(1) as f32;
-            bake.emitters.choose(r.position, r.normal, rays_per_sample, choice);
-            if round.lights.len() >= GUIDED && !choice.is_empty() {
-                choice.guide(round.slots, &mut self.guide);
-            }
-            *chosen = Chosen { place: Some(place), count: chosen.count + 1 };
+    /// Finds which lamps the next receiver asks. `None` if none can send it light.
+    fn choose(&mut self, bake: &Bake, round: &Round, r: &Receiver) -> Option<usize> {
+        let rays_per_sample = round.total_rays as f32 / round.total_lights.max(1) as f32;
+        let known = self.choices.len();
+        let number = self.choices.choose(bake.emitters, r.position, r.normal, rays_per_sample);
+        let choice = &self.choices[number];
+        if number == known && round.is_guided() && !choice.is_empty() {
+            choice.guide(round.slots, &mut self.guide);
         }
-        let choice = chosen.count - 1;
-        (!self.choices[choice].is_empty()).then_some(choice)
+        (!choice.is_empty()).then_some(number)
     }
 
     /// Writes the shadow rays of the next receiver from index `at` on, in the order of the lamps: neighbours in a packet then go the
@@ -258,7 +252,7 @@ impl Bundle {
         let picks = &mut self.picks;
         picks.reserve(n);
         let choice = &self.choices[choice];
-        let guided = n >= GUIDED;
+        let guided = round.is_guided();
         let mut k = 0;
         for (interval, &s) in self.order.iter().enumerate() {
             // (an interval may have no sample)

@@ -365,8 +365,7 @@ impl Emitters {
     }
 
     /// Whether two points (position, unit normal) lie so close together that one's choice of lamps serves the other as well.
-    #[must_use]
-    pub fn alike(&self, [a, b]: [(Vec3, Vec3); 2]) -> bool {
+    pub(super) fn alike(&self, [a, b]: [(Vec3, Vec3); 2]) -> bool {
         a.0.distance_squared(b.0) < (ALIKE * self.cell_size).powi(2) && a.1.dot(b.1) > ALIKE_NORMALS
     }
 

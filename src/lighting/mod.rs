@@ -16,6 +16,7 @@ mod nirf;
 mod packed;
 mod reflection;
 mod screens;
+mod shared_choices;
 mod sources;
 mod specular_bounce;
 mod sweep;

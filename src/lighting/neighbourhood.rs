@@ -283,17 +283,15 @@ impl Octave {
     /// The groups whose cubes meet a box; those of one row of cubes lie side by side.
     fn within(&self, [lo, hi]: [Vec3; 2]) -> impl Iterator<Item = &Group> {
         let (lo, hi) = (cube(lo, self.cell), cube(hi, self.cell));
-        let mut rest = self.groups.as_slice();
-        let mut slab = move |x: i32| {
-            rest = &rest[rest.partition_point(|g| g.cube < [x, lo[1], lo[2]])..];
-            &rest[..rest.partition_point(|g| g.cube <= [x, hi[1], hi[2]])]
-        };
-        let rows = move |slab: &'_ [Group]| if slab.is_empty() { 0..0 } else { lo[1]..hi[1] + 1 };
         (lo[0]..=hi[0]).flat_map(move |x| {
-            let mut rest = slab(x);
-            rows(rest).flat_map(move |y| {
-                rest = &rest[rest.partition_point(|g| g.cube < [x, y, lo[2]])..];
-                rest.iter().take_while(move |g| g.cube <= [x, y, hi[2]])
+            let from = self.groups.partition_point(|g| g.cube < [x, lo[1], lo[2]]);
+            let to = from + self.groups[from..].partition_point(|g| g.cube <= [x, hi[1], hi[2]]);
+            let slab = &self.groups[from..to];
+            // (most slabs of a grid with few texels have none, hence no rows)
+            let rows = if slab.is_empty() { 0..0 } else { lo[1]..hi[1] + 1 };
+            rows.flat_map(move |y| {
+                let from = slab.partition_point(|g| g.cube < [x, y, lo[2]]);
+                slab[from..].iter().take_while(move |g| g.cube <= [x, y, hi[2]])
             })
         })
     }

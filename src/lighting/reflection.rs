@@ -6,6 +6,7 @@
 
 use super::irt::Bake;
 use super::lamp_choice::LampChoice;
+use super::shared_choices::SharedChoices;
 use crate::brdf::{MIN_ROUGHNESS, Reflectance, sample_vndf, vndf_reflection_pdf};
 use crate::math::{Frame, luminance};
 use crate::sampling::SobolSequence;
@@ -72,7 +73,7 @@ struct Scratch {
     hidden: Vec<u8>,
     light: Vec<(u32, Vec3, f32)>,
     /// Which lamps are asked, and by which gaze.
-    choices: Vec<LampChoice>,
+    choices: SharedChoices,
     choice_of: Vec<usize>,
 }
 
@@ -110,7 +111,9 @@ impl Reflector<'_> {
         s.shadow.clear();
         s.light.clear();
         let (mut choices, mut choice_of) = (std::mem::take(&mut s.choices), std::mem::take(&mut s.choice_of));
-        self.choose(gazes, &mut choices, &mut choice_of);
+        choices.clear();
+        choice_of.clear();
+        choice_of.extend(gazes.iter().map(|g| choices.choose(self.bake.emitters, g.position, g.normal, 0.0)));
         for (i, g) in gazes.iter().enumerate() {
             self.lobe_rays(i, g, lobes(&levels, i), s);
             let choice = &choices[choice_of[i]];
@@ -148,23 +151,6 @@ impl Reflector<'_> {
         diffuse.iter_mut().zip(&shading).for_each(|(d, s)| *d = s.mean());
         (s.choices, s.choice_of) = (choices, choice_of);
         (s.rays.len() + s.shadow.len()) as u64
-    }
-
-    /// Finds the lamps that each gaze asks; neighbours share a choice.
-    fn choose(&self, gazes: &[Gaze], choices: &mut Vec<LampChoice>, choice_of: &mut Vec<usize>) {
-        choice_of.clear();
-        let mut chosen: Option<(Vec3, Vec3)> = None;
-        let mut count = 0;
-        for g in gazes {
-            let place = (g.position, g.normal);
-            if !chosen.is_some_and(|c| self.bake.emitters.alike([c, place])) {
-                choices.resize(choices.len().max(count + 1), LampChoice::default());
-                self.bake.emitters.choose(g.position, g.normal, 0.0, &mut choices[count]);
-                count += 1;
-                chosen = Some(place);
-            }
-            choice_of.push(count - 1);
-        }
     }
 
     /// Expected number of samples per steradian of the whole mixture.
