@@ -1,7 +1,8 @@
-//! Finds Embree and OpenImageIO, makes Embree's bindings from the system's own headers and compiles the C++ shims of `ffi/`.
+//! Finds Embree and OpenImageIO, makes Embree's bindings from the system's own headers and compiles
+//! the C++ shims of `ffi/`.
 //!
-//! Bindings are never shipped ready-made: Embree 4.3 grew `RTCRayHit`, and a program built with older structures has its
-//! stack overwritten by a newer library.
+//! Bindings are never shipped ready-made: Embree 4.3 grew `RTCRayHit`, and a program built with
+//! older structures has its stack overwritten by a newer library.
 
 use std::env;
 use std::path::{Path, PathBuf};
@@ -30,13 +31,20 @@ fn main() {
 }
 
 fn run() -> Result<(), String> {
-    let out = PathBuf::from(env::var_os("OUT_DIR").ok_or("OUT_DIR is not set: run this through cargo")?);
+    let out =
+        PathBuf::from(env::var_os("OUT_DIR").ok_or("OUT_DIR is not set: run this through cargo")?);
     let embree = find_embree()?;
     println!("cargo:rustc-env=UNBAKE_EMBREE_HEADERS={}", embree.version);
-    println!("cargo:rustc-link-search=native={}", embree.library.display());
+    println!(
+        "cargo:rustc-link-search=native={}",
+        embree.library.display()
+    );
     println!("cargo:rustc-link-lib=dylib=embree{}", embree.major);
     if !embree.library.starts_with("/usr/lib") {
-        println!("cargo:rustc-link-arg=-Wl,-rpath,{}", embree.library.display());
+        println!(
+            "cargo:rustc-link-arg=-Wl,-rpath,{}",
+            embree.library.display()
+        );
     }
     bind_embree(&embree, &out)?;
     build_image_shim(&out)?;
@@ -48,7 +56,9 @@ fn run() -> Result<(), String> {
         .define("UNBAKE_EMBREE_MAJOR", embree.major.to_string().as_str())
         .file("ffi/trace_shim.cpp")
         .try_compile("unbake_trace")
-        .map_err(|e| format!("the C++ shim of Embree did not compile: {e}\nIs g++ installed? {PACKAGES}"))
+        .map_err(|e| {
+            format!("the C++ shim of Embree did not compile: {e}\nIs g++ installed? {PACKAGES}")
+        })
 }
 
 /// Looks for Embree 4 (4.3 or newer), then 3.13, in `$EMBREE_DIR`, `/usr/local` and `/usr`.
@@ -61,27 +71,53 @@ fn find_embree() -> Result<Embree, String> {
     for prefix in &prefixes {
         for major in [4, 3] {
             let config = prefix.join(format!("include/embree{major}/rtcore_config.h"));
-            let Ok(text) = std::fs::read_to_string(&config) else { continue };
+            let Ok(text) = std::fs::read_to_string(&config) else {
+                continue;
+            };
             println!("cargo:rerun-if-changed={}", config.display());
             let number = |name: &str| define(&text, name).and_then(|v| v.parse::<u32>().ok());
-            let parts = (number("RTC_VERSION_MAJOR"), number("RTC_VERSION_MINOR"), number("RTC_VERSION_PATCH"));
+            let parts = (
+                number("RTC_VERSION_MAJOR"),
+                number("RTC_VERSION_MINOR"),
+                number("RTC_VERSION_PATCH"),
+            );
             let (Some(found), Some(minor), Some(patch)) = parts else {
                 refused.push(format!("{} names no version", config.display()));
                 continue;
             };
             let version = format!("{found}.{minor}.{patch}");
             if found != major || (major == 4 && minor < 3) || (major == 3 && minor < 13) {
-                refused.push(format!("{} is Embree {version}; 4.3 or newer, or 3.13, is needed", config.display()));
+                refused.push(format!(
+                    "{} is Embree {version}; 4.3 or newer, or 3.13, is needed",
+                    config.display()
+                ));
                 continue;
             }
             match library_folder(prefix, major) {
-                Some(library) => return Ok(Embree { include: prefix.join("include"), library, major, version }),
-                None => refused.push(format!("headers of Embree {version} in {} but no libembree{major}.so", prefix.display())),
+                Some(library) => {
+                    return Ok(Embree {
+                        include: prefix.join("include"),
+                        library,
+                        major,
+                        version,
+                    });
+                }
+                None => refused.push(format!(
+                    "headers of Embree {version} in {} but no libembree{major}.so",
+                    prefix.display()
+                )),
             }
         }
     }
-    let places = prefixes.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", ");
-    let detail = refused.iter().map(|r| format!("\n  {r}")).collect::<String>();
+    let places = prefixes
+        .iter()
+        .map(|p| p.display().to_string())
+        .collect::<Vec<_>>()
+        .join(", ");
+    let detail = refused
+        .iter()
+        .map(|r| format!("\n  {r}"))
+        .collect::<String>();
     Err(format!(
         "no usable Embree (4.3 or newer, or 3.13) found in {places}{detail}\nInstall it: {PACKAGES}\n\
          or set EMBREE_DIR to the folder that holds its include/ and lib/"
@@ -98,9 +134,15 @@ fn define<'a>(text: &'a str, name: &str) -> Option<&'a str> {
 
 /// The folder below `prefix` that holds `libembree<major>.so`.
 fn library_folder(prefix: &Path, major: u32) -> Option<PathBuf> {
-    let triplet = format!("{}-linux-gnu", env::var("CARGO_CFG_TARGET_ARCH").unwrap_or_else(|_| "x86_64".into()));
+    let triplet = format!(
+        "{}-linux-gnu",
+        env::var("CARGO_CFG_TARGET_ARCH").unwrap_or_else(|_| "x86_64".into())
+    );
     let folders = [format!("lib/{triplet}"), "lib".into(), "lib64".into()];
-    folders.iter().map(|f| prefix.join(f)).find(|f| f.join(format!("libembree{major}.so")).exists())
+    folders
+        .iter()
+        .map(|f| prefix.join(f))
+        .find(|f| f.join(format!("libembree{major}.so")).exists())
 }
 
 /// Bindings of the handful of Embree functions the owners in `src/ffi` call, and of our shim.
@@ -112,35 +154,65 @@ fn bind_embree(embree: &Embree, out: &Path) -> Result<(), String> {
         .allowlist_function("unbake_.*")
         .allowlist_function("rtc(New|Release)(Device|Scene|Geometry)")
         .allowlist_function("rtc(GetDeviceProperty|GetDeviceError|SetDeviceErrorFunction)")
-        .allowlist_function("rtc(SetSceneBuildQuality|SetSceneFlags|CommitScene|AttachGeometry|CommitGeometry)")
+        .allowlist_function(
+            "rtc(SetSceneBuildQuality|SetSceneFlags|CommitScene|AttachGeometry|CommitGeometry)",
+        )
         .allowlist_function("rtc(SetGeometryBuildQuality|SetGeometryMask|SetNewGeometryBuffer)")
-        .allowlist_type("RTC(DeviceProperty|Error|BuildQuality|SceneFlags|GeometryType|BufferType|Format)")
+        .allowlist_type(
+            "RTC(DeviceProperty|Error|BuildQuality|SceneFlags|GeometryType|BufferType|Format)",
+        )
         .allowlist_var("RTC_VERSION.*")
         .prepend_enum_name(false)
         .layout_tests(true)
         .generate_comments(false);
     // bindgen panics, rather than fails, when libclang cannot be loaded.
     let bindings = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| builder.generate()))
-        .map_err(|_| format!("libclang could not be loaded (bindgen needs it)\nInstall it: {PACKAGES}"))?
-        .map_err(|e| format!("Embree's headers could not be read: {e}\nInstall what is missing: {PACKAGES}"))?;
+        .map_err(|_| {
+            format!("libclang could not be loaded (bindgen needs it)\nInstall it: {PACKAGES}")
+        })?
+        .map_err(|e| {
+            format!("Embree's headers could not be read: {e}\nInstall what is missing: {PACKAGES}")
+        })?;
     let file = out.join("embree_bindings.rs");
-    bindings.write_to_file(&file).map_err(|e| format!("{}: {e}", file.display()))
+    bindings
+        .write_to_file(&file)
+        .map_err(|e| format!("{}: {e}", file.display()))
 }
 
-/// Compiles the OpenImageIO shim into a shared object of its own, `libunbake_oiio.so` in `out`, which the program embeds.
+/// Compiles the OpenImageIO shim into a shared object of its own, `libunbake_oiio.so` in `out`,
+/// which the program embeds.
 fn build_image_shim(out: &Path) -> Result<(), String> {
     let oiio = pkg_config::Config::new()
         .atleast_version("2.4")
         .cargo_metadata(false)
         .probe("OpenImageIO")
-        .map_err(|e| format!("no usable OpenImageIO (2.4 or newer): {e}\nInstall it: {PACKAGES}"))?;
+        .map_err(|e| {
+            format!("no usable OpenImageIO (2.4 or newer): {e}\nInstall it: {PACKAGES}")
+        })?;
     bind_image_shim(out)?;
     let mut build = cc::Build::new();
-    build.cpp(true).std("c++17").opt_level(2).pic(true).cargo_metadata(false).includes(&oiio.include_paths);
-    let failed = |e: &dyn std::fmt::Display| format!("the C++ shim of OpenImageIO did not compile: {e}\nInstall it: {PACKAGES}");
-    let objects = build.file("ffi/oiio_shim.cpp").try_compile_intermediates().map_err(|e| failed(&e))?;
-    let mut link = build.try_get_compiler().map_err(|e| failed(&e))?.to_command();
-    link.args(["-shared", "-s", "-Wl,--no-undefined"]).args(&objects).arg("-o").arg(out.join("libunbake_oiio.so"));
+    build
+        .cpp(true)
+        .std("c++17")
+        .opt_level(2)
+        .pic(true)
+        .cargo_metadata(false)
+        .includes(&oiio.include_paths);
+    let failed = |e: &dyn std::fmt::Display| {
+        format!("the C++ shim of OpenImageIO did not compile: {e}\nInstall it: {PACKAGES}")
+    };
+    let objects = build
+        .file("ffi/oiio_shim.cpp")
+        .try_compile_intermediates()
+        .map_err(|e| failed(&e))?;
+    let mut link = build
+        .try_get_compiler()
+        .map_err(|e| failed(&e))?
+        .to_command();
+    link.args(["-shared", "-s", "-Wl,--no-undefined"])
+        .args(&objects)
+        .arg("-o")
+        .arg(out.join("libunbake_oiio.so"));
     for path in &oiio.link_paths {
         link.arg(format!("-L{}", path.display()));
         if !path.starts_with("/usr/lib") {
@@ -149,7 +221,11 @@ fn build_image_shim(out: &Path) -> Result<(), String> {
     }
     link.args(oiio.libs.iter().map(|l| format!("-l{l}")));
     let status = link.status().map_err(|e| failed(&e))?;
-    if status.success() { Ok(()) } else { Err(failed(&format!("the linker ended with {status}"))) }
+    if status.success() {
+        Ok(())
+    } else {
+        Err(failed(&format!("the linker ended with {status}")))
+    }
 }
 
 /// Types of the OpenImageIO shim's functions, looked up by name at run time.
@@ -166,5 +242,7 @@ fn bind_image_shim(out: &Path) -> Result<(), String> {
         .generate()
         .map_err(|e| format!("ffi/oiio_shim.h could not be read: {e}"))?;
     let file = out.join("oiio_bindings.rs");
-    bindings.write_to_file(&file).map_err(|e| format!("{}: {e}", file.display()))
+    bindings
+        .write_to_file(&file)
+        .map_err(|e| format!("{}: {e}", file.display()))
 }

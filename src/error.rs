@@ -22,7 +22,8 @@ pub enum Error {
     /// Options that contradict each other or are out of range: exit code 2.
     #[error("{0}")]
     Usage(String),
-    /// Reading or writing failed: exit code 1 when writing, 2 when reading input (use [`Error::Input`] there).
+    /// Reading or writing failed: exit code 1 when writing, 2 when reading input (use
+    /// [`Error::Input`] there).
     #[error("{}: {source}", path.display())]
     Io {
         /// The file concerned.
@@ -41,12 +42,18 @@ pub enum Error {
 impl Error {
     /// Unusable input at `path`.
     pub fn input(path: impl AsRef<Path>, message: impl Into<String>) -> Self {
-        Self::Input { path: path.as_ref().to_path_buf(), message: message.into() }
+        Self::Input {
+            path: path.as_ref().to_path_buf(),
+            message: message.into(),
+        }
     }
 
     /// A failed system call on `path`.
     pub fn io(path: impl AsRef<Path>, source: std::io::Error) -> Self {
-        Self::Io { path: path.as_ref().to_path_buf(), source }
+        Self::Io {
+            path: path.as_ref().to_path_buf(),
+            source,
+        }
     }
 
     /// The process exit code: 2 for wrong usage or unusable input, 1 otherwise.

@@ -1,7 +1,8 @@
 //! unbake takes the light out of photographs of rooms.
 //!
-//! From a triangle mesh, posed HDR panoramas and semantic labels it reconstructs the albedo and roughness textures of a whole
-//! indoor scene, its irradiance and radiance textures, and a `.glb` that any engine can relight. The method is that of
+//! From a triangle mesh, posed HDR panoramas and semantic labels it reconstructs the albedo and
+//! roughness textures of a whole indoor scene, its irradiance and radiance textures, and a `.glb`
+//! that any engine can relight. The method is that of
 //! *Multi-view Inverse Rendering for Large-scale Real-world Indoor Scenes* (TexIR, CVPR 2023), on CPUs, with Embree for every ray.
 
 pub mod bench;

@@ -21,7 +21,14 @@ pub struct Decision {
 
 impl fmt::Display for Decision {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {} ({}{})", self.what, self.decided, if self.forced { "forced: " } else { "" }, self.why)
+        write!(
+            f,
+            "{}: {} ({}{})",
+            self.what,
+            self.decided,
+            if self.forced { "forced: " } else { "" },
+            self.why
+        )
     }
 }
 
@@ -60,7 +67,10 @@ impl Progress {
     /// Reports to `observer`.
     #[must_use]
     pub fn new(observer: Arc<dyn Observer>) -> Self {
-        Self { observer, done: Arc::default() }
+        Self {
+            observer,
+            done: Arc::default(),
+        }
     }
 
     /// Reports to nobody.
@@ -90,7 +100,18 @@ impl Progress {
     }
 
     /// A choice and its reason.
-    pub fn decide(&self, what: &str, decided: impl Into<String>, why: impl Into<String>, forced: bool) {
-        self.observer.decided(&Decision { what: what.to_owned(), decided: decided.into(), why: why.into(), forced });
+    pub fn decide(
+        &self,
+        what: &str,
+        decided: impl Into<String>,
+        why: impl Into<String>,
+        forced: bool,
+    ) {
+        self.observer.decided(&Decision {
+            what: what.to_owned(),
+            decided: decided.into(),
+            why: why.into(),
+            forced,
+        });
     }
 }

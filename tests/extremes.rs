@@ -1,4 +1,5 @@
-//! One table of extremes with their expected outcomes: kernels, radiances, textures and meshes that real scenes do contain.
+//! One table of extremes with their expected outcomes: kernels, radiances, textures and meshes that
+//! real scenes do contain.
 
 mod common;
 
@@ -9,21 +10,40 @@ use unbake::brdf::{Material, ggx_d, specular, specular_d_roughness};
 use unbake::formats;
 use unbake::geometry::Mesh;
 use unbake::image::{Plane, Wrap};
-use unbake::lighting::{EmissionEvidence, Environment, IrtOptions, bake_irradiance, detect_emissive};
+use unbake::lighting::{
+    EmissionEvidence, Environment, IrtOptions, bake_irradiance, detect_emissive,
+};
 use unbake::math::Real;
 use unbake::pipeline::{SolveOptions, Switch, reconstruct};
 use unbake::progress::Progress;
 use unbake::scene::{LoadOptions, Scene};
 use unbake::texture::{MipChain, Texels, fill_uncovered};
 
-/// (name, n·l, n·v, ‖n×h‖², v·h, R, largest relative error in f32 of value and of slope against R/value)
+/// (name, n·l, n·v, ‖n×h‖², v·h, R, largest relative error in f32 of value and of slope against
+/// R/value)
 const KERNEL: &[(&str, f64, f64, f64, f64, f64, f64)] = &[
     ("peak, R at its lower clamp", 1.0, 1.0, 0.0, 1.0, 0.01, 1e-6),
     ("peak, R at its upper clamp", 1.0, 1.0, 0.0, 1.0, 0.8, 1e-6),
     ("peak, R = 1", 1.0, 1.0, 0.0, 1.0, 1.0, 1e-6),
-    ("1e-5 off the peak at α = 1e-4", 0.9, 0.9, 1e-10, 0.9, 0.01, 2e-6),
+    (
+        "1e-5 off the peak at α = 1e-4",
+        0.9,
+        0.9,
+        1e-10,
+        0.9,
+        0.01,
+        2e-6,
+    ),
     ("on the flank, s = α²", 0.9, 0.9, 1e-8, 0.9, 0.01, 2e-6),
-    ("far off the peak at α = 1e-4", 0.5, 0.9, 0.1, 0.8, 0.01, 2e-6),
+    (
+        "far off the peak at α = 1e-4",
+        0.5,
+        0.9,
+        0.1,
+        0.8,
+        0.01,
+        2e-6,
+    ),
     ("grazing view", 0.5, 1e-5, 0.3, 0.4, 0.3, 2e-6),
     ("grazing light", 1e-5, 0.5, 0.3, 0.4, 0.3, 2e-6),
     ("both grazing, mirror", 1e-5, 1e-5, 0.0, 1e-5, 0.01, 2e-6),
@@ -40,7 +60,10 @@ fn the_kernel_keeps_its_digits_in_single_precision() {
         let d = f.map(f64::from);
         let (v32, s32) = specular_d_roughness(f[0], f[1], f[2], f[3], f[4]);
         let (v64, s64) = specular_d_roughness(d[0], d[1], d[2], d[3], d[4]);
-        assert!(v32.is_finite() && s32.is_finite() && v32 >= 0.0, "{name}: {v32} {s32}");
+        assert!(
+            v32.is_finite() && s32.is_finite() && v32 >= 0.0,
+            "{name}: {v32} {s32}"
+        );
         let value_error = (f64::from(v32) - v64).abs() / v64.max(1e-300);
         let slope_error = (f64::from(s32) - s64).abs() / s64.abs().max(v64 / d[4]);
         assert!(
@@ -52,18 +75,25 @@ fn the_kernel_keeps_its_digits_in_single_precision() {
     }
 }
 
-/// A material of any roughness a file may hold, 0 and NaN included, evaluates to something finite that is not negative.
+/// A material of any roughness a file may hold, 0 and NaN included, evaluates to something finite
+/// that is not negative.
 #[test]
 fn materials_of_any_roughness_and_albedo_are_finite() {
     let n = Vec3::Y;
     for roughness in [0.0f32, 1e-9, 0.01, 0.8, 1.0, 7.0, -1.0, f32::NAN] {
         for albedo in [0.0f32, 1.0, 0.5] {
-            let m = Material { albedo: Vec3::splat(albedo), roughness };
+            let m = Material {
+                albedo: Vec3::splat(albedo),
+                roughness,
+            };
             for c in [1.0f32, 1e-2, 1e-5, 0.0] {
                 let v = Vec3::new((1.0 - c * c).sqrt(), c, 0.0);
                 for l in [v, Vec3::new(-v.x, v.y, 0.0), Vec3::Y] {
                     let f = m.eval(n, v, l);
-                    assert!(f.is_finite() && f.min_element() >= 0.0, "R {roughness} A {albedo} cos {c}: {f}");
+                    assert!(
+                        f.is_finite() && f.min_element() >= 0.0,
+                        "R {roughness} A {albedo} cos {c}: {f}"
+                    );
                 }
                 for u in [[0.0f32, 0.0], [0.999_999_9, 0.999_999_9], [0.5, 0.0]] {
                     if let Some(s) = m.sample(n, v, 0.05, u) {
@@ -80,11 +110,25 @@ fn materials_of_any_roughness_and_albedo_are_finite() {
 fn radiance_from_a_millionth_to_a_sun() {
     for radiance in [1e-6f32, 1.0, 1e6, 1e9] {
         let mut quads = box_quads(Vec3::ZERO, Vec3::new(4.0, 3.0, 5.0), 0.0);
-        quads.push(quad([1.5, 2.9, 1.5], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], radiance, true));
+        quads.push(quad(
+            [1.5, 2.9, 1.5],
+            [1.0, 0.0, 0.0],
+            [0.0, 0.0, 1.0],
+            radiance,
+            true,
+        ));
         let lit = Lit::new(&quads, Environment::black());
         let receivers = receivers_on(&quads[0], 6);
-        let out = bake_irradiance(&lit.bake(), receivers.len(), |i| receivers[i], &IrtOptions::default(), &Progress::silent());
-        let mean = out.value.iter().map(|e| f64::from(e.x)).sum::<f64>() / receivers.len() as f64 / f64::from(radiance);
+        let out = bake_irradiance(
+            &lit.bake(),
+            receivers.len(),
+            |i| receivers[i],
+            &IrtOptions::default(),
+            &Progress::silent(),
+        );
+        let mean = out.value.iter().map(|e| f64::from(e.x)).sum::<f64>()
+            / receivers.len() as f64
+            / f64::from(radiance);
         assert!((0.06..0.1).contains(&mean), "radiance {radiance:e}: {mean}");
     }
 }
@@ -93,17 +137,31 @@ fn radiance_from_a_millionth_to_a_sun() {
 fn values_beyond_half_precision_are_said_to_be_clamped() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let path = dir.path().join("sun.exr");
-    let sun = Plane { width: 3, height: 1, data: vec![Vec3::splat(1e9), Vec3::splat(65_504.0), Vec3::splat(1e-8)] };
+    let sun = Plane {
+        width: 3,
+        height: 1,
+        data: vec![Vec3::splat(1e9), Vec3::splat(65_504.0), Vec3::splat(1e-8)],
+    };
     let clamped = formats::write_rgb_half(&path, &sun).expect("writes");
     let back = formats::read_rgb(&path).expect("reads");
-    assert!(back.data.iter().all(|v| v.is_finite()), "no infinity in the file: {:?}", back.data);
+    assert!(
+        back.data.iter().all(|v| v.is_finite()),
+        "no infinity in the file: {:?}",
+        back.data
+    );
     assert_eq!((back.data[0].x, back.data[1].x), (65_504.0, 65_504.0));
     assert!(clamped > 0, "the writer counts what it clamped");
     formats::write_rgb_float(&path, &sun).expect("writes");
     assert_eq!(formats::read_rgb(&path).expect("reads"), sun);
     let broken = sun.map(|v| *v * f32::NAN);
-    assert!(formats::write_rgb_half(&path, &broken).is_err(), "NaN is never written");
-    assert_eq!(formats::read_rgb(&path).expect("the old file is intact"), sun);
+    assert!(
+        formats::write_rgb_half(&path, &broken).is_err(),
+        "NaN is never written"
+    );
+    assert_eq!(
+        formats::read_rgb(&path).expect("the old file is intact"),
+        sun
+    );
 }
 
 #[test]
@@ -119,13 +177,25 @@ fn sixty_five_thousand_classes() {
     let found = detect_emissive(65_535, &texels, &vec![false; 65_535]);
     assert!((0..65_535).all(|i| found[i as usize] == (i % 1000 == 7)));
     let dir = tempfile::tempdir().expect("temporary folder");
-    let labels = Plane { width: 256, height: 256, data: (0..=u16::MAX).collect::<Vec<u16>>() };
+    let labels = Plane {
+        width: 256,
+        height: 256,
+        data: (0..=u16::MAX).collect::<Vec<u16>>(),
+    };
     formats::write_png16(dir.path().join("l.png"), &labels).expect("writes");
-    assert_eq!(formats::read_labels(dir.path().join("l.png")).expect("reads"), labels);
+    assert_eq!(
+        formats::read_labels(dir.path().join("l.png")).expect("reads"),
+        labels
+    );
 }
 
 fn soup(positions: Vec<Vec3>, uvs: Vec<Vec2>, triangles: Vec<[u32; 3]>) -> Mesh {
-    let mut mesh = Mesh { positions, uvs, triangles, normals: vec![] };
+    let mut mesh = Mesh {
+        positions,
+        uvs,
+        triangles,
+        normals: vec![],
+    };
     mesh.compute_normals();
     mesh
 }
@@ -147,8 +217,20 @@ fn meshes() -> Vec<(&'static str, Mesh, [usize; 2])> {
             ),
             [10, 48],
         ),
-        ("a chart without area", soup(square(), vec![at(0.5, 0.5); 4], vec![[0, 1, 2], [0, 2, 3]]), [0, 4]),
-        ("charts on one another", soup(square(), full(), vec![[0, 1, 2], [0, 2, 3], [0, 1, 2], [2, 1, 0]]), [256, 256]),
+        (
+            "a chart without area",
+            soup(square(), vec![at(0.5, 0.5); 4], vec![[0, 1, 2], [0, 2, 3]]),
+            [0, 4],
+        ),
+        (
+            "charts on one another",
+            soup(
+                square(),
+                full(),
+                vec![[0, 1, 2], [0, 2, 3], [0, 1, 2], [2, 1, 0]],
+            ),
+            [256, 256],
+        ),
         (
             "three triangles at one edge",
             soup(
@@ -158,19 +240,39 @@ fn meshes() -> Vec<(&'static str, Mesh, [usize; 2])> {
             ),
             [256, 256],
         ),
-        ("inverted", soup(square(), full(), vec![[0, 2, 1], [0, 3, 2]]), [256, 256]),
+        (
+            "inverted",
+            soup(square(), full(), vec![[0, 2, 1], [0, 3, 2]]),
+            [256, 256],
+        ),
         (
             "a triangle of one point",
-            soup(vec![p(0.3, 0.3); 3], vec![at(0.2, 0.2), at(0.8, 0.2), at(0.2, 0.8)], vec![[0, 1, 2]]),
+            soup(
+                vec![p(0.3, 0.3); 3],
+                vec![at(0.2, 0.2), at(0.8, 0.2), at(0.2, 0.8)],
+                vec![[0, 1, 2]],
+            ),
             [40, 120],
         ),
         (
             "far outside the atlas",
-            soup(square(), full().iter().map(|u| *u * 1e9 - 5e8).collect(), vec![[0, 1, 2], [0, 2, 3]]),
+            soup(
+                square(),
+                full().iter().map(|u| *u * 1e9 - 5e8).collect(),
+                vec![[0, 1, 2], [0, 2, 3]],
+            ),
             [0, 256],
         ),
-        ("atlas of NaN", soup(square(), vec![Vec2::NAN; 4], vec![[0, 1, 2], [0, 2, 3]]), [0, 0]),
-        ("positions of NaN", soup(vec![Vec3::NAN; 4], full(), vec![[0, 1, 2], [0, 2, 3]]), [256, 256]),
+        (
+            "atlas of NaN",
+            soup(square(), vec![Vec2::NAN; 4], vec![[0, 1, 2], [0, 2, 3]]),
+            [0, 0],
+        ),
+        (
+            "positions of NaN",
+            soup(vec![Vec3::NAN; 4], full(), vec![[0, 1, 2], [0, 2, 3]]),
+            [256, 256],
+        ),
     ]
 }
 
@@ -178,13 +280,23 @@ fn meshes() -> Vec<(&'static str, Mesh, [usize; 2])> {
 fn meshes_of_every_kind_of_wrong_are_rasterised() {
     for (name, mesh, [least, most]) in meshes() {
         let texels = Texels::rasterize(&mesh, 16, 16);
-        assert!((least..=most).contains(&texels.len()), "{name}: {} texels", texels.len());
-        assert!(texels.cell.windows(2).all(|w| w[0] < w[1]), "{name}: cells ascend, each once");
+        assert!(
+            (least..=most).contains(&texels.len()),
+            "{name}: {} texels",
+            texels.len()
+        );
+        assert!(
+            texels.cell.windows(2).all(|w| w[0] < w[1]),
+            "{name}: cells ascend, each once"
+        );
         for i in 0..texels.len() {
             let (u, v) = texels.ray_point(i);
             assert!(u > 0.0 && v > 0.0 && u + v < 1.0, "{name}: {u} {v}");
             let area = texels.texel_area(&mesh, texels.point[i].triangle as usize);
-            assert!(name.contains("NaN") || (area.is_finite() && area >= 0.0), "{name}: {area}");
+            assert!(
+                name.contains("NaN") || (area.is_finite() && area >= 0.0),
+                "{name}: {area}"
+            );
         }
         for (w, h) in [(1, 1), (1, 7), (3, 1)] {
             let small = Texels::rasterize(&mesh, w, h);
@@ -198,16 +310,34 @@ fn textures_of_one_texel() {
     let one = Plane::filled(1, 1, Vec3::splat(0.3));
     let chain = MipChain::new(one.clone(), 9);
     assert_eq!(chain.level_count(), 1);
-    for uv in [Vec2::ZERO, Vec2::ONE, Vec2::splat(0.5), Vec2::splat(-3.0), Vec2::splat(1e20), Vec2::NAN] {
+    for uv in [
+        Vec2::ZERO,
+        Vec2::ONE,
+        Vec2::splat(0.5),
+        Vec2::splat(-3.0),
+        Vec2::splat(1e20),
+        Vec2::NAN,
+    ] {
         assert_eq!(chain.lookup(uv, 1e9), Vec3::splat(0.3), "{uv}");
         assert_eq!(*one.nearest(uv), Vec3::splat(0.3));
     }
-    assert!((chain.bilinear(Vec2::splat(0.2)) - Vec3::splat(0.3)).abs().max_element() < 1e-6);
+    assert!(
+        (chain.bilinear(Vec2::splat(0.2)) - Vec3::splat(0.3))
+            .abs()
+            .max_element()
+            < 1e-6
+    );
     assert_eq!(fill_uncovered(&one, &Plane::filled(1, 1, false)), one);
-    assert!((one.bilinear(Vec2::splat(40.0), Wrap::Repeat) - Vec3::splat(0.3)).abs().max_element() < 1e-6);
+    assert!(
+        (one.bilinear(Vec2::splat(40.0), Wrap::Repeat) - Vec3::splat(0.3))
+            .abs()
+            .max_element()
+            < 1e-6
+    );
 }
 
-/// The largest texture the options allow, with a chart in two opposite corners: memory and time follow the charts, not the square.
+/// The largest texture the options allow, with a chart in two opposite corners: memory and time
+/// follow the charts, not the square.
 #[test]
 fn a_texture_of_sixteen_thousand() {
     const SIDE: usize = 16_384;
@@ -221,34 +351,54 @@ fn a_texture_of_sixteen_thousand() {
         texel(last, last - 9.0),
         texel(last, last),
     ];
-    let mesh = soup(uvs.iter().map(|p| Vec3::new(p.x, 0.0, p.y)).collect(), uvs, vec![[0, 2, 1], [3, 5, 4]]);
+    let mesh = soup(
+        uvs.iter().map(|p| Vec3::new(p.x, 0.0, p.y)).collect(),
+        uvs,
+        vec![[0, 2, 1], [3, 5, 4]],
+    );
     let texels = Texels::rasterize(&mesh, SIDE, SIDE);
     assert!((80..200).contains(&texels.len()), "{}", texels.len());
     assert_eq!(texels.cell.first(), Some(&0));
-    assert_eq!(texels.cell.last(), Some(&(u32::try_from(SIDE * SIDE - 1).expect("fits"))), "the last texel is a 28-bit number");
+    assert_eq!(
+        texels.cell.last(),
+        Some(&(u32::try_from(SIDE * SIDE - 1).expect("fits"))),
+        "the last texel is a 28-bit number"
+    );
     for i in 0..texels.len() {
-        let (x, y) = (texels.cell[i] as usize % SIDE, texels.cell[i] as usize / SIDE);
+        let (x, y) = (
+            texels.cell[i] as usize % SIDE,
+            texels.cell[i] as usize / SIDE,
+        );
         let p = texels.position(&mesh, i) * SIDE as f32;
-        assert!((p.x - x as f32 - 0.5).abs() < 1.01 && (p.z - y as f32 - 0.5).abs() < 1.01, "({x}, {y}) lies at {p}");
+        assert!(
+            (p.x - x as f32 - 0.5).abs() < 1.01 && (p.z - y as f32 - 0.5).abs() < 1.01,
+            "({x}, {y}) lies at {p}"
+        );
     }
 }
 
-/// One scene, one formula, two precisions: a room with a lamp, its walls seen by cameras. Irradiance by quadrature, specular
-/// reflection, albedo from what a camera would see, and the roughness derivative, in f32 against f64.
+/// One scene, one formula, two precisions: a room with a lamp, its walls seen by cameras.
+/// Irradiance by quadrature, specular reflection, albedo from what a camera would see, and the
+/// roughness derivative, in f32 against f64.
 #[test]
 fn the_same_scene_in_single_and_double_precision() {
     fn dot<T: Real>(a: [T; 3], b: [T; 3]) -> T {
         a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     }
     fn cross<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+        [
+            a[1] * b[2] - a[2] * b[1],
+            a[2] * b[0] - a[0] * b[2],
+            a[0] * b[1] - a[1] * b[0],
+        ]
     }
     fn towards<T: Real>(from: [T; 3], to: [T; 3]) -> ([T; 3], T) {
         let d = [to[0] - from[0], to[1] - from[1], to[2] - from[2]];
         let length = dot(d, d).sqrt();
         (d.map(|x| x / length), length)
     }
-    /// (irradiance, specular radiance, its derivative in R, albedo recovered from diffuse + specular)
+    /// (irradiance, specular radiance, its derivative in R, albedo recovered from diffuse +
+    /// specular)
     fn look<T: Real>(point: [f64; 3], camera: [f64; 3], roughness: f64) -> [T; 4] {
         const STEPS: usize = 64;
         let lit = |v: [f64; 3]| v.map(T::lit);
@@ -260,7 +410,8 @@ fn the_same_scene_in_single_and_double_precision() {
             let at = |k: usize| 1.5 + (k as f64 + 0.5) / STEPS as f64;
             let (l, distance) = towards(p, lit([at(i % STEPS), 2.9, at(i / STEPS)]));
             let n_l = dot(n, l).max(T::lit(0.0));
-            let weight = T::lit(40.0) * n_l * (-dot(lamp_normal, l)) / (distance.sq() * T::lit((STEPS * STEPS) as f64));
+            let weight = T::lit(40.0) * n_l * (-dot(lamp_normal, l))
+                / (distance.sq() * T::lit((STEPS * STEPS) as f64));
             let half = [v[0] + l[0], v[1] + l[1], v[2] + l[2]];
             let length = dot(half, half).sqrt();
             let h = half.map(|x| x / length);
@@ -275,14 +426,33 @@ fn the_same_scene_in_single_and_double_precision() {
         [e, s, ds, (seen - s) * pi / e]
     }
     let mut worst = [0.0f64; 4];
-    for (i, point) in [[1.0, 0.0, 1.0], [2.0, 0.0, 2.0], [3.9, 0.0, 0.1], [2.0, 0.0, 4.9]].into_iter().enumerate() {
+    for (i, point) in [
+        [1.0, 0.0, 1.0],
+        [2.0, 0.0, 2.0],
+        [3.9, 0.0, 0.1],
+        [2.0, 0.0, 4.9],
+    ]
+    .into_iter()
+    .enumerate()
+    {
         for camera in [[2.0, 1.5, 2.5], [0.3, 0.02, 0.4], [3.0, 2.0, 3.0]] {
             for roughness in [0.03, 0.1, 0.3, 0.8] {
-                let (single, double) = (look::<f32>(point, camera, roughness), look::<f64>(point, camera, roughness));
-                let scale = [double[0], double[1], double[2].abs().max(double[1] / roughness), double[3]];
+                let (single, double) = (
+                    look::<f32>(point, camera, roughness),
+                    look::<f64>(point, camera, roughness),
+                );
+                let scale = [
+                    double[0],
+                    double[1],
+                    double[2].abs().max(double[1] / roughness),
+                    double[3],
+                ];
                 for k in 0..4 {
                     let error = (f64::from(single[k]) - double[k]).abs() / scale[k].max(1e-30);
-                    assert!(error.is_finite(), "point {i} R {roughness}: {single:?} {double:?}");
+                    assert!(
+                        error.is_finite(),
+                        "point {i} R {roughness}: {single:?} {double:?}"
+                    );
                     worst[k] = worst[k].max(error);
                 }
             }
@@ -292,7 +462,8 @@ fn the_same_scene_in_single_and_double_precision() {
         "f32 against f64: irradiance {:.1e}, specular {:.1e}, its derivative {:.1e}, albedo {:.1e}",
         worst[0], worst[1], worst[2], worst[3]
     );
-    // 4,096 terms summed in f32: a few hundred roundings of 6e-8; a highlight's tail multiplies the rounding of its half vector
+    // 4,096 terms summed in f32: a few hundred roundings of 6e-8; a highlight's tail multiplies the
+    // rounding of its half vector
     assert!(worst[0] < 1e-5 && worst[3] < 1e-4, "{worst:?}");
     assert!(worst[1] < 1e-3 && worst[2] < 1e-3, "{worst:?}");
 }
@@ -305,7 +476,11 @@ fn a_million_tiny_charts_in_bounded_time() {
     for i in 0..N * N {
         let corner = Vec2::new((i % N) as f32, (i / N) as f32);
         let base = mesh.positions.len() as u32;
-        for offset in [Vec2::new(0.2, 0.2), Vec2::new(0.8, 0.2), Vec2::new(0.2, 0.8)] {
+        for offset in [
+            Vec2::new(0.2, 0.2),
+            Vec2::new(0.8, 0.2),
+            Vec2::new(0.2, 0.8),
+        ] {
             let p = corner + offset;
             mesh.positions.push(Vec3::new(p.x, 0.0, p.y));
             mesh.uvs.push(p / N as f32);
@@ -315,8 +490,10 @@ fn a_million_tiny_charts_in_bounded_time() {
     }
     let start = std::time::Instant::now();
     let texels = Texels::rasterize(&mesh, N, N);
-    let filled =
-        fill_uncovered(&texels.scatter(&vec![1.0f32; texels.len()], 0.0), &texels.scatter(&vec![true; texels.len()], false));
+    let filled = fill_uncovered(
+        &texels.scatter(&vec![1.0f32; texels.len()], 0.0),
+        &texels.scatter(&vec![true; texels.len()], false),
+    );
     let seconds = start.elapsed().as_secs_f64();
     assert_eq!(texels.len(), N * N);
     assert!(filled.data.iter().all(|v| *v == 1.0));
@@ -326,7 +503,8 @@ fn a_million_tiny_charts_in_bounded_time() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Helmholtz: view and light may be exchanged; nothing is negative; no view sees more than a mirror sends.
+    /// Helmholtz: view and light may be exchanged; nothing is negative; no view sees more than a
+    /// mirror sends.
     #[test]
     fn the_lobe_is_reciprocal_and_finite(n_l in 0.0f32..=1.0, n_v in 0.0f32..=1.0, s in 0.0f32..=1.0, v_h in 0.0f32..=1.0, r in 0.001f32..=1.0) {
         let f = specular(n_l, n_v, s, v_h, r);
@@ -393,7 +571,8 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever the photographs of a room hold and whatever is asked for: the result is finite, in range and whole.
+    /// Whatever the photographs of a room hold and whatever is asked for: the result is finite, in
+    /// range and whole.
     #[test]
     fn any_photographs_and_options_give_finite_materials(
         pixels in prop::collection::vec(prop_oneof![Just(0.0f32), 1e-6f32..1.0, 1.0f32..1e6], 64),
@@ -461,6 +640,9 @@ fn the_scene_builder_builds_what_it_says() {
     let mesh = mesh_of(&quads);
     for (i, q) in quads.iter().enumerate() {
         assert!((mesh.face_normal(2 * i) - q.normal()).length() < 1e-6);
-        assert!((Vec3::new(2.0, 1.5, 2.5) - q.at(0.5, 0.5)).dot(q.normal()) > 0.0, "walls face inwards");
+        assert!(
+            (Vec3::new(2.0, 1.5, 2.5) - q.at(0.5, 0.5)).dot(q.normal()) > 0.0,
+            "walls face inwards"
+        );
     }
 }

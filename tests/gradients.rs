@@ -1,17 +1,21 @@
-//! Gradient rows across modules: the analytic derivative of everything the estimators differentiate, against dual numbers and central
-//! differences. Rows that need private parts stand beside their code: `brdf::ggx` (lobe and masking in R), `brdf::chunk` (the vector
-//! kernel), `lighting::nirf` (network), `inverse::roughness` (objective of the search), `gbuffer::gains` (exposure).
+//! Gradient rows across modules: the analytic derivative of everything the estimators
+//! differentiate, against dual numbers and central differences. Rows that need private parts stand
+//! beside their code: `brdf::ggx` (lobe and masking in R), `brdf::chunk` (the vector kernel),
+//! `lighting::nirf` (network), `inverse::roughness` (objective of the search), `gbuffer::gains`
+//! (exposure).
 
 use unbake::brdf::{SpecularChunk, specular, specular_chunk};
 use unbake::math::{Dual, Real};
 use unbake::sampling::KeyedRng;
 
-/// The estimator L_s(R) = Σ w f_s(R): its derivative is that of the lobe, summed. Kernel in f32, duals and central differences in f64.
+/// The estimator L_s(R) = Σ w f_s(R): its derivative is that of the lobe, summed. Kernel in f32,
+/// duals and central differences in f64.
 #[test]
 fn the_estimators_slope_is_the_sum_of_the_kernels() {
     let mut rng = KeyedRng::new(7, 1);
     const N: usize = 257;
-    let (mut n_l, mut n_v, mut sin2, mut v_h, mut weight) = (vec![], vec![], vec![], vec![], vec![]);
+    let (mut n_l, mut n_v, mut sin2, mut v_h, mut weight) =
+        (vec![], vec![], vec![], vec![], vec![]);
     for _ in 0..N {
         n_l.push(0.02 + 0.97 * rng.next_f32());
         n_v.push(0.05 + 0.9 * rng.next_f32());
@@ -23,7 +27,13 @@ fn the_estimators_slope_is_the_sum_of_the_kernels() {
         let rough = vec![r; N];
         let (mut value, mut slope) = (vec![0.0; N], vec![0.0; N]);
         specular_chunk(
-            SpecularChunk { n_l: &n_l, n_v: &n_v, sin2_nh: &sin2, v_h: &v_h, roughness: &rough },
+            SpecularChunk {
+                n_l: &n_l,
+                n_v: &n_v,
+                sin2_nh: &sin2,
+                v_h: &v_h,
+                roughness: &rough,
+            },
             &mut value,
             &mut slope,
         );
@@ -31,7 +41,13 @@ fn the_estimators_slope_is_the_sum_of_the_kernels() {
         let at = |r: f64| {
             let c = |x: f32| Dual::<1>::lit(f64::from(x));
             move |i: usize, n_l: &[f32], n_v: &[f32], s: &[f32], v_h: &[f32]| {
-                specular(c(n_l[i]), c(n_v[i]), c(s[i]), c(v_h[i]), Dual::variable(r, 0))
+                specular(
+                    c(n_l[i]),
+                    c(n_v[i]),
+                    c(s[i]),
+                    c(v_h[i]),
+                    Dual::variable(r, 0),
+                )
             }
         };
         let dual = |r: f64, i: usize| at(r)(i, &n_l, &n_v, &sin2, &v_h);
@@ -40,8 +56,14 @@ fn the_estimators_slope_is_the_sum_of_the_kernels() {
         let h = 1e-5;
         let central = (sum(&|i| dual(r + h, i).x) - sum(&|i| dual(r - h, i).x)) / (2.0 * h);
         let size = sum(&|i| dual(r, i).d[0].abs());
-        assert!((kernel - exact).abs() < 2e-5 * size, "R {r}: kernel {kernel}, dual {exact}");
-        assert!((central - exact).abs() < 1e-6 * size, "R {r}: central {central}, dual {exact}");
+        assert!(
+            (kernel - exact).abs() < 2e-5 * size,
+            "R {r}: kernel {kernel}, dual {exact}"
+        );
+        assert!(
+            (central - exact).abs() < 1e-6 * size,
+            "R {r}: central {central}, dual {exact}"
+        );
         assert!((sum(&|i| f64::from(value[i])) / sum(&|i| dual(r, i).x) - 1.0).abs() < 1e-5);
     }
 }

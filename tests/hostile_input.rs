@@ -1,4 +1,5 @@
-//! Damaged and hostile scenes: each gives an error of exit code 2 that names the file, and none a panic.
+//! Damaged and hostile scenes: each gives an error of exit code 2 that names the file, and none a
+//! panic.
 
 mod common;
 
@@ -24,7 +25,8 @@ fn read_all(scene: &SceneDir, options: &LoadOptions) -> Result<Scene, Error> {
     Ok(loaded)
 }
 
-/// Asserts that the scene is refused with all of `expected` in the message, by the loader and by `check`.
+/// Asserts that the scene is refused with all of `expected` in the message, by the loader and by
+/// `check`.
 #[track_caller]
 fn refused(scene: &SceneDir, expected: &[&str]) {
     let error = read_all(scene, &LoadOptions::default()).expect_err("refused");
@@ -49,8 +51,14 @@ fn the_intact_scene_is_accepted_and_understood() {
     let report = check(scene.folder(), &LoadOptions::default());
     let s = report.summary.as_ref().expect("understood");
     assert!(report.is_usable(), "{report}");
-    assert_eq!((s.train_views, s.test_views, s.mesh.triangles, s.rooms.len()), (1, 1, 12, 1));
-    assert!((s.mesh.area - 94.0).abs() < 1e-3 && s.hole_share == 0.0 && s.unseen_area_share < 1e-3, "{report}");
+    assert_eq!(
+        (s.train_views, s.test_views, s.mesh.triangles, s.rooms.len()),
+        (1, 1, 12, 1)
+    );
+    assert!(
+        (s.mesh.area - 94.0).abs() < 1e-3 && s.hole_share == 0.0 && s.unseen_area_share < 1e-3,
+        "{report}"
+    );
     assert!((s.radiance.median - 0.5).abs() < 1e-5 && s.classes[0].pixel_share == 1.0);
     assert!(serde_json::to_value(&report).is_ok());
 }
@@ -79,12 +87,23 @@ fn pixels_that_are_not_finite_are_counted_and_can_be_ignored() {
         }
     };
     scene.write("a.exr", &raw_exr(WIDTH as u32, HEIGHT as u32, bad));
-    refused(&scene, &["a.exr", "2 of 512 pixels", "column 5, row 3", "--clamp-nan"]);
-    let options = LoadOptions { clamp_nan: true, ..LoadOptions::default() };
+    refused(
+        &scene,
+        &["a.exr", "2 of 512 pixels", "column 5, row 3", "--clamp-nan"],
+    );
+    let options = LoadOptions {
+        clamp_nan: true,
+        ..LoadOptions::default()
+    };
     let loaded = read_all(&scene, &options).expect("ignored");
-    let (image, stats) = loaded.load_radiance_with_stats(&loaded.views[0]).expect("pixels");
+    let (image, stats) = loaded
+        .load_radiance_with_stats(&loaded.views[0])
+        .expect("pixels");
     assert!(stats.not_finite == 2 && image.data.iter().all(|p| p.is_finite()));
-    let mask = loaded.load_mask(&loaded.views[0]).expect("mask").expect("some pixels are out");
+    let mask = loaded
+        .load_mask(&loaded.views[0])
+        .expect("mask")
+        .expect("some pixels are out");
     assert_eq!(mask.data.iter().filter(|m| !**m).count(), 2);
     assert!(loaded.load_mask(&loaded.views[1]).expect("mask").is_none());
     // masked by the user: no error either
@@ -98,9 +117,18 @@ fn pixels_that_are_not_finite_are_counted_and_can_be_ignored() {
 #[test]
 fn negative_pixels_become_black_and_are_counted() {
     let scene = SceneDir::box_room();
-    scene.write("a.exr", &raw_exr(WIDTH as u32, HEIGHT as u32, |x, _| if x == 0 { -0.1 } else { 0.5 }));
+    scene.write(
+        "a.exr",
+        &raw_exr(
+            WIDTH as u32,
+            HEIGHT as u32,
+            |x, _| if x == 0 { -0.1 } else { 0.5 },
+        ),
+    );
     let loaded = read_all(&scene, &LoadOptions::default()).expect("usable");
-    let (image, stats) = loaded.load_radiance_with_stats(&loaded.views[0]).expect("pixels");
+    let (image, stats) = loaded
+        .load_radiance_with_stats(&loaded.views[0])
+        .expect("pixels");
     assert_eq!((stats.negative, image.data[0]), (HEIGHT, Vec3::ZERO));
 }
 
@@ -109,7 +137,11 @@ fn exposure_scales_radiance() {
     let scene = SceneDir::box_room();
     scene.edit(|t| t["frames"][0]["exposure_ev"] = json!(-2.0));
     let loaded = read_all(&scene, &LoadOptions::default()).expect("usable");
-    assert!((loaded.load_radiance(&loaded.views[0]).expect("pixels").data[7] - Vec3::splat(0.125)).length() < 1e-6);
+    assert!(
+        (loaded.load_radiance(&loaded.views[0]).expect("pixels").data[7] - Vec3::splat(0.125))
+            .length()
+            < 1e-6
+    );
     scene.edit(|t| t["frames"][0]["exposure_ev"] = json!(1e9));
     refused(&scene, &["transforms.json", "exposure_ev"]);
 }
@@ -123,7 +155,8 @@ fn sizes_that_disagree_are_errors() {
     formats::write_png16(scene.path("a.png"), &Plane::filled(30, 30, 1u16)).expect("labels");
     refused(&scene, &["a.png", "30x30", "aspect"]);
     let scene = SceneDir::box_room();
-    formats::write_rgb_float(scene.path("a.exr"), &Plane::filled(20, 16, Vec3::ONE)).expect("image");
+    formats::write_rgb_float(scene.path("a.exr"), &Plane::filled(20, 16, Vec3::ONE))
+        .expect("image");
     scene.edit(|t| {
         let t = t.as_object_mut().expect("object");
         t.remove("w");
@@ -132,8 +165,11 @@ fn sizes_that_disagree_are_errors() {
     refused(&scene, &["a.exr", "no full panorama"]);
     let scene = SceneDir::box_room();
     let loaded = Scene::load(scene.folder(), &LoadOptions::default()).expect("usable");
-    formats::write_rgb_float(scene.path("a.exr"), &Plane::filled(64, 32, Vec3::ONE)).expect("image");
-    let e = loaded.load_radiance(&loaded.views[0]).expect_err("changed behind our back");
+    formats::write_rgb_float(scene.path("a.exr"), &Plane::filled(64, 32, Vec3::ONE))
+        .expect("image");
+    let e = loaded
+        .load_radiance(&loaded.views[0])
+        .expect_err("changed behind our back");
     assert!(e.exit_code() == 2 && e.to_string().contains("a.exr"), "{e}");
 }
 
@@ -150,22 +186,52 @@ fn undeclared_ids_are_errors_unless_no_class_is_declared() {
     let mut labels = Plane::filled(WIDTH, HEIGHT, 1u16);
     labels[(7, 2)] = 65_535;
     formats::write_png16(scene.path("a.png"), &labels).expect("labels");
-    refused(&scene, &["a.png", "65535", "column 7, row 2", "transforms.json"]);
+    refused(
+        &scene,
+        &["a.png", "65535", "column 7, row 2", "transforms.json"],
+    );
     scene.edit(|t| drop(t.as_object_mut().expect("object").remove("classes")));
     let loaded = read_all(&scene, &LoadOptions::default()).expect("derived");
-    assert_eq!(loaded.classes.iter().map(|c| c.id).collect::<Vec<_>>(), [1, 65_535]);
+    assert_eq!(
+        loaded.classes.iter().map(|c| c.id).collect::<Vec<_>>(),
+        [1, 65_535]
+    );
 }
 
 #[test]
 fn bad_poses_and_splits_name_the_frame_and_the_key() {
     let cases: [Edit; 7] = [
-        (|t| t["frames"][1]["transform_matrix"][0][0] = json!(0), "frames[1] (b.exr).transform_matrix: the pose is singular"),
-        (|t| t["frames"][1]["transform_matrix"][0][0] = json!(-1), "mirrored"),
-        (|t| t["frames"][0]["transform_matrix"] = json!([[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]]), "scaled by 2"),
-        (|t| t["train_filenames"] = json!([]), "train_filenames: empty"),
-        (|t| drop(t.as_object_mut().expect("object").remove("train_filenames")), "test_filenames without train_filenames"),
-        (|t| t["train_filenames"] = json!(["a.exr", "z.exr"]), "\"z.exr\" is no frame"),
-        (|t| t["test_filenames"] = json!(["a.exr", "b.exr"]), "\"a.exr\" is in train_filenames and test_filenames"),
+        (
+            |t| t["frames"][1]["transform_matrix"][0][0] = json!(0),
+            "frames[1] (b.exr).transform_matrix: the pose is singular",
+        ),
+        (
+            |t| t["frames"][1]["transform_matrix"][0][0] = json!(-1),
+            "mirrored",
+        ),
+        (
+            |t| {
+                t["frames"][0]["transform_matrix"] =
+                    json!([[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]])
+            },
+            "scaled by 2",
+        ),
+        (
+            |t| t["train_filenames"] = json!([]),
+            "train_filenames: empty",
+        ),
+        (
+            |t| drop(t.as_object_mut().expect("object").remove("train_filenames")),
+            "test_filenames without train_filenames",
+        ),
+        (
+            |t| t["train_filenames"] = json!(["a.exr", "z.exr"]),
+            "\"z.exr\" is no frame",
+        ),
+        (
+            |t| t["test_filenames"] = json!(["a.exr", "b.exr"]),
+            "\"a.exr\" is in train_filenames and test_filenames",
+        ),
     ];
     for (change, expected) in cases {
         let scene = SceneDir::box_room();
@@ -180,8 +246,13 @@ fn a_damaged_frame_does_not_hide_the_problems_of_others() {
     scene.edit(|t| t["frames"][0]["transform_matrix"] = json!(7));
     std::fs::remove_file(scene.path("b.exr")).expect("removed");
     scene.write("mesh.obj", b"f 1 2 3");
-    refused(&scene, &["frames[0] (a.exr).transform_matrix", "b.exr", "mesh.obj"]);
-    let text = Scene::load(scene.folder(), &LoadOptions::default()).expect_err("refused").to_string();
+    refused(
+        &scene,
+        &["frames[0] (a.exr).transform_matrix", "b.exr", "mesh.obj"],
+    );
+    let text = Scene::load(scene.folder(), &LoadOptions::default())
+        .expect_err("refused")
+        .to_string();
     assert!(!text.contains("is no frame"), "{text}");
 }
 
@@ -227,14 +298,30 @@ fn truncated_images_are_errors_at_every_length() {
 #[test]
 fn display_referred_images_need_to_be_asked_for() {
     let scene = SceneDir::box_room();
-    formats::write_png_rgb8(scene.path("c.png"), WIDTH, HEIGHT, &vec![255u8; 3 * WIDTH * HEIGHT]).expect("image");
+    formats::write_png_rgb8(
+        scene.path("c.png"),
+        WIDTH,
+        HEIGHT,
+        &vec![255u8; 3 * WIDTH * HEIGHT],
+    )
+    .expect("image");
     scene.edit(|t| {
         t["frames"][0]["file_path"] = json!("c.png");
         t["train_filenames"] = json!(["c.png"]);
     });
     refused(&scene, &["c.png", "--ldr"]);
-    let loaded = read_all(&scene, &LoadOptions { ldr: true, ..LoadOptions::default() }).expect("asked for");
-    assert!((loaded.load_radiance(&loaded.views[0]).expect("pixels").data[0] - Vec3::ONE).length() < 1e-5);
+    let loaded = read_all(
+        &scene,
+        &LoadOptions {
+            ldr: true,
+            ..LoadOptions::default()
+        },
+    )
+    .expect("asked for");
+    assert!(
+        (loaded.load_radiance(&loaded.views[0]).expect("pixels").data[0] - Vec3::ONE).length()
+            < 1e-5
+    );
 }
 
 #[test]
@@ -245,7 +332,11 @@ fn hostile_meshes_are_errors() {
         "accessors":[{"bufferView":0,"componentType":5126,"count":4000000000000,"type":"VEC3"}],
         "bufferViews":[{"buffer":0,"byteLength":48000000000000}],"buffers":[{"byteLength":48000000000000,"uri":"data:;base64,AAAA"}]}"#;
     let cases = [
-        ("m.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "has an area"),
+        (
+            "m.obj",
+            "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n",
+            "has an area",
+        ),
         ("m.obj", "", "no faces"),
         ("m.obj", "v 0 0 0\nf 1 2 3\n", "m.obj"),
         ("m.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "m.obj"),
@@ -265,7 +356,14 @@ fn hostile_meshes_are_errors() {
 
 #[test]
 fn a_file_that_is_no_scene_is_an_error() {
-    for text in ["", "hello", "[1, 2]", "{\"frames\": 3}", "{\"frames\": [{\"file_path\": 1}], \"mesh_path\": 2}", "\u{feff}{"] {
+    for text in [
+        "",
+        "hello",
+        "[1, 2]",
+        "{\"frames\": 3}",
+        "{\"frames\": [{\"file_path\": 1}], \"mesh_path\": 2}",
+        "\u{feff}{",
+    ] {
         let scene = SceneDir::box_room();
         scene.write("transforms.json", text.as_bytes());
         refused(&scene, &["transforms.json"]);
@@ -290,14 +388,37 @@ fn rooms_are_read_and_their_absence_or_damage_is_an_error() {
     let loaded = read_all(&scene, &LoadOptions::default()).expect("usable");
     let grid = loaded.rooms.as_ref().expect("rooms");
     let at = |x: f64, z: f64| grid.room_at((DVec3::new(x, 1.0, z) - loaded.origin).as_vec3());
-    assert_eq!((at(0.5, 0.5), at(1.5, 0.5), at(0.5, 4.5), at(-0.5, 1.0), at(4.5, 1.0)), (1, 2, 2, 0, 0));
+    assert_eq!(
+        (
+            at(0.5, 0.5),
+            at(1.5, 0.5),
+            at(0.5, 4.5),
+            at(-0.5, 1.0),
+            at(4.5, 1.0)
+        ),
+        (1, 2, 2, 0, 0)
+    );
 }
 
 #[test]
 fn many_problems_are_shown_up_to_a_limit() {
     let scene = SceneDir::box_room();
-    scene.edit(|t| t["frames"] = (0..500).map(|i| json!({"file_path": format!("{i}.exr")})).collect());
-    let e = Scene::load(scene.folder(), &LoadOptions { max_issues: 10, ..LoadOptions::default() }).expect_err("refused");
+    scene.edit(|t| {
+        t["frames"] = (0..500)
+            .map(|i| json!({"file_path": format!("{i}.exr")}))
+            .collect()
+    });
+    let e = Scene::load(
+        scene.folder(),
+        &LoadOptions {
+            max_issues: 10,
+            ..LoadOptions::default()
+        },
+    )
+    .expect_err("refused");
     let text = e.to_string();
-    assert!(text.lines().count() < 15 && text.contains("more problems"), "{text}");
+    assert!(
+        text.lines().count() < 15 && text.contains("more problems"),
+        "{text}"
+    );
 }

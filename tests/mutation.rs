@@ -1,5 +1,5 @@
-//! A few thousand damaged files per parser, the same ones in every run: each is read or refused, none brings the program down.
-//! `fuzz/` holds the open-ended form for `cargo fuzz`.
+//! A few thousand damaged files per parser, the same ones in every run: each is read or refused,
+//! none brings the program down. `fuzz/` holds the open-ended form for `cargo fuzz`.
 
 mod common;
 
@@ -11,9 +11,19 @@ use unbake::sampling::KeyedRng;
 use unbake::scene::transforms::parse_transforms;
 
 /// Numbers that break careless code, in the bytes of the file's own kind.
-const NASTY: [u32; 8] = [0, 1, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 0x7fc0_0000, 0x7f80_0000, 0xff7f_ffff];
+const NASTY: [u32; 8] = [
+    0,
+    1,
+    0x7fff_ffff,
+    0x8000_0000,
+    0xffff_ffff,
+    0x7fc0_0000,
+    0x7f80_0000,
+    0xff7f_ffff,
+];
 
-/// Damages `bytes` in one to four places: bits, bytes, words, cuts, repeats, and for texts other tokens.
+/// Damages `bytes` in one to four places: bits, bytes, words, cuts, repeats, and for texts other
+/// tokens.
 fn mutate(bytes: &[u8], rng: &mut KeyedRng) -> Vec<u8> {
     let mut out = bytes.to_vec();
     for _ in 0..1 + rng.below(4) {
@@ -41,7 +51,16 @@ fn mutate(bytes: &[u8], rng: &mut KeyedRng) -> Vec<u8> {
                 out.drain(at..end);
             }
             6 => {
-                let tokens: [&[u8]; 8] = [b"-1", b"1e999", b"nan", b"99999999999999999999", b"\"", b"{", b"\n", b"0"];
+                let tokens: [&[u8]; 8] = [
+                    b"-1",
+                    b"1e999",
+                    b"nan",
+                    b"99999999999999999999",
+                    b"\"",
+                    b"{",
+                    b"\n",
+                    b"0",
+                ];
                 out.splice(at..at, tokens[rng.below(8)].iter().copied());
             }
             _ => {
@@ -53,7 +72,8 @@ fn mutate(bytes: &[u8], rng: &mut KeyedRng) -> Vec<u8> {
     out
 }
 
-/// Runs `read` on the intact bytes (must succeed), on every prefix up to a bound and on `count` damaged copies.
+/// Runs `read` on the intact bytes (must succeed), on every prefix up to a bound and on `count`
+/// damaged copies.
 fn hammer(bytes: &[u8], count: u64, mut read: impl FnMut(&[u8]) -> bool) {
     assert!(read(bytes), "the intact file is read");
     for cut in (0..bytes.len()).step_by((bytes.len() / 200).max(1)) {
@@ -63,7 +83,10 @@ fn hammer(bytes: &[u8], count: u64, mut read: impl FnMut(&[u8]) -> bool) {
     for key in 0..count {
         refused += u64::from(!read(&mutate(bytes, &mut KeyedRng::new(0xbad, key))));
     }
-    assert!(refused > count / 20, "only {refused} of {count} were refused: is anything checked?");
+    assert!(
+        refused > count / 20,
+        "only {refused} of {count} were refused: is anything checked?"
+    );
 }
 
 fn usable(e: &unbake::Error) -> bool {
@@ -73,9 +96,10 @@ fn usable(e: &unbake::Error) -> bool {
 
 #[test]
 fn wavefront_objects() {
-    let text =
-        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\nf 1/1/1 2/2/1 3/3/1 4/4/1\nf -1 -2 -3\n";
-    hammer(text.as_bytes(), 4_000, |b| mesh_from_obj(b, Path::new("x.obj")).map_or_else(|e| usable(&e), |_| true));
+    let text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\nf 1/1/1 2/2/1 3/3/1 4/4/1\nf -1 -2 -3\n";
+    hammer(text.as_bytes(), 4_000, |b| {
+        mesh_from_obj(b, Path::new("x.obj")).map_or_else(|e| usable(&e), |_| true)
+    });
 }
 
 #[test]
@@ -86,15 +110,22 @@ fn polygon_files() {
              property float t\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
         )
     };
-    let read = |b: &[u8]| mesh_from_ply(b, Path::new("x.ply")).map_or_else(|e| usable(&e), |_| true);
+    let read =
+        |b: &[u8]| mesh_from_ply(b, Path::new("x.ply")).map_or_else(|e| usable(&e), |_| true);
     let text = head("ascii") + "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n3 0 1 2\n";
     hammer(text.as_bytes(), 3_000, read);
     let mut binary = head("binary_little_endian").into_bytes();
-    for v in [[0.0f32, 0.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0, 1.0]] {
+    for v in [
+        [0.0f32, 0.0, 0.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0, 1.0, 0.0],
+        [0.0, 1.0, 0.0, 0.0, 1.0],
+    ] {
         v.iter().for_each(|x| binary.extend(x.to_le_bytes()));
     }
     binary.push(3);
-    [0i32, 1, 2].iter().for_each(|i| binary.extend(i.to_le_bytes()));
+    [0i32, 1, 2]
+        .iter()
+        .for_each(|i| binary.extend(i.to_le_bytes()));
     hammer(&binary, 3_000, read);
 }
 
@@ -104,7 +135,9 @@ fn binary_gltf() {
     for v in [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]] {
         v.iter().for_each(|x| buffer.extend(x.to_le_bytes()));
     }
-    [0u32, 1, 2].iter().for_each(|i| buffer.extend(i.to_le_bytes()));
+    [0u32, 1, 2]
+        .iter()
+        .for_each(|i| buffer.extend(i.to_le_bytes()));
     let mut json = serde_json::json!({
         "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
@@ -127,7 +160,9 @@ fn binary_gltf() {
     glb.extend((buffer.len() as u32).to_le_bytes());
     glb.extend(b"BIN\0");
     glb.extend(&buffer);
-    hammer(&glb, 6_000, |b| mesh_from_gltf(b, Path::new("x.glb")).map_or_else(|e| usable(&e), |_| true));
+    hammer(&glb, 6_000, |b| {
+        mesh_from_gltf(b, Path::new("x.glb")).map_or_else(|e| usable(&e), |_| true)
+    });
 }
 
 #[test]
@@ -137,26 +172,39 @@ fn scene_descriptions() {
         "kind": "light"}], "train_filenames": ["a.exr"], "test_filenames": ["b.exr"], "frames": [{"file_path": "a.exr", "label_path":
         "a.png", "exposure_ev": 1.5, "transform_matrix": [[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]}, {"file_path": "b.exr",
         "transform_matrix": [[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]}]}"#;
-    hammer(text.as_bytes(), 5_000, |b| match std::str::from_utf8(b).map(parse_transforms) {
-        Ok(Ok(_)) => true,
-        Ok(Err(issues)) => {
-            assert!(!issues.is_empty() && issues.iter().all(|i| !i.is_empty()), "a refusal says why");
-            false
+    hammer(text.as_bytes(), 5_000, |b| {
+        match std::str::from_utf8(b).map(parse_transforms) {
+            Ok(Ok(_)) => true,
+            Ok(Err(issues)) => {
+                assert!(
+                    !issues.is_empty() && issues.iter().all(|i| !i.is_empty()),
+                    "a refusal says why"
+                );
+                false
+            }
+            Err(_) => false,
         }
-        Err(_) => false,
     });
 }
 
 #[test]
 fn images_through_files() {
     let dir = tempfile::tempdir().expect("temporary folder");
-    let ramp = Plane { width: 9, height: 5, data: (0..45).map(|i| Vec3::new(i as f32, 1.0, 0.5)).collect() };
+    let ramp = Plane {
+        width: 9,
+        height: 5,
+        data: (0..45).map(|i| Vec3::new(i as f32, 1.0, 0.5)).collect(),
+    };
     let two = ramp.map(|v| Vec2::new(v.x, v.y));
     let at = |name: &str| dir.path().join(name);
     formats::write_rgb_half(at("half.exr"), &ramp).expect("writes");
     formats::write_two_channels_half(at("two.exr"), &two).expect("writes");
     formats::write_png16(at("labels.png"), &ramp.map(|v| v.x as u16 * 1000)).expect("writes");
-    std::fs::write(at("float.exr"), common::raw_exr(9, 5, |x, y| (x + y) as f32)).expect("writes");
+    std::fs::write(
+        at("float.exr"),
+        common::raw_exr(9, 5, |x, y| (x + y) as f32),
+    )
+    .expect("writes");
     let mut hdr = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 5 +X 9\n".to_vec();
     hdr.extend((0..180u32).map(|i| (i * 37 % 251) as u8));
     std::fs::write(at("sky.hdr"), hdr).expect("writes");

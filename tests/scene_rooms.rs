@@ -1,5 +1,5 @@
-//! Rooms found in synthetic plans and in the shared scenes against their floor plans (`gt/` is read here only, never by the
-//! program).
+//! Rooms found in synthetic plans and in the shared scenes against their floor plans (`gt/` is read
+//! here only, never by the program).
 
 use glam::{DVec3, Mat3, Vec2, Vec3};
 use std::path::PathBuf;
@@ -10,23 +10,39 @@ use unbake::trace::{BruteForce, EmbreeTracer};
 fn quad(mesh: &mut Mesh, a: Vec3, u: Vec3, v: Vec3) {
     let first = mesh.positions.len() as u32;
     mesh.positions.extend([a, a + u, a + u + v, a + v]);
-    mesh.triangles.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+    mesh.triangles
+        .extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
 }
 
-/// An 8 × 4 m, 2.5 m high box, parted at x = 4 by a wall with a doorway 0.9 m wide and `door` metres high.
+/// An 8 × 4 m, 2.5 m high box, parted at x = 4 by a wall with a doorway 0.9 m wide and `door`
+/// metres high.
 fn two_rooms(door: f32, scale: f32) -> Scene {
     let mut mesh = Mesh::default();
     let (x, y, z) = (Vec3::X * 8.0, Vec3::Y * 2.5, Vec3::Z * 4.0);
-    for (a, u, v) in [(Vec3::ZERO, x, z), (y, x, z), (Vec3::ZERO, x, y), (z, x, y), (Vec3::ZERO, z, y), (x, z, y)] {
+    for (a, u, v) in [
+        (Vec3::ZERO, x, z),
+        (y, x, z),
+        (Vec3::ZERO, x, y),
+        (z, x, y),
+        (Vec3::ZERO, z, y),
+        (x, z, y),
+    ] {
         quad(&mut mesh, a, u, v);
     }
     let wall = |z0: f32, y0: f32| Vec3::new(4.0, y0, z0);
     quad(&mut mesh, wall(0.0, 0.0), Vec3::Z * 1.5, y);
     quad(&mut mesh, wall(2.4, 0.0), Vec3::Z * 1.6, y);
     if door < 2.5 {
-        quad(&mut mesh, wall(1.5, door), Vec3::Z * 0.9, Vec3::Y * (2.5 - door));
+        quad(
+            &mut mesh,
+            wall(1.5, door),
+            Vec3::Z * 0.9,
+            Vec3::Y * (2.5 - door),
+        );
     }
-    mesh.positions.iter_mut().for_each(|p| *p = (*p - Vec3::new(4.0, 1.25, 2.0)) * scale);
+    mesh.positions
+        .iter_mut()
+        .for_each(|p| *p = (*p - Vec3::new(4.0, 1.25, 2.0)) * scale);
     mesh.compute_normals();
     mesh.uvs = vec![Vec2::ZERO; mesh.positions.len()];
     let view = |x: f32| View {
@@ -44,7 +60,13 @@ fn two_rooms(door: f32, scale: f32) -> Scene {
         exposure_ev: 0.0,
         split: Split::Train,
     };
-    Scene::from_parts(PathBuf::new(), DVec3::ZERO, mesh, Vec::new(), vec![view(-2.0), view(2.0)])
+    Scene::from_parts(
+        PathBuf::new(),
+        DVec3::ZERO,
+        mesh,
+        Vec::new(),
+        vec![view(-2.0), view(2.0)],
+    )
 }
 
 #[test]
@@ -76,7 +98,9 @@ fn an_empty_plan_is_one_room() {
 }
 
 fn load(name: &str) -> Option<(PathBuf, Scene)> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/scenes").join(name);
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+        .join("../shared/scenes")
+        .join(name);
     if !path.is_dir() {
         println!("skipped: {name} is not on this machine");
         return None;
@@ -95,24 +119,42 @@ fn inside(polygon: &[Vec2], p: Vec2) -> bool {
 
 #[test]
 fn the_rooms_of_the_house_are_found() {
-    let Some((path, scene)) = load("aws-house") else { return };
+    let Some((path, scene)) = load("aws-house") else {
+        return;
+    };
     let text = std::fs::read_to_string(path.join("gt/rooms.json")).expect("plan");
     let plan: serde_json::Value = serde_json::from_str(&text).expect("json");
     let number = |v: &serde_json::Value| v.as_f64().expect("number");
-    let corner =
-        |p: &serde_json::Value| Vec2::new((number(&p[0]) - scene.origin.x) as f32, (number(&p[1]) - scene.origin.z) as f32);
+    let corner = |p: &serde_json::Value| {
+        Vec2::new(
+            (number(&p[0]) - scene.origin.x) as f32,
+            (number(&p[1]) - scene.origin.z) as f32,
+        )
+    };
     let polygons: Vec<Vec<Vec2>> = plan["rooms"]
         .as_array()
         .expect("rooms")
         .iter()
-        .map(|r| r["polygon_xz"].as_array().expect("polygon").iter().map(corner).collect())
+        .map(|r| {
+            r["polygon_xz"]
+                .as_array()
+                .expect("polygon")
+                .iter()
+                .map(corner)
+                .collect()
+        })
         .collect();
     let grid = find_rooms(&scene, &EmbreeTracer::new(&scene.mesh).expect("embree"));
     let mut table = vec![vec![0usize; grid.count() as usize + 1]; polygons.len()];
     for row in 0..grid.cells.height {
         for column in 0..grid.cells.width {
-            let p = Vec2::new(grid.x_min, grid.z_min) + Vec2::new(column as f32 + 0.5, row as f32 + 0.5) * grid.cell;
-            for (counts, _) in table.iter_mut().zip(&polygons).filter(|(_, polygon)| inside(polygon, p)) {
+            let p = Vec2::new(grid.x_min, grid.z_min)
+                + Vec2::new(column as f32 + 0.5, row as f32 + 0.5) * grid.cell;
+            for (counts, _) in table
+                .iter_mut()
+                .zip(&polygons)
+                .filter(|(_, polygon)| inside(polygon, p))
+            {
                 counts[grid.room_at(Vec3::new(p.x, 0.0, p.y)) as usize] += 1;
             }
         }
@@ -120,14 +162,21 @@ fn the_rooms_of_the_house_are_found() {
     let found: Vec<usize> = table
         .iter()
         .map(|counts| {
-            let (room, n) = counts.iter().enumerate().max_by_key(|(_, n)| **n).expect("rooms");
+            let (room, n) = counts
+                .iter()
+                .enumerate()
+                .max_by_key(|(_, n)| **n)
+                .expect("rooms");
             let share = *n as f64 / counts.iter().sum::<usize>() as f64;
             assert!(share > 0.98, "{table:?}");
             room
         })
         .collect();
-    // the plan parts living room and kitchen by use; in the building a 6 m wide opening joins them, with nothing above it
-    let [bedroom, lounge, living, sunroom, kitchen] = found[..] else { panic!("five rooms in the plan") };
+    // the plan parts living room and kitchen by use; in the building a 6 m wide opening joins them,
+    // with nothing above it
+    let [bedroom, lounge, living, sunroom, kitchen] = found[..] else {
+        panic!("five rooms in the plan")
+    };
     assert_eq!(living, kitchen);
     let apart = std::collections::BTreeSet::from([bedroom, lounge, living, sunroom]);
     assert_eq!((apart.len(), grid.count()), (4, 4), "{table:?}");
@@ -135,8 +184,15 @@ fn the_rooms_of_the_house_are_found() {
 
 #[test]
 fn a_living_room_is_one_room() {
-    let Some((_, scene)) = load("grey-white-room") else { return };
+    let Some((_, scene)) = load("grey-white-room") else {
+        return;
+    };
     let grid = find_rooms(&scene, &EmbreeTracer::new(&scene.mesh).expect("embree"));
     assert_eq!(grid.count(), 1);
-    assert!(scene.views.iter().all(|v| grid.room_at(v.camera.position) == 1));
+    assert!(
+        scene
+            .views
+            .iter()
+            .all(|v| grid.room_at(v.camera.position) == 1)
+    );
 }

@@ -11,7 +11,9 @@ use unbake::Error;
 use unbake::formats;
 use unbake::image::Plane;
 use unbake::lighting::Estimator;
-use unbake::pipeline::{Checkpoints, SolveOptions, Solved, Surface, reconstruct, reconstruct_light};
+use unbake::pipeline::{
+    Checkpoints, SolveOptions, Solved, Surface, reconstruct, reconstruct_light,
+};
 use unbake::progress::Progress;
 use unbake::scene::{LoadOptions, Scene, Split};
 use unbake::solution::{SaveOptions, Solution};
@@ -26,8 +28,15 @@ fn apartment() -> &'static Path {
         .get_or_init(|| {
             let dir = tempfile::tempdir().expect("temporary folder");
             let folder = dir.path().join("scene");
-            let options =
-                SynthOptions { rooms: 1, views: 6, test_views: 1, width: 192, spp: 6, texture: SIDE, ..SynthOptions::default() };
+            let options = SynthOptions {
+                rooms: 1,
+                views: 6,
+                test_views: 1,
+                width: 192,
+                spp: 6,
+                texture: SIDE,
+                ..SynthOptions::default()
+            };
             generate(&options, &folder, &Progress::silent()).expect("generates");
             (dir, folder)
         })
@@ -39,7 +48,12 @@ fn load() -> Scene {
 }
 
 fn options() -> SolveOptions {
-    SolveOptions { albedo_size: SIDE, roughness_size: SIDE, irradiance_size: 128, ..SolveOptions::default() }
+    SolveOptions {
+        albedo_size: SIDE,
+        roughness_size: SIDE,
+        irradiance_size: 128,
+        ..SolveOptions::default()
+    }
 }
 
 /// Reconstructs and checks what must hold whatever the scene is.
@@ -57,17 +71,39 @@ fn sane(s: &Solution) {
         ("emission", &s.emission),
         ("environment", &s.environment),
     ] {
-        assert!(plane.data.iter().all(|v| v.is_finite() && v.min_element() >= 0.0), "{name} is finite and not negative");
+        assert!(
+            plane
+                .data
+                .iter()
+                .all(|v| v.is_finite() && v.min_element() >= 0.0),
+            "{name} is finite and not negative"
+        );
     }
-    assert!(s.albedo.data.iter().all(|v| v.max_element() <= 1.0), "albedo above 1");
-    assert!(s.roughness.data.iter().all(|r| (0.01..=1.0).contains(r)), "roughness in its range");
-    assert!(s.confidence.data.iter().all(|c| c.is_finite() && c.min_element() >= 0.0));
+    assert!(
+        s.albedo.data.iter().all(|v| v.max_element() <= 1.0),
+        "albedo above 1"
+    );
+    assert!(
+        s.roughness.data.iter().all(|r| (0.01..=1.0).contains(r)),
+        "roughness in its range"
+    );
+    assert!(
+        s.confidence
+            .data
+            .iter()
+            .all(|c| c.is_finite() && c.min_element() >= 0.0)
+    );
     let dir = tempfile::tempdir().expect("temporary folder");
-    s.save(dir.path(), &SaveOptions::default()).expect("can be written");
+    s.save(dir.path(), &SaveOptions::default())
+        .expect("can be written");
 }
 
 fn on_threads<T: Send>(threads: usize, f: impl FnOnce() -> T + Send) -> T {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool").install(f)
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .expect("pool")
+        .install(f)
 }
 
 /// The reconstruction of the apartment as it is.
@@ -84,11 +120,20 @@ fn albedo_difference(a: &Solution, b: &Solution) -> (f32, f32) {
         .collect();
     assert!(d.len() > 5_000, "{} texels observed in both", d.len());
     d.sort_by(f32::total_cmp);
-    (d[d.len() / 2], d.iter().filter(|x| **x > 0.02).count() as f32 / d.len() as f32)
+    (
+        d[d.len() / 2],
+        d.iter().filter(|x| **x > 0.02).count() as f32 / d.len() as f32,
+    )
 }
 
 fn roughness_difference(a: &Solution, b: &Solution) -> f32 {
-    let d: f32 = a.roughness.data.iter().zip(&b.roughness.data).map(|(x, y)| (x - y).abs()).sum();
+    let d: f32 = a
+        .roughness
+        .data
+        .iter()
+        .zip(&b.roughness.data)
+        .map(|(x, y)| (x - y).abs())
+        .sum();
     d / a.roughness.data.len() as f32
 }
 
@@ -98,40 +143,75 @@ fn materials_are_near_the_truth() {
     let truth = formats::read_rgb(apartment().join("gt/albedo_texture.exr")).expect("truth");
     let quantiles = |stated: f32| {
         let mut errors: Vec<f32> = (0..truth.data.len())
-            .filter(|&i| s.confidence.data[i].x < stated && s.emission.data[i] == Vec3::ZERO && truth.data[i] != Vec3::ZERO)
+            .filter(|&i| {
+                s.confidence.data[i].x < stated
+                    && s.emission.data[i] == Vec3::ZERO
+                    && truth.data[i] != Vec3::ZERO
+            })
             .map(|i| (s.albedo.data[i] - truth.data[i]).abs().max_element())
             .collect();
         errors.sort_by(f32::total_cmp);
-        let (n, median, tail) = (errors.len(), errors[errors.len() / 2], errors[errors.len() * 9 / 10]);
+        let (n, median, tail) = (
+            errors.len(),
+            errors[errors.len() / 2],
+            errors[errors.len() * 9 / 10],
+        );
         println!("stated below {stated}: {n} texels, median {median:.3}, 90 % {tail:.3}");
         (n, median, tail)
     };
-    // who says to be sure must be right; at 6 cm per texel most texels near edges mix two paints and must say so
+    // who says to be sure must be right; at 6 cm per texel most texels near edges mix two paints
+    // and must say so
     let (n, median, tail) = quantiles(0.05);
-    assert!(n > 3_000 && median < 0.06 && tail < 0.2, "{n} texels are certain, median error {median:.3}, 90 % below {tail:.3}");
+    assert!(
+        n > 3_000 && median < 0.06 && tail < 0.2,
+        "{n} texels are certain, median error {median:.3}, 90 % below {tail:.3}"
+    );
     let (n, median, tail) = quantiles(0.25);
-    assert!(n > 8_000 && median < 0.18 && tail < 0.5, "{n} texels, median error {median:.3}, 90 % below {tail:.3}");
+    assert!(
+        n > 8_000 && median < 0.18 && tail < 0.5,
+        "{n} texels, median error {median:.3}, 90 % below {tail:.3}"
+    );
     // the floor shows highlights, the wall hardly any: true values 0.28 and 0.75
     for (label, truth, bound) in [(3u16, 0.28f32, 0.12f32), (1, 0.75, 0.35)] {
-        let r: Vec<f32> =
-            s.labels.data.iter().enumerate().filter(|(_, l)| **l == label).map(|(i, _)| s.roughness.data[i]).collect();
+        let r: Vec<f32> = s
+            .labels
+            .data
+            .iter()
+            .enumerate()
+            .filter(|(_, l)| **l == label)
+            .map(|(i, _)| s.roughness.data[i])
+            .collect();
         let mean = r.iter().sum::<f32>() / r.len() as f32;
         println!("class {label}: {mean:.3}");
-        assert!((mean - truth).abs() < bound, "class {label}: roughness {mean:.3} against {truth}");
+        assert!(
+            (mean - truth).abs() < bound,
+            "class {label}: roughness {mean:.3} against {truth}"
+        );
     }
-    assert!(s.emission.data.iter().any(|e| e.x > 20.0), "the lamps of radiance 48 are found");
+    assert!(
+        s.emission.data.iter().any(|e| e.x > 20.0),
+        "the lamps of radiance 48 are found"
+    );
 }
 
-/// What no view sees is filled in with the light that it can reflect of what arrives there, by a finer bake than the one that filled it,
-/// in shelves and below furniture as elsewhere; what single texels have too much is little.
+/// What no view sees is filled in with the light that it can reflect of what arrives there, by a
+/// finer bake than the one that filled it, in shelves and below furniture as elsewhere; what single
+/// texels have too much is little.
 #[test]
 fn unseen_texels_send_out_no_more_than_they_receive() {
     let scene = load();
-    let options = SolveOptions { albedo_size: 2 * SIDE, irradiance_size: 2 * SIDE, irradiance_rays: 64, ..options() };
+    let options = SolveOptions {
+        albedo_size: 2 * SIDE,
+        irradiance_size: 2 * SIDE,
+        irradiance_rays: 64,
+        ..options()
+    };
     let surface = Surface::observe(&scene, &options, &Progress::silent()).expect("observed");
     let light = reconstruct_light(&surface, &options, &Progress::silent());
     let (mut sent, mut received, mut excess, mut count) = (0.0, 0.0, 0.0, 0);
-    let unseen = |i: &usize| surface.fusion.views[*i] == 0 && !light.emissive[surface.texels.point[*i].triangle as usize];
+    let unseen = |i: &usize| {
+        surface.fusion.views[*i] == 0 && !light.emissive[surface.texels.point[*i].triangle as usize]
+    };
     for i in (0..surface.texels.len()).filter(unseen) {
         let white = surface.texels.lookup(&scene.mesh, &light.irradiance, i) / std::f32::consts::PI;
         let radiance = light.radiance.data[surface.texels.cell[i] as usize];
@@ -140,15 +220,29 @@ fn unseen_texels_send_out_no_more_than_they_receive() {
         excess += f64::from((radiance - white).max(Vec3::ZERO).element_sum());
         count += 1;
     }
-    println!("{count} unseen texels send {:.3} of what they receive, {:.4} of it in excess", sent / received, excess / received);
-    assert!(count > 10_000 && sent < 0.75 * received && excess < 0.07 * received, "{sent} {received} {excess}");
+    println!(
+        "{count} unseen texels send {:.3} of what they receive, {:.4} of it in excess",
+        sent / received,
+        excess / received
+    );
+    assert!(
+        count > 10_000 && sent < 0.75 * received && excess < 0.07 * received,
+        "{sent} {received} {excess}"
+    );
 }
 
 #[test]
 fn bits_do_not_depend_on_the_number_of_threads() {
-    let (a, b) = (&reference().solution, on_threads(1, || solve(&load())).solution);
+    let (a, b) = (
+        &reference().solution,
+        on_threads(1, || solve(&load())).solution,
+    );
     let same = |x: &Plane<Vec3>, y: &Plane<Vec3>, name: &str| {
-        let differ = x.data.iter().zip(&y.data).filter(|(p, q)| p.to_array().map(f32::to_bits) != q.to_array().map(f32::to_bits));
+        let differ = x
+            .data
+            .iter()
+            .zip(&y.data)
+            .filter(|(p, q)| p.to_array().map(f32::to_bits) != q.to_array().map(f32::to_bits));
         assert_eq!(differ.count(), 0, "{name} differs");
     };
     same(&a.radiance, &b.radiance, "radiance");
@@ -168,23 +262,45 @@ fn other_estimators_of_irradiance_are_whole_solutions() {
     let scene = load();
     let best = &reference().solution;
     let off = |other: &SolveOptions| {
-        let solved = reconstruct(&scene, other, &Progress::silent()).expect("reconstructs").solution;
+        let solved = reconstruct(&scene, other, &Progress::silent())
+            .expect("reconstructs")
+            .solution;
         sane(&solved);
         let stated = solved.irradiance_error.as_ref().expect("is stated");
-        assert!(stated.data.iter().all(|e| (0.0..=1e4).contains(e)) && stated.data.iter().any(|e| *e > 0.0));
+        assert!(
+            stated.data.iter().all(|e| (0.0..=1e4).contains(e))
+                && stated.data.iter().any(|e| *e > 0.0)
+        );
         let pairs = || solved.irradiance.data.iter().zip(&best.irradiance.data);
         let square = |v: Vec3| f64::from(v.length_squared());
-        (pairs().map(|(a, b)| square(*a - *b)).sum::<f64>() / pairs().map(|(_, b)| square(*b)).sum::<f64>()).sqrt()
+        (pairs().map(|(a, b)| square(*a - *b)).sum::<f64>()
+            / pairs().map(|(_, b)| square(*b)).sum::<f64>())
+        .sqrt()
     };
-    let with = |irradiance_estimator| off(&SolveOptions { irradiance_estimator, ..options() });
+    let with = |irradiance_estimator| {
+        off(&SolveOptions {
+            irradiance_estimator,
+            ..options()
+        })
+    };
     let (uniform, cosine) = (with(Estimator::Uniform), with(Estimator::Cosine));
-    let field = off(&SolveOptions { nirf: Some(2), ..options() });
-    assert!(cosine < 0.15 && uniform < 0.3 && field.is_finite(), "{cosine} {uniform} {field}");
-    assert!(cosine > 0.0 && uniform > 0.0 && field > cosine, "{cosine} {uniform} {field}");
+    let field = off(&SolveOptions {
+        nirf: Some(2),
+        ..options()
+    });
+    assert!(
+        cosine < 0.15 && uniform < 0.3 && field.is_finite(),
+        "{cosine} {uniform} {field}"
+    );
+    assert!(
+        cosine > 0.0 && uniform > 0.0 && field > cosine,
+        "{cosine} {uniform} {field}"
+    );
 }
 
-/// A million times darker or brighter photographs of the same room: the materials are the same to the last bit, because powers of
-/// two scale floating-point numbers exactly and no threshold is absolute.
+/// A million times darker or brighter photographs of the same room: the materials are the same to
+/// the last bit, because powers of two scale floating-point numbers exactly and no threshold is
+/// absolute.
 #[test]
 fn exposure_does_not_change_materials() {
     let a = &reference().solution;
@@ -192,17 +308,33 @@ fn exposure_does_not_change_materials() {
         let mut scene = load();
         scene.views.iter_mut().for_each(|v| v.exposure_ev = ev);
         let b = solve(&scene).solution;
-        let differ = a.albedo.data.iter().zip(&b.albedo.data).filter(|(x, y)| x != y).count();
+        let differ = a
+            .albedo
+            .data
+            .iter()
+            .zip(&b.albedo.data)
+            .filter(|(x, y)| x != y)
+            .count();
         let (median, share) = albedo_difference(a, &b);
         let roughness = roughness_difference(a, &b);
-        println!("2^{ev}: {differ} albedos differ, median {median}, share {share}; roughness {roughness}");
+        println!(
+            "2^{ev}: {differ} albedos differ, median {median}, share {share}; roughness {roughness}"
+        );
         assert_eq!((differ, roughness), (0, 0.0), "2^{ev}");
         let gain = ev.exp2();
-        assert!(a.irradiance.data.iter().zip(&b.irradiance.data).all(|(x, y)| *x * gain == *y), "irradiance scales");
+        assert!(
+            a.irradiance
+                .data
+                .iter()
+                .zip(&b.irradiance.data)
+                .all(|(x, y)| *x * gain == *y),
+            "irradiance scales"
+        );
     }
 }
 
-/// The apartment with its mesh as text in f64 and its cameras, scaled and then moved; images and labels as they were.
+/// The apartment with its mesh as text in f64 and its cameras, scaled and then moved; images and
+/// labels as they were.
 fn rewritten(scale: f64, shift: DVec3) -> TempDir {
     let (from, dir) = (apartment(), tempfile::tempdir().expect("temporary folder"));
     let scene = load();
@@ -224,7 +356,8 @@ fn rewritten(scale: f64, shift: DVec3) -> TempDir {
     }
     std::fs::write(dir.path().join("mesh.obj"), text).expect("mesh");
     let mut json: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(from.join("transforms.json")).expect("file")).expect("JSON");
+        serde_json::from_slice(&std::fs::read(from.join("transforms.json")).expect("file"))
+            .expect("JSON");
     json["mesh_path"] = "mesh.obj".into();
     json.as_object_mut().expect("object").remove("rooms_path");
     for frame in json["frames"].as_array_mut().expect("frames") {
@@ -240,26 +373,45 @@ fn rewritten(scale: f64, shift: DVec3) -> TempDir {
     dir
 }
 
-/// A place 10 km away changes no bit. Another scale changes roundings, hence which of two coincident edges a ray meets, hence single
-/// samples: the materials move by a fraction of what another seed moves them.
+/// A place 10 km away changes no bit. Another scale changes roundings, hence which of two
+/// coincident edges a ray meets, hence single samples: the materials move by a fraction of what
+/// another seed moves them.
 #[test]
 fn scale_and_place_do_not_change_materials() {
     let solve_at = |scale: f64, shift: DVec3, seed: u64| {
         let dir = rewritten(scale, shift);
         let scene = Scene::load(dir.path(), &LoadOptions::default()).expect("usable");
-        let o = SolveOptions { irradiance_rays: 256, emitter_samples: 256, irradiance_size: 64, seed, ..options() };
-        let solution = reconstruct(&scene, &o, &Progress::silent()).expect("reconstructs").solution;
+        let o = SolveOptions {
+            irradiance_rays: 256,
+            emitter_samples: 256,
+            irradiance_size: 64,
+            seed,
+            ..options()
+        };
+        let solution = reconstruct(&scene, &o, &Progress::silent())
+            .expect("reconstructs")
+            .solution;
         sane(&solution);
         solution
     };
     let a = solve_at(1.0, DVec3::ZERO, 0);
     let far = solve_at(1.0, DVec3::new(10_000.0, -3_000.0, 7_000.0), 0);
-    assert_eq!((&a.albedo, &a.roughness), (&far.albedo, &far.roughness), "10 km away");
+    assert_eq!(
+        (&a.albedo, &a.roughness),
+        (&far.albedo, &far.roughness),
+        "10 km away"
+    );
     let (noise, noise_share) = albedo_difference(&a, &solve_at(1.0, DVec3::ZERO, 5));
     println!("another seed: median {noise}, {noise_share} beyond 0.02");
-    // whether a class of dim corners counts as emitting may turn on a rounding; noise beside lamps is large: the middle of all ratios tells whether light is lost or gained
+    // whether a class of dim corners counts as emitting may turn on a rounding; noise beside lamps
+    // is large: the middle of all ratios tells whether light is lost or gained
     let light = |s: &Solution| {
-        let ratios = a.irradiance.data.iter().zip(&s.irradiance.data).filter(|(x, _)| x.y > 0.0);
+        let ratios = a
+            .irradiance
+            .data
+            .iter()
+            .zip(&s.irradiance.data)
+            .filter(|(x, _)| x.y > 0.0);
         let mut ratios: Vec<f32> = ratios.map(|(x, y)| y.y / x.y).collect();
         ratios.sort_by(f32::total_cmp);
         ratios[ratios.len() / 2]
@@ -269,10 +421,15 @@ fn scale_and_place_do_not_change_materials() {
         let (median, share) = albedo_difference(&a, &b);
         let drift = light(&b) - 1.0;
         let roughness = roughness_difference(&a, &b);
-        println!("×{scale}: median {median}, {share} beyond 0.02, drift {drift}; roughness {roughness}");
-        // beyond the noise of the samples, roundings decide which pixels a texel at an edge is seen in, which no seed changes: one and
-        // a half times what another seed does
-        assert!(median < 1.5 * noise && share < 1.5 * noise_share, "×{scale}: much more than another seed changes");
+        println!(
+            "×{scale}: median {median}, {share} beyond 0.02, drift {drift}; roughness {roughness}"
+        );
+        // beyond the noise of the samples, roundings decide which pixels a texel at an edge is seen
+        // in, which no seed changes: one and a half times what another seed does
+        assert!(
+            median < 1.5 * noise && share < 1.5 * noise_share,
+            "×{scale}: much more than another seed changes"
+        );
         assert!(drift.abs() < 0.03, "×{scale}: light drifts by {drift}");
     }
 }
@@ -281,14 +438,28 @@ fn scale_and_place_do_not_change_materials() {
 #[test]
 fn a_stopped_run_goes_on_with_the_same_bits() {
     let dir = tempfile::tempdir().expect("temporary folder");
-    let o = SolveOptions { checkpoints: Checkpoints::new(dir.path(), "run"), ..options() };
+    let o = SolveOptions {
+        checkpoints: Checkpoints::new(dir.path(), "run"),
+        ..options()
+    };
     let scene = load();
     for _ in 0..2 {
-        let again = reconstruct(&scene, &o, &Progress::silent()).expect("reconstructs").solution;
+        let again = reconstruct(&scene, &o, &Progress::silent())
+            .expect("reconstructs")
+            .solution;
         let a = &reference().solution;
         assert_eq!((&a.albedo, &a.roughness), (&again.albedo, &again.roughness));
-        assert_eq!((&a.irradiance, &a.radiance, &a.confidence), (&again.irradiance, &again.radiance, &again.confidence));
-        assert_eq!(std::fs::read_dir(dir.path().join(".partial/run")).expect("kept").count(), 2, "radiance and irradiance");
+        assert_eq!(
+            (&a.irradiance, &a.radiance, &a.confidence),
+            (&again.irradiance, &again.radiance, &again.confidence)
+        );
+        assert_eq!(
+            std::fs::read_dir(dir.path().join(".partial/run"))
+                .expect("kept")
+                .count(),
+            2,
+            "radiance and irradiance"
+        );
     }
     o.checkpoints.finish();
     assert_eq!(std::fs::read_dir(dir.path()).expect("lists").count(), 0);
@@ -297,21 +468,40 @@ fn a_stopped_run_goes_on_with_the_same_bits() {
 #[test]
 fn one_view_gives_what_it_saw() {
     let mut scene = load();
-    let first = scene.views.iter().position(|v| v.split == Split::Train).expect("one");
+    let first = scene
+        .views
+        .iter()
+        .position(|v| v.split == Split::Train)
+        .expect("one");
     scene.views = vec![scene.views[first].clone()];
     let solved = solve(&scene);
-    let certain = solved.solution.confidence.data.iter().filter(|c| c.x < 1e3).count();
+    let certain = solved
+        .solution
+        .confidence
+        .data
+        .iter()
+        .filter(|c| c.x < 1e3)
+        .count();
     assert!(certain > 3_000, "{certain}");
-    assert!(solved.solution.confidence.data.iter().any(|c| c.x >= 1e3), "what no view sees is marked");
+    assert!(
+        solved.solution.confidence.data.iter().any(|c| c.x >= 1e3),
+        "what no view sees is marked"
+    );
     // no point is seen twice: the roughness is the prior's, and is said to be
     assert!(solved.fits.iter().all(|f| f.points == 0));
 }
 
-/// Two photographs from the same place say no more than one: the answer must not pretend otherwise, and must be finite.
+/// Two photographs from the same place say no more than one: the answer must not pretend otherwise,
+/// and must be finite.
 #[test]
 fn two_coincident_views() {
     let mut scene = load();
-    let mut first = scene.views.iter().find(|v| v.split == Split::Train).expect("one").clone();
+    let mut first = scene
+        .views
+        .iter()
+        .find(|v| v.split == Split::Train)
+        .expect("one")
+        .clone();
     let mut views = vec![first.clone()];
     first.stem = "again".into();
     views.push(first);
@@ -346,10 +536,16 @@ fn without_labels_and_with_one_class() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let path = dir.path().join("one.png");
     formats::write_png16(&path, &Plane::filled(192, 96, 65_535u16)).expect("labels");
-    scene.views.iter_mut().for_each(|v| v.label_path = Some(path.clone()));
+    scene
+        .views
+        .iter_mut()
+        .for_each(|v| v.label_path = Some(path.clone()));
     let one = solve(&scene).solution;
     let named = one.labels.data.iter().filter(|l| **l == 65_535).count();
-    assert!(named > one.labels.data.len() / 4, "{named} texels carry the only class there is");
+    assert!(
+        named > one.labels.data.len() / 4,
+        "{named} texels carry the only class there is"
+    );
 }
 
 #[test]
@@ -358,11 +554,23 @@ fn black_photographs_are_no_evidence() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let path = dir.path().join("black.exr");
     formats::write_rgb_float(&path, &Plane::filled(192, 96, Vec3::ZERO)).expect("image");
-    scene.views.iter_mut().for_each(|v| v.image_path = path.clone());
+    scene
+        .views
+        .iter_mut()
+        .for_each(|v| v.image_path = path.clone());
     let s = solve(&scene).solution;
-    assert!(s.irradiance.data.iter().chain(&s.emission.data).all(|v| *v == Vec3::ZERO));
+    assert!(
+        s.irradiance
+            .data
+            .iter()
+            .chain(&s.emission.data)
+            .all(|v| *v == Vec3::ZERO)
+    );
     let certain = s.confidence.data.iter().filter(|c| c.x < 1.0).count();
-    assert_eq!(certain, 0, "albedo without any light is unknown, not certain");
+    assert_eq!(
+        certain, 0,
+        "albedo without any light is unknown, not certain"
+    );
 }
 
 #[test]
@@ -371,9 +579,19 @@ fn a_pixel_that_is_no_number_is_refused_or_ignored_on_request() {
     let path = dir.path().join("nan.exr");
     let mut scene = load();
     let image = formats::read_rgb(&scene.views[0].image_path).expect("image");
-    let value = |x: u32, y: u32| if (x, y) == (100, 40) { f32::NAN } else { image[(x as usize, y as usize)].x };
+    let value = |x: u32, y: u32| {
+        if (x, y) == (100, 40) {
+            f32::NAN
+        } else {
+            image[(x as usize, y as usize)].x
+        }
+    };
     std::fs::write(&path, common::raw_exr(192, 96, value)).expect("image");
-    let view = scene.views.iter_mut().find(|v| v.split == Split::Train).expect("one");
+    let view = scene
+        .views
+        .iter_mut()
+        .find(|v| v.split == Split::Train)
+        .expect("one");
     view.image_path = path.clone();
     let error = match reconstruct(&scene, &options(), &Progress::silent()) {
         Err(e) => e,
@@ -381,7 +599,12 @@ fn a_pixel_that_is_no_number_is_refused_or_ignored_on_request() {
     };
     let text = error.to_string();
     assert_eq!(error.exit_code(), 2);
-    assert!(text.contains("nan.exr") && text.contains("column 100, row 40") && text.contains("--clamp-nan"), "{text}");
+    assert!(
+        text.contains("nan.exr")
+            && text.contains("column 100, row 40")
+            && text.contains("--clamp-nan"),
+        "{text}"
+    );
     scene.options.clamp_nan = true;
     solve(&scene);
 }
@@ -403,10 +626,28 @@ fn texture_sizes_from_nothing_to_one() {
         let refused = reconstruct(&scene, &o, &Progress::silent());
         assert!(matches!(refused, Err(Error::Usage(_))), "{o:?}");
     }
-    let one = SolveOptions { albedo_size: 1, roughness_size: 1, irradiance_size: 1, ..options() };
-    sane(&reconstruct(&scene, &one, &Progress::silent()).expect("solves").solution);
-    let odd = SolveOptions { albedo_size: 61, roughness_size: 7, irradiance_size: 3, ..options() };
-    sane(&reconstruct(&scene, &odd, &Progress::silent()).expect("solves").solution);
+    let one = SolveOptions {
+        albedo_size: 1,
+        roughness_size: 1,
+        irradiance_size: 1,
+        ..options()
+    };
+    sane(
+        &reconstruct(&scene, &one, &Progress::silent())
+            .expect("solves")
+            .solution,
+    );
+    let odd = SolveOptions {
+        albedo_size: 61,
+        roughness_size: 7,
+        irradiance_size: 3,
+        ..options()
+    };
+    sane(
+        &reconstruct(&scene, &odd, &Progress::silent())
+            .expect("solves")
+            .solution,
+    );
 }
 
 /// On the command line: damaged inputs are exit code 2 and leave nothing behind.
@@ -414,7 +655,16 @@ fn texture_sizes_from_nothing_to_one() {
 fn damaged_inputs_leave_nothing_half_written() {
     let unbake = |scene: &Path, out: &Path| {
         std::process::Command::new(env!("CARGO_BIN_EXE_unbake"))
-            .args(["solve", "--quiet", "--albedo-size", "64", "--roughness-size", "64", "--irradiance-size", "32"])
+            .args([
+                "solve",
+                "--quiet",
+                "--albedo-size",
+                "64",
+                "--roughness-size",
+                "64",
+                "--irradiance-size",
+                "32",
+            ])
             .arg(scene)
             .arg("-o")
             .arg(out)
@@ -424,11 +674,20 @@ fn damaged_inputs_leave_nothing_half_written() {
     type Spoil = fn(&common::SceneDir);
     let damage: [(&str, Spoil); 6] = [
         ("a.exr", |s| s.write("a.exr", b"no image")),
-        ("a.exr", |s| s.write("a.exr", &common::raw_exr(32, 16, |x, y| if x == y { f32::INFINITY } else { 1.0 }))),
+        ("a.exr", |s| {
+            s.write(
+                "a.exr",
+                &common::raw_exr(32, 16, |x, y| if x == y { f32::INFINITY } else { 1.0 }),
+            )
+        }),
         ("a.png", |s| s.write("a.png", &[0x89, b'P', b'N', b'G'])),
-        ("a.png", |s| formats::write_png16(s.path("a.png"), &Plane::filled(32, 16, 9u16)).expect("labels")),
+        ("a.png", |s| {
+            formats::write_png16(s.path("a.png"), &Plane::filled(32, 16, 9u16)).expect("labels")
+        }),
         ("mesh.obj", |s| s.write("mesh.obj", b"v 0 0 0\nf 1 2 3\n")),
-        ("transforms.json", |s| s.write("transforms.json", b"{\"frames\": 3}")),
+        ("transforms.json", |s| {
+            s.write("transforms.json", b"{\"frames\": 3}")
+        }),
     ];
     for (i, (file, spoil)) in damage.iter().enumerate() {
         let scene = common::SceneDir::box_room();
@@ -438,19 +697,34 @@ fn damaged_inputs_leave_nothing_half_written() {
         let run = unbake(scene.folder(), &out);
         let message = String::from_utf8_lossy(&run.stderr).into_owned();
         assert_eq!(run.status.code(), Some(2), "{i} {file}: {message}");
-        assert!(message.contains(file), "{i}: {message} does not name {file}");
-        let left =
-            std::fs::read_dir(&out).map(|d| d.map(|e| e.expect("entry").file_name()).collect::<Vec<_>>()).unwrap_or_default();
+        assert!(
+            message.contains(file),
+            "{i}: {message} does not name {file}"
+        );
+        let left = std::fs::read_dir(&out)
+            .map(|d| d.map(|e| e.expect("entry").file_name()).collect::<Vec<_>>())
+            .unwrap_or_default();
         assert!(left.is_empty(), "{i} {file}: {left:?} remains");
     }
     // the intact scene: whole, and an older solution survives a failed run
     let scene = common::SceneDir::box_room();
     let out_dir = tempfile::tempdir().expect("temporary folder");
     let run = unbake(scene.folder(), out_dir.path());
-    assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+    assert_eq!(
+        run.status.code(),
+        Some(0),
+        "{}",
+        String::from_utf8_lossy(&run.stderr)
+    );
     let before = std::fs::read(out_dir.path().join("albedo.exr")).expect("albedo");
     scene.write("a.exr", b"no image");
-    assert_eq!(unbake(scene.folder(), out_dir.path()).status.code(), Some(2));
-    assert_eq!(std::fs::read(out_dir.path().join("albedo.exr")).expect("albedo"), before);
+    assert_eq!(
+        unbake(scene.folder(), out_dir.path()).status.code(),
+        Some(2)
+    );
+    assert_eq!(
+        std::fs::read(out_dir.path().join("albedo.exr")).expect("albedo"),
+        before
+    );
     assert!(Solution::load(out_dir.path()).is_ok());
 }

@@ -1,4 +1,5 @@
-//! A whole reconstruction as a process of its own: peak memory is a property of a process, and a cold start is part of the time.
+//! A whole reconstruction as a process of its own: peak memory is a property of a process, and a
+//! cold start is part of the time.
 
 use crate::error::{Error, Result};
 use crate::evaluate::Evaluation;
@@ -42,16 +43,24 @@ pub struct Outcome {
 }
 
 impl Runner {
-    /// Prepares a working folder `work` (its parent must exist) with `config`, the TOML text that the child processes read.
+    /// Prepares a working folder `work` (its parent must exist) with `config`, the TOML text that
+    /// the child processes read.
     ///
     /// # Errors
     /// A folder that cannot be made or written.
     pub fn new(scene: &Path, work: &Path, keep: bool, config: &str) -> Result<Self> {
-        let exe = std::env::current_exe().map_err(|e| Error::Failed(format!("cannot find this program's own file: {e}")))?;
+        let exe = std::env::current_exe()
+            .map_err(|e| Error::Failed(format!("cannot find this program's own file: {e}")))?;
         std::fs::create_dir(work).map_err(|e| Error::io(work, e))?;
         let path = work.join("config.toml");
         std::fs::write(&path, config).map_err(|e| Error::io(&path, e))?;
-        Ok(Self { exe, scene: scene.to_path_buf(), work: work.to_path_buf(), config: path, keep })
+        Ok(Self {
+            exe,
+            scene: scene.to_path_buf(),
+            work: work.to_path_buf(),
+            config: path,
+            keep,
+        })
     }
 
     /// The folder of the run called `name`.
@@ -60,23 +69,43 @@ impl Runner {
         self.work.join(name)
     }
 
-    /// Reconstructs with the given `solve` flags and scores the result; `look` sees the output folder before it is removed.
+    /// Reconstructs with the given `solve` flags and scores the result; `look` sees the output
+    /// folder before it is removed.
     ///
     /// # Errors
     /// A process that fails; its own words are part of the message.
-    pub fn run<T>(&self, name: &str, flags: &[String], look: impl FnOnce(&Path) -> Result<T>) -> Result<(Outcome, T)> {
+    pub fn run<T>(
+        &self,
+        name: &str,
+        flags: &[String],
+        look: impl FnOnce(&Path) -> Result<T>,
+    ) -> Result<(Outcome, T)> {
         let out = self.folder(name);
-        let solve = ["solve".as_ref(), self.scene.as_os_str(), "--out".as_ref(), out.as_os_str()];
+        let solve = [
+            "solve".as_ref(),
+            self.scene.as_os_str(),
+            "--out".as_ref(),
+            out.as_os_str(),
+        ];
         let ((), seconds) = {
             let (done, seconds) = super::timed(|| self.process(&solve, flags));
             (done?, seconds)
         };
-        self.process(&["eval".as_ref(), out.as_os_str(), "--scene".as_ref(), self.scene.as_os_str()], &[])?;
-        let record =
-            RunRecord::read_manifest(&out).ok_or_else(|| Error::Failed(format!("{}: no manifest.json", out.display())))?;
+        self.process(
+            &[
+                "eval".as_ref(),
+                out.as_os_str(),
+                "--scene".as_ref(),
+                self.scene.as_os_str(),
+            ],
+            &[],
+        )?;
+        let record = RunRecord::read_manifest(&out)
+            .ok_or_else(|| Error::Failed(format!("{}: no manifest.json", out.display())))?;
         let path = out.join("eval").join("metrics.json");
         let bytes = std::fs::read(&path).map_err(|e| Error::io(&path, e))?;
-        let scores: Evaluation = serde_json::from_slice(&bytes).map_err(|e| Error::Failed(format!("{}: {e}", path.display())))?;
+        let scores: Evaluation = serde_json::from_slice(&bytes)
+            .map_err(|e| Error::Failed(format!("{}: {e}", path.display())))?;
         let seen = look(&out)?;
         if !self.keep {
             std::fs::remove_dir_all(&out).map_err(|e| Error::io(&out, e))?;
@@ -86,15 +115,27 @@ impl Runner {
 
     fn process(&self, arguments: &[&std::ffi::OsStr], flags: &[String]) -> Result<()> {
         let mut command = Command::new(&self.exe);
-        command.args(arguments).args(flags).arg("--config").arg(&self.config);
-        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        command
+            .args(arguments)
+            .args(flags)
+            .arg("--config")
+            .arg(&self.config);
+        command
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped());
         let output = command.output().map_err(|e| Error::io(&self.exe, e))?;
         if output.status.success() {
             return Ok(());
         }
         let words = String::from_utf8_lossy(&output.stderr);
         let verb = arguments[0].to_string_lossy();
-        Err(Error::Failed(format!("unbake {verb} {} ended with {}:\n{}", flags.join(" "), output.status, words.trim())))
+        Err(Error::Failed(format!(
+            "unbake {verb} {} ended with {}:\n{}",
+            flags.join(" "),
+            output.status,
+            words.trim()
+        )))
     }
 }
 
@@ -120,6 +161,11 @@ fn outcome(seconds: f64, record: &RunRecord, scores: &Evaluation) -> Outcome {
         roughness_psnr: materials.map(|m| m.roughness.fipt.psnr_of_mean_mse),
         novel_psnr: split.map(|s| s.rendering.psnr_of_mean_mse),
         novel_ssim: split.map(|s| s.rendering.ssim),
-        stages: record.stages.iter().filter(|s| s.depth == 0).map(|s| (s.name.clone(), s.wall_seconds)).collect(),
+        stages: record
+            .stages
+            .iter()
+            .filter(|s| s.depth == 0)
+            .map(|s| (s.name.clone(), s.wall_seconds))
+            .collect(),
     }
 }

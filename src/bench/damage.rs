@@ -1,5 +1,5 @@
-//! Copies of a scene whose training views (or geometry) are damaged in a known way. Held-out views and ground truth stay as they are;
-//! what is not damaged is linked, not copied.
+//! Copies of a scene whose training views (or geometry) are damaged in a known way. Held-out views
+//! and ground truth stay as they are; what is not damaged is linked, not copied.
 
 use crate::error::{Error, Result};
 use crate::formats::{write_png16, write_rgb_float};
@@ -18,15 +18,18 @@ use std::path::{Path, PathBuf};
 pub enum Damage {
     /// None: the scene as it is.
     Clean,
-    /// A square of this side, in label pixels, with a random wrong class in every view (the paper's supplement, Table 3).
+    /// A square of this side, in label pixels, with a random wrong class in every view (the paper's
+    /// supplement, Table 3).
     LabelSquares(usize),
     /// Labels moved by up to this many pixels, each view its own way.
     LabelShift(usize),
-    /// Exposure drift (standard deviation in stops) and white balance drift (standard deviation of ln gain per channel).
+    /// Exposure drift (standard deviation in stops) and white balance drift (standard deviation of
+    /// ln gain per channel).
     Exposure(f64, f64),
     /// Every second view clipped at this quantile of its luminance.
     Clipped(f64),
-    /// Cameras moved (standard deviation per axis, metres) and turned (standard deviation, degrees).
+    /// Cameras moved (standard deviation per axis, metres) and turned (standard deviation,
+    /// degrees).
     Pose(f64, f64),
     /// Vertices moved (standard deviation per axis, metres).
     Vertices(f64),
@@ -52,45 +55,80 @@ pub const CONDITIONS: &[(&str, Damage)] = &[
 
 /// A standard normal number (Box & Muller 1958).
 fn normal(rng: &mut KeyedRng) -> f64 {
-    let (u, v) = (f64::from(rng.next_f32()).max(1e-9), f64::from(rng.next_f32()));
+    let (u, v) = (
+        f64::from(rng.next_f32()).max(1e-9),
+        f64::from(rng.next_f32()),
+    );
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
 /// Writes the damaged scene into the new folder `to`.
 ///
 /// # Errors
-/// A scene whose files lie outside its folder or, where images are to be damaged, are not EXR; files that cannot be written.
+/// A scene whose files lie outside its folder or, where images are to be damaged, are not EXR;
+/// files that cannot be written.
 pub fn write_damaged(scene: &Scene, damage: Damage, seed: u64, to: &Path) -> Result<()> {
-    let source = scene.folder.canonicalize().map_err(|e| Error::io(&scene.folder, e))?;
+    let source = scene
+        .folder
+        .canonicalize()
+        .map_err(|e| Error::io(&scene.folder, e))?;
     let file = source.join("transforms.json");
     let text = std::fs::read(&file).map_err(|e| Error::io(&file, e))?;
-    let mut json: Value = serde_json::from_slice(&text).map_err(|e| Error::input(&file, e.to_string()))?;
+    let mut json: Value =
+        serde_json::from_slice(&text).map_err(|e| Error::input(&file, e.to_string()))?;
     std::fs::create_dir_all(to).map_err(|e| Error::io(to, e))?;
-    let train: Vec<&View> = scene.views.iter().filter(|v| v.split == Split::Train).collect();
-    let copy = Copy { scene, damage, gains: exposure_gains(damage, train.len(), seed), seed, source, to: to.to_path_buf() };
+    let train: Vec<&View> = scene
+        .views
+        .iter()
+        .filter(|v| v.split == Split::Train)
+        .collect();
+    let copy = Copy {
+        scene,
+        damage,
+        gains: exposure_gains(damage, train.len(), seed),
+        seed,
+        source,
+        to: to.to_path_buf(),
+    };
     copy.link(Path::new("gt"))?;
     let mesh = json["mesh_path"].as_str().unwrap_or_default().to_owned();
     if matches!(damage, Damage::Vertices(_) | Damage::Holes(_)) {
-        if json["up_axis"].as_str().is_some_and(|a| a.contains(['z', 'Z'])) {
-            return Err(Error::input(&file, "damaging the mesh of a z-up scene is not supported; turn the scene y-up"));
+        if json["up_axis"]
+            .as_str()
+            .is_some_and(|a| a.contains(['z', 'Z']))
+        {
+            return Err(Error::input(
+                &file,
+                "damaging the mesh of a z-up scene is not supported; turn the scene y-up",
+            ));
         }
-        copy.write("damaged.obj", &obj(&damaged_mesh(&scene.mesh, damage, seed), scene.origin))?;
+        copy.write(
+            "damaged.obj",
+            &obj(&damaged_mesh(&scene.mesh, damage, seed), scene.origin),
+        )?;
         json["mesh_path"] = "damaged.obj".into();
     } else {
         copy.link(Path::new(&mesh))?;
     }
     if let Some(rooms) = json["rooms_path"].as_str() {
         copy.link(Path::new(rooms))?;
-        for side in [Path::new(rooms).with_extension("json"), Path::new(rooms).with_file_name("rooms.json")] {
+        for side in [
+            Path::new(rooms).with_extension("json"),
+            Path::new(rooms).with_file_name("rooms.json"),
+        ] {
             if copy.source.join(&side).is_file() {
                 copy.link(&side)?;
             }
         }
     }
-    let frames = json["frames"].as_array_mut().ok_or_else(|| Error::input(&file, "has no frames"))?;
+    let frames = json["frames"]
+        .as_array_mut()
+        .ok_or_else(|| Error::input(&file, "has no frames"))?;
     for frame in frames.iter_mut() {
         let path = PathBuf::from(frame["file_path"].as_str().unwrap_or_default());
-        let number = train.iter().position(|v| v.image_path.file_name() == path.file_name());
+        let number = train
+            .iter()
+            .position(|v| v.image_path.file_name() == path.file_name());
         let damaged = number.map(|k| (k, train[k]));
         copy.frame(frame, &path, damaged)?;
     }
@@ -123,9 +161,17 @@ impl Copy<'_> {
 
     /// Where a file of the scene goes in the copy; its folder exists afterwards.
     fn place(&self, path: &Path) -> Result<PathBuf> {
-        let inside = path.components().all(|c| matches!(c, std::path::Component::Normal(_) | std::path::Component::CurDir));
+        let inside = path.components().all(|c| {
+            matches!(
+                c,
+                std::path::Component::Normal(_) | std::path::Component::CurDir
+            )
+        });
         if !inside {
-            return Err(Error::input(path, "lies outside the scene's folder; a damaged copy needs all files inside it"));
+            return Err(Error::input(
+                path,
+                "lies outside the scene's folder; a damaged copy needs all files inside it",
+            ));
         }
         let to = self.to.join(path);
         let folder = to.parent().unwrap_or(&self.to);
@@ -145,19 +191,31 @@ impl Copy<'_> {
             self.link(Path::new(mask))?;
         }
         let label = frame["label_path"].as_str().map(PathBuf::from);
-        let mut rng = KeyedRng::new(self.seed, hash_u64(0xda_4a6e, view.map_or(u64::MAX, |v| v.0 as u64)));
+        let mut rng = KeyedRng::new(
+            self.seed,
+            hash_u64(0xda_4a6e, view.map_or(u64::MAX, |v| v.0 as u64)),
+        );
         let labels = match (view, damage) {
-            (Some((_, v)), Damage::LabelSquares(_) | Damage::LabelShift(_)) => scene.load_labels(v)?,
+            (Some((_, v)), Damage::LabelSquares(_) | Damage::LabelShift(_)) => {
+                scene.load_labels(v)?
+            }
             _ => None,
         };
         match (&label, labels) {
-            (Some(path), Some(labels)) => write_png16(self.place(path)?, &damaged_labels(scene, &labels, damage, &mut rng))?,
+            (Some(path), Some(labels)) => write_png16(
+                self.place(path)?,
+                &damaged_labels(scene, &labels, damage, &mut rng),
+            )?,
             (Some(path), None) => self.link(path)?,
             _ => {}
         }
         let image = match (view, damage) {
-            (Some((k, v)), Damage::Exposure(..)) => Some(scene.load_radiance(v)?.map(|l| *l * gains[k])),
-            (Some((k, v)), Damage::Clipped(quantile)) if k % 2 == 1 => Some(clipped(&scene.load_radiance(v)?, quantile)),
+            (Some((k, v)), Damage::Exposure(..)) => {
+                Some(scene.load_radiance(v)?.map(|l| *l * gains[k]))
+            }
+            (Some((k, v)), Damage::Clipped(quantile)) if k % 2 == 1 => {
+                Some(clipped(&scene.load_radiance(v)?, quantile))
+            }
             _ => None,
         };
         match image {
@@ -165,7 +223,12 @@ impl Copy<'_> {
                 frame["exposure_ev"] = json!(0.0);
                 write_rgb_float(self.place(path)?, &image)?;
             }
-            Some(_) => return Err(Error::input(path, "is not EXR; only EXR photographs can be damaged")),
+            Some(_) => {
+                return Err(Error::input(
+                    path,
+                    "is not EXR; only EXR photographs can be damaged",
+                ));
+            }
             None => self.link(path)?,
         }
         if let (Some(_), Damage::Pose(metres, degrees)) = (view, damage) {
@@ -177,12 +240,15 @@ impl Copy<'_> {
 
 /// Gains per training view, of geometric mean 1: drift says nothing about the mean exposure.
 fn exposure_gains(damage: Damage, views: usize, seed: u64) -> Vec<Vec3> {
-    let Damage::Exposure(stops, balance) = damage else { return Vec::new() };
+    let Damage::Exposure(stops, balance) = damage else {
+        return Vec::new();
+    };
     let mut rng = KeyedRng::new(seed, 0xe7);
     let mut logs: Vec<DVec3> = (0..views)
         .map(|_| {
             let ev = std::f64::consts::LN_2 * stops * normal(&mut rng);
-            DVec3::splat(ev) + DVec3::new(normal(&mut rng), normal(&mut rng), normal(&mut rng)) * balance
+            DVec3::splat(ev)
+                + DVec3::new(normal(&mut rng), normal(&mut rng), normal(&mut rng)) * balance
         })
         .collect();
     let mean = logs.iter().sum::<DVec3>() / views.max(1) as f64;
@@ -193,19 +259,35 @@ fn exposure_gains(damage: Damage, views: usize, seed: u64) -> Vec<Vec3> {
 fn clipped(image: &RgbPlane, quantile: f64) -> RgbPlane {
     let mut all: Vec<f32> = image.data.iter().map(|l| luminance(*l)).collect();
     all.sort_by(f32::total_cmp);
-    let level = all.get(((all.len() as f64 * quantile) as usize).min(all.len().saturating_sub(1))).copied().unwrap_or(0.0);
+    let level = all
+        .get(((all.len() as f64 * quantile) as usize).min(all.len().saturating_sub(1)))
+        .copied()
+        .unwrap_or(0.0);
     image.map(|l| l.min(Vec3::splat(level)))
 }
 
-fn damaged_labels(scene: &Scene, labels: &Plane<u16>, damage: Damage, rng: &mut KeyedRng) -> Plane<u16> {
+fn damaged_labels(
+    scene: &Scene,
+    labels: &Plane<u16>,
+    damage: Damage,
+    rng: &mut KeyedRng,
+) -> Plane<u16> {
     let (w, h) = (labels.width, labels.height);
     match damage {
         Damage::LabelSquares(side) => {
             let (sw, sh) = (side.min(w), side.min(h));
             let (x0, y0) = (rng.below(w - sw + 1), rng.below(h - sh + 1));
             let there = labels[(x0 + sw / 2, y0 + sh / 2)];
-            let others: Vec<u16> = scene.classes.iter().map(|c| c.id).filter(|id| *id != there).collect();
-            let wrong = others.get(rng.below(others.len().max(1))).copied().unwrap_or(there);
+            let others: Vec<u16> = scene
+                .classes
+                .iter()
+                .map(|c| c.id)
+                .filter(|id| *id != there)
+                .collect();
+            let wrong = others
+                .get(rng.below(others.len().max(1)))
+                .copied()
+                .unwrap_or(there);
             let mut out = labels.clone();
             for y in y0..y0 + sh {
                 out.data[y * w + x0..y * w + x0 + sw].fill(wrong);
@@ -217,9 +299,16 @@ fn damaged_labels(scene: &Scene, labels: &Plane<u16>, damage: Damage, rng: &mut 
             let (dx, dy) = (step(rng), step(rng));
             let at = |i: usize| {
                 let (x, y) = ((i % w) as i64 + dx, (i / w) as i64 + dy);
-                labels[(x.rem_euclid(w as i64) as usize, y.clamp(0, h as i64 - 1) as usize)]
+                labels[(
+                    x.rem_euclid(w as i64) as usize,
+                    y.clamp(0, h as i64 - 1) as usize,
+                )]
             };
-            Plane { width: w, height: h, data: (0..w * h).map(at).collect() }
+            Plane {
+                width: w,
+                height: h,
+                data: (0..w * h).map(at).collect(),
+            }
         }
         _ => labels.clone(),
     }
@@ -230,7 +319,10 @@ fn move_camera(matrix: &mut Value, metres: f64, degrees: f64, rng: &mut KeyedRng
     let column = |m: &Value, c: usize| DVec3::new(entry(m, 0, c), entry(m, 1, c), entry(m, 2, c));
     let rotation = DMat3::from_cols(column(matrix, 0), column(matrix, 1), column(matrix, 2));
     let axis = DVec3::new(normal(rng), normal(rng), normal(rng)).normalize_or(DVec3::Y);
-    let turned = DMat3::from_quat(DQuat::from_axis_angle(axis, (degrees * normal(rng)).to_radians())) * rotation;
+    let turned = DMat3::from_quat(DQuat::from_axis_angle(
+        axis,
+        (degrees * normal(rng)).to_radians(),
+    )) * rotation;
     let moved = column(matrix, 3) + DVec3::new(normal(rng), normal(rng), normal(rng)) * metres;
     for r in 0..3 {
         for c in 0..3 {
@@ -247,9 +339,13 @@ fn damaged_mesh(mesh: &Mesh, damage: Damage, seed: u64) -> Mesh {
         Damage::Vertices(metres) => {
             for p in &mut out.positions {
                 // vertices at one place move together, and none leaves the bounding box
-                let key = p.to_array().iter().fold(0, |k, x| hash_u64(k, u64::from(x.to_bits())));
+                let key = p
+                    .to_array()
+                    .iter()
+                    .fold(0, |k, x| hash_u64(k, u64::from(x.to_bits())));
                 let mut rng = KeyedRng::new(seed, key);
-                let step = DVec3::new(normal(&mut rng), normal(&mut rng), normal(&mut rng)) * metres;
+                let step =
+                    DVec3::new(normal(&mut rng), normal(&mut rng), normal(&mut rng)) * metres;
                 *p = (*p + step.as_vec3()).clamp(lo, hi);
             }
         }
@@ -257,17 +353,33 @@ fn damaged_mesh(mesh: &Mesh, damage: Damage, seed: u64) -> Mesh {
             const RADIUS: f32 = 0.1;
             const LARGEST: f32 = 0.05;
             let mut rng = KeyedRng::new(seed, 0x401e);
-            let small: Vec<usize> = (0..mesh.triangles.len()).filter(|&t| (1e-6..LARGEST).contains(&mesh.area(t))).collect();
+            let small: Vec<usize> = (0..mesh.triangles.len())
+                .filter(|&t| (1e-6..LARGEST).contains(&mesh.area(t)))
+                .collect();
             let total: f32 = small.iter().map(|&t| mesh.area(t)).sum();
-            let discs = (f64::from(total) * share / f64::from(std::f32::consts::PI * RADIUS * RADIUS)).round() as usize;
-            let table = crate::sampling::Discrete::new(&small.iter().map(|&t| f64::from(mesh.area(t))).collect::<Vec<_>>());
+            let discs = (f64::from(total) * share
+                / f64::from(std::f32::consts::PI * RADIUS * RADIUS))
+            .round() as usize;
+            let table = crate::sampling::Discrete::new(
+                &small
+                    .iter()
+                    .map(|&t| f64::from(mesh.area(t)))
+                    .collect::<Vec<_>>(),
+            );
             let centres: Vec<Vec3> = (0..discs)
-                .filter_map(|_| table.as_ref().map(|d| mesh.position(small[d.sample(rng.next_f32()).0], 1.0 / 3.0, 1.0 / 3.0)))
+                .filter_map(|_| {
+                    table.as_ref().map(|d| {
+                        mesh.position(small[d.sample(rng.next_f32()).0], 1.0 / 3.0, 1.0 / 3.0)
+                    })
+                })
                 .collect();
             let hit: Vec<bool> = (0..mesh.triangles.len())
                 .map(|t| {
                     let p = mesh.position(t, 1.0 / 3.0, 1.0 / 3.0);
-                    mesh.area(t) < LARGEST && centres.iter().any(|c| c.distance_squared(p) < RADIUS * RADIUS)
+                    mesh.area(t) < LARGEST
+                        && centres
+                            .iter()
+                            .any(|c| c.distance_squared(p) < RADIUS * RADIUS)
                 })
                 .collect();
             let mut t = 0;
@@ -307,7 +419,8 @@ mod tests {
     use super::*;
     use crate::scene::LoadOptions;
 
-    /// Every damage yields a scene that loads, with the held-out views untouched and the training views changed as named.
+    /// Every damage yields a scene that loads, with the held-out views untouched and the training
+    /// views changed as named.
     #[test]
     fn every_damage_is_a_scene_of_its_own() {
         let folder = tempfile::tempdir().expect("temp");
@@ -322,7 +435,8 @@ mod tests {
             no_denoise: true,
             ..crate::synth::SynthOptions::default()
         };
-        crate::synth::generate(&options, &source, &crate::progress::Progress::silent()).expect("synth");
+        crate::synth::generate(&options, &source, &crate::progress::Progress::silent())
+            .expect("synth");
         let scene = Scene::load(&source, &LoadOptions::default()).expect("loads");
         for (name, damage) in CONDITIONS {
             let to = folder.path().join(name);
@@ -337,7 +451,10 @@ mod tests {
                     scene.load_radiance(a).expect("image") != copy.load_radiance(b).expect("image"),
                     a.camera.position.distance(b.camera.position) > 1e-3,
                 ];
-                assert!(a.split == Split::Train || changed == [false; 3], "{name}: held-out views stay");
+                assert!(
+                    a.split == Split::Train || changed == [false; 3],
+                    "{name}: held-out views stay"
+                );
                 labels += usize::from(changed[0]);
                 images += usize::from(changed[1]);
                 poses += usize::from(changed[2]);
@@ -352,8 +469,14 @@ mod tests {
                 Damage::Holes(_) => copy.mesh.triangles.len() <= scene.mesh.triangles.len(),
                 Damage::Clean => labels + images + poses == 0,
             };
-            assert!(expected, "{name}: {labels} labels, {images} images, {poses} poses changed");
-            assert!((copy.origin - scene.origin).length() < 1e-6, "{name}: the bounding box stays");
+            assert!(
+                expected,
+                "{name}: {labels} labels, {images} images, {poses} poses changed"
+            );
+            assert!(
+                (copy.origin - scene.origin).length() < 1e-6,
+                "{name}: the bounding box stays"
+            );
         }
     }
 }

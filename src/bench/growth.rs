@@ -1,8 +1,8 @@
 //! How cost grows: with texels, with triangles, with threads.
 //!
-//! Triangles are multiplied by splitting every one into four coplanar ones (the rays then hit the same places), and reduced by
-//! merging vertices on a grid (the rays then meet a coarser room). Rays are the bake's own, traced without lookups: a changed mesh
-//! has no atlas of its own.
+//! Triangles are multiplied by splitting every one into four coplanar ones (the rays then hit the
+//! same places), and reduced by merging vertices on a grid (the rays then meet a coarser room).
+//! Rays are the bake's own, traced without lookups: a changed mesh has no atlas of its own.
 
 use super::irt_rates::{bare_closest, rays_of};
 use super::{Ground, interleaved, median, timed};
@@ -72,14 +72,26 @@ pub struct Growth {
 
 /// Bakes whole textures of the given sides as the pipeline would.
 #[must_use]
-pub(super) fn with_texels(ground: &Ground, sides: &[usize], progress: &Progress) -> Vec<TextureGrowth> {
+pub(super) fn with_texels(
+    ground: &Ground,
+    sides: &[usize],
+    progress: &Progress,
+) -> Vec<TextureGrowth> {
     sides
         .iter()
         .map(|&side| {
             let texels = Texels::rasterize(&ground.surface.scene.mesh, side, side);
             let (field, emitters) = (&ground.light.field, &ground.light.emitters);
-            let (baked, seconds) =
-                timed(|| bake_irradiance_texels(&ground.surface, field, emitters, &texels, &ground.options, progress));
+            let (baked, seconds) = timed(|| {
+                bake_irradiance_texels(
+                    &ground.surface,
+                    field,
+                    emitters,
+                    &texels,
+                    &ground.options,
+                    progress,
+                )
+            });
             TextureGrowth {
                 side,
                 texels: texels.len(),
@@ -95,7 +107,12 @@ pub(super) fn with_texels(ground: &Ground, sides: &[usize], progress: &Progress)
 ///
 /// # Errors
 /// Embree running out of memory.
-pub(super) fn with_triangles(ground: &Ground, texels: &Texels, most: usize, progress: &Progress) -> Result<Vec<TriangleGrowth>> {
+pub(super) fn with_triangles(
+    ground: &Ground,
+    texels: &Texels,
+    most: usize,
+    progress: &Progress,
+) -> Result<Vec<TriangleGrowth>> {
     let ids = ground.runs(texels, 2048);
     let (rays, _) = rays_of(ground, texels, &ids, &cosine(ground, 128));
     let mesh = &ground.surface.scene.mesh;
@@ -117,7 +134,13 @@ pub(super) fn with_triangles(ground: &Ground, texels: &Texels, most: usize, prog
 }
 
 fn cosine(ground: &Ground, rays: u32) -> IrtOptions {
-    IrtOptions { estimator: Estimator::Cosine, rays, emitter_samples: 0, seed: ground.options.seed, ..IrtOptions::default() }
+    IrtOptions {
+        estimator: Estimator::Cosine,
+        rays,
+        emitter_samples: 0,
+        seed: ground.options.seed,
+        ..IrtOptions::default()
+    }
 }
 
 fn traced(mesh: &Mesh, rays: &[Ray]) -> Result<TriangleGrowth> {
@@ -147,9 +170,16 @@ fn traced(mesh: &Mesh, rays: &[Ray]) -> Result<TriangleGrowth> {
 ///
 /// # Errors
 /// Threads that cannot be started.
-pub(super) fn with_threads(ground: &Ground, texels: &Texels, repetitions: usize) -> Result<Vec<ThreadGrowth>> {
+pub(super) fn with_threads(
+    ground: &Ground,
+    texels: &Texels,
+    repetitions: usize,
+) -> Result<Vec<ThreadGrowth>> {
     let most = rayon::current_num_threads();
-    let mut counts: Vec<usize> = (0..).map(|k| 1usize << k).take_while(|n| *n < most).collect();
+    let mut counts: Vec<usize> = (0..)
+        .map(|k| 1usize << k)
+        .take_while(|n| *n < most)
+        .collect();
     counts.push(most);
     let ids = ground.runs(texels, 4096);
     let options = cosine(ground, 64);
@@ -162,20 +192,32 @@ pub(super) fn with_threads(ground: &Ground, texels: &Texels, repetitions: usize)
         let mut seconds = Vec::new();
         let mut rays = 0;
         for _ in 0..repetitions.max(1) {
-            let (baked, s) = timed(|| pool.install(|| ground.bake_some(texels, &ids, &options, &Progress::silent())));
+            let (baked, s) = timed(|| {
+                pool.install(|| ground.bake_some(texels, &ids, &options, &Progress::silent()))
+            });
             rays = baked.rays;
             seconds.push(s);
         }
         let rays_per_second = rays as f64 / median(&mut seconds);
-        let speedup = out.first().map_or(1.0, |one| rays_per_second / one.rays_per_second);
-        out.push(ThreadGrowth { threads, rays_per_second, speedup });
+        let speedup = out
+            .first()
+            .map_or(1.0, |one| rays_per_second / one.rays_per_second);
+        out.push(ThreadGrowth {
+            threads,
+            rays_per_second,
+            speedup,
+        });
     }
     Ok(out)
 }
 
 /// Positions and triangles alone: all that tracing needs.
 fn bare(mesh: &Mesh) -> Mesh {
-    Mesh { positions: mesh.positions.clone(), triangles: mesh.triangles.clone(), ..Mesh::default() }
+    Mesh {
+        positions: mesh.positions.clone(),
+        triangles: mesh.triangles.clone(),
+        ..Mesh::default()
+    }
 }
 
 /// Every triangle split into four by the midpoints of its edges; shared edges keep sharing.
@@ -193,7 +235,11 @@ fn subdivided(mesh: &Mesh) -> Mesh {
         let (ab, bc, ca) = (mid(a, b), mid(b, c), mid(c, a));
         triangles.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
     }
-    Mesh { positions, triangles, ..Mesh::default() }
+    Mesh {
+        positions,
+        triangles,
+        ..Mesh::default()
+    }
 }
 
 /// Vertices merged on the finest grid that leaves at most `target` triangles.
@@ -220,15 +266,25 @@ fn merged(mesh: &Mesh, lo: Vec3, cell: f32) -> Mesh {
         .positions
         .iter()
         .map(|&p| {
-            *index.entry(((p - lo) / cell).floor().to_array().map(|x| x as i32)).or_insert_with(|| {
-                positions.push(p);
-                (positions.len() - 1) as u32
-            })
+            *index
+                .entry(((p - lo) / cell).floor().to_array().map(|x| x as i32))
+                .or_insert_with(|| {
+                    positions.push(p);
+                    (positions.len() - 1) as u32
+                })
         })
         .collect();
-    let triangles: Vec<[u32; 3]> =
-        mesh.triangles.iter().map(|t| t.map(|i| of[i as usize])).filter(|[a, b, c]| a != b && b != c && c != a).collect();
-    Mesh { positions, triangles, ..Mesh::default() }
+    let triangles: Vec<[u32; 3]> = mesh
+        .triangles
+        .iter()
+        .map(|t| t.map(|i| of[i as usize]))
+        .filter(|[a, b, c]| a != b && b != c && c != a)
+        .collect();
+    Mesh {
+        positions,
+        triangles,
+        ..Mesh::default()
+    }
 }
 
 #[cfg(test)]
@@ -256,6 +312,10 @@ mod tests {
     fn merging_stays_below_the_target() {
         let fine = subdivided(&subdivided(&subdivided(&subdivided(&square()))));
         let coarse = merged_to(&fine, 100);
-        assert!((20..=100).contains(&coarse.triangles.len()), "{} triangles", coarse.triangles.len());
+        assert!(
+            (20..=100).contains(&coarse.triangles.len()),
+            "{} triangles",
+            coarse.triangles.len()
+        );
     }
 }

@@ -2,7 +2,10 @@
 
 use super::irt_error::{ladders, pipeline_point, reference, seconds_to_reach, target_point};
 use super::plot::{Chart, Series, svg};
-use super::{ErrorPoint, Ground, Growth, NirfReport, OidnReport, Rates, Reference, growth, irt_nirf, irt_oidn, irt_rates, timed};
+use super::{
+    ErrorPoint, Ground, Growth, NirfReport, OidnReport, Rates, Reference, growth, irt_nirf,
+    irt_oidn, irt_rates, timed,
+};
 use crate::Result;
 use crate::pipeline::SolveOptions;
 use crate::progress::Progress;
@@ -25,7 +28,8 @@ pub struct IrtBench {
     /// Repetitions of each rate measurement; medians are reported.
     #[arg(long, value_name = "N", default_value_t = 15)]
     pub repetitions: usize,
-    /// Longer ladders of sample counts, the pipeline at five sample counts, and meshes of up to 10 million triangles.
+    /// Longer ladders of sample counts, the pipeline at five sample counts, and meshes of up to 10
+    /// million triangles.
     #[arg(long)]
     pub full: bool,
     /// Leave out growth with texels, triangles and threads.
@@ -34,16 +38,20 @@ pub struct IrtBench {
     /// Stop after the rays per second.
     #[arg(long)]
     pub rates_only: bool,
-    /// Write the mesh and the rays of the closest-hit measurement to a folder as raw arrays, for comparison with other programs.
+    /// Write the mesh and the rays of the closest-hit measurement to a folder as raw arrays, for
+    /// comparison with other programs.
     #[arg(long, value_name = "FOLDER")]
     pub export_rays: Option<std::path::PathBuf>,
-    /// Also bake as `solve --target-error RATIO` would and say which error that reaches; may be given several times.
+    /// Also bake as `solve --target-error RATIO` would and say which error that reaches; may be
+    /// given several times.
     #[arg(long, value_name = "RATIO")]
     pub target_error: Vec<f32>,
-    /// Train the paper's neural irradiance field for so many epochs (the paper: 2000) and add its error and time.
+    /// Train the paper's neural irradiance field for so many epochs (the paper: 2000) and add its
+    /// error and time.
     #[arg(long, value_name = "EPOCHS", num_args = 0..=1, default_missing_value = "40", require_equals = true)]
     pub nirf: Option<u32>,
-    /// Library of Open Image Denoise 2 to compare our filter with; without this, OIDN_LIBRARY or one that the system finds, if any.
+    /// Library of Open Image Denoise 2 to compare our filter with; without this, OIDN_LIBRARY or
+    /// one that the system finds, if any.
     #[arg(long, value_name = "FILE", conflicts_with = "rates_only")]
     pub oidn: Option<std::path::PathBuf>,
 }
@@ -51,16 +59,18 @@ pub struct IrtBench {
 /// Everything `unbake bench irt` measures.
 #[derive(Clone, Debug, Serialize)]
 pub struct IrtReport {
-    /// End-to-end closest-hit rays/s of the cosine estimator as a share of the bare Embree loop's over the same rays.
+    /// End-to-end closest-hit rays/s of the cosine estimator as a share of the bare Embree loop's
+    /// over the same rays.
     pub bare_ratio_closest: f64,
     /// The same of a bake by emitter samples (almost only occlusion rays); absent without emitters.
     pub bare_ratio_occlusion: Option<f64>,
-    /// How many times sooner than `uniform` at 2048 rays the best of our curves reaches that bake's error.
+    /// How many times sooner than `uniform` at 2048 rays the best of our curves reaches that bake's
+    /// error.
     pub speedup_equal_rmse: Option<f64>,
     /// The curve that does, `mis` or `pipeline`.
     pub speedup_curve: Option<String>,
-    /// How many times sooner than `uniform` the best of our curves reaches an error of 1 %; absent where `uniform` does not with 16,384
-    /// rays.
+    /// How many times sooner than `uniform` the best of our curves reaches an error of 1 %; absent
+    /// where `uniform` does not with 16,384 rays.
     pub speedup_one_percent: Option<f64>,
     /// Seconds of the pipeline's irradiance at the default size, filter included.
     pub seconds_1024: Option<f64>,
@@ -111,30 +121,67 @@ pub struct IrtReport {
 /// Runs the benchmark.
 ///
 /// # Errors
-/// An unusable scene, no memory for a larger mesh, or a denoiser that was asked for and cannot be used.
-pub fn bench_irt(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &Progress) -> Result<IrtReport> {
+/// An unusable scene, no memory for a larger mesh, or a denoiser that was asked for and cannot be
+/// used.
+pub fn bench_irt(
+    scene: &Scene,
+    bench: &IrtBench,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<IrtReport> {
     let (report, seconds) = timed(|| measure(scene, bench, options, progress));
-    report.map(|r| IrtReport { seconds, peak_bytes: peak_bytes(), ..r })
+    report.map(|r| IrtReport {
+        seconds,
+        peak_bytes: peak_bytes(),
+        ..r
+    })
 }
 
-fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &Progress) -> Result<IrtReport> {
+fn measure(
+    scene: &Scene,
+    bench: &IrtBench,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<IrtReport> {
     // before the long run: a library that was asked for and is not there
-    let denoiser = if bench.rates_only { None } else { Some(irt_oidn::open(bench.oidn.as_deref())?) };
+    let denoiser = if bench.rates_only {
+        None
+    } else {
+        Some(irt_oidn::open(bench.oidn.as_deref())?)
+    };
     let ground = Ground::prepare(scene, options, progress)?;
     let texels = &ground.light.texels;
     let rays = if bench.full { 2_000_000 } else { 500_000 };
     let rates = progress.stage("rays per second", 4, |p| {
-        irt_rates::measure(&ground, texels, rays, bench.repetitions, bench.export_rays.as_deref(), p)
+        irt_rates::measure(
+            &ground,
+            texels,
+            rays,
+            bench.repetitions,
+            bench.export_rays.as_deref(),
+            p,
+        )
     })?;
-    let Some(denoiser) = denoiser else { return Ok(rates_alone(scene, &ground, options, rates)) };
-    let reference =
-        progress.stage("reference", 2 * bench.reference_texels as u64, |p| reference(&ground, texels, bench.reference_texels, p));
+    let Some(denoiser) = denoiser else {
+        return Ok(rates_alone(scene, &ground, options, rates));
+    };
+    let reference = progress.stage("reference", 2 * bench.reference_texels as u64, |p| {
+        reference(&ground, texels, bench.reference_texels, p)
+    });
     let runs = if bench.full { 8192 } else { 4096 };
-    let mut points = progress.stage("error against time", 0, |p| ladders(&ground, texels, &reference, runs, bench.full, p));
-    let (r, e) = (ground.options.irradiance_rays, ground.options.emitter_samples);
+    let mut points = progress.stage("error against time", 0, |p| {
+        ladders(&ground, texels, &reference, runs, bench.full, p)
+    });
+    let (r, e) = (
+        ground.options.irradiance_rays,
+        ground.options.emitter_samples,
+    );
     let part = |n: u32| [(r / n).max(2), (e / n).max(1)];
-    let others: &[[u32; 2]] =
-        if bench.full { &[part(8), part(4), [2 * r, 2 * e], [4 * r, 4 * e]] } else { &[part(10), part(8), part(6), part(4)] };
+    let others: &[[u32; 2]] = if bench.full {
+        &[part(8), part(4), [2 * r, 2 * e], [4 * r, 4 * e]]
+    } else {
+        &[part(10), part(8), part(6), part(4)]
+    };
     let ours = pipeline_point(&ground, texels, &reference, [r, e], progress);
     for &o in others {
         points.push(pipeline_point(&ground, texels, &reference, o, progress));
@@ -142,30 +189,57 @@ fn measure(scene: &Scene, bench: &IrtBench, options: &SolveOptions, progress: &P
     points.push(ours.clone());
     let oidn = match denoiser {
         Ok(denoiser) => {
-            let (more, oidn) = irt_oidn::measure((&ground, texels, &reference), &denoiser, &[part(4), [r, e]], progress)?;
+            let (more, oidn) = irt_oidn::measure(
+                (&ground, texels, &reference),
+                &denoiser,
+                &[part(4), [r, e]],
+                progress,
+            )?;
             points.extend(more);
             oidn
         }
         Err(why) => OidnReport::Missing(why),
     };
-    points.extend(bench.target_error.iter().map(|&target| target_point(&ground, &reference, target, progress)));
+    points.extend(
+        bench
+            .target_error
+            .iter()
+            .map(|&target| target_point(&ground, &reference, target, progress)),
+    );
     let nirf = bench.nirf.map(|epochs| {
-        progress
-            .stage("neural irradiance field", u64::from(epochs), |p| irt_nirf::measure(&ground, texels, &reference, epochs, p))
+        progress.stage("neural irradiance field", u64::from(epochs), |p| {
+            irt_nirf::measure(&ground, texels, &reference, epochs, p)
+        })
     });
     points.extend(nirf.iter().flat_map(|n| n.checkpoints.iter().cloned()));
-    let growth = if bench.no_growth { Growth::default() } else { grow(&ground, bench, &ours, progress)? };
-    let uniform_2048 = points.iter().find(|p| p.curve == "uniform" && p.rays == 2048).cloned();
-    let of = |curve: &str| -> Vec<&ErrorPoint> { points.iter().filter(|p| p.curve == curve).collect() };
+    let growth = if bench.no_growth {
+        Growth::default()
+    } else {
+        grow(&ground, bench, &ours, progress)?
+    };
+    let uniform_2048 = points
+        .iter()
+        .find(|p| p.curve == "uniform" && p.rays == 2048)
+        .cloned();
+    let of =
+        |curve: &str| -> Vec<&ErrorPoint> { points.iter().filter(|p| p.curve == curve).collect() };
     // how many times sooner than in `seconds` the best of our curves reaches an error
     let sooner = |seconds: f64, error: f64| {
         ["mis", "pipeline"]
             .iter()
-            .filter_map(|&curve| Some((seconds / seconds_to_reach(&of(curve), error)?, curve.to_owned())))
+            .filter_map(|&curve| {
+                Some((
+                    seconds / seconds_to_reach(&of(curve), error)?,
+                    curve.to_owned(),
+                ))
+            })
             .max_by(|a, b| a.0.total_cmp(&b.0))
     };
-    let best = uniform_2048.as_ref().and_then(|u| sooner(u.seconds, u.relative_rmse));
-    let one_percent = seconds_to_reach(&of("uniform"), 0.01).and_then(|seconds| sooner(seconds, 0.01));
+    let best = uniform_2048
+        .as_ref()
+        .and_then(|u| sooner(u.seconds, u.relative_rmse));
+    let one_percent =
+        seconds_to_reach(&of("uniform"), 0.01).and_then(|seconds| sooner(seconds, 0.01));
     Ok(IrtReport {
         speedup_equal_rmse: best.as_ref().map(|b| b.0),
         speedup_curve: best.map(|b| b.1),
@@ -217,7 +291,12 @@ fn rates_alone(scene: &Scene, ground: &Ground, options: &SolveOptions, rates: Ra
     }
 }
 
-fn grow(ground: &Ground, bench: &IrtBench, ours: &ErrorPoint, progress: &Progress) -> Result<Growth> {
+fn grow(
+    ground: &Ground,
+    bench: &IrtBench,
+    ours: &ErrorPoint,
+    progress: &Progress,
+) -> Result<Growth> {
     let texels = &ground.light.texels;
     let side = ground.options.irradiance_size;
     let mut sizes = growth::with_texels(ground, &[side / 4, side / 2], progress);
@@ -229,9 +308,17 @@ fn grow(ground: &Ground, bench: &IrtBench, ours: &ErrorPoint, progress: &Progres
         texels_per_second: texels.len() as f64 / ours.seconds,
     });
     let most = if bench.full { 11_000_000 } else { 2_500_000 };
-    let triangles = progress.stage("growth with triangles", 0, |p| growth::with_triangles(ground, texels, most, p))?;
-    let threads = progress.stage("growth with threads", 0, |_| growth::with_threads(ground, texels, bench.repetitions))?;
-    Ok(Growth { texels: sizes, triangles, threads })
+    let triangles = progress.stage("growth with triangles", 0, |p| {
+        growth::with_triangles(ground, texels, most, p)
+    })?;
+    let threads = progress.stage("growth with threads", 0, |_| {
+        growth::with_threads(ground, texels, bench.repetitions)
+    })?;
+    Ok(Growth {
+        texels: sizes,
+        triangles,
+        threads,
+    })
 }
 
 impl IrtReport {
@@ -262,7 +349,11 @@ impl IrtReport {
             "\nRays per second, end to end, beside a bare Embree loop over the same rays (medians of {}):",
             self.rates.repetitions
         )?;
-        writeln!(out, "  {:28} {:>10} {:>10} {:>9} {:>9} {:>7}", "", "closest", "occlusion", "Mray/s", "bare", "share")?;
+        writeln!(
+            out,
+            "  {:28} {:>10} {:>10} {:>9} {:>9} {:>7}",
+            "", "closest", "occlusion", "Mray/s", "bare", "share"
+        )?;
         for r in &self.rates.estimators {
             let total = (r.closest_rays + r.occlusion_rays) as f64;
             writeln!(
@@ -298,7 +389,12 @@ impl IrtReport {
             self.write_errors(out, reference)?;
         }
         self.write_growth(out)?;
-        writeln!(out, "\nwhole benchmark: {:.0} s, {:.2} GiB at most", self.seconds, self.peak_bytes as f64 / (1u64 << 30) as f64)
+        writeln!(
+            out,
+            "\nwhole benchmark: {:.0} s, {:.2} GiB at most",
+            self.seconds,
+            self.peak_bytes as f64 / (1u64 << 30) as f64
+        )
     }
 
     fn write_errors(&self, out: &mut String, r: &Reference) -> std::fmt::Result {
@@ -320,7 +416,11 @@ impl IrtReport {
                 out,
                 "  {:14} {:>12} {:>11.0} {:>9.2}{} {:>9.2}% {:>9.2}%",
                 p.curve,
-                if p.rays == 0 { "as chosen".to_owned() } else { format!("{} + {}", p.rays, p.emitter_samples) },
+                if p.rays == 0 {
+                    "as chosen".to_owned()
+                } else {
+                    format!("{} + {}", p.rays, p.emitter_samples)
+                },
                 p.rays_per_texel,
                 p.seconds,
                 if p.measured_whole { " " } else { "~" },
@@ -328,8 +428,15 @@ impl IrtReport {
                 100.0 * p.median_relative_error
             )?;
         }
-        writeln!(out, "  seconds for the whole texture; ~ = scaled up from a part; the pipeline's include its filter")?;
-        if let (Some(s), Some(curve), Some(u)) = (self.speedup_equal_rmse, &self.speedup_curve, &self.uniform_2048) {
+        writeln!(
+            out,
+            "  seconds for the whole texture; ~ = scaled up from a part; the pipeline's include its filter"
+        )?;
+        if let (Some(s), Some(curve), Some(u)) = (
+            self.speedup_equal_rmse,
+            &self.speedup_curve,
+            &self.uniform_2048,
+        ) {
             writeln!(
                 out,
                 "  {curve} reaches the error of uniform 2048 ({:.2} %, {:.0} s) {s:.0} times sooner",
@@ -375,7 +482,10 @@ impl IrtReport {
                 t.rays as f64 * 1e-6
             )?;
         }
-        writeln!(out, "Growth of tracing with the mesh (the same rays; Mray/s):")?;
+        writeln!(
+            out,
+            "Growth of tracing with the mesh (the same rays; Mray/s):"
+        )?;
         for t in &g.triangles {
             writeln!(
                 out,
@@ -389,7 +499,13 @@ impl IrtReport {
         }
         writeln!(out, "Growth with threads (cosine bake, end to end):")?;
         for t in &g.threads {
-            writeln!(out, "  {:>3}: {:>6.2} Mray/s, {:.2} times one", t.threads, t.rays_per_second * 1e-6, t.speedup)?;
+            writeln!(
+                out,
+                "  {:>3}: {:>6.2} Mray/s, {:.2} times one",
+                t.threads,
+                t.rays_per_second * 1e-6,
+                t.speedup
+            )?;
         }
         Ok(())
     }
@@ -401,7 +517,12 @@ impl IrtReport {
     pub fn plot(&self) -> Result<String> {
         let curve = |name: &str| Series {
             name: name.to_owned(),
-            points: self.points.iter().filter(|p| p.curve == name).map(|p| (p.seconds, 100.0 * p.relative_rmse)).collect(),
+            points: self
+                .points
+                .iter()
+                .filter(|p| p.curve == name)
+                .map(|p| (p.seconds, 100.0 * p.relative_rmse))
+                .collect(),
             line: true,
         };
         let mut names: Vec<&str> = self.points.iter().map(|p| p.curve.as_str()).collect();
@@ -413,7 +534,11 @@ impl IrtReport {
                 true
             }
         });
-        let line = |name: &str, points: Vec<(f64, f64)>| Series { name: name.to_owned(), points, line: true };
+        let line = |name: &str, points: Vec<(f64, f64)>| Series {
+            name: name.to_owned(),
+            points,
+            line: true,
+        };
         let chart = |title: &str, x: &str, y: &str, series| Chart {
             title: title.to_owned(),
             x: x.to_owned(),
@@ -423,15 +548,22 @@ impl IrtReport {
             series,
         };
         let mut charts = vec![chart(
-            &format!("{}: irradiance {}², {} threads", self.scene.name, self.irradiance_size, self.threads),
+            &format!(
+                "{}: irradiance {}², {} threads",
+                self.scene.name, self.irradiance_size, self.threads
+            ),
             "seconds for the whole texture",
             "relative RMSE, %",
             names.iter().map(|n| curve(n)).collect(),
         )];
         let g = &self.growth;
         if !g.texels.is_empty() {
-            let of =
-                |f: fn(&super::TriangleGrowth) -> f64| g.triangles.iter().map(|t| (t.triangles as f64, f(t) * 1e-6)).collect();
+            let of = |f: fn(&super::TriangleGrowth) -> f64| {
+                g.triangles
+                    .iter()
+                    .map(|t| (t.triangles as f64, f(t) * 1e-6))
+                    .collect()
+            };
             charts.push(chart(
                 "Growth with triangles: the same rays",
                 "triangles",
@@ -442,15 +574,28 @@ impl IrtReport {
                     line("occlusion", of(|t| t.occluded_per_second)),
                 ],
             ));
-            let texels = g.texels.iter().map(|t| (t.texels as f64, t.seconds)).collect();
+            let texels = g
+                .texels
+                .iter()
+                .map(|t| (t.texels as f64, t.seconds))
+                .collect();
             charts.push(chart(
                 "Growth with texels: the pipeline's bake",
                 "covered texels",
                 "seconds",
                 vec![line("bake", texels)],
             ));
-            let threads = g.threads.iter().map(|t| (t.threads as f64, t.rays_per_second * 1e-6)).collect();
-            charts.push(chart("Growth with threads: cosine bake", "threads", "Mray/s", vec![line("cosine", threads)]));
+            let threads = g
+                .threads
+                .iter()
+                .map(|t| (t.threads as f64, t.rays_per_second * 1e-6))
+                .collect();
+            charts.push(chart(
+                "Growth with threads: cosine bake",
+                "threads",
+                "Mray/s",
+                vec![line("cosine", threads)],
+            ));
         }
         svg(&charts)
     }

@@ -1,8 +1,10 @@
-//! Error against time of every estimator, and of the pipeline's own bake with all that belongs to it.
+//! Error against time of every estimator, and of the pipeline's own bake with all that belongs to
+//! it.
 //!
-//! Errors are taken at a fixed random subset of the texels that some view sees, against 16,384 hemisphere rays per texel (and a
-//! quarter as many emitter samples) with another seed. Times of the plain estimators are scaled up from runs of neighbouring
-//! texels; the pipeline's bake is run whole, because its filter looks at neighbours.
+//! Errors are taken at a fixed random subset of the texels that some view sees, against 16,384
+//! hemisphere rays per texel (and a quarter as many emitter samples) with another seed. Times of
+//! the plain estimators are scaled up from runs of neighbouring texels; the pipeline's bake is run
+//! whole, because its filter looks at neighbours.
 
 use super::ground::relative_errors;
 use super::{Ground, timed};
@@ -19,7 +21,8 @@ const REFERENCE: u32 = 16_384;
 /// One point of a curve.
 #[derive(Clone, Debug, Serialize)]
 pub struct ErrorPoint {
-    /// Curve: `uniform`, `cosine`, `mis`, `pipeline`, `unfiltered`, `oidn`, `nirf` or `target RATIO`.
+    /// Curve: `uniform`, `cosine`, `mis`, `pipeline`, `unfiltered`, `oidn`, `nirf` or `target
+    /// RATIO`.
     pub curve: String,
     /// Hemisphere rays per texel asked for; 0 where a target chose them.
     pub rays: u32,
@@ -38,7 +41,8 @@ pub struct ErrorPoint {
 }
 
 impl ErrorPoint {
-    /// A bake of the whole texture: `value(i)` is the irradiance of texel i, `rays` were traced for `texels` texels.
+    /// A bake of the whole texture: `value(i)` is the irradiance of texel i, `rays` were traced for
+    /// `texels` texels.
     pub(super) fn of_whole(
         (curve, samples): (String, [u32; 2]),
         reference: &Reference,
@@ -70,9 +74,11 @@ pub struct Reference {
     pub texels: usize,
     /// Seconds it took.
     pub seconds: f64,
-    /// Relative RMSE of a uniform bake with as many rays against it: how far two unbiased references agree.
+    /// Relative RMSE of a uniform bake with as many rays against it: how far two unbiased
+    /// references agree.
     pub uniform_relative_rmse: f64,
-    /// Mean of that bake relative to the reference's, less one: a systematic difference between the estimators.
+    /// Mean of that bake relative to the reference's, less one: a systematic difference between the
+    /// estimators.
     pub uniform_mean_difference: f64,
     /// Texel indices.
     #[serde(skip)]
@@ -84,7 +90,12 @@ pub struct Reference {
 
 /// Bakes the reference at `count` texels that some view sees.
 #[must_use]
-pub(super) fn reference(ground: &Ground, texels: &Texels, count: usize, progress: &Progress) -> Reference {
+pub(super) fn reference(
+    ground: &Ground,
+    texels: &Texels,
+    count: usize,
+    progress: &Progress,
+) -> Reference {
     let seen = ground.surface.seen(texels);
     let ids = ground.sample(texels, |i| seen[i] && texels.interior[i], count);
     let options = IrtOptions {
@@ -95,9 +106,17 @@ pub(super) fn reference(ground: &Ground, texels: &Texels, count: usize, progress
         drawn: [0, 0],
     };
     let (baked, seconds) = timed(|| ground.bake_some(texels, &ids, &options, progress));
-    let uniform = IrtOptions { estimator: Estimator::Uniform, emitter_samples: 0, ..options };
+    let uniform = IrtOptions {
+        estimator: Estimator::Uniform,
+        emitter_samples: 0,
+        ..options
+    };
     let check = ground.bake_some(texels, &ids, &uniform, progress).value;
-    let sum = |v: &[Vec3]| v.iter().map(|e| f64::from(crate::math::luminance(*e))).sum::<f64>();
+    let sum = |v: &[Vec3]| {
+        v.iter()
+            .map(|e| f64::from(crate::math::luminance(*e)))
+            .sum::<f64>()
+    };
     Reference {
         samples: REFERENCE,
         texels: ids.len(),
@@ -110,8 +129,16 @@ pub(super) fn reference(ground: &Ground, texels: &Texels, count: usize, progress
 }
 
 /// One estimator at one sample count: error at the reference's texels, time from `runs`.
-fn plain_point(ground: &Ground, texels: &Texels, reference: &Reference, runs: &[usize], options: &IrtOptions) -> ErrorPoint {
-    let value = ground.bake_some(texels, &reference.ids, options, &Progress::silent()).value;
+fn plain_point(
+    ground: &Ground,
+    texels: &Texels,
+    reference: &Reference,
+    runs: &[usize],
+    options: &IrtOptions,
+) -> ErrorPoint {
+    let value = ground
+        .bake_some(texels, &reference.ids, options, &Progress::silent())
+        .value;
     let (baked, seconds) = timed(|| ground.bake_some(texels, runs, options, &Progress::silent()));
     let (relative_rmse, median_relative_error) = relative_errors(&value, &reference.value);
     let curve = match options.estimator {
@@ -141,25 +168,57 @@ pub(super) fn ladders(
     full: bool,
     progress: &Progress,
 ) -> Vec<ErrorPoint> {
-    let base = IrtOptions { seed: ground.options.seed, ..IrtOptions::default() };
-    let uniform: &[u32] =
-        if full { &[32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 16_384] } else { &[64, 256, 1024, 2048, 8192, 16_384] };
-    let cosine: &[u32] = if full { &[32, 64, 128, 256, 512, 1024, 2048, 4096] } else { &[64, 256, 1024, 2048] };
-    let mis: &[u32] = if full { &[8, 16, 32, 64, 128, 256, 512, 1024, 2048] } else { &[16, 64, 256, 1024] };
+    let base = IrtOptions {
+        seed: ground.options.seed,
+        ..IrtOptions::default()
+    };
+    let uniform: &[u32] = if full {
+        &[32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 16_384]
+    } else {
+        &[64, 256, 1024, 2048, 8192, 16_384]
+    };
+    let cosine: &[u32] = if full {
+        &[32, 64, 128, 256, 512, 1024, 2048, 4096]
+    } else {
+        &[64, 256, 1024, 2048]
+    };
+    let mis: &[u32] = if full {
+        &[8, 16, 32, 64, 128, 256, 512, 1024, 2048]
+    } else {
+        &[16, 64, 256, 1024]
+    };
     let mut all: Vec<IrtOptions> = Vec::new();
     for &rays in uniform {
-        all.push(IrtOptions { estimator: Estimator::Uniform, rays, emitter_samples: 0, ..base.clone() });
+        all.push(IrtOptions {
+            estimator: Estimator::Uniform,
+            rays,
+            emitter_samples: 0,
+            ..base.clone()
+        });
     }
     for &rays in cosine {
-        all.push(IrtOptions { estimator: Estimator::Cosine, rays, emitter_samples: 0, ..base.clone() });
+        all.push(IrtOptions {
+            estimator: Estimator::Cosine,
+            rays,
+            emitter_samples: 0,
+            ..base.clone()
+        });
     }
     for &rays in mis {
-        all.push(IrtOptions { estimator: Estimator::Mis, rays, emitter_samples: rays / 4, ..base.clone() });
+        all.push(IrtOptions {
+            estimator: Estimator::Mis,
+            rays,
+            emitter_samples: rays / 4,
+            ..base.clone()
+        });
     }
     all.iter()
         .map(|options| {
             // many rays per texel need fewer texels for the same certainty of the time
-            let ids = ground.runs(texels, (runs * 256 / options.rays as usize).clamp(512, texels.len()));
+            let ids = ground.runs(
+                texels,
+                (runs * 256 / options.rays as usize).clamp(512, texels.len()),
+            );
             progress.advance(1);
             plain_point(ground, texels, reference, &ids, options)
         })
@@ -177,8 +236,14 @@ pub(super) fn pipeline_point(
 ) -> ErrorPoint {
     // few samples in as few rounds as `--budget` would take them
     let most = ground.options.irradiance_rounds;
-    let irradiance_rounds = crate::pipeline::rounds_worth(most, |_| f64::from(rays + emitter_samples));
-    let options = SolveOptions { irradiance_rays: rays, emitter_samples, irradiance_rounds, ..ground.options.clone() };
+    let irradiance_rounds =
+        crate::pipeline::rounds_worth(most, |_| f64::from(rays + emitter_samples));
+    let options = SolveOptions {
+        irradiance_rays: rays,
+        emitter_samples,
+        irradiance_rounds,
+        ..ground.options.clone()
+    };
     let (baked, seconds) = timed(|| {
         crate::pipeline::bake_irradiance_texels(
             &ground.surface,
@@ -190,27 +255,54 @@ pub(super) fn pipeline_point(
         )
     });
     let curve = ("pipeline".to_owned(), [rays, emitter_samples]);
-    ErrorPoint::of_whole(curve, reference, |i| baked.value[i], (baked.rays, texels.len()), seconds)
+    ErrorPoint::of_whole(
+        curve,
+        reference,
+        |i| baked.value[i],
+        (baked.rays, texels.len()),
+        seconds,
+    )
 }
 
-/// The bake that `unbake solve --target-error` chooses: the error it reaches, and the time of all of the light's stages.
+/// The bake that `unbake solve --target-error` chooses: the error it reaches, and the time of all
+/// of the light's stages.
 #[must_use]
-pub(super) fn target_point(ground: &Ground, reference: &Reference, target: f32, progress: &Progress) -> ErrorPoint {
-    let options = SolveOptions { target_error: Some(target), ..ground.options.clone() };
+pub(super) fn target_point(
+    ground: &Ground,
+    reference: &Reference,
+    target: f32,
+    progress: &Progress,
+) -> ErrorPoint {
+    let options = SolveOptions {
+        target_error: Some(target),
+        ..ground.options.clone()
+    };
     let (light, seconds) = timed(|| reconstruct_light(&ground.surface, &options, progress));
     let value = |i: usize| light.irradiance.data[light.texels.cell[i] as usize];
-    ErrorPoint::of_whole((format!("target {target}"), [0, 0]), reference, value, (light.rays, light.texels.len()), seconds)
+    ErrorPoint::of_whole(
+        (format!("target {target}"), [0, 0]),
+        reference,
+        value,
+        (light.rays, light.texels.len()),
+        seconds,
+    )
 }
 
-/// Seconds at which a curve reaches `error`, by straight lines between its points in the logarithms of both; with its first
-/// point's time if already that is good enough. `None` if the curve never gets there.
+/// Seconds at which a curve reaches `error`, by straight lines between its points in the logarithms
+/// of both; with its first point's time if already that is good enough. `None` if the curve never
+/// gets there.
 #[must_use]
 pub(super) fn seconds_to_reach(points: &[&ErrorPoint], error: f64) -> Option<f64> {
-    let mut sorted: Vec<_> = points.iter().filter(|p| p.relative_rmse > 0.0 && p.seconds > 0.0).collect();
+    let mut sorted: Vec<_> = points
+        .iter()
+        .filter(|p| p.relative_rmse > 0.0 && p.seconds > 0.0)
+        .collect();
     sorted.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
     let first = sorted.iter().position(|p| p.relative_rmse <= error)?;
     let end = sorted[first];
-    let Some(start) = first.checked_sub(1).map(|i| sorted[i]) else { return Some(end.seconds) };
+    let Some(start) = first.checked_sub(1).map(|i| sorted[i]) else {
+        return Some(end.seconds);
+    };
     let t = (start.relative_rmse / error).ln() / (start.relative_rmse / end.relative_rmse).ln();
     Some((start.seconds.ln() + t * (end.seconds / start.seconds).ln()).exp())
 }

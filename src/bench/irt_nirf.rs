@@ -1,4 +1,5 @@
-//! The paper's neural irradiance field beside the texture: error at the reference's texels, and time.
+//! The paper's neural irradiance field beside the texture: error at the reference's texels, and
+//! time.
 
 use super::ground::relative_errors;
 use super::{ErrorPoint, Ground, Reference, timed};
@@ -26,7 +27,8 @@ pub struct NirfReport {
     pub step_seconds: f64,
     /// Mean L1 loss in log(1+E) of the last epoch.
     pub loss: f64,
-    /// Seconds that the paper's 2000 epochs would take at this pace; their error is not known from here.
+    /// Seconds that the paper's 2000 epochs would take at this pace; their error is not known from
+    /// here.
     pub seconds_2000: f64,
     /// Seconds to read out the whole texture, scaled up from a part.
     pub readout_seconds: f64,
@@ -36,7 +38,13 @@ pub struct NirfReport {
 
 /// Trains for `epochs` and takes errors on the way.
 #[must_use]
-pub(super) fn measure(ground: &Ground, texels: &Texels, reference: &Reference, epochs: u32, progress: &Progress) -> NirfReport {
+pub(super) fn measure(
+    ground: &Ground,
+    texels: &Texels,
+    reference: &Reference,
+    epochs: u32,
+    progress: &Progress,
+) -> NirfReport {
     let epochs = epochs.max(1);
     let surface = &ground.surface;
     let place = |i: usize| {
@@ -49,7 +57,8 @@ pub(super) fn measure(ground: &Ground, texels: &Texels, reference: &Reference, e
     let bake = ground.bake(&surface.tracer);
     let mut each = |field: &Nirf, cost: &NirfCost| {
         if [epochs.div_ceil(4), epochs.div_ceil(2), epochs].contains(&cost.epochs) {
-            let (relative_rmse, median_relative_error) = relative_errors(&field.irradiance(&points), &reference.value);
+            let (relative_rmse, median_relative_error) =
+                relative_errors(&field.irradiance(&points), &reference.value);
             checkpoints.push(ErrorPoint {
                 curve: "nirf".to_owned(),
                 rays: cost.epochs,
@@ -62,8 +71,18 @@ pub(super) fn measure(ground: &Ground, texels: &Texels, reference: &Reference, e
             });
         }
     };
-    let (field, cost) = train_nirf(&bake, &|t, u, v| surface.normals(t, u, v), &options, progress, &mut each);
-    let some: Vec<(Vec3, Vec3)> = ground.runs(texels, READ).iter().map(|&i| place(i)).collect();
+    let (field, cost) = train_nirf(
+        &bake,
+        &|t, u, v| surface.normals(t, u, v),
+        &options,
+        progress,
+        &mut each,
+    );
+    let some: Vec<(Vec3, Vec3)> = ground
+        .runs(texels, READ)
+        .iter()
+        .map(|&i| place(i))
+        .collect();
     let (_, seconds) = timed(|| field.irradiance(&some));
     let total = cost.ray_seconds + cost.step_seconds;
     NirfReport {

@@ -1,7 +1,9 @@
-//! Open Image Denoise beside our surface filter: the same bake left as traced, and filtered in the texture by its lightmap filter.
+//! Open Image Denoise beside our surface filter: the same bake left as traced, and filtered in the
+//! texture by its lightmap filter.
 //!
-//! It sees what a filter of images can see: a texture, charts beside each other, the space between them filled. Seconds are the
-//! bake's and the filter's; loading the library is not among them, as loading Embree is not among ours.
+//! It sees what a filter of images can see: a texture, charts beside each other, the space between
+//! them filled. Seconds are the bake's and the filter's; loading the library is not among them, as
+//! loading Embree is not among ours.
 
 use super::{ErrorPoint, Ground, Reference, timed};
 use crate::error::{Error, Result};
@@ -31,8 +33,12 @@ impl OidnReport {
     /// The line of the terminal's table.
     pub(super) fn line(&self) -> String {
         match self {
-            Self::Used { version, filter_seconds } => {
-                let seconds: Vec<String> = filter_seconds.iter().map(|s| format!("{s:.2}")).collect();
+            Self::Used {
+                version,
+                filter_seconds,
+            } => {
+                let seconds: Vec<String> =
+                    filter_seconds.iter().map(|s| format!("{s:.2}")).collect();
                 format!(
                     "oidn: the unfiltered bake through the lightmap filter of Open Image Denoise {version}, which took {} s of its seconds",
                     seconds.join(" and ")
@@ -43,7 +49,8 @@ impl OidnReport {
     }
 }
 
-/// Opens the library that `file` names, or looks for one; the inner error says why there is none to compare with.
+/// Opens the library that `file` names, or looks for one; the inner error says why there is none to
+/// compare with.
 ///
 /// # Errors
 /// A library that was asked for by `file` and cannot be used.
@@ -54,7 +61,8 @@ pub(super) fn open(file: Option<&Path>) -> Result<std::result::Result<Denoiser, 
     }
 }
 
-/// The curves `unfiltered` and `oidn` at each of `samples` (hemisphere rays and emitter samples per texel).
+/// The curves `unfiltered` and `oidn` at each of `samples` (hemisphere rays and emitter samples per
+/// texel).
 ///
 /// # Errors
 /// The library failing.
@@ -74,7 +82,9 @@ pub(super) fn measure(
             ..ground.options.clone()
         };
         let (field, emitters) = (&ground.light.field, &ground.light.emitters);
-        let (baked, seconds) = timed(|| bake_irradiance_texels(&ground.surface, field, emitters, texels, &options, progress));
+        let (baked, seconds) = timed(|| {
+            bake_irradiance_texels(&ground.surface, field, emitters, texels, &options, progress)
+        });
         let (filtered, more) = timed(|| {
             let texture = texture_of(texels, &baked.value);
             denoiser.lightmap(texture.width, texture.height, &texture.data)
@@ -82,13 +92,31 @@ pub(super) fn measure(
         let filtered = filtered.map_err(Error::Native)?;
         let curve = |name: &str| (name.to_owned(), [irradiance_rays, emitter_samples]);
         let traced = (baked.rays, texels.len());
-        unfiltered.push(ErrorPoint::of_whole(curve("unfiltered"), reference, |i| baked.value[i], traced, seconds));
+        unfiltered.push(ErrorPoint::of_whole(
+            curve("unfiltered"),
+            reference,
+            |i| baked.value[i],
+            traced,
+            seconds,
+        ));
         let value = |i: usize| filtered[texels.cell[i] as usize];
-        denoised.push(ErrorPoint::of_whole(curve("oidn"), reference, value, traced, seconds + more));
+        denoised.push(ErrorPoint::of_whole(
+            curve("oidn"),
+            reference,
+            value,
+            traced,
+            seconds + more,
+        ));
         filter_seconds.push(more);
     }
     unfiltered.extend(denoised);
-    Ok((unfiltered, OidnReport::Used { version: denoiser.version(), filter_seconds }))
+    Ok((
+        unfiltered,
+        OidnReport::Used {
+            version: denoiser.version(),
+            filter_seconds,
+        },
+    ))
 }
 
 #[cfg(test)]
@@ -97,15 +125,30 @@ mod tests {
 
     #[test]
     fn a_library_that_was_asked_for_must_be_there() {
-        let error = open(Some(Path::new("/nonexistent/libOpenImageDenoise.so.2"))).err().expect("an error");
+        let error = open(Some(Path::new("/nonexistent/libOpenImageDenoise.so.2")))
+            .err()
+            .expect("an error");
         assert_eq!(error.exit_code(), 1);
-        assert!(error.to_string().contains("/nonexistent/libOpenImageDenoise.so.2"), "{error}");
+        assert!(
+            error
+                .to_string()
+                .contains("/nonexistent/libOpenImageDenoise.so.2"),
+            "{error}"
+        );
     }
 
     #[test]
     fn the_table_says_which_version_or_how_to_give_one() {
-        let used = OidnReport::Used { version: "2.3.1".into(), filter_seconds: vec![0.5, 0.25] };
-        assert!(used.line().contains("Open Image Denoise 2.3.1") && used.line().contains("0.50 and 0.25 s"), "{}", used.line());
+        let used = OidnReport::Used {
+            version: "2.3.1".into(),
+            filter_seconds: vec![0.5, 0.25],
+        };
+        assert!(
+            used.line().contains("Open Image Denoise 2.3.1")
+                && used.line().contains("0.50 and 0.25 s"),
+            "{}",
+            used.line()
+        );
         if let Ok(Err(why)) = open(None) {
             assert!(OidnReport::Missing(why).line().contains("--oidn FILE"));
         }

@@ -1,7 +1,9 @@
-//! Rays per second of each estimator, end to end, beside a bare Embree loop over the very same rays.
+//! Rays per second of each estimator, end to end, beside a bare Embree loop over the very same
+//! rays.
 //!
-//! A tracer that remembers what it is asked collects the rays of a bake of some runs of texels; the bare C++ loops then trace the
-//! same rays in the same batches on the same threads. The ratio says what ray generation, texture lookups and accumulation cost.
+//! A tracer that remembers what it is asked collects the rays of a bake of some runs of texels; the
+//! bare C++ loops then trace the same rays in the same batches on the same threads. The ratio says
+//! what ray generation, texture lookups and accumulation cost.
 
 use super::{Ground, interleaved};
 use crate::error::{Error, Result};
@@ -60,7 +62,8 @@ pub struct Rates {
     pub batches: Vec<BatchRate>,
     /// Cosine estimator's ratio: closest hits end to end.
     pub closest: f64,
-    /// Ratio of a bake by emitter samples (two hemisphere rays per texel beside them); absent without emitters.
+    /// Ratio of a bake by emitter samples (two hemisphere rays per texel beside them); absent
+    /// without emitters.
     pub occlusion: Option<f64>,
     /// Texels of the sample.
     pub texels: usize,
@@ -88,53 +91,103 @@ impl Tracer for Recording<'_> {
 }
 
 fn keep(into: &Mutex<Vec<Ray>>, rays: &[Ray]) {
-    into.lock().unwrap_or_else(std::sync::PoisonError::into_inner).extend_from_slice(rays);
+    into.lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner)
+        .extend_from_slice(rays);
 }
 
 fn taken(rays: Mutex<Vec<Ray>>) -> Vec<Ray> {
-    let mut rays = rays.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let mut rays = rays
+        .into_inner()
+        .unwrap_or_else(std::sync::PoisonError::into_inner);
     // the bare loop asks for finite rays
     rays.retain(Ray::is_usable);
     rays
 }
 
 /// The rays that a bake of `ids` traces: closest hits and occlusion.
-pub(super) fn rays_of(ground: &Ground, texels: &Texels, ids: &[usize], options: &IrtOptions) -> (Vec<Ray>, Vec<Ray>) {
-    let recording = Recording { inner: &ground.surface.tracer, closest: Mutex::default(), occluded: Mutex::default() };
+pub(super) fn rays_of(
+    ground: &Ground,
+    texels: &Texels,
+    ids: &[usize],
+    options: &IrtOptions,
+) -> (Vec<Ray>, Vec<Ray>) {
+    let recording = Recording {
+        inner: &ground.surface.tracer,
+        closest: Mutex::default(),
+        occluded: Mutex::default(),
+    };
     let receiver = |k: usize| ground.surface.receiver(texels, ids[k]);
-    let _ = crate::lighting::bake_irradiance(&ground.bake(&recording), ids.len(), receiver, options, &Progress::silent());
+    let _ = crate::lighting::bake_irradiance(
+        &ground.bake(&recording),
+        ids.len(),
+        receiver,
+        options,
+        &Progress::silent(),
+    );
     (taken(recording.closest), taken(recording.occluded))
 }
 
 /// The bare loops on all threads, in the batches of the tracer.
 pub(super) fn bare_closest(tracer: &EmbreeTracer, rays: &[Ray]) -> usize {
-    rays.par_chunks(BATCH).with_max_len(1).map(|r| tracer.scene().bare_closest(r)).sum()
+    rays.par_chunks(BATCH)
+        .with_max_len(1)
+        .map(|r| tracer.scene().bare_closest(r))
+        .sum()
 }
 
 fn bare_occluded(tracer: &EmbreeTracer, rays: &[Ray]) -> usize {
-    rays.par_chunks(BATCH).with_max_len(1).map(|r| tracer.scene().bare_occluded(r)).sum()
+    rays.par_chunks(BATCH)
+        .with_max_len(1)
+        .map(|r| tracer.scene().bare_occluded(r))
+        .sum()
 }
 
-/// What is compared: the three estimators, the pipeline's mixture, and emitter samples (almost) alone.
+/// What is compared: the three estimators, the pipeline's mixture, and emitter samples (almost)
+/// alone.
 fn candidates(ground: &Ground) -> Vec<(String, IrtOptions)> {
-    let base = IrtOptions { seed: ground.options.seed, ..IrtOptions::default() };
+    let base = IrtOptions {
+        seed: ground.options.seed,
+        ..IrtOptions::default()
+    };
     let o = &ground.options;
     let mut all = vec![
         (
             "uniform, 512 rays".to_owned(),
-            IrtOptions { estimator: Estimator::Uniform, rays: 512, emitter_samples: 0, ..base.clone() },
+            IrtOptions {
+                estimator: Estimator::Uniform,
+                rays: 512,
+                emitter_samples: 0,
+                ..base.clone()
+            },
         ),
         (
             "cosine, 512 rays".to_owned(),
-            IrtOptions { estimator: Estimator::Cosine, rays: 512, emitter_samples: 0, ..base.clone() },
+            IrtOptions {
+                estimator: Estimator::Cosine,
+                rays: 512,
+                emitter_samples: 0,
+                ..base.clone()
+            },
         ),
         (
             format!("mis, {} + {} rays", o.irradiance_rays, o.emitter_samples),
-            IrtOptions { rays: o.irradiance_rays, emitter_samples: o.emitter_samples, ..base.clone() },
+            IrtOptions {
+                rays: o.irradiance_rays,
+                emitter_samples: o.emitter_samples,
+                ..base.clone()
+            },
         ),
     ];
     if !ground.light.emitters.is_empty() {
-        all.push(("emitters, 2 + 512 rays".to_owned(), IrtOptions { rays: 2, emitter_samples: 512, ..base }));
+        all.push((
+            "emitters, 2 + 512 rays".to_owned(),
+            IrtOptions {
+                rays: 2,
+                emitter_samples: 512,
+                ..base
+            },
+        ));
     }
     all
 }
@@ -153,9 +206,17 @@ pub(super) fn measure(
 ) -> Result<Rates> {
     let tracer = &ground.surface.tracer;
     let candidates = candidates(ground);
-    let mut out = Rates { repetitions, ..Rates::default() };
+    let mut out = Rates {
+        repetitions,
+        ..Rates::default()
+    };
     for (k, (name, options)) in candidates.iter().enumerate() {
-        let per_texel = (options.rays + if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 }) as usize;
+        let per_texel = (options.rays
+            + if options.estimator == Estimator::Mis {
+                options.emitter_samples
+            } else {
+                0
+            }) as usize;
         let ids = ground.runs(texels, rays / per_texel);
         let (closest, occluded) = rays_of(ground, texels, &ids, options);
         let mut flags = vec![0u8; occluded.len()];
@@ -163,7 +224,11 @@ pub(super) fn measure(
         let mut hidden = vec![0u8; closest.len()];
         let mut tasks: Vec<Box<dyn FnMut()>> = vec![
             Box::new(|| {
-                black_box(ground.bake_some(texels, &ids, options, &Progress::silent()).rays);
+                black_box(
+                    ground
+                        .bake_some(texels, &ids, options, &Progress::silent())
+                        .rays,
+                );
             }),
             Box::new(|| {
                 black_box(bare_closest(tracer, &closest));
@@ -203,15 +268,22 @@ pub(super) fn measure(
             1 => {
                 out.closest = bare / seconds[0];
                 out.texels = ids.len();
-                out.batches.push(batch("closest hit", closest.len(), seconds[3], seconds[1]));
-                out.batches.push(batch("any hit, same rays", closest.len(), seconds[5], seconds[6]));
+                out.batches
+                    .push(batch("closest hit", closest.len(), seconds[3], seconds[1]));
+                out.batches.push(batch(
+                    "any hit, same rays",
+                    closest.len(),
+                    seconds[5],
+                    seconds[6],
+                ));
                 if let Some(folder) = export {
                     export_rays(folder, &ground.surface.scene.mesh, &closest)?;
                 }
             }
             3 => {
                 out.occlusion = Some(bare / seconds[0]);
-                out.batches.push(batch("occlusion", occluded.len(), seconds[4], seconds[2]));
+                out.batches
+                    .push(batch("occlusion", occluded.len(), seconds[4], seconds[2]));
             }
             _ => {}
         }
@@ -220,14 +292,30 @@ pub(super) fn measure(
     Ok(out)
 }
 
-/// Writes the mesh and rays as raw little-endian arrays for other programs: `positions.f32` (n × 3), `triangles.u32` (n × 3) and
-/// `rays.f32` (n × 6: origin, direction).
+/// Writes the mesh and rays as raw little-endian arrays for other programs: `positions.f32` (n ×
+/// 3), `triangles.u32` (n × 3) and `rays.f32` (n × 6: origin, direction).
 fn export_rays(folder: &Path, mesh: &Mesh, rays: &[Ray]) -> Result<()> {
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
-    let flat: Vec<[f32; 6]> =
-        rays.iter().map(|r| std::array::from_fn(|i| if i < 3 { r.origin[i] } else { r.direction[i - 3] })).collect();
+    let flat: Vec<[f32; 6]> = rays
+        .iter()
+        .map(|r| {
+            std::array::from_fn(|i| {
+                if i < 3 {
+                    r.origin[i]
+                } else {
+                    r.direction[i - 3]
+                }
+            })
+        })
+        .collect();
     let positions: Vec<[f32; 3]> = mesh.positions.iter().map(|p| p.to_array()).collect();
-    atomic_write(folder.join("positions.f32"), bytemuck::cast_slice(&positions))?;
-    atomic_write(folder.join("triangles.u32"), bytemuck::cast_slice(&mesh.triangles))?;
+    atomic_write(
+        folder.join("positions.f32"),
+        bytemuck::cast_slice(&positions),
+    )?;
+    atomic_write(
+        folder.join("triangles.u32"),
+        bytemuck::cast_slice(&mesh.triangles),
+    )?;
     atomic_write(folder.join("rays.f32"), bytemuck::cast_slice(&flat))
 }

@@ -1,8 +1,11 @@
-//! `unbake bench kernel`: evaluations per second of the GGX kernel beside the scalar reference and what the machine can do.
+//! `unbake bench kernel`: evaluations per second of the GGX kernel beside the scalar reference and
+//! what the machine can do.
 //!
-//! The limits are measured in the same run with the same instruction set: multiplications and additions on registers, divisions on
-//! registers, and memory traffic of seven streams. An evaluation (value and derivative) takes [`OPERATIONS`] simple operations and
-//! [`DIVISIONS`] divisions and, beyond the caches, [`BYTES`] bytes; the limit is the slower of the two units, which can overlap.
+//! The limits are measured in the same run with the same instruction set: multiplications and
+//! additions on registers, divisions on registers, and memory traffic of seven streams. An
+//! evaluation (value and derivative) takes [`OPERATIONS`] simple operations and [`DIVISIONS`]
+//! divisions and, beyond the caches, [`BYTES`] bytes; the limit is the slower of the two units,
+//! which can overlap.
 
 use super::interleaved;
 use crate::brdf::{SpecularChunk, specular_chunk, specular_d_roughness};
@@ -18,7 +21,8 @@ use std::hint::black_box;
 pub const OPERATIONS: f64 = 56.0;
 /// Divisions of one evaluation.
 pub const DIVISIONS: f64 = 4.0;
-/// Bytes moved per evaluation beyond the caches: five numbers read, two written, and two fetched before they are overwritten.
+/// Bytes moved per evaluation beyond the caches: five numbers read, two written, and two fetched
+/// before they are overwritten.
 pub const BYTES: f64 = 36.0;
 
 /// Evaluations per slice that stay in the second-level cache.
@@ -93,12 +97,26 @@ impl Buffers {
     fn new(n: usize, key: u64) -> Self {
         let mut rng = KeyedRng::new(5, key);
         let input = std::array::from_fn(|_| (0..n).map(|_| 0.01 + 0.98 * rng.next_f32()).collect());
-        Self { input, value: vec![0.0; n], slope: vec![0.0; n] }
+        Self {
+            input,
+            value: vec![0.0; n],
+            slope: vec![0.0; n],
+        }
     }
 
     fn kernel(&mut self) {
         let [n_l, n_v, sin2_nh, v_h, roughness] = &self.input;
-        specular_chunk(SpecularChunk { n_l, n_v, sin2_nh, v_h, roughness }, &mut self.value, &mut self.slope);
+        specular_chunk(
+            SpecularChunk {
+                n_l,
+                n_v,
+                sin2_nh,
+                v_h,
+                roughness,
+            },
+            &mut self.value,
+            &mut self.slope,
+        );
         black_box(&mut self.value);
     }
 
@@ -196,14 +214,24 @@ fn measure(threads: usize, rounds: usize) -> crate::Result<KernelRates> {
         .num_threads(threads)
         .build()
         .map_err(|e| crate::Error::Failed(format!("cannot start {threads} threads: {e}")))?;
-    let make = |n| (0..threads).map(|k| Buffers::new(n, k as u64)).collect::<Vec<_>>();
-    let (mut small, mut scalar, mut large, mut copied) = (make(CACHED), make(CACHED), make(STREAMED), make(STREAMED));
+    let make = |n| {
+        (0..threads)
+            .map(|k| Buffers::new(n, k as u64))
+            .collect::<Vec<_>>()
+    };
+    let (mut small, mut scalar, mut large, mut copied) =
+        (make(CACHED), make(CACHED), make(STREAMED), make(STREAMED));
     const REPEAT: usize = 64;
     const STEPS: usize = 40_000;
     let each = |buffers: &mut Vec<Buffers>, times: usize, f: fn(&mut Buffers)| {
-        pool.install(|| buffers.par_iter_mut().for_each(|b| (0..times).for_each(|_| f(b))));
+        pool.install(|| {
+            buffers
+                .par_iter_mut()
+                .for_each(|b| (0..times).for_each(|_| f(b)))
+        });
     };
-    let registers = |f: fn(usize)| pool.install(|| (0..threads).into_par_iter().for_each(|_| f(STEPS)));
+    let registers =
+        |f: fn(usize)| pool.install(|| (0..threads).into_par_iter().for_each(|_| f(STEPS)));
     let mut tasks: Vec<Box<dyn FnMut()>> = vec![
         Box::new(|| each(&mut small, REPEAT, Buffers::kernel)),
         Box::new(|| each(&mut scalar, REPEAT / 8, Buffers::scalar)),

@@ -1,8 +1,10 @@
-//! Measurements one can repeat: how fast the light is computed, what accuracy costs, how we stand beside published times.
+//! Measurements one can repeat: how fast the light is computed, what accuracy costs, how we stand
+//! beside published times.
 //!
-//! Every command measures both sides of a comparison in the same process on the same machine, repeats them in turn and reports
-//! medians; whatever is computed instead of measured (a long run scaled up from a part of it) says so in its own field. Nothing
-//! here is asserted by a test: a test machine is never quiet.
+//! Every command measures both sides of a comparison in the same process on the same machine,
+//! repeats them in turn and reports medians; whatever is computed instead of measured (a long run
+//! scaled up from a part of it) says so in its own field. Nothing here is asserted by a test: a
+//! test machine is never quiet.
 
 mod child;
 mod damage;
@@ -30,7 +32,10 @@ pub use irt_oidn::OidnReport;
 pub use irt_rates::{BatchRate, EstimatorRate, Rates};
 pub use kernel::{KernelBench, KernelRates, KernelReport, bench_kernel};
 pub use robustness::{RobustnessBench, RobustnessPoint, RobustnessReport, bench_robustness};
-pub use tradeoff::{APPROXIMATIONS, Clock, KNOBS, NEEDS, PRESETS, TradePoint, TradeoffBench, TradeoffReport, bench_tradeoff};
+pub use tradeoff::{
+    APPROXIMATIONS, Clock, KNOBS, NEEDS, PRESETS, TradePoint, TradeoffBench, TradeoffReport,
+    bench_tradeoff,
+};
 pub use tsdr::{TsdrBench, TsdrReport, bench_tsdr};
 
 use std::time::Instant;
@@ -46,10 +51,15 @@ pub(crate) fn timed<T>(f: impl FnOnce() -> T) -> (T, f64) {
 pub(crate) fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     let n = values.len();
-    if n == 0 { 0.0 } else { 0.5 * (values[(n - 1) / 2] + values[n / 2]) }
+    if n == 0 {
+        0.0
+    } else {
+        0.5 * (values[(n - 1) / 2] + values[n / 2])
+    }
 }
 
-/// Runs `tasks` in turn, `repetitions` times, and returns the median seconds of each: what disturbs the machine disturbs all.
+/// Runs `tasks` in turn, `repetitions` times, and returns the median seconds of each: what disturbs
+/// the machine disturbs all.
 pub(crate) fn interleaved(repetitions: usize, tasks: &mut [Box<dyn FnMut() + '_>]) -> Vec<f64> {
     let mut seconds = vec![Vec::with_capacity(repetitions); tasks.len()];
     for _ in 0..repetitions.max(1) {
@@ -74,8 +84,10 @@ mod tests {
     #[test]
     fn tasks_take_turns() {
         let order = std::cell::RefCell::new(Vec::new());
-        let mut tasks: Vec<Box<dyn FnMut()>> =
-            vec![Box::new(|| order.borrow_mut().push('a')), Box::new(|| order.borrow_mut().push('b'))];
+        let mut tasks: Vec<Box<dyn FnMut()>> = vec![
+            Box::new(|| order.borrow_mut().push('a')),
+            Box::new(|| order.borrow_mut().push('b')),
+        ];
         assert_eq!(interleaved(2, &mut tasks).len(), 2);
         drop(tasks);
         assert_eq!(order.into_inner(), ['a', 'b', 'a', 'b']);

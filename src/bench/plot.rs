@@ -1,6 +1,7 @@
 //! Curves as SVG: small charts side by side, linear or logarithmic axes.
 //!
-//! Logarithmic axes are drawn as linear ones of the logarithm with labels turned back into values, so that one chart type serves.
+//! Logarithmic axes are drawn as linear ones of the logarithm with labels turned back into values,
+//! so that one chart type serves.
 
 use crate::error::{Error, Result};
 use plotters::prelude::*;
@@ -61,11 +62,19 @@ pub(super) fn svg(charts: &[Chart]) -> Result<String> {
     let rows = charts.len().div_ceil(columns).max(1);
     let mut out = String::new();
     {
-        let area = SVGBackend::with_string(&mut out, (SIZE.0 * columns as u32, SIZE.1 * rows as u32)).into_drawing_area();
+        let area =
+            SVGBackend::with_string(&mut out, (SIZE.0 * columns as u32, SIZE.1 * rows as u32))
+                .into_drawing_area();
         area.fill(&WHITE).map_err(failed)?;
-        for (i, (chart, cell)) in charts.iter().zip(area.split_evenly((rows, columns))).enumerate() {
+        for (i, (chart, cell)) in charts
+            .iter()
+            .zip(area.split_evenly((rows, columns)))
+            .enumerate()
+        {
             // charts of the same curves share the legend of the last
-            let named = charts.get(i + 1).is_none_or(|next| !chart.names().eq(next.names()));
+            let named = charts
+                .get(i + 1)
+                .is_none_or(|next| !chart.names().eq(next.names()));
             draw(chart, named, &cell).map_err(failed)?;
         }
         area.present().map_err(failed)?;
@@ -79,15 +88,31 @@ fn failed(e: impl std::fmt::Display) -> Error {
 
 type Drawn = std::result::Result<(), DrawingAreaErrorKind<std::io::Error>>;
 
-fn draw(chart: &Chart, named: bool, area: &DrawingArea<SVGBackend<'_>, plotters::coord::Shift>) -> Drawn {
+fn draw(
+    chart: &Chart,
+    named: bool,
+    area: &DrawingArea<SVGBackend<'_>, plotters::coord::Shift>,
+) -> Drawn {
     let place = |&(x, y): &(f64, f64)| (scaled(x, chart.log_x), scaled(y, chart.log_y));
     let curves: Vec<Vec<(f64, f64)>> = chart
         .series
         .iter()
-        .map(|s| s.points.iter().map(place).filter(|(x, y)| x.is_finite() && y.is_finite()).collect())
+        .map(|s| {
+            s.points
+                .iter()
+                .map(place)
+                .filter(|(x, y)| x.is_finite() && y.is_finite())
+                .collect()
+        })
         .collect();
     let range = |of: fn(&(f64, f64)) -> f64| {
-        let (lo, hi) = curves.iter().flatten().map(of).fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+        let (lo, hi) = curves
+            .iter()
+            .flatten()
+            .map(of)
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| {
+                (a.min(v), b.max(v))
+            });
         if lo > hi {
             return 0.0..1.0;
         }
@@ -113,13 +138,22 @@ fn draw(chart: &Chart, named: bool, area: &DrawingArea<SVGBackend<'_>, plotters:
     for (i, (series, points)) in chart.series.iter().zip(&curves).enumerate() {
         let colour = COLOURS[i % COLOURS.len()];
         if series.line {
-            context.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2)))?;
+            context.draw_series(LineSeries::new(
+                points.iter().copied(),
+                colour.stroke_width(2),
+            ))?;
         }
         let drawn = context.draw_series(points.iter().map(|&p| mark(i, p)))?;
-        drawn.label(series.name.clone()).legend(move |(x, y)| mark(i, (x + 10, y)));
+        drawn
+            .label(series.name.clone())
+            .legend(move |(x, y)| mark(i, (x + 10, y)));
     }
     if named && chart.series.len() > 1 {
-        context.configure_series_labels().background_style(WHITE.mix(0.85)).border_style(BLACK.mix(0.3)).draw()?;
+        context
+            .configure_series_labels()
+            .background_style(WHITE.mix(0.85))
+            .border_style(BLACK.mix(0.3))
+            .draw()?;
     }
     Ok(())
 }
@@ -127,7 +161,11 @@ fn draw(chart: &Chart, named: bool, area: &DrawingArea<SVGBackend<'_>, plotters:
 /// The mark of a point of series `i`: where colours repeat, the shapes differ.
 fn mark<'a, C: Clone + 'static>(i: usize, at: C) -> DynElement<'static, SVGBackend<'a>, C> {
     let style = COLOURS[i % COLOURS.len()].filled();
-    if i < COLOURS.len() { Circle::new(at, 4, style).into_dyn() } else { TriangleMarker::new(at, 6, style).into_dyn() }
+    if i < COLOURS.len() {
+        Circle::new(at, 4, style).into_dyn()
+    } else {
+        TriangleMarker::new(at, 6, style).into_dyn()
+    }
 }
 
 fn scaled(v: f64, log: bool) -> f64 {
@@ -162,18 +200,36 @@ mod tests {
             log_x: log,
             log_y: log,
             series: vec![
-                Series { name: "uniform".into(), points: vec![(1.0, 0.1), (10.0, 0.01), (f64::NAN, 1.0)], line: true },
-                Series { name: "empty".into(), points: vec![], line: false },
+                Series {
+                    name: "uniform".into(),
+                    points: vec![(1.0, 0.1), (10.0, 0.01), (f64::NAN, 1.0)],
+                    line: true,
+                },
+                Series {
+                    name: "empty".into(),
+                    points: vec![],
+                    line: false,
+                },
             ],
         };
         let text = svg(&[chart(true), chart(false), chart(true)]).expect("draws");
-        assert!(text.starts_with("<svg") && text.contains("uniform") && text.contains("Error &lt;of&gt; bake"));
+        assert!(
+            text.starts_with("<svg")
+                && text.contains("uniform")
+                && text.contains("Error &lt;of&gt; bake")
+        );
         assert!(!text.contains("NaN"));
     }
 
     #[test]
     fn labels_are_short() {
-        assert_eq!([label(2.0, true), label(0.0, false), label(0.0123, false)], ["100", "0", "1.23e-2"]);
-        assert_eq!([label(25_000.0, false), label(8.4e6, false)], ["25k", "8.4M"]);
+        assert_eq!(
+            [label(2.0, true), label(0.0, false), label(0.0123, false)],
+            ["100", "0", "1.23e-2"]
+        );
+        assert_eq!(
+            [label(25_000.0, false), label(8.4e6, false)],
+            ["25k", "8.4M"]
+        );
     }
 }

@@ -1,5 +1,6 @@
-//! `unbake bench robustness`: what damaged input costs. Every condition is a copy of the scene, damaged in a known way, reconstructed
-//! in a process of its own and scored against ground truth on the untouched held-out views.
+//! `unbake bench robustness`: what damaged input costs. Every condition is a copy of the scene,
+//! damaged in a known way, reconstructed in a process of its own and scored against ground truth on
+//! the untouched held-out views.
 
 use super::child::{Outcome, Runner};
 use super::damage::{CONDITIONS, write_damaged};
@@ -14,11 +15,17 @@ use std::path::Path;
 /// What `unbake bench robustness` can be told.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct RobustnessBench {
-    /// Conditions to run besides `clean`, separated by commas; a part of the name will do. All by default.
+    /// Conditions to run besides `clean`, separated by commas; a part of the name will do. All by
+    /// default.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub only: Vec<String>,
     /// Flags for every `unbake solve`, as one string: for instance "--quality draft".
-    #[arg(long, value_name = "FLAGS", default_value = "", allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "FLAGS",
+        default_value = "",
+        allow_hyphen_values = true
+    )]
     pub solve_flags: String,
 }
 
@@ -47,7 +54,8 @@ pub struct RobustnessReport {
     pub scene: SceneSummary,
 }
 
-/// Runs the conditions in `work`; `runner(scene, folder)` prepares the processes for a damaged scene.
+/// Runs the conditions in `work`; `runner(scene, folder)` prepares the processes for a damaged
+/// scene.
 ///
 /// # Errors
 /// An unknown condition, a scene that cannot be copied, or a reconstruction that fails.
@@ -63,14 +71,25 @@ pub fn bench_robustness(
     for name in &bench.only {
         if !CONDITIONS.iter().any(|c| c.0.contains(name.as_str())) {
             let known: Vec<&str> = CONDITIONS.iter().map(|c| c.0).collect();
-            return Err(Error::Usage(format!("--only {name}: no such condition; there are {}", known.join(", "))));
+            return Err(Error::Usage(format!(
+                "--only {name}: no such condition; there are {}",
+                known.join(", ")
+            )));
         }
     }
     let chosen: Vec<_> = CONDITIONS
         .iter()
-        .filter(|(name, _)| *name == "clean" || bench.only.is_empty() || bench.only.iter().any(|o| name.contains(o.as_str())))
+        .filter(|(name, _)| {
+            *name == "clean"
+                || bench.only.is_empty()
+                || bench.only.iter().any(|o| name.contains(o.as_str()))
+        })
         .collect();
-    let flags: Vec<String> = bench.solve_flags.split_whitespace().map(String::from).collect();
+    let flags: Vec<String> = bench
+        .solve_flags
+        .split_whitespace()
+        .map(String::from)
+        .collect();
     let mut report = RobustnessReport {
         points: Vec::new(),
         versions: Versions::current(),
@@ -82,11 +101,21 @@ pub fn bench_robustness(
         for (name, damage) in chosen {
             let folder = work.join(format!("scene-{name}"));
             write_damaged(scene, *damage, seed, &folder)?;
-            let (outcome, notes) = runner(&folder, &work.join(format!("run-{name}")))?.run("out", &flags, |out| {
-                let record = crate::report::RunRecord::read_manifest(out).unwrap_or_default();
-                Ok(record.decisions.iter().map(ToString::to_string).chain(record.notes).collect())
-            })?;
-            report.points.push(RobustnessPoint { condition: (*name).to_owned(), outcome, notes });
+            let (outcome, notes) =
+                runner(&folder, &work.join(format!("run-{name}")))?.run("out", &flags, |out| {
+                    let record = crate::report::RunRecord::read_manifest(out).unwrap_or_default();
+                    Ok(record
+                        .decisions
+                        .iter()
+                        .map(ToString::to_string)
+                        .chain(record.notes)
+                        .collect())
+                })?;
+            report.points.push(RobustnessPoint {
+                condition: (*name).to_owned(),
+                outcome,
+                notes,
+            });
             p.note(report.line(report.points.len() - 1));
             p.advance(1);
             each(&report)?;
@@ -120,7 +149,10 @@ impl RobustnessReport {
         let _ = writeln!(
             out,
             "{}: {} training views of {}x{}; PSNR over the held-out views (change against clean)",
-            self.scene.name, self.scene.training_views, self.scene.image_size[0], self.scene.image_size[1]
+            self.scene.name,
+            self.scene.training_views,
+            self.scene.image_size[0],
+            self.scene.image_size[1]
         );
         for i in 0..self.points.len() {
             let _ = writeln!(out, "{}", self.line(i));

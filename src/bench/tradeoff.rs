@@ -1,8 +1,10 @@
 //! `unbake bench tradeoff`: what accuracy costs, preset by preset and knob by knob.
 //!
-//! Every point is a reconstruction in a process of its own, scored against ground truth. From the preset `standard` one knob at a
-//! time is turned and each approximation is left out; the knobs that save most time for the least loss are then turned together, one after another: the best path.
-//! A point is marked as Pareto-optimal if no faster one has as high a mean of the three PSNRs (albedo, roughness, novel views).
+//! Every point is a reconstruction in a process of its own, scored against ground truth. From the
+//! preset `standard` one knob at a time is turned and each approximation is left out; the knobs
+//! that save most time for the least loss are then turned together, one after another: the best
+//! path. A point is marked as Pareto-optimal if no faster one has as high a mean of the three PSNRs
+//! (albedo, roughness, novel views).
 
 use super::child::{Outcome, Runner};
 use super::ground::relative_errors;
@@ -26,7 +28,8 @@ use std::path::Path;
 /// Presets, fastest first.
 pub const PRESETS: [&str; 3] = ["draft", "standard", "high"];
 
-/// Flags of `unbake solve` that trade time for accuracy, each with the values tried besides the preset's own.
+/// Flags of `unbake solve` that trade time for accuracy, each with the values tried besides the
+/// preset's own.
 pub const KNOBS: &[(&str, &[&str])] = &[
     ("photo-reduction", &["2"]),
     ("irradiance-rays", &["16", "32", "64", "256"]),
@@ -55,7 +58,10 @@ type Flags = &'static [(&'static str, &'static str)];
 
 /// Approximations and refinements, and the flags that do without them.
 pub const APPROXIMATIONS: &[(&str, Flags)] = &[
-    ("samples where they are wanted", &[("irradiance-rounds", "1")]),
+    (
+        "samples where they are wanted",
+        &[("irradiance-rounds", "1")],
+    ),
     ("irradiance filter", &[("irradiance-filter", "off")]),
     ("prefiltered lookups", &[("prefilter", "off")]),
     ("a coarse table of responses", &[("roughness-levels", "72")]),
@@ -64,12 +70,22 @@ pub const APPROXIMATIONS: &[(&str, Flags)] = &[
     ("colours of painted classes", &[("painted", "off")]),
 ];
 
-/// Decisions that leave out what the scene does not require, and the flags that model it all the same.
+/// Decisions that leave out what the scene does not require, and the flags that model it all the
+/// same.
 pub const NEEDS: &[(&str, Flags)] = &[
     ("even light for matte classes", &[("matte", "off")]),
-    ("several roughness values per class", &[("divide-classes", "off")]),
-    ("textures fitted to the photographs", &[("fit-textures", "off")]),
-    ("any such decision", &[("matte", "off"), ("fit-textures", "off")]),
+    (
+        "several roughness values per class",
+        &[("divide-classes", "off")],
+    ),
+    (
+        "textures fitted to the photographs",
+        &[("fit-textures", "off")],
+    ),
+    (
+        "any such decision",
+        &[("matte", "off"), ("fit-textures", "off")],
+    ),
 ];
 
 /// What counts as time.
@@ -114,8 +130,8 @@ pub struct TradePoint {
     /// Cost and quality.
     #[serde(flatten)]
     pub outcome: Outcome,
-    /// √(Σ‖E−E'‖²/Σ‖E'‖²) of the irradiance texture, looked up at the reference's texels. The reference is of the light that views
-    /// show: missing light counts as error.
+    /// √(Σ‖E−E'‖²/Σ‖E'‖²) of the irradiance texture, looked up at the reference's texels. The
+    /// reference is of the light that views show: missing light counts as error.
     pub irradiance_rmse: f64,
     /// Whether no faster point has as high a mean PSNR.
     pub pareto: bool,
@@ -156,7 +172,9 @@ pub fn bench_tradeoff(
     let mut report = TradeoffReport {
         points: Vec::new(),
         clock: bench.clock,
-        pareto_measure: "time against the mean of albedo, roughness (FIPT protocol) and novel-view PSNR".to_owned(),
+        pareto_measure:
+            "time against the mean of albedo, roughness (FIPT protocol) and novel-view PSNR"
+                .to_owned(),
         reference,
         versions: Versions::current(),
         machine: machine(),
@@ -167,36 +185,66 @@ pub fn bench_tradeoff(
         (false, true) => (&PRESETS, QUICK),
         (false, false) => (&PRESETS, KNOBS),
     };
-    let left_out: Vec<&(&str, Flags)> = APPROXIMATIONS.iter().filter(|_| !bench.needs).chain(NEEDS).collect();
+    let left_out: Vec<&(&str, Flags)> = APPROXIMATIONS
+        .iter()
+        .filter(|_| !bench.needs)
+        .chain(NEEDS)
+        .collect();
     let turned: usize = knobs.iter().map(|k| k.1.len()).sum();
     let steps = presets.len() + turned + left_out.len() + knobs.len();
     progress.stage("reconstructions", steps as u64, |p| {
         type Knobs = BTreeMap<String, String>;
-        let mut run =
-            |report: &mut TradeoffReport, kind: &str, preset: &str, without: Option<&str>, knobs: Knobs| -> Result<()> {
-                let mut flags = vec!["--quality".to_owned(), preset.to_owned()];
-                flags.extend(knobs.iter().flat_map(|(k, v)| [format!("--{k}"), v.clone()]));
-                let name = format!("point-{:03}", report.points.len());
-                let (outcome, irradiance_rmse) =
-                    runner.run(&name, &flags, |out| irradiance_error(out, &places, &report.reference.value))?;
-                let (preset, without) = (preset.to_owned(), without.map(str::to_owned));
-                let point = TradePoint { preset, knobs, kind: kind.to_owned(), without, outcome, irradiance_rmse, pareto: false };
-                p.note(point.line(bench.clock));
-                report.points.push(point);
-                mark_pareto(&mut report.points, bench.clock);
-                p.advance(1);
-                each(report)
+        let mut run = |report: &mut TradeoffReport,
+                       kind: &str,
+                       preset: &str,
+                       without: Option<&str>,
+                       knobs: Knobs|
+         -> Result<()> {
+            let mut flags = vec!["--quality".to_owned(), preset.to_owned()];
+            flags.extend(
+                knobs
+                    .iter()
+                    .flat_map(|(k, v)| [format!("--{k}"), v.clone()]),
+            );
+            let name = format!("point-{:03}", report.points.len());
+            let (outcome, irradiance_rmse) = runner.run(&name, &flags, |out| {
+                irradiance_error(out, &places, &report.reference.value)
+            })?;
+            let (preset, without) = (preset.to_owned(), without.map(str::to_owned));
+            let point = TradePoint {
+                preset,
+                knobs,
+                kind: kind.to_owned(),
+                without,
+                outcome,
+                irradiance_rmse,
+                pareto: false,
             };
+            p.note(point.line(bench.clock));
+            report.points.push(point);
+            mark_pareto(&mut report.points, bench.clock);
+            p.advance(1);
+            each(report)
+        };
         for preset in presets {
             run(&mut report, "preset", preset, None, BTreeMap::new())?;
         }
         for (knob, values) in knobs {
             for value in *values {
-                run(&mut report, "knob", "standard", None, [((*knob).to_owned(), (*value).to_owned())].into())?;
+                run(
+                    &mut report,
+                    "knob",
+                    "standard",
+                    None,
+                    [((*knob).to_owned(), (*value).to_owned())].into(),
+                )?;
             }
         }
         for (name, flags) in left_out {
-            let knobs = flags.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
+            let knobs = flags
+                .iter()
+                .map(|(k, v)| ((*k).to_owned(), (*v).to_owned()))
+                .collect();
             run(&mut report, "without", "standard", Some(name), knobs)?;
         }
         // two changes at least: one alone has been measured
@@ -205,7 +253,13 @@ pub fn bench_tradeoff(
             if path.len() < n {
                 break;
             }
-            run(&mut report, "path", "standard", None, path[..n].iter().cloned().collect())?;
+            run(
+                &mut report,
+                "path",
+                "standard",
+                None,
+                path[..n].iter().cloned().collect(),
+            )?;
         }
         Ok::<(), crate::Error>(())
     })?;
@@ -221,22 +275,28 @@ fn irradiance_reference(
 ) -> Result<(Reference, Vec<Vec2>)> {
     let ground = Ground::prepare(scene, options, progress)?;
     let texels = &ground.light.texels;
-    let reference =
-        progress.stage("reference", 2 * bench.reference_texels as u64, |p| reference(&ground, texels, bench.reference_texels, p));
+    let reference = progress.stage("reference", 2 * bench.reference_texels as u64, |p| {
+        reference(&ground, texels, bench.reference_texels, p)
+    });
     let places = reference.ids.iter().map(|&i| centre(texels, i)).collect();
     Ok((reference, places))
 }
 
 fn centre(texels: &Texels, i: usize) -> Vec2 {
     let c = texels.cell[i] as usize;
-    Vec2::new((c % texels.width) as f32 + 0.5, (c / texels.width) as f32 + 0.5)
-        / Vec2::new(texels.width as f32, texels.height as f32)
+    Vec2::new(
+        (c % texels.width) as f32 + 0.5,
+        (c / texels.width) as f32 + 0.5,
+    ) / Vec2::new(texels.width as f32, texels.height as f32)
 }
 
 fn irradiance_error(out: &Path, places: &[Vec2], reference: &[Vec3]) -> Result<f64> {
     let plane = read_rgb(out.join("irradiance.exr"))?;
     let size = Vec2::new(plane.width as f32, plane.height as f32);
-    let value: Vec<Vec3> = places.iter().map(|&uv| plane.bilinear(uv * size, Wrap::Clamp)).collect();
+    let value: Vec<Vec3> = places
+        .iter()
+        .map(|&uv| plane.bilinear(uv * size, Wrap::Clamp))
+        .collect();
     Ok(relative_errors(&value, reference).0)
 }
 
@@ -244,8 +304,15 @@ impl TradePoint {
     /// Mean of the PSNRs there are.
     fn quality(&self) -> f64 {
         let o = &self.outcome;
-        let all: Vec<f64> = [o.albedo_psnr, o.roughness_psnr, o.novel_psnr].into_iter().flatten().collect();
-        if all.is_empty() { 0.0 } else { all.iter().sum::<f64>() / all.len() as f64 }
+        let all: Vec<f64> = [o.albedo_psnr, o.roughness_psnr, o.novel_psnr]
+            .into_iter()
+            .flatten()
+            .collect();
+        if all.is_empty() {
+            0.0
+        } else {
+            all.iter().sum::<f64>() / all.len() as f64
+        }
     }
 
     fn time(&self, clock: Clock) -> f64 {
@@ -282,20 +349,37 @@ impl TradePoint {
 }
 
 fn mark_pareto(points: &mut [TradePoint], clock: Clock) {
-    let all: Vec<(f64, f64)> = points.iter().map(|p| (p.time(clock), p.quality())).collect();
+    let all: Vec<(f64, f64)> = points
+        .iter()
+        .map(|p| (p.time(clock), p.quality()))
+        .collect();
     for (i, p) in points.iter_mut().enumerate() {
         let (s, q) = all[i];
-        p.pareto = !all.iter().enumerate().any(|(j, &(t, r))| j != i && t <= s && r >= q && (t < s || r > q));
+        p.pareto = !all
+            .iter()
+            .enumerate()
+            .any(|(j, &(t, r))| j != i && t <= s && r >= q && (t < s || r > q));
     }
 }
 
-/// Changes that save time, the one with the least loss of quality per second saved first; one value per knob.
+/// Changes that save time, the one with the least loss of quality per second saved first; one value
+/// per knob.
 fn best_path(points: &[TradePoint], clock: Clock) -> Vec<(String, String)> {
-    let Some(base) = points.iter().find(|p| p.kind == "preset" && p.preset == "standard") else { return Vec::new() };
+    let Some(base) = points
+        .iter()
+        .find(|p| p.kind == "preset" && p.preset == "standard")
+    else {
+        return Vec::new();
+    };
     let mut changes: Vec<(f64, &TradePoint)> = points
         .iter()
         .filter(|p| p.kind == "knob" && p.time(clock) < base.time(clock))
-        .map(|p| ((base.quality() - p.quality()) / (base.time(clock) - p.time(clock)), p))
+        .map(|p| {
+            (
+                (base.quality() - p.quality()) / (base.time(clock) - p.time(clock)),
+                p,
+            )
+        })
         .collect();
     changes.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut path: Vec<(String, String)> = Vec::new();
@@ -330,14 +414,17 @@ impl TradeoffReport {
         for p in &self.points {
             let _ = writeln!(out, "{}", p.line(self.clock));
         }
-        let Some(base) = self.standard() else { return out };
+        let Some(base) = self.standard() else {
+            return out;
+        };
         for p in self.points.iter().filter(|p| p.kind == "without") {
             let _ = writeln!(
                 out,
                 "  {:52} saves {:+.1} s, {:+.2} GiB; costs {:+.2} dB in the mean of the PSNRs, {:+.2} points of irradiance error",
                 p.without.as_deref().unwrap_or_default(),
                 p.time(self.clock) - base.time(self.clock),
-                (p.outcome.peak_bytes as f64 - base.outcome.peak_bytes as f64) / (1u64 << 30) as f64,
+                (p.outcome.peak_bytes as f64 - base.outcome.peak_bytes as f64)
+                    / (1u64 << 30) as f64,
                 p.quality() - base.quality(),
                 100.0 * (base.irradiance_rmse - p.irradiance_rmse)
             );
@@ -347,7 +434,9 @@ impl TradeoffReport {
 
     /// The point that everything is turned from.
     fn standard(&self) -> Option<&TradePoint> {
-        self.points.iter().find(|p| p.kind == "preset" && p.preset == "standard")
+        self.points
+            .iter()
+            .find(|p| p.kind == "preset" && p.preset == "standard")
     }
 
     /// Every quality and memory against time, with the Pareto front as a line.
@@ -357,23 +446,51 @@ impl TradeoffReport {
     pub fn plot(&self) -> Result<String> {
         type Value = fn(&TradePoint) -> f64;
         let quantities: [(&str, Value, bool); 6] = [
-            ("albedo PSNR, dB", |p| p.outcome.albedo_psnr.unwrap_or(f64::NAN), false),
-            ("roughness PSNR (FIPT), dB", |p| p.outcome.roughness_psnr.unwrap_or(f64::NAN), false),
-            ("novel-view PSNR, dB", |p| p.outcome.novel_psnr.unwrap_or(f64::NAN), false),
-            ("irradiance relative RMSE, %", |p| 100.0 * p.irradiance_rmse, true),
+            (
+                "albedo PSNR, dB",
+                |p| p.outcome.albedo_psnr.unwrap_or(f64::NAN),
+                false,
+            ),
+            (
+                "roughness PSNR (FIPT), dB",
+                |p| p.outcome.roughness_psnr.unwrap_or(f64::NAN),
+                false,
+            ),
+            (
+                "novel-view PSNR, dB",
+                |p| p.outcome.novel_psnr.unwrap_or(f64::NAN),
+                false,
+            ),
+            (
+                "irradiance relative RMSE, %",
+                |p| 100.0 * p.irradiance_rmse,
+                true,
+            ),
             ("mean PSNR, dB", TradePoint::quality, false),
-            ("peak memory, GiB", |p| p.outcome.peak_bytes as f64 / (1u64 << 30) as f64, false),
+            (
+                "peak memory, GiB",
+                |p| p.outcome.peak_bytes as f64 / (1u64 << 30) as f64,
+                false,
+            ),
         ];
         let charts: Vec<Chart> = quantities
             .iter()
             .map(|&(name, value, log_y)| {
                 let of = |keep: &dyn Fn(&TradePoint) -> bool| {
-                    let mut points: Vec<_> =
-                        self.points.iter().filter(|p| keep(p)).map(|p| (p.time(self.clock), value(p))).collect();
+                    let mut points: Vec<_> = self
+                        .points
+                        .iter()
+                        .filter(|p| keep(p))
+                        .map(|p| (p.time(self.clock), value(p)))
+                        .collect();
                     points.sort_by(|a, b| a.0.total_cmp(&b.0));
                     points
                 };
-                let series = |name: &str, line, points| Series { name: name.to_owned(), points, line };
+                let series = |name: &str, line, points| Series {
+                    name: name.to_owned(),
+                    points,
+                    line,
+                };
                 let mut all = vec![
                     series("presets", false, of(&|p| p.kind == "preset")),
                     series("one knob", false, of(&|p| p.kind == "knob")),
@@ -382,15 +499,31 @@ impl TradeoffReport {
                 ];
                 // each approximation's own line: from the preset with it to the same without it
                 for p in self.points.iter().filter(|p| p.kind == "without") {
-                    let ends = self.standard().into_iter().chain([p]).map(|p| (p.time(self.clock), value(p))).collect();
-                    all.push(series(&format!("without {}", p.without.as_deref().unwrap_or_default()), true, ends));
+                    let ends = self
+                        .standard()
+                        .into_iter()
+                        .chain([p])
+                        .map(|p| (p.time(self.clock), value(p)))
+                        .collect();
+                    all.push(series(
+                        &format!("without {}", p.without.as_deref().unwrap_or_default()),
+                        true,
+                        ends,
+                    ));
                 }
                 let x = match self.clock {
                     Clock::Wall => "seconds",
                     Clock::Processor => "processor seconds per thread",
                 };
                 let title = format!("{}: {name}", self.scene.name);
-                Chart { title, x: x.to_owned(), y: name.to_owned(), log_x: true, log_y, series: all }
+                Chart {
+                    title,
+                    x: x.to_owned(),
+                    y: name.to_owned(),
+                    log_x: true,
+                    log_y,
+                    series: all,
+                }
             })
             .collect();
         svg(&charts)
@@ -404,10 +537,17 @@ mod tests {
     fn point(kind: &str, knob: Option<(&str, &str)>, seconds: f64, psnr: f64) -> TradePoint {
         TradePoint {
             preset: "standard".into(),
-            knobs: knob.into_iter().map(|(k, v)| (k.to_owned(), v.to_owned())).collect(),
+            knobs: knob
+                .into_iter()
+                .map(|(k, v)| (k.to_owned(), v.to_owned()))
+                .collect(),
             kind: kind.into(),
             without: None,
-            outcome: Outcome { seconds, novel_psnr: Some(psnr), ..Outcome::default() },
+            outcome: Outcome {
+                seconds,
+                novel_psnr: Some(psnr),
+                ..Outcome::default()
+            },
             irradiance_rmse: 0.01,
             pareto: false,
         }
@@ -415,9 +555,16 @@ mod tests {
 
     #[test]
     fn only_points_that_nothing_beats_are_pareto_optimal() {
-        let mut points = vec![point("knob", None, 1.0, 20.0), point("knob", None, 2.0, 19.0), point("knob", None, 3.0, 30.0)];
+        let mut points = vec![
+            point("knob", None, 1.0, 20.0),
+            point("knob", None, 2.0, 19.0),
+            point("knob", None, 3.0, 30.0),
+        ];
         mark_pareto(&mut points, Clock::Wall);
-        assert_eq!(points.iter().map(|p| p.pareto).collect::<Vec<_>>(), [true, false, true]);
+        assert_eq!(
+            points.iter().map(|p| p.pareto).collect::<Vec<_>>(),
+            [true, false, true]
+        );
     }
 
     #[test]
@@ -430,6 +577,12 @@ mod tests {
             point("knob", Some(("c", "1")), 120.0, 31.0),
         ];
         let path = best_path(&points, Clock::Wall);
-        assert_eq!(path, [("b".to_owned(), "2".to_owned()), ("a".to_owned(), "1".to_owned())]);
+        assert_eq!(
+            path,
+            [
+                ("b".to_owned(), "2".to_owned()),
+                ("a".to_owned(), "1".to_owned())
+            ]
+        );
     }
 }

@@ -1,7 +1,8 @@
 //! `unbake bench tsdr`: the whole reconstruction at the paper's resolutions beside published times.
 //!
-//! TSDR (Nimier-David et al., EGSR 2021) is reported to take 12 h per scene; the paper states 10 minutes of irradiance plus 41 s per
-//! view for itself. Their hardware differs from ours and TSDR's is unknown: the ratios compare with reported constants and say so.
+//! TSDR (Nimier-David et al., EGSR 2021) is reported to take 12 h per scene; the paper states 10
+//! minutes of irradiance plus 41 s per view for itself. Their hardware differs from ours and TSDR's
+//! is unknown: the ratios compare with reported constants and say so.
 
 use super::child::{Outcome, Runner};
 use crate::Result;
@@ -16,7 +17,8 @@ const TSDR_SECONDS: f64 = 43_200.0;
 /// The paper's irradiance, and its material stages per view (method §9.2).
 const PAPER_IRRADIANCE: f64 = 600.0;
 const PAPER_PER_VIEW: f64 = 41.0;
-/// Rays of the paper's method: irradiance and VHL, and per view for stages II and III (method §12.1).
+/// Rays of the paper's method: irradiance and VHL, and per view for stages II and III (method
+/// §12.1).
 const PAPER_RAYS: f64 = 2.147e9;
 const PAPER_RAYS_PER_VIEW: f64 = 98_304.0 * 16.0 * 83.0;
 
@@ -63,9 +65,16 @@ pub struct TsdrReport {
 ///
 /// # Errors
 /// A reconstruction that fails.
-pub fn bench_tsdr(scene: &Scene, runner: &Runner, bench: &TsdrBench, progress: &Progress) -> Result<TsdrReport> {
+pub fn bench_tsdr(
+    scene: &Scene,
+    runner: &Runner,
+    bench: &TsdrBench,
+    progress: &Progress,
+) -> Result<TsdrReport> {
     let resolutions = [2048usize, 4096, 1024];
-    let preset = clap::ValueEnum::to_possible_value(&bench.quality).map(|v| v.get_name().to_owned()).unwrap_or_default();
+    let preset = clap::ValueEnum::to_possible_value(&bench.quality)
+        .map(|v| v.get_name().to_owned())
+        .unwrap_or_default();
     let flags: Vec<String> = ["--quality", &preset]
         .into_iter()
         .map(str::to_owned)
@@ -76,7 +85,9 @@ pub fn bench_tsdr(scene: &Scene, runner: &Runner, bench: &TsdrBench, progress: &
                 .flat_map(|(flag, side)| [flag.to_owned(), side.to_string()]),
         )
         .collect();
-    let (outcome, ()) = progress.stage("reconstruction", 1, |_| runner.run("paper", &flags, |_| Ok(())))?;
+    let (outcome, ()) = progress.stage("reconstruction", 1, |_| {
+        runner.run("paper", &flags, |_| Ok(()))
+    })?;
     let summary = SceneSummary::of(scene);
     let views = summary.training_views;
     let paper_seconds = PAPER_IRRADIANCE + PAPER_PER_VIEW * views as f64;
@@ -136,7 +147,11 @@ impl TsdrReport {
             self.paper_ratio,
             self.paper_rays * 1e-9
         )?;
-        writeln!(out, "  TSDR, reported       {:>9.1} s   {:.0} times ours", self.tsdr_reported_seconds, self.tsdr_ratio)?;
+        writeln!(
+            out,
+            "  TSDR, reported       {:>9.1} s   {:.0} times ours",
+            self.tsdr_reported_seconds, self.tsdr_ratio
+        )?;
         let db = |v: Option<f64>| v.map_or("no ground truth".to_owned(), |v| format!("{v:.2} dB"));
         writeln!(
             out,
@@ -148,6 +163,8 @@ impl TsdrReport {
         for (name, seconds) in &o.stages {
             writeln!(out, "    {name:24} {seconds:>8.1} s")?;
         }
-        self.caveats.iter().try_for_each(|c| writeln!(out, "  note: {c}"))
+        self.caveats
+            .iter()
+            .try_for_each(|c| writeln!(out, "  note: {c}"))
     }
 }

@@ -1,20 +1,23 @@
 //! Value and derivative in R of the specular lobe, one formula for f32, f64 and dual numbers.
 //!
-//! Two cancellations are avoided by construction. The textbook denominator (n·h)²(α²−1)+1 loses every digit in f32 for
-//! n·h → 1; with s = ‖n×h‖² it is s + α²(1−s), a sum of non-negative terms. And G1(x)/x = 1/(x(1−k)+k) never divides by a
-//! cosine, so the lobe is finite at grazing view and light. Callers compute s as the squared length of the cross product
-//! (or hₓ²+h_y² in the local frame), not as 1−(n·h)².
+//! Two cancellations are avoided by construction. The textbook denominator (n·h)²(α²−1)+1 loses
+//! every digit in f32 for n·h → 1; with s = ‖n×h‖² it is s + α²(1−s), a sum of non-negative terms.
+//! And G1(x)/x = 1/(x(1−k)+k) never divides by a cosine, so the lobe is finite at grazing view and
+//! light. Callers compute s as the squared length of the cross product (or hₓ²+h_y² in the local
+//! frame), not as 1−(n·h)².
 
 use crate::math::Real;
 
 /// Reflectance of a dielectric at normal incidence.
 pub const F0: f64 = 0.04;
 
-/// GGX distribution of normals D = α²/(π(s + α²(1−s))²) from s = ‖n×h‖²; finite for α > 1e-18 in f32.
+/// GGX distribution of normals D = α²/(π(s + α²(1−s))²) from s = ‖n×h‖²; finite for α > 1e-18 in
+/// f32.
 #[inline(always)]
 #[must_use]
 pub fn ggx_d<T: Real>(sin2_nh: T, alpha: T) -> T {
-    // q² with q = α/(s+α²c²) keeps the squares away from underflow: α⁴ would be 1e-16 at the lower clamp of R
+    // q² with q = α/(s+α²c²) keeps the squares away from underflow: α⁴ would be 1e-16 at the lower
+    // clamp of R
     let q = alpha / (sin2_nh + alpha.sq() * (T::lit(1.0) - sin2_nh));
     q.sq() * T::lit(std::f64::consts::FRAC_1_PI)
 }
@@ -58,8 +61,9 @@ pub fn specular<T: Real>(n_l: T, n_v: T, sin2_nh: T, v_h: T, roughness: T) -> T 
 
 /// The specular lobe and its derivative in R.
 ///
-/// With α = R² and d = s + α²c²: dlnD/dR = 4(s − α²c²)/(R d), and for x = n·l and n·v: dlnG1/dR = −(1−x)/(x(1−k)+k)·(R+1)/4
-/// (method §12.3 point 6, the two terms of dlnD/dα brought over one denominator so that they do not cancel).
+/// With α = R² and d = s + α²c²: dlnD/dR = 4(s − α²c²)/(R d), and for x = n·l and n·v: dlnG1/dR =
+/// −(1−x)/(x(1−k)+k)·(R+1)/4 (method §12.3 point 6, the two terms of dlnD/dα brought over one
+/// denominator so that they do not cancel).
 #[inline(always)]
 #[must_use]
 pub fn specular_d_roughness<T: Real>(n_l: T, n_v: T, sin2_nh: T, v_h: T, roughness: T) -> (T, T) {
@@ -108,12 +112,22 @@ mod tests {
                 let dual = specular(c(n_l), c(n_v), c(s), c(v_h), Dual::variable(r, 0));
                 let (value, slope) = specular_d_roughness(n_l, n_v, s, v_h, r);
                 assert!((value - dual.x).abs() <= 1e-13 * dual.x, "value at R {r}");
-                // the derivative crosses zero on the flank: relative to the larger of itself and value/R
+                // the derivative crosses zero on the flank: relative to the larger of itself and
+                // value/R
                 let scale = dual.d[0].abs().max(dual.x / r);
-                assert!((slope - dual.d[0]).abs() <= 1e-10 * scale, "slope at R {r}: {slope} against {}", dual.d[0]);
+                assert!(
+                    (slope - dual.d[0]).abs() <= 1e-10 * scale,
+                    "slope at R {r}: {slope} against {}",
+                    dual.d[0]
+                );
                 let h = 1e-5 * r;
-                let central = (specular(n_l, n_v, s, v_h, r + h) - specular(n_l, n_v, s, v_h, r - h)) / (2.0 * h);
-                assert!((slope - central).abs() <= 1e-6 * scale, "central difference at R {r}");
+                let central = (specular(n_l, n_v, s, v_h, r + h)
+                    - specular(n_l, n_v, s, v_h, r - h))
+                    / (2.0 * h);
+                assert!(
+                    (slope - central).abs() <= 1e-6 * scale,
+                    "central difference at R {r}"
+                );
             }
         }
     }
@@ -129,7 +143,8 @@ mod tests {
                 let (v32, s32) = specular_d_roughness(f[0], f[1], f[2], f[3], f[4]);
                 let (v64, s64) = specular_d_roughness(d[0], d[1], d[2], d[3], d[4]);
                 worst_value = worst_value.max((f64::from(v32) - v64).abs() / v64);
-                worst_slope = worst_slope.max((f64::from(s32) - s64).abs() / s64.abs().max(v64 / d[4]));
+                worst_slope =
+                    worst_slope.max((f64::from(s32) - s64).abs() / s64.abs().max(v64 / d[4]));
             }
         }
         assert!(worst_value < 3e-6, "value off by {worst_value:.2e}");
@@ -158,7 +173,10 @@ mod tests {
             for c in [0.0f32, 1e-30, 1e-5, 1.0] {
                 for s in [0.0f32, 1e-12, 1e-5, 1.0] {
                     let (v, d) = specular_d_roughness(c, 1e-5, s, c, r);
-                    assert!(v.is_finite() && d.is_finite() && v >= 0.0, "R {r} cos {c} s {s}: {v} {d}");
+                    assert!(
+                        v.is_finite() && d.is_finite() && v >= 0.0,
+                        "R {r} cos {c} s {s}: {v} {d}"
+                    );
                 }
             }
         }

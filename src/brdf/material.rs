@@ -72,11 +72,16 @@ impl Material {
     pub fn specular_share(&self, n_v: f32) -> f32 {
         let f = fresnel(n_v.clamp(0.0, 1.0));
         let total = f + luminance(self.albedo);
-        if total > 0.0 { (f / total).clamp(0.1, 0.9) } else { 0.5 }
+        if total > 0.0 {
+            (f / total).clamp(0.1, 0.9)
+        } else {
+            0.5
+        }
     }
 
-    /// Draws a direction of light from the mixture of a cosine lobe and GGX's visible normals; `None` where the drawn direction
-    /// lies below the surface (its contribution is zero: the estimator stays unbiased).
+    /// Draws a direction of light from the mixture of a cosine lobe and GGX's visible normals;
+    /// `None` where the drawn direction lies below the surface (its contribution is zero: the
+    /// estimator stays unbiased).
     #[inline]
     #[must_use]
     pub fn sample(&self, n: Vec3, v: Vec3, choice: f32, u: [f32; 2]) -> Option<BrdfSample> {
@@ -84,7 +89,11 @@ impl Material {
         let direction = self.sample_direction(n, v, choice < share, u)?;
         let pdf = self.pdf_with_share(n, v, direction, share);
         let weight = self.eval(n, v, direction) / pdf;
-        (pdf > 0.0 && weight.is_finite()).then_some(BrdfSample { direction, weight, pdf })
+        (pdf > 0.0 && weight.is_finite()).then_some(BrdfSample {
+            direction,
+            weight,
+            pdf,
+        })
     }
 
     /// Draws a direction from one lobe: visible normals or cosine; `None` below the surface.
@@ -127,7 +136,8 @@ impl Material {
         }
         let h = (v + l).normalize_or(n);
         let alpha = self.clamped_roughness() * self.clamped_roughness();
-        diffuse + share * vndf_reflection_pdf(n_v.min(1.0), n.cross(h).length_squared().min(1.0), alpha)
+        diffuse
+            + share * vndf_reflection_pdf(n_v.min(1.0), n.cross(h).length_squared().min(1.0), alpha)
     }
 }
 
@@ -147,9 +157,15 @@ mod tests {
         const ROWS: usize = 16;
         const COLUMNS: usize = 16;
         const N: usize = 60_000;
-        let cases: Vec<(f32, f32)> = [0.3f32, 0.5, 0.8, 1.0].iter().flat_map(|&r| [0.0f32, 0.7, 1.3].map(|t| (r, t))).collect();
+        let cases: Vec<(f32, f32)> = [0.3f32, 0.5, 0.8, 1.0]
+            .iter()
+            .flat_map(|&r| [0.0f32, 0.7, 1.3].map(|t| (r, t)))
+            .collect();
         for (case, &(roughness, theta)) in cases.iter().enumerate() {
-            let m = Material { albedo: Vec3::splat(0.1), roughness };
+            let m = Material {
+                albedo: Vec3::splat(0.1),
+                roughness,
+            };
             let (n, v) = (Vec3::Z, view(theta));
             let mut rng = KeyedRng::new(11, case as u64);
             let mut observed = vec![0usize; ROWS * COLUMNS + 1];
@@ -158,7 +174,8 @@ mod tests {
                     None => ROWS * COLUMNS,
                     Some(s) => {
                         let i = ((s.direction.z * ROWS as f32) as usize).min(ROWS - 1);
-                        let phi = (f64::from(s.direction.y).atan2(f64::from(s.direction.x)) + PI) / (2.0 * PI);
+                        let phi = (f64::from(s.direction.y).atan2(f64::from(s.direction.x)) + PI)
+                            / (2.0 * PI);
                         i * COLUMNS + ((phi * COLUMNS as f64) as usize).min(COLUMNS - 1)
                     }
                 };
@@ -171,25 +188,38 @@ mod tests {
                 let z = (i as f32 + 0.5) / (ROWS * sub) as f32;
                 let s = (1.0 - z * z).sqrt();
                 for j in 0..COLUMNS * sub {
-                    let phi = std::f32::consts::TAU * (j as f32 + 0.5) / (COLUMNS * sub) as f32 - std::f32::consts::PI;
+                    let phi = std::f32::consts::TAU * (j as f32 + 0.5) / (COLUMNS * sub) as f32
+                        - std::f32::consts::PI;
                     let l = Vec3::new(s * phi.cos(), s * phi.sin(), z);
-                    expected[i / sub * COLUMNS + j / sub] += N as f64 * solid * f64::from(m.pdf(n, v, l));
+                    expected[i / sub * COLUMNS + j / sub] +=
+                        N as f64 * solid * f64::from(m.pdf(n, v, l));
                 }
             }
             let inside: f64 = expected.iter().sum();
-            assert!(inside <= N as f64 * 1.002, "density integrates to {}", inside / N as f64);
+            assert!(
+                inside <= N as f64 * 1.002,
+                "density integrates to {}",
+                inside / N as f64
+            );
             expected[ROWS * COLUMNS] = (N as f64 - inside).max(0.0);
             let (statistic, degrees) = chi2(&observed, &expected);
-            assert!(chi2_accepts(statistic, degrees, cases.len()), "R {roughness} θ {theta}: χ² {statistic:.1} of {degrees}");
+            assert!(
+                chi2_accepts(statistic, degrees, cases.len()),
+                "R {roughness} θ {theta}: χ² {statistic:.1} of {degrees}"
+            );
         }
     }
 
-    /// The sampler's mean weight is the directional albedo, here against quadrature over half vectors.
+    /// The sampler's mean weight is the directional albedo, here against quadrature over half
+    /// vectors.
     #[test]
     fn mean_weight_equals_quadrature() {
         for roughness in [0.15f32, 0.4, 0.9] {
             for theta in [0.2f32, 1.0, 1.45] {
-                let m = Material { albedo: Vec3::new(0.2, 0.5, 0.8), roughness };
+                let m = Material {
+                    albedo: Vec3::new(0.2, 0.5, 0.8),
+                    roughness,
+                };
                 let (n, v) = (Vec3::Z, view(theta));
                 let sobol = SobolSequence::new(2, 3);
                 let samples = 1 << 16;
@@ -200,7 +230,8 @@ mod tests {
                         (0..3).for_each(|k| mean[k] += f64::from(s.weight[k]) / f64::from(samples));
                     }
                 }
-                // half-vector quadrature: x = r²/(1+r²) of slope/α concentrates the nodes on the lobe
+                // half-vector quadrature: x = r²/(1+r²) of slope/α concentrates the nodes on the
+                // lobe
                 let alpha = f64::from(roughness).powi(2);
                 let (nx, np) = (1500, 512);
                 let mut glossy = 0.0f64;
@@ -217,14 +248,24 @@ mod tests {
                         if v_h > 0.0 && l.z > 0.0 {
                             // D cosθ_h dω_h = dx dφ/2π, dω_l = 4 v·h dω_h
                             let d = super::super::ggx_d(1.0 - cos * cos, alpha);
-                            let f = super::super::specular(l.z, v.z, 1.0 - cos * cos, v_h.min(1.0), f64::from(roughness));
+                            let f = super::super::specular(
+                                l.z,
+                                v.z,
+                                1.0 - cos * cos,
+                                v_h.min(1.0),
+                                f64::from(roughness),
+                            );
                             glossy += f * l.z * 4.0 * v_h / (d * cos) / (nx * np) as f64;
                         }
                     }
                 }
                 for (k, mean) in mean.into_iter().enumerate() {
                     let expected = glossy + f64::from(m.albedo[k]);
-                    assert!((mean / expected - 1.0).abs() < 4e-3, "R {roughness} θ {theta}: {} against {expected}", mean);
+                    assert!(
+                        (mean / expected - 1.0).abs() < 4e-3,
+                        "R {roughness} θ {theta}: {} against {expected}",
+                        mean
+                    );
                 }
             }
         }
@@ -234,7 +275,10 @@ mod tests {
     fn reciprocal_and_finite_to_the_edge() {
         let mut rng = KeyedRng::new(1, 1);
         for i in 0..2000 {
-            let m = Material { albedo: Vec3::splat(0.5), roughness: [0.0, 0.01, 0.1, 0.5, 1.0][i % 5] };
+            let m = Material {
+                albedo: Vec3::splat(0.5),
+                roughness: [0.0, 0.01, 0.1, 0.5, 1.0][i % 5],
+            };
             let mut direction = || {
                 let d = square_to_cosine_hemisphere([rng.next_f32(), rng.next_f32()]);
                 let z = if i % 3 == 0 { 1e-5 } else { d.z.max(1e-5) };
@@ -242,17 +286,29 @@ mod tests {
             };
             let (v, l) = (direction(), direction());
             let (a, b) = (m.eval(Vec3::Z, v, l) / l.z, m.eval(Vec3::Z, l, v) / v.z);
-            assert!(a.is_finite() && (a - b).length() <= 1e-4 * a.length(), "{a} {b}");
+            assert!(
+                a.is_finite() && (a - b).length() <= 1e-4 * a.length(),
+                "{a} {b}"
+            );
             assert!(m.pdf(Vec3::Z, v, l).is_finite());
-            if let Some(s) = m.sample(Vec3::Z, v, rng.next_f32(), [rng.next_f32(), rng.next_f32()]) {
-                assert!(s.weight.is_finite() && s.weight.min_element() >= 0.0 && s.weight.max_element() < 20.0, "{s:?}");
+            if let Some(s) = m.sample(Vec3::Z, v, rng.next_f32(), [rng.next_f32(), rng.next_f32()])
+            {
+                assert!(
+                    s.weight.is_finite()
+                        && s.weight.min_element() >= 0.0
+                        && s.weight.max_element() < 20.0,
+                    "{s:?}"
+                );
             }
         }
     }
 
     #[test]
     fn nothing_below_the_horizon() {
-        let m = Material { albedo: Vec3::ONE, roughness: 0.3 };
+        let m = Material {
+            albedo: Vec3::ONE,
+            roughness: 0.3,
+        };
         assert_eq!(m.eval(Vec3::Z, Vec3::Z, Vec3::NEG_Z), Vec3::ZERO);
         assert_eq!(m.eval(Vec3::Z, Vec3::NEG_Z, Vec3::Z), Vec3::ZERO);
         assert_eq!(m.pdf(Vec3::Z, Vec3::Z, Vec3::NEG_Z), 0.0);

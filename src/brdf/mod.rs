@@ -3,9 +3,11 @@
 //! f = A/π + D F G / (4 (n·v)(n·l)), with α = R², F0 = 0.04 and k = (R+1)²/8,
 //!
 //! *without* a (1−F) factor on the diffuse part: A plus the specular albedo may therefore exceed 1, by up to 0.04 at normal
-//! incidence and up to F = 1 at grazing. Whoever chooses albedos (`synth`) keeps them below about 0.85 so that light decays.
+//! incidence and up to F = 1 at grazing. Whoever chooses albedos (`synth`) keeps them below about
+//! 0.85 so that light decays.
 //!
-//! * [`ggx`]: value and derivative in R, generic over [`crate::math::Real`], in the form that survives f32;
+//! * [`ggx`]: value and derivative in R, generic over [`crate::math::Real`], in the form that
+//!   survives f32;
 //! * [`vndf`]: sampling of visible normals and its density;
 //! * [`material`]: a surface's parameters with evaluation, sampling and density in world space;
 //! * [`chunk`]: the same value and derivative over structure-of-arrays slices, vectorised.

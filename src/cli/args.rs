@@ -11,9 +11,15 @@ use crate::view::ViewOptions;
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
-/// Takes the light out of photographs of rooms: albedo, roughness and light textures of indoor scenes on ordinary CPUs.
+/// Takes the light out of photographs of rooms: albedo, roughness and light textures of indoor
+/// scenes on ordinary CPUs.
 #[derive(Parser, Clone, Debug)]
-#[command(name = "unbake", disable_version_flag = true, propagate_version = false, max_term_width = 100)]
+#[command(
+    name = "unbake",
+    disable_version_flag = true,
+    propagate_version = false,
+    max_term_width = 100
+)]
 pub struct Cli {
     /// Options of every verb.
     #[command(flatten)]
@@ -53,10 +59,16 @@ pub struct Global {
 /// The verbs.
 #[derive(Subcommand, Clone, Debug)]
 pub enum Verb {
-    /// Make a synthetic apartment with ground truth: mesh, HDR panoramas, labels, true albedo and roughness.
+    /// Make a synthetic apartment with ground truth: mesh, HDR panoramas, labels, true albedo and
+    /// roughness.
     Synth {
         /// Folder for the scene; created if need be.
-        #[arg(long, short, required_unless_present = "print_config", value_name = "SCENE")]
+        #[arg(
+            long,
+            short,
+            required_unless_present = "print_config",
+            value_name = "SCENE"
+        )]
         out: Option<PathBuf>,
         /// The apartment's options.
         #[command(flatten)]
@@ -71,13 +83,19 @@ pub enum Verb {
         #[command(flatten)]
         load: LoadOptions,
     },
-    /// Take the light out of photographs: reconstruct albedo, roughness and light textures of a scene.
+    /// Take the light out of photographs: reconstruct albedo, roughness and light textures of a
+    /// scene.
     Solve {
         /// Scene folder (or its transforms.json).
         #[arg(required_unless_present = "print_config", value_name = "SCENE")]
         scene: Option<PathBuf>,
         /// Folder for the result; created if need be.
-        #[arg(long, short, required_unless_present = "print_config", value_name = "OUT")]
+        #[arg(
+            long,
+            short,
+            required_unless_present = "print_config",
+            value_name = "OUT"
+        )]
         out: Option<PathBuf>,
         /// The reconstruction's options.
         #[command(flatten)]
@@ -101,13 +119,15 @@ pub enum Verb {
         #[command(flatten)]
         load: LoadOptions,
     },
-    /// Measure: speed and accuracy of the light, the trade of the presets, the time beside published ones.
+    /// Measure: speed and accuracy of the light, the trade of the presets, the time beside
+    /// published ones.
     Bench {
         /// What to measure.
         #[command(subcommand)]
         what: super::BenchVerb,
     },
-    /// Novel views of a reconstruction: panoramas or pinhole frames from cameras, views of a scene or along a smooth path.
+    /// Novel views of a reconstruction: panoramas or pinhole frames from cameras, views of a scene
+    /// or along a smooth path.
     Render {
         /// Output folder of `unbake solve`.
         #[arg(required_unless_present = "print_config", value_name = "OUT")]
@@ -122,7 +142,8 @@ pub enum Verb {
         #[command(flatten)]
         load: LoadOptions,
     },
-    /// Edit materials of a reconstruction without touching it: the list lies in OUT/edits.toml, the result in OUT/edited.
+    /// Edit materials of a reconstruction without touching it: the list lies in OUT/edits.toml, the
+    /// result in OUT/edited.
     Edit {
         /// Output folder of `unbake solve`.
         #[arg(required_unless_present = "print_config", value_name = "OUT")]
@@ -155,7 +176,8 @@ pub enum Verb {
         #[command(flatten)]
         load: LoadOptions,
     },
-    /// Pictures of a reconstruction under changed light: lamps off, scaled, coloured, moved or added, another environment.
+    /// Pictures of a reconstruction under changed light: lamps off, scaled, coloured, moved or
+    /// added, another environment.
     Relight {
         /// Output folder of `unbake solve`.
         #[arg(required_unless_present = "print_config", value_name = "OUT")]
@@ -166,7 +188,8 @@ pub enum Verb {
         /// Changes of the light: a TOML file with [[lamp]], [[add]] and [environment].
         #[arg(long, value_name = "FILE")]
         lights: Option<PathBuf>,
-        /// Another solution of the same scene, such as the truth of a synthetic one: relight both alike and print the PSNR.
+        /// Another solution of the same scene, such as the truth of a synthetic one: relight both
+        /// alike and print the PSNR.
         #[arg(long, value_name = "TRUTH")]
         against: Option<PathBuf>,
         /// List the lamps with number, place and power, and stop.
@@ -179,7 +202,8 @@ pub enum Verb {
         #[command(flatten)]
         load: LoadOptions,
     },
-    /// Walk through a reconstruction in the browser: a page served by this program, to this machine alone.
+    /// Walk through a reconstruction in the browser: a page served by this program, to this machine
+    /// alone.
     View {
         /// Output folder of `unbake solve`.
         #[arg(required_unless_present = "print_config", value_name = "OUT")]
@@ -201,18 +225,36 @@ impl Cli {
     #[must_use]
     pub fn flags(&self) -> Config {
         let g = &self.global;
-        let mut config = Config { threads: g.threads, seed: g.seed, quiet: g.quiet, json: g.json, ..Config::default() };
+        let mut config = Config {
+            threads: g.threads,
+            seed: g.seed,
+            quiet: g.quiet,
+            json: g.json,
+            ..Config::default()
+        };
         match &self.verb {
             Some(Verb::Synth { options, .. }) => config.synth = options.clone(),
             Some(Verb::Check { load, .. }) => config.scene = load.clone(),
-            Some(Verb::Solve { options, load, .. }) => (config.solve, config.scene) = (options.clone(), load.clone()),
-            Some(Verb::Eval { options, load, .. }) => (config.eval, config.scene) = (options.clone(), load.clone()),
-            Some(Verb::Render { options, load, .. }) => (config.render, config.scene) = (options.clone(), load.clone()),
+            Some(Verb::Solve { options, load, .. }) => {
+                (config.solve, config.scene) = (options.clone(), load.clone())
+            }
+            Some(Verb::Eval { options, load, .. }) => {
+                (config.eval, config.scene) = (options.clone(), load.clone())
+            }
+            Some(Verb::Render { options, load, .. }) => {
+                (config.render, config.scene) = (options.clone(), load.clone())
+            }
             Some(Verb::Edit { load, .. }) => config.scene = load.clone(),
-            Some(Verb::Export { options, load, .. }) => (config.export, config.scene) = (options.clone(), load.clone()),
-            Some(Verb::Relight { options, load, .. }) => (config.relight, config.scene) = (options.clone(), load.clone()),
+            Some(Verb::Export { options, load, .. }) => {
+                (config.export, config.scene) = (options.clone(), load.clone())
+            }
+            Some(Verb::Relight { options, load, .. }) => {
+                (config.relight, config.scene) = (options.clone(), load.clone())
+            }
             Some(Verb::Bench { .. }) | None => {}
-            Some(Verb::View { options, load, .. }) => (config.view, config.scene) = (options.clone(), load.clone()),
+            Some(Verb::View { options, load, .. }) => {
+                (config.view, config.scene) = (options.clone(), load.clone())
+            }
         }
         config
     }

@@ -3,8 +3,8 @@
 use super::verbs::read_scene;
 use super::{Config, Context};
 use crate::bench::{
-    IrtBench, KernelBench, RobustnessBench, Runner, TradeoffBench, TsdrBench, bench_irt, bench_kernel, bench_robustness,
-    bench_tradeoff, bench_tsdr,
+    IrtBench, KernelBench, RobustnessBench, Runner, TradeoffBench, TsdrBench, bench_irt,
+    bench_kernel, bench_robustness, bench_tradeoff, bench_tsdr,
 };
 use crate::error::{Error, Result};
 use crate::formats::{Aside, atomic_write};
@@ -17,7 +17,8 @@ use std::path::{Path, PathBuf};
 /// The measurements.
 #[derive(Subcommand, Clone, Debug)]
 pub enum BenchVerb {
-    /// Irradiance: rays per second beside a bare Embree loop, error against time, growth with texels, triangles and threads.
+    /// Irradiance: rays per second beside a bare Embree loop, error against time, growth with
+    /// texels, triangles and threads.
     Irt {
         /// Scene folder (or its transforms.json).
         #[arg(value_name = "SCENE")]
@@ -29,7 +30,8 @@ pub enum BenchVerb {
         #[command(flatten)]
         outputs: Outputs,
     },
-    /// Accuracy against time and memory over presets and knobs, each point a reconstruction of its own.
+    /// Accuracy against time and memory over presets and knobs, each point a reconstruction of its
+    /// own.
     Tradeoff {
         /// Scene folder (or its transforms.json), with ground truth.
         #[arg(value_name = "SCENE")]
@@ -44,7 +46,8 @@ pub enum BenchVerb {
         #[command(flatten)]
         outputs: Outputs,
     },
-    /// The whole reconstruction at the paper's resolutions beside the times published for TSDR and the paper.
+    /// The whole reconstruction at the paper's resolutions beside the times published for TSDR and
+    /// the paper.
     Tsdr {
         /// Scene folder (or its transforms.json).
         #[arg(value_name = "SCENE")]
@@ -59,7 +62,8 @@ pub enum BenchVerb {
         #[arg(long, value_name = "FILE")]
         json_file: Option<PathBuf>,
     },
-    /// What damaged input costs: wrong labels, exposure drift, clipping, pose and geometry noise, each beside the clean scene.
+    /// What damaged input costs: wrong labels, exposure drift, clipping, pose and geometry noise,
+    /// each beside the clean scene.
     Robustness {
         /// Scene folder (or its transforms.json), with ground truth.
         #[arg(value_name = "SCENE")]
@@ -74,7 +78,8 @@ pub enum BenchVerb {
         #[arg(long, value_name = "FILE")]
         json_file: Option<PathBuf>,
     },
-    /// Evaluations per second of the reflection kernel beside the scalar reference and the machine's limits.
+    /// Evaluations per second of the reflection kernel beside the scalar reference and the
+    /// machine's limits.
     Kernel {
         /// What is measured.
         #[command(flatten)]
@@ -99,12 +104,19 @@ impl Work {
     }
 
     fn folder(&self) -> PathBuf {
-        self.keep.clone().unwrap_or_else(|| std::env::temp_dir().join(format!("unbake-bench-{}", std::process::id())))
+        self.keep.clone().unwrap_or_else(|| {
+            std::env::temp_dir().join(format!("unbake-bench-{}", std::process::id()))
+        })
     }
 
     fn runner_in(&self, scene: &Path, work: &Path, context: &Context) -> Result<Runner> {
-        let config = Config { quiet: true, json: false, ..context.config.clone() };
-        let config = toml::to_string(&config).map_err(|e| Error::Failed(format!("options: {e}")))?;
+        let config = Config {
+            quiet: true,
+            json: false,
+            ..context.config.clone()
+        };
+        let config =
+            toml::to_string(&config).map_err(|e| Error::Failed(format!("options: {e}")))?;
         Runner::new(scene, work, self.keep.is_some(), &config)
     }
 }
@@ -129,8 +141,13 @@ impl Outputs {
         Ok(())
     }
 
-    fn write_files(&self, report: &impl Serialize, plot: impl FnOnce() -> Result<String>) -> Result<serde_json::Value> {
-        let json = serde_json::to_value(report).map_err(|e| Error::Failed(format!("figures: {e}")))?;
+    fn write_files(
+        &self,
+        report: &impl Serialize,
+        plot: impl FnOnce() -> Result<String>,
+    ) -> Result<serde_json::Value> {
+        let json =
+            serde_json::to_value(report).map_err(|e| Error::Failed(format!("figures: {e}")))?;
         if let Some(path) = &self.json_file {
             atomic_write(path, format!("{json:#}\n").as_bytes())?;
         }
@@ -140,7 +157,13 @@ impl Outputs {
         Ok(json)
     }
 
-    fn write(&self, context: &Context, text: &str, report: &impl Serialize, plot: impl FnOnce() -> Result<String>) -> Result<()> {
+    fn write(
+        &self,
+        context: &Context,
+        text: &str,
+        report: &impl Serialize,
+        plot: impl FnOnce() -> Result<String>,
+    ) -> Result<()> {
         let json = self.write_files(report, plot)?;
         context.result(text, &json)
     }
@@ -149,37 +172,83 @@ impl Outputs {
 /// Runs one measurement.
 pub(super) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
     match what {
-        BenchVerb::Irt { scene, bench, outputs } => {
+        BenchVerb::Irt {
+            scene,
+            bench,
+            outputs,
+        } => {
             outputs.check()?;
-            let report = bench_irt(&read_scene(scene, context)?, bench, &solve_options(context), &context.progress)?;
+            let report = bench_irt(
+                &read_scene(scene, context)?,
+                bench,
+                &solve_options(context),
+                &context.progress,
+            )?;
             outputs.write(context, &report.text(), &report, || report.plot())
         }
-        BenchVerb::Tradeoff { scene: path, bench, work, outputs } => {
+        BenchVerb::Tradeoff {
+            scene: path,
+            bench,
+            work,
+            outputs,
+        } => {
             outputs.check()?;
             let scene = read_scene(path, context)?;
             let runner = work.runner(path, context)?;
             let options = solve_options(context);
-            let report = bench_tradeoff(&scene, &runner, bench, &options, &context.progress, &mut |so_far| {
-                outputs.write_files(so_far, || so_far.plot()).map(drop)
-            })?;
+            let report = bench_tradeoff(
+                &scene,
+                &runner,
+                bench,
+                &options,
+                &context.progress,
+                &mut |so_far| outputs.write_files(so_far, || so_far.plot()).map(drop),
+            )?;
             outputs.write(context, &report.text(), &report, || report.plot())
         }
-        BenchVerb::Tsdr { scene: path, bench, work, json_file } => {
-            let outputs = Outputs { json_file: json_file.clone(), plot: None };
+        BenchVerb::Tsdr {
+            scene: path,
+            bench,
+            work,
+            json_file,
+        } => {
+            let outputs = Outputs {
+                json_file: json_file.clone(),
+                plot: None,
+            };
             outputs.check()?;
             let scene = read_scene(path, context)?;
-            let report = bench_tsdr(&scene, &work.runner(path, context)?, bench, &context.progress)?;
+            let report = bench_tsdr(
+                &scene,
+                &work.runner(path, context)?,
+                bench,
+                &context.progress,
+            )?;
             outputs.write(context, &report.text(), &report, || Ok(String::new()))
         }
-        BenchVerb::Robustness { scene: path, bench, work, json_file } => {
-            let outputs = Outputs { json_file: json_file.clone(), plot: None };
+        BenchVerb::Robustness {
+            scene: path,
+            bench,
+            work,
+            json_file,
+        } => {
+            let outputs = Outputs {
+                json_file: json_file.clone(),
+                plot: None,
+            };
             outputs.check()?;
             let scene = read_scene(path, context)?;
             let folder = work.folder();
             let runner = |scene: &Path, to: &Path| work.runner_in(scene, to, context);
-            let report = bench_robustness(&scene, bench, context.seed(), &folder, &runner, &context.progress, &mut |so_far| {
-                outputs.write_files(so_far, || Ok(String::new())).map(drop)
-            });
+            let report = bench_robustness(
+                &scene,
+                bench,
+                context.seed(),
+                &folder,
+                &runner,
+                &context.progress,
+                &mut |so_far| outputs.write_files(so_far, || Ok(String::new())).map(drop),
+            );
             if work.keep.is_none() {
                 // nothing can be done about files that will not go
                 let _ = std::fs::remove_dir_all(&folder);
@@ -188,7 +257,10 @@ pub(super) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
             outputs.write(context, &report.text(), &report, || Ok(String::new()))
         }
         BenchVerb::Kernel { bench, json_file } => {
-            let outputs = Outputs { json_file: json_file.clone(), plot: None };
+            let outputs = Outputs {
+                json_file: json_file.clone(),
+                plot: None,
+            };
             outputs.check()?;
             let report = bench_kernel(bench)?;
             outputs.write(context, &report.text(), &report, || Ok(String::new()))
@@ -198,14 +270,25 @@ pub(super) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
 
 /// The reconstruction's options: the configuration file's, or the defaults.
 fn solve_options(context: &Context) -> SolveOptions {
-    context.config.solve.options(context.seed(), context.recorder.started())
+    context
+        .config
+        .solve
+        .options(context.seed(), context.recorder.started())
 }
 
-/// After the verb `bench`, turns `--json FILE` into `--json-file FILE`: everywhere else `--json` is a switch that takes no value.
+/// After the verb `bench`, turns `--json FILE` into `--json-file FILE`: everywhere else `--json` is
+/// a switch that takes no value.
 pub(super) fn with_json_file(arguments: Vec<OsString>) -> Vec<OsString> {
     let verb = arguments.iter().position(|a| a == "bench");
-    let Some(verb) = verb.filter(|&v| v <= 1 || arguments[1].to_string_lossy().starts_with('-')) else { return arguments };
-    let value_follows = |i: usize| arguments.get(i + 1).is_some_and(|next| !next.to_string_lossy().starts_with('-'));
+    let Some(verb) = verb.filter(|&v| v <= 1 || arguments[1].to_string_lossy().starts_with('-'))
+    else {
+        return arguments;
+    };
+    let value_follows = |i: usize| {
+        arguments
+            .get(i + 1)
+            .is_some_and(|next| !next.to_string_lossy().starts_with('-'))
+    };
     (0..arguments.len())
         .map(|i| {
             let text = arguments[i].to_string_lossy();
@@ -224,7 +307,11 @@ mod tests {
 
     fn rewritten(line: &str) -> String {
         let arguments = line.split(' ').map(OsString::from).collect();
-        with_json_file(arguments).iter().map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
+        with_json_file(arguments)
+            .iter()
+            .map(|a| a.to_string_lossy().into_owned())
+            .collect::<Vec<_>>()
+            .join(" ")
     }
 
     #[test]
@@ -234,27 +321,74 @@ mod tests {
         let solve = command.find_subcommand("solve").expect("verb");
         for (knob, values) in crate::bench::KNOBS {
             for value in *values {
-                let line = ["unbake", "solve", "S", "-o", "O", &format!("--{knob}"), value];
-                assert!(command.clone().try_get_matches_from(line).is_ok(), "--{knob} {value}");
+                let line = [
+                    "unbake",
+                    "solve",
+                    "S",
+                    "-o",
+                    "O",
+                    &format!("--{knob}"),
+                    value,
+                ];
+                assert!(
+                    command.clone().try_get_matches_from(line).is_ok(),
+                    "--{knob} {value}"
+                );
             }
         }
-        let left_out = crate::bench::APPROXIMATIONS.iter().chain(crate::bench::NEEDS);
+        let left_out = crate::bench::APPROXIMATIONS
+            .iter()
+            .chain(crate::bench::NEEDS);
         for (flag, value) in left_out.flat_map(|a| a.1) {
-            let line = ["unbake", "solve", "S", "-o", "O", &format!("--{flag}"), value];
-            assert!(command.clone().try_get_matches_from(line).is_ok(), "--{flag} {value}");
+            let line = [
+                "unbake",
+                "solve",
+                "S",
+                "-o",
+                "O",
+                &format!("--{flag}"),
+                value,
+            ];
+            assert!(
+                command.clone().try_get_matches_from(line).is_ok(),
+                "--{flag} {value}"
+            );
         }
-        let quality = solve.get_arguments().find(|a| a.get_long() == Some("quality")).expect("flag");
+        let quality = solve
+            .get_arguments()
+            .find(|a| a.get_long() == Some("quality"))
+            .expect("flag");
         for preset in crate::bench::PRESETS {
-            assert!(quality.get_possible_values().iter().any(|v| v.get_name() == preset));
+            assert!(
+                quality
+                    .get_possible_values()
+                    .iter()
+                    .any(|v| v.get_name() == preset)
+            );
         }
     }
 
     #[test]
     fn json_takes_a_file_after_bench_only() {
-        assert_eq!(rewritten("unbake bench irt S --json F"), "unbake bench irt S --json-file F");
-        assert_eq!(rewritten("unbake --quiet bench irt S --json=F"), "unbake --quiet bench irt S --json-file=F");
-        assert_eq!(rewritten("unbake bench irt S --json"), "unbake bench irt S --json");
-        assert_eq!(rewritten("unbake bench irt S --json --full"), "unbake bench irt S --json --full");
-        assert_eq!(rewritten("unbake eval bench --json"), "unbake eval bench --json");
+        assert_eq!(
+            rewritten("unbake bench irt S --json F"),
+            "unbake bench irt S --json-file F"
+        );
+        assert_eq!(
+            rewritten("unbake --quiet bench irt S --json=F"),
+            "unbake --quiet bench irt S --json-file=F"
+        );
+        assert_eq!(
+            rewritten("unbake bench irt S --json"),
+            "unbake bench irt S --json"
+        );
+        assert_eq!(
+            rewritten("unbake bench irt S --json --full"),
+            "unbake bench irt S --json --full"
+        );
+        assert_eq!(
+            rewritten("unbake eval bench --json"),
+            "unbake eval bench --json"
+        );
     }
 }

@@ -1,7 +1,8 @@
 //! One TOML file whose every key is a flag; flags given on the command line win.
 //!
-//! Options live with the modules that use them (`clap::Args` + `serde`); this file only merges values: the file is read into
-//! the same structures, and each flag that was really typed replaces its key. Nothing is merged as text.
+//! Options live with the modules that use them (`clap::Args` + `serde`); this file only merges
+//! values: the file is read into the same structures, and each flag that was really typed replaces
+//! its key. Nothing is merged as text.
 
 use super::pictures::ExportVerb;
 use crate::error::{Error, Result};
@@ -17,7 +18,8 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 use toml::{Table, Value};
 
-/// Everything the program can be told except which files to work on: the content of a `--config` file.
+/// Everything the program can be told except which files to work on: the content of a `--config`
+/// file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
@@ -50,8 +52,12 @@ pub struct Config {
 impl Config {
     /// Reads a configuration file; a misspelt key is an error that names its line.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|e| Error::input(path, format!("cannot be read ({e}); give --config an existing TOML file")))?;
+        let text = std::fs::read_to_string(path).map_err(|e| {
+            Error::input(
+                path,
+                format!("cannot be read ({e}); give --config an existing TOML file"),
+            )
+        })?;
         toml::from_str(&text).map_err(|e| {
             Error::input(
                 path,
@@ -60,35 +66,49 @@ impl Config {
         })
     }
 
-    /// This configuration with every flag that was typed on the command line replaced by the value in `flags`.
+    /// This configuration with every flag that was typed on the command line replaced by the value
+    /// in `flags`.
     ///
-    /// `tables` are those the verb reads; `matches` are its matches, which contain the global flags as well.
+    /// `tables` are those the verb reads; `matches` are its matches, which contain the global flags
+    /// as well.
     pub fn overlaid(&self, flags: &Self, tables: &[&str], matches: &ArgMatches) -> Result<Self> {
         let failed = |e: String| Error::Failed(format!("merging options: {e}"));
         let mut base = Table::try_from(self).map_err(|e| failed(e.to_string()))?;
         let given = Table::try_from(flags).map_err(|e| failed(e.to_string()))?;
-        for id in matches.ids().filter(|id| matches.value_source(id.as_str()) == Some(ValueSource::CommandLine)) {
+        for id in matches
+            .ids()
+            .filter(|id| matches.value_source(id.as_str()) == Some(ValueSource::CommandLine))
+        {
             let key = id.as_str().replace('_', "-");
             if let Some(value) = given.get(&key).filter(|v| !v.is_table()) {
                 base.insert(key, value.clone());
                 continue;
             }
             for table in tables {
-                let into = base.entry(*table).or_insert_with(|| Value::Table(Table::new()));
+                let into = base
+                    .entry(*table)
+                    .or_insert_with(|| Value::Table(Table::new()));
                 if let (Some(Value::Table(from)), Value::Table(into)) = (given.get(*table), into) {
                     copy_leaf(from, into, &key);
                 }
             }
         }
-        base.try_into().map_err(|e: toml::de::Error| failed(e.to_string()))
+        base.try_into()
+            .map_err(|e: toml::de::Error| failed(e.to_string()))
     }
 
-    /// The configuration as TOML with each option's help above it; a verb restricts it to what it reads.
+    /// The configuration as TOML with each option's help above it; a verb restricts it to what it
+    /// reads.
     pub fn documented(&self, command: &clap::Command, verb: Option<&str>) -> Result<String> {
         let failed = |e: String| Error::Failed(format!("printing the configuration: {e}"));
         let text = toml::to_string(self).map_err(|e| failed(e.to_string()))?;
-        let mut out = String::from("# unbake configuration: every key is also a flag; flags override this file\n");
-        for (key, set) in [("threads", self.threads.is_some()), ("seed", self.seed.is_some())] {
+        let mut out = String::from(
+            "# unbake configuration: every key is also a flag; flags override this file\n",
+        );
+        for (key, set) in [
+            ("threads", self.threads.is_some()),
+            ("seed", self.seed.is_some()),
+        ] {
             if !set {
                 let help = help_of(command, None, key).unwrap_or_default();
                 out.push_str(&format!("# {help}\n# {key} =\n"));
@@ -124,11 +144,16 @@ impl Config {
 impl Config {
     /// The reconstruction's numbers that the preset decides, as comments.
     fn left_to_the_preset(&self, command: &clap::Command) -> Result<String> {
-        let failed = |e: toml::ser::Error| Error::Failed(format!("printing the configuration: {e}"));
+        let failed =
+            |e: toml::ser::Error| Error::Failed(format!("printing the configuration: {e}"));
         let asked = Table::try_from(&self.solve).map_err(failed)?;
-        let effective = Table::try_from(self.solve.options(0, std::time::Instant::now())).map_err(failed)?;
+        let effective =
+            Table::try_from(self.solve.options(0, std::time::Instant::now())).map_err(failed)?;
         let mut out = String::new();
-        for (key, value) in effective.iter().filter(|(key, _)| !asked.contains_key(*key)) {
+        for (key, value) in effective
+            .iter()
+            .filter(|(key, _)| !asked.contains_key(*key))
+        {
             let help = help_of(command, Some("solve"), key).unwrap_or_default();
             out.push_str(&format!("# {help}\n# {key} = {value}\n"));
         }
@@ -164,16 +189,22 @@ fn wanted(verb: Option<&str>, table: Option<&str>) -> bool {
 /// The help sentence of the flag that sets `key`.
 fn help_of(command: &clap::Command, table: Option<&str>, key: &str) -> Option<String> {
     let find = |c: &clap::Command| {
-        let arg = c.get_arguments().find(|a| a.get_id().as_str().replace('_', "-") == key)?;
+        let arg = c
+            .get_arguments()
+            .find(|a| a.get_id().as_str().replace('_', "-") == key)?;
         Some(arg.get_help()?.to_string())
     };
     match table {
         None => find(command),
-        Some(table) => command.get_subcommands().filter(|c| tables_of(c.get_name()).contains(&table)).find_map(find),
+        Some(table) => command
+            .get_subcommands()
+            .filter(|c| tables_of(c.get_name()).contains(&table))
+            .find_map(find),
     }
 }
 
-/// Copies the leaf `key` from wherever it lies in the nested table `from` to the same place in `into`.
+/// Copies the leaf `key` from wherever it lies in the nested table `from` to the same place in
+/// `into`.
 fn copy_leaf(from: &Table, into: &mut Table, key: &str) -> bool {
     if let Some(value) = from.get(key).filter(|v| !v.is_table()) {
         into.insert(key.into(), value.clone());
@@ -184,7 +215,10 @@ fn copy_leaf(from: &Table, into: &mut Table, key: &str) -> bool {
         if !holds(inner, key) {
             continue;
         }
-        if let Value::Table(into) = into.entry(name.clone()).or_insert_with(|| Value::Table(Table::new())) {
+        if let Value::Table(into) = into
+            .entry(name.clone())
+            .or_insert_with(|| Value::Table(Table::new()))
+        {
             return copy_leaf(inner, into, key);
         }
     }

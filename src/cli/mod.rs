@@ -1,7 +1,9 @@
-//! The command line: arguments, configuration, progress and exit codes. Everything else is the library's work.
+//! The command line: arguments, configuration, progress and exit codes. Everything else is the
+//! library's work.
 //!
-//! Results go to stdout, as text or, with `--json`, as one JSON object; progress and errors go to stderr. Exit codes: 0 done,
-//! 1 failed, 2 wrong usage or unusable input. A reader that closes the pipe early is not a failure.
+//! Results go to stdout, as text or, with `--json`, as one JSON object; progress and errors go to
+//! stderr. Exit codes: 0 done, 1 failed, 2 wrong usage or unusable input. A reader that closes the
+//! pipe early is not a failure.
 
 mod args;
 mod bench;
@@ -46,7 +48,11 @@ impl Context {
 
     /// Prints a verb's result: `text` for people or `json` for machines.
     pub fn result(&self, text: &str, json: &serde_json::Value) -> Result<()> {
-        if self.config.json { print(&format!("{json:#}\n")) } else { print(text) }
+        if self.config.json {
+            print(&format!("{json:#}\n"))
+        } else {
+            print(text)
+        }
     }
 }
 
@@ -54,7 +60,11 @@ impl Context {
 #[must_use]
 pub fn run(arguments: Vec<OsString>) -> ExitCode {
     let arguments = bench::with_json_file(arguments);
-    let command: Vec<String> = arguments.iter().skip(1).map(|a| a.to_string_lossy().into_owned()).collect();
+    let command: Vec<String> = arguments
+        .iter()
+        .skip(1)
+        .map(|a| a.to_string_lossy().into_owned())
+        .collect();
     let matches = match Cli::command().try_get_matches_from(arguments) {
         Ok(matches) => matches,
         Err(e) => {
@@ -72,7 +82,10 @@ pub fn run(arguments: Vec<OsString>) -> ExitCode {
         Err(e) => {
             let _ = writeln!(std::io::stderr(), "error: {e}");
             if wants_json {
-                let _ = print(&format!("{:#}\n", serde_json::json!({"error": e.to_string(), "exit_code": e.exit_code()})));
+                let _ = print(&format!(
+                    "{:#}\n",
+                    serde_json::json!({"error": e.to_string(), "exit_code": e.exit_code()})
+                ));
             }
             ExitCode::from(e.exit_code())
         }
@@ -83,7 +96,11 @@ fn dispatch(cli: &Cli, matches: &clap::ArgMatches, command: Vec<String>) -> Resu
     if cli.global.version {
         return print(&version()).map(|()| 0);
     }
-    let file = cli.global.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
+    let file = cli
+        .global
+        .config
+        .as_deref()
+        .map_or_else(|| Ok(Config::default()), Config::read)?;
     let (verb, verb_matches) = matches.subcommand().unwrap_or(("", matches));
     let config = file.overlaid(&cli.flags(), config::tables_of(verb), verb_matches)?;
     if cli.global.print_config {
@@ -92,22 +109,37 @@ fn dispatch(cli: &Cli, matches: &clap::ArgMatches, command: Vec<String>) -> Resu
     }
     let Some(verb) = &cli.verb else {
         let _ = writeln!(std::io::stderr(), "{}", Cli::command().render_help());
-        return Err(Error::Usage("a verb is missing: say what to do, for example `unbake solve SCENE -o OUT`".into()));
+        return Err(Error::Usage(
+            "a verb is missing: say what to do, for example `unbake solve SCENE -o OUT`".into(),
+        ));
     };
     start_threads(config.threads)?;
     let recorder = Arc::new(Recorder::new(crate::trace::rays_traced));
     let mut observers: Vec<Arc<dyn Observer>> = vec![recorder.clone()];
     if !config.quiet {
-        observers.push(if std::io::stderr().is_terminal() { Arc::new(Bars::new()) } else { Arc::new(LogLines::new()) });
+        observers.push(if std::io::stderr().is_terminal() {
+            Arc::new(Bars::new())
+        } else {
+            Arc::new(LogLines::new())
+        });
     }
-    let context = Context { config, progress: Progress::new(Arc::new(Tee(observers))), recorder, command };
+    let context = Context {
+        config,
+        progress: Progress::new(Arc::new(Tee(observers))),
+        recorder,
+        command,
+    };
     verbs::run(verb, &context)
 }
 
 fn start_threads(threads: Option<usize>) -> Result<()> {
-    let Some(threads) = threads else { return Ok(()) };
+    let Some(threads) = threads else {
+        return Ok(());
+    };
     if threads == 0 || threads > 4096 {
-        return Err(Error::Usage(format!("--threads {threads}: expected 1 to 4096; leave it out to use every core")));
+        return Err(Error::Usage(format!(
+            "--threads {threads}: expected 1 to 4096; leave it out to use every core"
+        )));
     }
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads)

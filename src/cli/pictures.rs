@@ -9,9 +9,9 @@ use crate::geometry::Camera;
 use crate::image::RgbPlane;
 use crate::progress::Progress;
 use crate::render::{
-    Adaptive, Exposure, FrameOptions, HybridOptions, HybridRenderer, LampChange, LampGroup, Lighting, NamedCamera, Noise,
-    PathTracerOptions, Renderer, Stage, TraceSettings, ViewRenderer, World, cameras_of_scene, daylight, lamp_groups,
-    mean_luminance, read_cameras, viewpoints,
+    Adaptive, Exposure, FrameOptions, HybridOptions, HybridRenderer, LampChange, LampGroup,
+    Lighting, NamedCamera, Noise, PathTracerOptions, Renderer, Stage, TraceSettings, ViewRenderer,
+    World, cameras_of_scene, daylight, lamp_groups, mean_luminance, read_cameras, viewpoints,
 };
 use crate::solution::Solution;
 use crate::trace::EmbreeTracer;
@@ -48,7 +48,12 @@ pub struct ExportVerb {
 }
 
 impl Places {
-    fn frames(&self, options: &FrameOptions, solution: &Solution, context: &Context) -> Result<Vec<NamedCamera>> {
+    fn frames(
+        &self,
+        options: &FrameOptions,
+        solution: &Solution,
+        context: &Context,
+    ) -> Result<Vec<NamedCamera>> {
         let given = match (&self.cameras, &self.scene) {
             (Some(file), _) => {
                 let size = (options.width > 0).then(|| [options.width, (options.width / 2).max(1)]);
@@ -59,8 +64,17 @@ impl Places {
                 cameras_of_scene(&scene, options.split.split(), solution.origin)
             }
             (None, None) => {
-                context.progress.note("no --cameras and no --scene: two views that show much of the scene are chosen");
-                let (w, h) = (if options.width > 0 { options.width } else { 960 }, options.height);
+                context.progress.note(
+                    "no --cameras and no --scene: two views that show much of the scene are chosen",
+                );
+                let (w, h) = (
+                    if options.width > 0 {
+                        options.width
+                    } else {
+                        960
+                    },
+                    options.height,
+                );
                 let h = if h > 0 { h } else { (w * 9 / 16).max(1) };
                 viewpoints(&solution.mesh, &EmbreeTracer::new(&solution.mesh)?, 2, w, h)
             }
@@ -84,7 +98,9 @@ pub fn render(out: &Path, places: &Places, context: &Context) -> Result<()> {
     let options = context.config.render.clone();
     let progress = &context.progress;
     if options.supersampling == 0 || options.supersampling > 16 || options.samples == 0 {
-        return Err(Error::Usage("--supersampling must be from 1 to 16, and --samples at least 1".into()));
+        return Err(Error::Usage(
+            "--supersampling must be from 1 to 16, and --samples at least 1".into(),
+        ));
     }
     let solution = read_solution(out, progress)?;
     let cameras = places.frames(&options.frames, &solution, context)?;
@@ -100,7 +116,8 @@ pub fn render(out: &Path, places: &Places, context: &Context) -> Result<()> {
                 seed: context.seed(),
                 ..HybridOptions::default()
             };
-            let renderer = progress.stage("preparing", 1, |_| HybridRenderer::new(&solution, hybrid))?;
+            let renderer =
+                progress.stage("preparing", 1, |_| HybridRenderer::new(&solution, hybrid))?;
             progress.stage("rendering", cameras.len() as u64, |p| -> Result<()> {
                 for c in &cameras {
                     clock = Instant::now();
@@ -121,8 +138,17 @@ pub fn render(out: &Path, places: &Places, context: &Context) -> Result<()> {
                 flat: options.flat,
                 ..PathTracerOptions::default()
             };
-            let goal = Adaptive { first: options.samples, most: options.samples, error: 0.0, noise: Noise::Reflected };
-            let settings = TraceSettings { tracer, goal, denoise: !options.no_denoise };
+            let goal = Adaptive {
+                first: options.samples,
+                most: options.samples,
+                error: 0.0,
+                noise: Noise::Reflected,
+            };
+            let settings = TraceSettings {
+                tracer,
+                goal,
+                denoise: !options.no_denoise,
+            };
             clock = Instant::now();
             stage.render(
                 &traced(&cameras),
@@ -142,19 +168,29 @@ pub fn render(out: &Path, places: &Places, context: &Context) -> Result<()> {
 }
 
 /// `unbake edit`.
-pub fn edit(out: &Path, edits: Option<&Path>, scene: Option<&Path>, clear: bool, context: &Context) -> Result<()> {
+pub fn edit(
+    out: &Path,
+    edits: Option<&Path>,
+    scene: Option<&Path>,
+    clear: bool,
+    context: &Context,
+) -> Result<()> {
     let list = out.join(EDITS);
     if clear {
-        for (path, removed) in
-            [(&list, std::fs::remove_file(&list)), (&out.join(EDITED), std::fs::remove_dir_all(out.join(EDITED)))]
-        {
+        for (path, removed) in [
+            (&list, std::fs::remove_file(&list)),
+            (&out.join(EDITED), std::fs::remove_dir_all(out.join(EDITED))),
+        ] {
             if let Err(e) = removed
                 && e.kind() != std::io::ErrorKind::NotFound
             {
                 return Err(Error::io(path, e));
             }
         }
-        return context.result(&format!("{}: no edits any more\n", out.display()), &json!({"out": out, "edits": 0}));
+        return context.result(
+            &format!("{}: no edits any more\n", out.display()),
+            &json!({"out": out, "edits": 0}),
+        );
     }
     let before = std::fs::read(&list).ok();
     if let Some(file) = edits {
@@ -166,7 +202,10 @@ pub fn edit(out: &Path, edits: Option<&Path>, scene: Option<&Path>, clear: bool,
             crate::formats::atomic_write(&list, &text)?;
         }
     } else if !list.is_file() {
-        return Err(Error::Usage(format!("{} does not exist: give the edits with --edits FILE", list.display())));
+        return Err(Error::Usage(format!(
+            "{} does not exist: give the edits with --edits FILE",
+            list.display()
+        )));
     }
     let done = apply_list(out, &list, scene, context);
     if done.is_err() && edits.is_some() {
@@ -181,10 +220,15 @@ pub fn edit(out: &Path, edits: Option<&Path>, scene: Option<&Path>, clear: bool,
 
 fn apply_list(out: &Path, list: &Path, scene: Option<&Path>, context: &Context) -> Result<()> {
     let classes: Vec<(u16, String)> = match scene {
-        Some(path) => read_scene(path, context)?.classes.into_iter().map(|c| (c.id, c.name)).collect(),
+        Some(path) => read_scene(path, context)?
+            .classes
+            .into_iter()
+            .map(|c| (c.id, c.name))
+            .collect(),
         None => Vec::new(),
     };
-    // names are turned into ids once, so that the list can be applied where the scene is not at hand
+    // names are turned into ids once, so that the list can be applied where the scene is not at
+    // hand
     let mut resolved = EditList::read(list)?;
     if resolved.name_classes(&classes) {
         resolved.save(list)?;
@@ -195,7 +239,11 @@ fn apply_list(out: &Path, list: &Path, scene: Option<&Path>, context: &Context) 
     for (i, n) in edited.texels.iter().enumerate() {
         text.push_str(&format!("edit {i}: {n} texels\n"));
     }
-    let bounces: Vec<String> = edited.bounces.iter().map(|b| format!("{:.2} %", 100.0 * b)).collect();
+    let bounces: Vec<String> = edited
+        .bounces
+        .iter()
+        .map(|b| format!("{:.2} %", 100.0 * b))
+        .collect();
     text.push_str(&format!(
         "light followed over {} bounces (change of irradiance {}), {:.1} s\n{}\n",
         bounces.len(),
@@ -203,7 +251,10 @@ fn apply_list(out: &Path, list: &Path, scene: Option<&Path>, context: &Context) 
         clock.elapsed().as_secs_f64(),
         out.join(EDITED).display()
     ));
-    context.result(&text, &json!({"out": out, "texels": edited.texels, "bounces": edited.bounces}))
+    context.result(
+        &text,
+        &json!({"out": out, "texels": edited.texels, "bounces": edited.bounces}),
+    )
 }
 
 /// `unbake export`.
@@ -212,8 +263,9 @@ pub fn export(out: &Path, places: &Places, context: &Context) -> Result<()> {
     let solution = read_solution(out, &context.progress)?;
     let cameras = places.frames(&options.frames, &solution, context)?;
     let folder = places.to.clone().unwrap_or_else(|| out.join("export"));
-    let files =
-        context.progress.stage("exporting", 1, |_| crate::export::export(&folder, &solution, &cameras, &options.formats))?;
+    let files = context.progress.stage("exporting", 1, |_| {
+        crate::export::export(&folder, &solution, &cameras, &options.formats)
+    })?;
     let text = format!("{}: {}\n", folder.display(), files.join(" "));
     context.result(&text, &json!({"folder": folder, "files": files}))
 }
@@ -229,8 +281,14 @@ pub fn relight(
 ) -> Result<()> {
     let options = context.config.relight.clone();
     let progress = &context.progress;
-    if options.samples < 2 || options.max_samples < options.samples || options.error.is_nan() || options.error < 0.0 {
-        return Err(Error::Usage("--samples must be at least 2, --max-samples not less, --error not negative".into()));
+    if options.samples < 2
+        || options.max_samples < options.samples
+        || options.error.is_nan()
+        || options.error < 0.0
+    {
+        return Err(Error::Usage(
+            "--samples must be at least 2, --max-samples not less, --error not negative".into(),
+        ));
     }
     let solution = read_solution(out, progress)?;
     let groups = lamp_groups(&World::new(&solution), solution.origin);
@@ -246,8 +304,16 @@ pub fn relight(
     }
     let mut writer = FrameWriter::new(&folder, options.frames.exposure, !options.frames.no_exr)?;
     let settings = TraceSettings {
-        tracer: PathTracerOptions { seed: context.seed(), ..PathTracerOptions::default() },
-        goal: Adaptive { first: options.samples, most: options.max_samples, error: options.error, noise: Noise::Reflected },
+        tracer: PathTracerOptions {
+            seed: context.seed(),
+            ..PathTracerOptions::default()
+        },
+        goal: Adaptive {
+            first: options.samples,
+            most: options.max_samples,
+            error: options.error,
+            noise: Noise::Reflected,
+        },
         denoise: !options.no_denoise,
     };
     let mut seconds = Vec::new();
@@ -324,13 +390,31 @@ fn compare_relit(
         lighting.apply(&mut world, &groups)?;
         let stage = Stage::new(&mut world)?;
         let settings = TraceSettings {
-            tracer: PathTracerOptions { seed: context.seed() + k as u64, ..PathTracerOptions::default() },
-            goal: Adaptive { first: options.samples, most: options.max_samples, error: options.error, noise: Noise::Reflected },
+            tracer: PathTracerOptions {
+                seed: context.seed() + k as u64,
+                ..PathTracerOptions::default()
+            },
+            goal: Adaptive {
+                first: options.samples,
+                most: options.max_samples,
+                error: options.error,
+                noise: Noise::Reflected,
+            },
             denoise: !options.no_denoise,
         };
         let shift = (solutions[0].origin - solution.origin).as_vec3();
-        let placed: Vec<(String, Camera)> =
-            cameras.iter().map(|c| (c.name.clone(), Camera { position: c.camera.position + shift, ..c.camera })).collect();
+        let placed: Vec<(String, Camera)> = cameras
+            .iter()
+            .map(|c| {
+                (
+                    c.name.clone(),
+                    Camera {
+                        position: c.camera.position + shift,
+                        ..c.camera
+                    },
+                )
+            })
+            .collect();
         let list = &mut images[k];
         stage.render(
             &placed,
@@ -350,7 +434,11 @@ fn compare_relit(
     };
     let mut scores = Vec::new();
     for (name, stops) in [("ours", &ours), ("truth", &truth)] {
-        let mut writer = FrameWriter::new(&folder.join(name), Exposure::Stops(factor.log2()), !options.frames.no_exr)?;
+        let mut writer = FrameWriter::new(
+            &folder.join(name),
+            Exposure::Stops(factor.log2()),
+            !options.frames.no_exr,
+        )?;
         for (c, image) in cameras.iter().zip(stops) {
             writer.write(&c.name, image)?;
         }
@@ -361,48 +449,90 @@ fn compare_relit(
         text.push_str(&format!("{:24} {psnr:6.2} dB\n", c.name));
         scores.push(json!({"camera": c.name, "psnr": psnr}));
     }
-    let mean = scores.iter().filter_map(|s| s["psnr"].as_f64()).sum::<f64>() / scores.len().max(1) as f64;
+    let mean = scores
+        .iter()
+        .filter_map(|s| s["psnr"].as_f64())
+        .sum::<f64>()
+        / scores.len().max(1) as f64;
     text.push_str(&format!(
         "mean {mean:.2} dB of clamp(x · 2^{:.2})^(1/2.2) against the truth, in {}\n",
         factor.log2(),
         folder.display()
     ));
-    context.result(&text, &json!({"folder": folder, "scores": scores, "psnr": mean}))
+    context.result(
+        &text,
+        &json!({"folder": folder, "scores": scores, "psnr": mean}),
+    )
 }
 
 /// PSNR of clamp(x · factor)^(1/2.2), peak 1.
 fn display_psnr(a: &RgbPlane, b: &RgbPlane, factor: f32) -> f64 {
-    let shown = |c: &Vec3| (*c * factor).clamp(Vec3::ZERO, Vec3::ONE).powf(1.0 / 2.2).as_dvec3();
-    let sum: f64 = a.data.iter().zip(&b.data).map(|(a, b)| (shown(a) - shown(b)).length_squared()).sum();
+    let shown = |c: &Vec3| {
+        (*c * factor)
+            .clamp(Vec3::ZERO, Vec3::ONE)
+            .powf(1.0 / 2.2)
+            .as_dvec3()
+    };
+    let sum: f64 = a
+        .data
+        .iter()
+        .zip(&b.data)
+        .map(|(a, b)| (shown(a) - shown(b)).length_squared())
+        .sum();
     -10.0 * (sum / (3 * a.data.len().max(1)) as f64).max(1e-12).log10()
 }
 
 /// The lighting file with the flags' changes after it.
-fn changed_light(groups: &[LampGroup], lights: Option<&Path>, context: &Context) -> Result<Lighting> {
+fn changed_light(
+    groups: &[LampGroup],
+    lights: Option<&Path>,
+    context: &Context,
+) -> Result<Lighting> {
     let options = &context.config.relight;
     let mut lighting = lights.map_or_else(|| Ok(Lighting::default()), Lighting::read)?;
     if !(options.lamps.is_finite() && options.lamps >= 0.0) {
-        return Err(Error::Usage(format!("--lamps {}: light is finite and not negative", options.lamps)));
+        return Err(Error::Usage(format!(
+            "--lamps {}: light is finite and not negative",
+            options.lamps
+        )));
     }
-    lighting.lamps.push(LampChange { scale: Some(options.lamps), ..LampChange::default() });
-    for name in options.off.split(',').map(str::trim).filter(|n| !n.is_empty()) {
+    lighting.lamps.push(LampChange {
+        scale: Some(options.lamps),
+        ..LampChange::default()
+    });
+    for name in options
+        .off
+        .split(',')
+        .map(str::trim)
+        .filter(|n| !n.is_empty())
+    {
         let group = match name {
             "all" => None,
             n => match n.parse::<usize>() {
                 Ok(id) if groups.iter().any(|g| g.id == id) => Some(id),
                 _ => {
-                    let message = format!("--off {n}: expected \"all\" or numbers from 1 to {}; see --list-lamps", groups.len());
+                    let message = format!(
+                        "--off {n}: expected \"all\" or numbers from 1 to {}; see --list-lamps",
+                        groups.len()
+                    );
                     return Err(Error::Usage(message));
                 }
             },
         };
-        lighting.lamps.push(LampChange { group, off: true, ..LampChange::default() });
+        lighting.lamps.push(LampChange {
+            group,
+            off: true,
+            ..LampChange::default()
+        });
     }
     match options.environment.as_str() {
         "keep" => {}
         "off" => lighting.environment.off = true,
         text => {
-            let numbers: Vec<f32> = text.split(',').filter_map(|x| x.trim().parse().ok()).collect();
+            let numbers: Vec<f32> = text
+                .split(',')
+                .filter_map(|x| x.trim().parse().ok())
+                .collect();
             match numbers.as_slice() {
                 [r, g, b] if numbers.iter().all(|v| v.is_finite() && *v >= 0.0) => {
                     lighting.environment.constant = Some([*r, *g, *b]);
@@ -416,11 +546,16 @@ fn changed_light(groups: &[LampGroup], lights: Option<&Path>, context: &Context)
 }
 
 fn list_lamps(groups: &[LampGroup], context: &Context) -> Result<()> {
-    let mut text = String::from("lamp     x       y       z  metres   area m²      power   radiance (r g b)\n");
+    let mut text = String::from(
+        "lamp     x       y       z  metres   area m²      power   radiance (r g b)\n",
+    );
     for g in groups {
         let [x, y, z] = g.position;
         let [r, gr, b] = g.radiance;
-        text.push_str(&format!("{:4} {x:7.2} {y:7.2} {z:7.2} {:9.4} {:10.4}   {r:.3} {gr:.3} {b:.3}\n", g.id, g.area, g.power));
+        text.push_str(&format!(
+            "{:4} {x:7.2} {y:7.2} {z:7.2} {:9.4} {:10.4}   {r:.3} {gr:.3} {b:.3}\n",
+            g.id, g.area, g.power
+        ));
     }
     if groups.is_empty() {
         text = "no lamp: nothing in this solution emits\n".into();
@@ -428,17 +563,28 @@ fn list_lamps(groups: &[LampGroup], context: &Context) -> Result<()> {
     context.result(&text, &json!({"lamps": groups}))
 }
 
-fn report(writer: &FrameWriter, options: &FrameOptions, folder: &Path, seconds: &[f64], context: &Context) -> Result<()> {
+fn report(
+    writer: &FrameWriter,
+    options: &FrameOptions,
+    folder: &Path,
+    seconds: &[f64],
+    context: &Context,
+) -> Result<()> {
     let film = writer.film(options.video, options.fps)?;
     let total: f64 = seconds.iter().sum();
     let mean = total / seconds.len().max(1) as f64;
     let stops = writer.stops().unwrap_or(0.0);
-    let film_text = film.as_ref().map_or(String::new(), |f| format!("film: {}\n", f.display()));
+    let film_text = film
+        .as_ref()
+        .map_or(String::new(), |f| format!("film: {}\n", f.display()));
     let text = format!(
         "{} frames in {:.2} s ({mean:.2} s each), pictures at {stops:+.2} stops\n{}\n{film_text}",
         seconds.len(),
         total,
         folder.display()
     );
-    context.result(&text, &json!({"folder": folder, "seconds": seconds, "stops": stops, "film": film}))
+    context.result(
+        &text,
+        &json!({"folder": folder, "seconds": seconds, "stops": stops, "film": film}),
+    )
 }

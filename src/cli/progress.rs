@@ -35,7 +35,15 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 #[must_use]
 pub fn seconds(elapsed: Duration) -> String {
     let s = elapsed.as_secs_f64();
-    if s < 60.0 { format!("{s:.1} s") } else { format!("{} min {:02} s", elapsed.as_secs() / 60, elapsed.as_secs() % 60) }
+    if s < 60.0 {
+        format!("{s:.1} s")
+    } else {
+        format!(
+            "{} min {:02} s",
+            elapsed.as_secs() / 60,
+            elapsed.as_secs() % 60
+        )
+    }
 }
 
 /// One bar per running stage on stderr; a finished stage leaves a line with its time.
@@ -48,7 +56,10 @@ impl Bars {
     /// Bars on stderr.
     #[must_use]
     pub fn new() -> Self {
-        Self { all: MultiProgress::with_draw_target(ProgressDrawTarget::stderr_with_hz(10)), running: Mutex::default() }
+        Self {
+            all: MultiProgress::with_draw_target(ProgressDrawTarget::stderr_with_hz(10)),
+            running: Mutex::default(),
+        }
     }
 }
 
@@ -60,9 +71,16 @@ impl Default for Bars {
 
 impl Observer for Bars {
     fn stage_started(&self, name: &str, steps: u64) {
-        let bar = self.all.add(if steps > 1 { ProgressBar::new(steps) } else { ProgressBar::new_spinner() });
-        let template =
-            if steps > 1 { "  {msg:<28} {bar:32} {percent:>3} %  {eta:>6} left" } else { "  {msg:<28} {spinner} {elapsed}" };
+        let bar = self.all.add(if steps > 1 {
+            ProgressBar::new(steps)
+        } else {
+            ProgressBar::new_spinner()
+        });
+        let template = if steps > 1 {
+            "  {msg:<28} {bar:32} {percent:>3} %  {eta:>6} left"
+        } else {
+            "  {msg:<28} {spinner} {elapsed}"
+        };
         if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style.progress_chars("━╸─"));
         }
@@ -86,7 +104,12 @@ impl Observer for Bars {
             bar.finish_and_clear();
             self.all.remove(&bar);
             // a terminal that has gone away is no reason to stop computing
-            let _ = self.all.println(format!("  {:indent$}{name:<28} {:>12}", "", seconds(start.elapsed()), indent = 2 * depth));
+            let _ = self.all.println(format!(
+                "  {:indent$}{name:<28} {:>12}",
+                "",
+                seconds(start.elapsed()),
+                indent = 2 * depth
+            ));
         }
     }
 
@@ -115,12 +138,19 @@ impl LogLines {
     /// Lines on stderr.
     #[must_use]
     pub fn new() -> Self {
-        Self { begin: Instant::now(), running: Mutex::default() }
+        Self {
+            begin: Instant::now(),
+            running: Mutex::default(),
+        }
     }
 
     fn line(&self, text: &str) {
         // the reader of the pipe may have gone away: that is its right
-        let _ = writeln!(std::io::stderr(), "[{:8.1} s] {text}", self.begin.elapsed().as_secs_f64());
+        let _ = writeln!(
+            std::io::stderr(),
+            "[{:8.1} s] {text}",
+            self.begin.elapsed().as_secs_f64()
+        );
     }
 }
 
@@ -133,15 +163,29 @@ impl Default for LogLines {
 impl Observer for LogLines {
     fn stage_started(&self, name: &str, steps: u64) {
         let now = Instant::now();
-        locked(&self.running).push(Running { name: name.into(), steps, start: now, last_line: now });
+        locked(&self.running).push(Running {
+            name: name.into(),
+            steps,
+            start: now,
+            last_line: now,
+        });
     }
 
     fn stage_advanced(&self, done: u64) {
         let text = {
             let mut running = locked(&self.running);
-            let Some(stage) = running.last_mut().filter(|s| s.steps > 0 && s.last_line.elapsed() >= HEARTBEAT) else { return };
+            let Some(stage) = running
+                .last_mut()
+                .filter(|s| s.steps > 0 && s.last_line.elapsed() >= HEARTBEAT)
+            else {
+                return;
+            };
             stage.last_line = Instant::now();
-            format!("{}: {} %", stage.name, done.min(stage.steps) * 100 / stage.steps)
+            format!(
+                "{}: {} %",
+                stage.name,
+                done.min(stage.steps) * 100 / stage.steps
+            )
         };
         self.line(&text);
     }
@@ -149,7 +193,11 @@ impl Observer for LogLines {
     fn stage_finished(&self) {
         let ended = locked(&self.running).pop();
         if let Some(stage) = ended {
-            self.line(&format!("{}: {}", stage.name, seconds(stage.start.elapsed())));
+            self.line(&format!(
+                "{}: {}",
+                stage.name,
+                seconds(stage.start.elapsed())
+            ));
         }
     }
 

@@ -25,7 +25,8 @@ pub struct Edited {
 /// Texels per task.
 const CHUNK: usize = 4096;
 
-/// A solution with a list of edits applied, and the light that follows from them. Paths in the list are relative to `folder`.
+/// A solution with a list of edits applied, and the light that follows from them. Paths in the list
+/// are relative to `folder`.
 ///
 /// # Errors
 /// See [`Selector::select`]; a texture cannot be read.
@@ -40,9 +41,18 @@ pub fn apply_edits(
     let selector = Selector::new(solution, classes, folder);
     let mut prepared = Vec::new();
     for (i, edit) in list.edits.iter().enumerate() {
-        prepared.push(Prepared::new(solution, edit, selector.select(i, edit)?, folder)?);
+        prepared.push(Prepared::new(
+            solution,
+            edit,
+            selector.select(i, edit)?,
+            folder,
+        )?);
     }
-    let texels = Texels::rasterize(&solution.mesh, solution.albedo.width, solution.albedo.height);
+    let texels = Texels::rasterize(
+        &solution.mesh,
+        solution.albedo.width,
+        solution.albedo.height,
+    );
     let mut out = solution.clone();
     let mut counts = vec![0usize; prepared.len()];
     progress.stage("editing", 2, |p| {
@@ -65,7 +75,11 @@ pub fn apply_edits(
         out.albedo = refilled(&out.albedo, &texels);
         p.advance(1);
         if prepared.iter().any(Prepared::changes_roughness) {
-            let fine = Texels::rasterize(&solution.mesh, solution.roughness.width, solution.roughness.height);
+            let fine = Texels::rasterize(
+                &solution.mesh,
+                solution.roughness.width,
+                solution.roughness.height,
+            );
             let changed = over_texels(solution, &fine, &prepared, |i, at| {
                 let mut r = solution.roughness.data[fine.cell[i] as usize];
                 for e in &prepared {
@@ -85,7 +99,11 @@ pub fn apply_edits(
         progress.note(format!("edit[{k}] selects nothing ({count} texels)"));
     }
     let bounces = follow_light(solution, &mut out, seed, progress)?;
-    Ok(Edited { solution: out, texels: counts, bounces: bounces.changes })
+    Ok(Edited {
+        solution: out,
+        texels: counts,
+        bounces: bounces.changes,
+    })
 }
 
 fn refilled<T>(plane: &Plane<T>, texels: &Texels) -> Plane<T>
@@ -118,11 +136,22 @@ fn over_texels<T: Send>(
                 let p = texels.point[i];
                 let t = p.triangle as usize;
                 let (position, normal) = if needs_place {
-                    (texels.position(mesh, i) + shift, mesh.shading_normal(t, p.u, p.v))
+                    (
+                        texels.position(mesh, i) + shift,
+                        mesh.shading_normal(t, p.u, p.v),
+                    )
                 } else {
                     (Vec3::ZERO, Vec3::Y)
                 };
-                f(i, &At { triangle: t, uv: mesh.uv(t, p.u, p.v), position, normal })
+                f(
+                    i,
+                    &At {
+                        triangle: t,
+                        uv: mesh.uv(t, p.u, p.v),
+                        position,
+                        normal,
+                    },
+                )
             })
             .collect::<Vec<T>>()
     });
@@ -140,19 +169,48 @@ struct Prepared<'a> {
 }
 
 impl<'a> Prepared<'a> {
-    fn new(solution: &Solution, edit: &'a Edit, selection: Selection, folder: &Path) -> Result<Self> {
+    fn new(
+        solution: &Solution,
+        edit: &'a Edit,
+        selection: Selection,
+        folder: &Path,
+    ) -> Result<Self> {
         let picture = |path: &Path| {
             let path = folder.join(path);
             let linear = path.extension().is_some_and(|e| e == "exr" || e == "hdr");
-            if linear { read_rgb(&path) } else { read_ldr(&path) }
+            if linear {
+                read_rgb(&path)
+            } else {
+                read_ldr(&path)
+            }
         };
         let set = edit.texture.as_ref();
-        let albedo = set.and_then(|t| t.albedo.as_deref()).map(picture).transpose()?;
-        let roughness = set.and_then(|t| t.roughness.as_deref()).map(picture).transpose()?;
+        let albedo = set
+            .and_then(|t| t.albedo.as_deref())
+            .map(picture)
+            .transpose()?;
+        let roughness = set
+            .and_then(|t| t.roughness.as_deref())
+            .map(picture)
+            .transpose()?;
         // a roughness picture's bytes are the values themselves
-        let is_exr = set.and_then(|t| t.roughness.as_ref()).is_some_and(|p| p.extension().is_some_and(|e| e == "exr"));
-        let roughness = roughness.map(|r| if is_exr { r } else { r.map(|c| c.map(srgb_value)) });
-        let mut out = Self { edit, selection, albedo, roughness, tint: Vec3::ONE };
+        let is_exr = set
+            .and_then(|t| t.roughness.as_ref())
+            .is_some_and(|p| p.extension().is_some_and(|e| e == "exr"));
+        let roughness = roughness.map(|r| {
+            if is_exr {
+                r
+            } else {
+                r.map(|c| c.map(srgb_value))
+            }
+        });
+        let mut out = Self {
+            edit,
+            selection,
+            albedo,
+            roughness,
+            tint: Vec3::ONE,
+        };
         if let Some(t) = edit.tint {
             let mean = out.mean_albedo(solution);
             let t = Vec3::from_array(t);
@@ -169,11 +227,19 @@ impl<'a> Prepared<'a> {
             let uv = mesh.uv(t, 1.0 / 3.0, 1.0 / 3.0);
             let weight = f64::from(mesh.area(t) * self.selection.weight(solution, t, uv));
             if weight > 0.0 {
-                sum += solution.albedo.bilinear(uv * Vec2::new(w, h), Wrap::Clamp).as_dvec3() * weight;
+                sum += solution
+                    .albedo
+                    .bilinear(uv * Vec2::new(w, h), Wrap::Clamp)
+                    .as_dvec3()
+                    * weight;
                 total += weight;
             }
         }
-        if total > 0.0 { (sum / total).as_vec3() } else { Vec3::splat(0.5) }
+        if total > 0.0 {
+            (sum / total).as_vec3()
+        } else {
+            Vec3::splat(0.5)
+        }
     }
 
     fn changes_roughness(&self) -> bool {
@@ -209,7 +275,11 @@ impl<'a> Prepared<'a> {
 }
 
 fn srgb_value(v: f32) -> f32 {
-    if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+    if v <= 0.003_130_8 {
+        12.92 * v
+    } else {
+        1.055 * v.powf(1.0 / 2.4) - 0.055
+    }
 }
 
 /// A repeated picture laid on the surface.
@@ -226,16 +296,26 @@ fn projected(picture: &RgbPlane, set: &TextureSet, at: &At) -> Vec3 {
         let q = Vec2::new(c * q.x + s * q.y, c * q.y - s * q.x) / size;
         // one repetition is `size` wide; its height follows the picture's aspect
         let (w, h) = (picture.width as f32, picture.height as f32);
-        tiled(picture, Vec2::new(q.x.rem_euclid(1.0) * w, (q.y * w / h).rem_euclid(1.0) * h))
+        tiled(
+            picture,
+            Vec2::new(q.x.rem_euclid(1.0) * w, (q.y * w / h).rem_euclid(1.0) * h),
+        )
     };
     let n = at.normal.abs();
     match set.mapping {
         Mapping::Planar => look(1),
-        Mapping::Box => look(if n.y >= n.x && n.y >= n.z { 1 } else { usize::from(n.z > n.x) * 2 }),
+        Mapping::Box => look(if n.y >= n.x && n.y >= n.z {
+            1
+        } else {
+            usize::from(n.z > n.x) * 2
+        }),
         Mapping::Triplanar => {
             let w = n.powf(6.0);
             let total = w.element_sum().max(1e-12);
-            (0..3).filter(|&k| w[k] > 1e-3 * total).map(|k| look(k) * (w[k] / total)).sum()
+            (0..3)
+                .filter(|&k| w[k] > 1e-3 * total)
+                .map(|k| look(k) * (w[k] / total))
+                .sum()
         }
     }
 }
@@ -246,7 +326,12 @@ fn tiled(picture: &RgbPlane, p: Vec2) -> Vec3 {
     let (x0, y0) = (x.floor(), y.floor());
     let (tx, ty) = (x - x0, y - y0);
     let at = |i: f32, j: f32| {
-        picture[((i as i64).rem_euclid(picture.width as i64) as usize, (j as i64).rem_euclid(picture.height as i64) as usize)]
+        picture[(
+            (i as i64).rem_euclid(picture.width as i64) as usize,
+            (j as i64).rem_euclid(picture.height as i64) as usize,
+        )]
     };
-    at(x0, y0).lerp(at(x0 + 1.0, y0), tx).lerp(at(x0, y0 + 1.0).lerp(at(x0 + 1.0, y0 + 1.0), tx), ty)
+    at(x0, y0)
+        .lerp(at(x0 + 1.0, y0), tx)
+        .lerp(at(x0, y0 + 1.0).lerp(at(x0 + 1.0, y0 + 1.0), tx), ty)
 }

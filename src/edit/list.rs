@@ -26,7 +26,8 @@ pub struct Edit {
     /// Room id.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub room: Option<u16>,
-    /// A point on a surface, coordinates of the scene's file: the connected smooth surface of one class around it.
+    /// A point on a surface, coordinates of the scene's file: the connected smooth surface of one
+    /// class around it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub point: Option<[f64; 3]>,
     /// A picture on the atlas: white is edited, black is not.
@@ -108,11 +109,17 @@ impl EditList {
     /// # Errors
     /// The file cannot be read, a key in it is unknown or a value out of range.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|e| Error::input(path, format!("cannot be read ({e}); expected a TOML list of [[edit]] tables")))?;
-        let list: Self = toml::from_str(&text).map_err(|e| Error::input(path, format!("is no list of edits: {e}")))?;
+        let text = std::fs::read_to_string(path).map_err(|e| {
+            Error::input(
+                path,
+                format!("cannot be read ({e}); expected a TOML list of [[edit]] tables"),
+            )
+        })?;
+        let list: Self = toml::from_str(&text)
+            .map_err(|e| Error::input(path, format!("is no list of edits: {e}")))?;
         for (i, edit) in list.edits.iter().enumerate() {
-            edit.check().map_err(|m| Error::input(path, format!("edit[{i}].{m}")))?;
+            edit.check()
+                .map_err(|m| Error::input(path, format!("edit[{i}].{m}")))?;
         }
         Ok(list)
     }
@@ -131,8 +138,8 @@ impl EditList {
         any
     }
 
-    /// Makes pictures that are named relative to the list's own `file` absolute, for a list that moves elsewhere; true if there were
-    /// any.
+    /// Makes pictures that are named relative to the list's own `file` absolute, for a list that
+    /// moves elsewhere; true if there were any.
     ///
     /// # Errors
     /// The current folder is gone.
@@ -140,7 +147,12 @@ impl EditList {
         let file = std::path::absolute(file).map_err(|e| Error::io(file, e))?;
         let folder = file.parent().unwrap_or(Path::new("/"));
         let mut any = false;
-        for file in self.edits.iter_mut().flat_map(Edit::files_mut).filter(|f| f.is_relative()) {
+        for file in self
+            .edits
+            .iter_mut()
+            .flat_map(Edit::files_mut)
+            .filter(|f| f.is_relative())
+        {
             *file = folder.join(&*file);
             any = true;
         }
@@ -152,31 +164,48 @@ impl EditList {
     /// # Errors
     /// The file cannot be written.
     pub fn save(&self, path: &Path) -> Result<()> {
-        let text = toml::to_string(self).map_err(|e| Error::Failed(format!("{}: {e}", path.display())))?;
+        let text =
+            toml::to_string(self).map_err(|e| Error::Failed(format!("{}: {e}", path.display())))?;
         crate::formats::atomic_write(path, text.as_bytes())
     }
 }
 
 impl Edit {
     fn files_mut(&mut self) -> impl Iterator<Item = &mut PathBuf> {
-        let (albedo, roughness) = self.texture.as_mut().map_or((None, None), |t| (t.albedo.as_mut(), t.roughness.as_mut()));
+        let (albedo, roughness) = self
+            .texture
+            .as_mut()
+            .map_or((None, None), |t| (t.albedo.as_mut(), t.roughness.as_mut()));
         self.mask.iter_mut().chain(albedo).chain(roughness)
     }
 
     /// The pictures it names.
     pub fn files(&self) -> impl Iterator<Item = &PathBuf> {
         let set = self.texture.as_ref();
-        self.mask.iter().chain(set.and_then(|t| t.albedo.as_ref())).chain(set.and_then(|t| t.roughness.as_ref()))
+        self.mask
+            .iter()
+            .chain(set.and_then(|t| t.albedo.as_ref()))
+            .chain(set.and_then(|t| t.roughness.as_ref()))
     }
 
     fn check(&self) -> std::result::Result<(), String> {
         let unit = |values: &[f32], at: &str| {
             let fine = values.iter().all(|v| (0.0..=1.0).contains(v));
-            if fine { Ok(()) } else { Err(format!("{at}: {values:?}; expected values from 0 to 1")) }
+            if fine {
+                Ok(())
+            } else {
+                Err(format!("{at}: {values:?}; expected values from 0 to 1"))
+            }
         };
         let factor = |values: &[f32], at: &str| {
             let fine = values.iter().all(|v| v.is_finite() && *v >= 0.0);
-            if fine { Ok(()) } else { Err(format!("{at}: {values:?}; expected finite factors that are not negative")) }
+            if fine {
+                Ok(())
+            } else {
+                Err(format!(
+                    "{at}: {values:?}; expected finite factors that are not negative"
+                ))
+            }
         };
         if let Some(s) = &self.set {
             unit(&s.albedo.map_or(vec![], |a| a.to_vec()), "set.albedo")?;
@@ -194,11 +223,18 @@ impl Edit {
             if t.albedo.is_none() && t.roughness.is_none() {
                 return Err("texture: names neither albedo nor roughness".into());
             }
-            if !(t.size.unwrap_or(1.0) > 0.0 && t.size.unwrap_or(1.0).is_finite() && t.rotation.is_finite()) {
+            if !(t.size.unwrap_or(1.0) > 0.0
+                && t.size.unwrap_or(1.0).is_finite()
+                && t.rotation.is_finite())
+            {
                 return Err("texture.size: expected metres above 0".into());
             }
         }
-        if self.set.is_none() && self.scale.is_none() && self.tint.is_none() && self.texture.is_none() {
+        if self.set.is_none()
+            && self.scale.is_none()
+            && self.tint.is_none()
+            && self.texture.is_none()
+        {
             return Err("set: missing; give set, scale, tint or texture".into());
         }
         if self.point.is_some_and(|p| p.iter().any(|x| !x.is_finite())) {

@@ -1,14 +1,18 @@
 //! The light follows an edit.
 //!
-//! Light transport is linear, so only the *change* is followed: an edited texel sends out ΔL = (A' − A)·E/π more than before;
-//! gathered everywhere this gives ΔE, of which every texel reflects A'·ΔE/π, and so on until a bounce changes less than half a
-//! hundredth of the irradiance. What the photographs told about the unchanged light is kept to the bit, and the noise of the
-//! re-bake is that of the change alone. Specular reflection is not stored: renderers trace it against the changed radiance.
+//! Light transport is linear, so only the *change* is followed: an edited texel sends out ΔL = (A'
+//! − A)·E/π more than before; gathered everywhere this gives ΔE, of which every texel reflects
+//! A'·ΔE/π, and so on until a bounce changes less than half a hundredth of the irradiance. What the
+//! photographs told about the unchanged light is kept to the bit, and the noise of the re-bake is
+//! that of the change alone. Specular reflection is not stored: renderers trace it against the
+//! changed radiance.
 
 use crate::Result;
 use crate::gbuffer::Orientation;
 use crate::image::{Plane, RgbPlane, Wrap};
-use crate::lighting::{Bake, Emitters, Environment, Estimator, IrtOptions, LightField, Receiver, bake_irradiance};
+use crate::lighting::{
+    Bake, Emitters, Environment, Estimator, IrtOptions, LightField, Receiver, bake_irradiance,
+};
 use crate::progress::Progress;
 use crate::solution::Solution;
 use crate::texture::{Texels, fill_uncovered};
@@ -18,8 +22,8 @@ use std::f32::consts::FRAC_1_PI;
 
 /// Bounces at most.
 const MOST: usize = 8;
-/// A bounce that changes the irradiance of the most affected channel by less, relative to its mean, is the last: with walls that
-/// reflect half of the light, what is left out then is as much again.
+/// A bounce that changes the irradiance of the most affected channel by less, relative to its mean,
+/// is the last: with walls that reflect half of the light, what is left out then is as much again.
 const DONE: f64 = 0.005;
 /// Largest side of the texture on which changes are gathered: they are smooth.
 const SIDE: usize = 1024;
@@ -39,15 +43,29 @@ pub struct Bounces {
 ///
 /// # Errors
 /// Embree cannot be used.
-pub fn follow_light(before: &Solution, edited: &mut Solution, seed: u64, progress: &Progress) -> Result<Bounces> {
+pub fn follow_light(
+    before: &Solution,
+    edited: &mut Solution,
+    seed: u64,
+    progress: &Progress,
+) -> Result<Bounces> {
     let mut out = Bounces::default();
     if before.albedo.data == edited.albedo.data {
         return Ok(out);
     }
     let mesh = before.mesh.clone();
     let texels = Texels::rasterize(&mesh, before.radiance.width, before.radiance.height);
-    let uvs: Vec<Vec2> = texels.point.iter().map(|p| mesh.uv(p.triangle as usize, p.u, p.v)).collect();
-    let look = |plane: &RgbPlane, uv: Vec2| plane.bilinear(uv * Vec2::new(plane.width as f32, plane.height as f32), Wrap::Clamp);
+    let uvs: Vec<Vec2> = texels
+        .point
+        .iter()
+        .map(|p| mesh.uv(p.triangle as usize, p.u, p.v))
+        .collect();
+    let look = |plane: &RgbPlane, uv: Vec2| {
+        plane.bilinear(
+            uv * Vec2::new(plane.width as f32, plane.height as f32),
+            Wrap::Clamp,
+        )
+    };
     let emits: Vec<bool> = uvs
         .iter()
         .map(|uv| {
@@ -62,7 +80,8 @@ pub fn follow_light(before: &Solution, edited: &mut Solution, seed: u64, progres
             }
             let delta = look(&edited.albedo, uvs[i]) - look(&before.albedo, uvs[i]);
             // never below black: what is left is at least the specular part
-            (delta * look(&before.irradiance, uvs[i]) * FRAC_1_PI).max(-before.radiance.data[texels.cell[i] as usize])
+            (delta * look(&before.irradiance, uvs[i]) * FRAC_1_PI)
+                .max(-before.radiance.data[texels.cell[i] as usize])
         })
         .collect();
     let tracer = EmbreeTracer::new(&mesh)?;
@@ -74,13 +93,24 @@ pub fn follow_light(before: &Solution, edited: &mut Solution, seed: u64, progres
     let (lo, hi) = mesh.bounds();
     let mut total = Plane::filled(side, side, Vec3::ZERO);
     let mut radiance = change.clone();
-    let whole: DVec3 =
-        receivers.point.iter().map(|p| look(&before.irradiance, mesh.uv(p.triangle as usize, p.u, p.v)).as_dvec3()).sum();
+    let whole: DVec3 = receivers
+        .point
+        .iter()
+        .map(|p| look(&before.irradiance, mesh.uv(p.triangle as usize, p.u, p.v)).as_dvec3())
+        .sum();
     for bounce in 0..MOST {
         let plane = fill_uncovered(&texels.scatter(&change, Vec3::ZERO), &full);
         let none = plane.map(|_| false);
         let dark = vec![false; mesh.triangles.len()];
-        let field = LightField::new(&mesh, &orientation, plane, &none, &dark, Vec::new(), Environment::black());
+        let field = LightField::new(
+            &mesh,
+            &orientation,
+            plane,
+            &none,
+            &dark,
+            Vec::new(),
+            Environment::black(),
+        );
         let emitters = Emitters::new(&mesh, &field, &tracer, &[]);
         let bake = Bake {
             mesh: &mesh,
@@ -107,16 +137,25 @@ pub fn follow_light(before: &Solution, edited: &mut Solution, seed: u64, progres
                 key: u64::from(receivers.cell[i]),
             }
         };
-        let baked = progress
-            .stage("bounced light", receivers.len() as u64, |p| bake_irradiance(&bake, receivers.len(), receiver, &options, p));
+        let baked = progress.stage("bounced light", receivers.len() as u64, |p| {
+            bake_irradiance(&bake, receivers.len(), receiver, &options, p)
+        });
         out.rays += baked.rays;
         let changed: DVec3 = baked.value.iter().map(|e| e.abs().as_dvec3()).sum();
         let plane = fill_uncovered(&receivers.scatter(&baked.value, Vec3::ZERO), &covered);
-        total.data.iter_mut().zip(&plane.data).for_each(|(t, d)| *t += *d);
+        total
+            .data
+            .iter_mut()
+            .zip(&plane.data)
+            .for_each(|(t, d)| *t += *d);
         let relative = (changed / whole.max(DVec3::splat(1e-30))).max_element();
         out.changes.push(relative);
         for i in 0..texels.len() {
-            change[i] = if emits[i] { Vec3::ZERO } else { look(&edited.albedo, uvs[i]) * look(&plane, uvs[i]) * FRAC_1_PI };
+            change[i] = if emits[i] {
+                Vec3::ZERO
+            } else {
+                look(&edited.albedo, uvs[i]) * look(&plane, uvs[i]) * FRAC_1_PI
+            };
             radiance[i] += change[i];
         }
         if relative < DONE {
@@ -130,7 +169,8 @@ pub fn follow_light(before: &Solution, edited: &mut Solution, seed: u64, progres
     edited.radiance = fill_uncovered(&edited.radiance, &full);
     let (w, h) = (edited.irradiance.width, edited.irradiance.height);
     for (i, e) in edited.irradiance.data.iter_mut().enumerate() {
-        let uv = Vec2::new((i % w) as f32 + 0.5, (i / w) as f32 + 0.5) / Vec2::new(w as f32, h as f32);
+        let uv =
+            Vec2::new((i % w) as f32 + 0.5, (i / w) as f32 + 0.5) / Vec2::new(w as f32, h as f32);
         *e = (*e + look(&total, uv)).max(Vec3::ZERO);
     }
     Ok(out)

@@ -35,7 +35,11 @@ impl<'a> Selector<'a> {
     /// `classes` may be empty if their names are not known; paths are relative to `folder`.
     #[must_use]
     pub fn new(solution: &'a Solution, classes: &'a [(u16, String)], folder: &'a Path) -> Self {
-        Self { solution, classes, folder }
+        Self {
+            solution,
+            classes,
+            folder,
+        }
     }
 
     /// What one edit selects.
@@ -50,9 +54,12 @@ impl<'a> Selector<'a> {
             Some(name) => Some(self.class_id(name).map_err(wrong)?),
         };
         if let Some(room) = edit.room {
-            let rooms: std::collections::BTreeSet<u16> = self.solution.rooms.data.iter().copied().collect();
+            let rooms: std::collections::BTreeSet<u16> =
+                self.solution.rooms.data.iter().copied().collect();
             if !rooms.contains(&room) {
-                return Err(wrong(format!("room: there is no room {room}; the solution has {rooms:?}")));
+                return Err(wrong(format!(
+                    "room: there is no room {room}; the solution has {rooms:?}"
+                )));
             }
         }
         let triangles = match edit.point {
@@ -60,11 +67,24 @@ impl<'a> Selector<'a> {
             Some(p) => {
                 let local = (DVec3::from_array(p) - self.solution.origin).as_vec3();
                 let found = surface_around(self.solution, local);
-                Some(found.ok_or_else(|| wrong(format!("point: no surface near {p:?}; click a point on one in `unbake view`")))?)
+                Some(found.ok_or_else(|| {
+                    wrong(format!(
+                        "point: no surface near {p:?}; click a point on one in `unbake view`"
+                    ))
+                })?)
             }
         };
-        let mask = edit.mask.as_ref().map(|m| read_ldr(self.folder.join(m))).transpose()?;
-        Ok(Selection { class, room: edit.room, triangles, mask })
+        let mask = edit
+            .mask
+            .as_ref()
+            .map(|m| read_ldr(self.folder.join(m)))
+            .transpose()?;
+        Ok(Selection {
+            class,
+            room: edit.room,
+            triangles,
+            mask,
+        })
     }
 
     fn class_id(&self, name: &str) -> std::result::Result<u16, String> {
@@ -72,11 +92,21 @@ impl<'a> Selector<'a> {
             return Ok(id);
         }
         if self.classes.is_empty() {
-            return Err(format!("class: \"{name}\" is a name, and the class names are not known here; give the id or --scene"));
+            return Err(format!(
+                "class: \"{name}\" is a name, and the class names are not known here; give the id or --scene"
+            ));
         }
-        let known = || self.classes.iter().map(|c| c.1.as_str()).collect::<Vec<_>>().join(", ");
+        let known = || {
+            self.classes
+                .iter()
+                .map(|c| c.1.as_str())
+                .collect::<Vec<_>>()
+                .join(", ")
+        };
         let found = self.classes.iter().find(|c| c.1.eq_ignore_ascii_case(name));
-        found.map(|c| c.0).ok_or_else(|| format!("class: there is no \"{name}\"; the scene has {}", known()))
+        found
+            .map(|c| c.0)
+            .ok_or_else(|| format!("class: there is no \"{name}\"; the scene has {}", known()))
     }
 }
 
@@ -86,8 +116,12 @@ impl Selection {
     pub fn weight(&self, solution: &Solution, triangle: usize, uv: Vec2) -> f32 {
         let at = |w: usize, h: usize| uv * Vec2::new(w as f32, h as f32);
         let (labels, rooms) = (&solution.labels, &solution.rooms);
-        if self.class.is_some_and(|c| *labels.nearest(at(labels.width, labels.height)) != c)
-            || self.room.is_some_and(|r| *rooms.nearest(at(rooms.width, rooms.height)) != r)
+        if self
+            .class
+            .is_some_and(|c| *labels.nearest(at(labels.width, labels.height)) != c)
+            || self
+                .room
+                .is_some_and(|r| *rooms.nearest(at(rooms.width, rooms.height)) != r)
             || self.triangles.as_ref().is_some_and(|t| !t[triangle])
         {
             return 0.0;
@@ -95,7 +129,11 @@ impl Selection {
         self.mask.as_ref().map_or(1.0, |m| {
             // the mask is a picture of weights, read as sRGB: brought back to what its bytes say
             let v = crate::math::luminance(*m.nearest(at(m.width, m.height))).clamp(0.0, 1.0);
-            if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+            if v <= 0.003_130_8 {
+                12.92 * v
+            } else {
+                1.055 * v.powf(1.0 / 2.4) - 0.055
+            }
         })
     }
 }
@@ -109,7 +147,9 @@ fn surface_around(solution: &Solution, p: Vec3) -> Option<Vec<bool>> {
         (mesh.position(t, u, v) - p).length()
     };
     let usable = (0..mesh.triangles.len()).filter(|&t| mesh.area(t) > 0.0);
-    let (start, d) = usable.map(|t| (t, distance(t))).min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let (start, d) = usable
+        .map(|t| (t, distance(t)))
+        .min_by(|a, b| a.1.total_cmp(&b.1))?;
     if d.is_nan() || d > REACH * (hi - lo).length() {
         return None;
     }
@@ -125,7 +165,10 @@ fn surface_around(solution: &Solution, p: Vec3) -> Option<Vec<bool>> {
     while let Some(t) = stack.pop() {
         for &n in &edges[t] {
             let n = n as usize;
-            if !chosen[n] && label(n) == wanted && mesh.face_normal(t).dot(mesh.face_normal(n)) > SMOOTH {
+            if !chosen[n]
+                && label(n) == wanted
+                && mesh.face_normal(t).dot(mesh.face_normal(n)) > SMOOTH
+            {
                 chosen[n] = true;
                 stack.push(n);
             }
@@ -151,7 +194,10 @@ fn neighbours(mesh: &Mesh) -> Vec<Vec<u32>> {
     for (t, c) in mesh.triangles.iter().enumerate() {
         for (a, b) in [(0, 1), (1, 2), (2, 0)] {
             let (a, b) = (weld[c[a] as usize], weld[c[b] as usize]);
-            of_edge.entry((a.min(b), a.max(b))).or_default().push(t as u32);
+            of_edge
+                .entry((a.min(b), a.max(b)))
+                .or_default()
+                .push(t as u32);
         }
     }
     let mut out = vec![Vec::new(); mesh.triangles.len()];

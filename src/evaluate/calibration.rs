@@ -1,6 +1,7 @@
-//! Does the stated standard error explain the actual one? Pixels are binned by what the solution states; in every bin the root mean
-//! square of the actual error is compared with it. A calibrated estimate lies on the diagonal, with 68 % of the errors within one
-//! stated standard error and 95 % within two (Gaussian errors).
+//! Does the stated standard error explain the actual one? Pixels are binned by what the solution
+//! states; in every bin the root mean square of the actual error is compared with it. A calibrated
+//! estimate lies on the diagonal, with 68 % of the errors within one stated standard error and 95 %
+//! within two (Gaussian errors).
 
 use super::GroundTruth;
 use crate::image::Plane;
@@ -8,7 +9,8 @@ use crate::math::luminance;
 use crate::render::RenderedView;
 use serde::{Deserialize, Serialize};
 
-/// Stated errors from here on count as "not observed": no albedo or roughness can be wrong by more than 1.
+/// Stated errors from here on count as "not observed": no albedo or roughness can be wrong by more
+/// than 1.
 const UNOBSERVED: f32 = 1.0;
 /// Bins per factor of two, and the smallest stated error that has a bin of its own.
 const BINS_PER_OCTAVE: f32 = 1.0;
@@ -109,14 +111,23 @@ impl Quantity {
         }
         // an error of exactly zero would be a claim no measurement can refute but by infinity
         let stated = stated.max(0.25 * SMALLEST);
-        let bin = ((stated / SMALLEST).log2() * BINS_PER_OCTAVE).clamp(0.0, (BINS - 1) as f32) as usize;
-        self.bins[bin].add(f64::from(stated), f64::from(value.clamp(0.0, 1.0) - truth.clamp(0.0, 1.0)).abs());
+        let bin =
+            ((stated / SMALLEST).log2() * BINS_PER_OCTAVE).clamp(0.0, (BINS - 1) as f32) as usize;
+        self.bins[bin].add(
+            f64::from(stated),
+            f64::from(value.clamp(0.0, 1.0) - truth.clamp(0.0, 1.0)).abs(),
+        );
     }
 
     fn finish(&self) -> Calibration {
         let all = self.bins.iter().fold(Sums::default(), Sums::join);
         Calibration {
-            bins: self.bins.iter().filter(|b| b.pixels > 0).map(Sums::finish).collect(),
+            bins: self
+                .bins
+                .iter()
+                .filter(|b| b.pixels > 0)
+                .map(Sums::finish)
+                .collect(),
             all: all.finish(),
             normalised: (all.ratio / all.pixels.max(1) as f64).sqrt(),
             unobserved: self.unobserved,
@@ -136,13 +147,24 @@ impl CalibrationTally {
     pub(super) fn add(&mut self, mask: &Plane<bool>, rendered: &RenderedView, truth: &GroundTruth) {
         for i in (0..mask.data.len()).filter(|&i| mask.data[i]) {
             let stated = rendered.confidence.data[i];
-            self.albedo.add(stated.x, luminance(rendered.albedo.data[i]), luminance(truth.albedo.data[i]));
-            self.roughness.add(stated.y, rendered.roughness.data[i], truth.roughness.data[i]);
+            self.albedo.add(
+                stated.x,
+                luminance(rendered.albedo.data[i]),
+                luminance(truth.albedo.data[i]),
+            );
+            self.roughness.add(
+                stated.y,
+                rendered.roughness.data[i],
+                truth.roughness.data[i],
+            );
         }
     }
 
     pub(super) fn finish(&self) -> Calibrations {
-        Calibrations { albedo: self.albedo.finish(), roughness: self.roughness.finish() }
+        Calibrations {
+            albedo: self.albedo.finish(),
+            roughness: self.roughness.finish(),
+        }
     }
 }
 

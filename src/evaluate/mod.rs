@@ -1,7 +1,9 @@
-//! How good a reconstruction is: re-rendering, novel views and, where a scene has ground truth, materials.
+//! How good a reconstruction is: re-rendering, novel views and, where a scene has ground truth,
+//! materials.
 //!
-//! This is the only module that reads a scene's `gt/` folder. Every material figure is given under three published protocols
-//! side by side (see [`protocol`]); nothing is overwritten before scoring.
+//! This is the only module that reads a scene's `gt/` folder. Every material figure is given under
+//! three published protocols side by side (see [`protocol`]); nothing is overwritten before
+//! scoring.
 
 mod calibration;
 mod emission;
@@ -11,7 +13,9 @@ mod table;
 
 pub use calibration::{Calibration, CalibrationBin, Calibrations};
 pub use emission::EmissionScores;
-pub use scores::{ClassScores, Evaluation, ImageScores, MaterialScores, Protocols, SplitScores, ViewScores};
+pub use scores::{
+    ClassScores, Evaluation, ImageScores, MaterialScores, Protocols, SplitScores, ViewScores,
+};
 pub use table::terminal_table;
 
 use crate::error::{Error, Result};
@@ -24,7 +28,9 @@ use crate::render::{RenderedView, ViewRenderer};
 use crate::scene::{Scene, Split, View};
 use crate::solution::AsideFolder;
 use emission::EmissionTruth;
-use protocol::{box_average, least_squares_albedo, material_mask, quantised, tone_mapped, working_size};
+use protocol::{
+    box_average, least_squares_albedo, material_mask, quantised, tone_mapped, working_size,
+};
 use scores::{Accumulator, ClassTally};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -40,7 +46,12 @@ pub struct EvalOptions {
     #[arg(long)]
     pub quantise: bool,
     /// Exposure in stops applied to radiance before tone mapping for the image scores.
-    #[arg(long, value_name = "EV", default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "EV",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
     pub exposure: f32,
 }
 
@@ -67,10 +78,12 @@ pub struct GroundTruth {
     pub roughness: Plane<f32>,
 }
 
-/// Renders and scores the held-out views (and, if asked or if there are no others, the training views).
+/// Renders and scores the held-out views (and, if asked or if there are no others, the training
+/// views).
 ///
-/// With `folder` (the output folder of `solve`) writes `eval/metrics.json` and `eval/<stem>.{render,albedo,roughness}.exr`;
-/// files of an earlier evaluation are replaced only when all new ones are complete.
+/// With `folder` (the output folder of `solve`) writes `eval/metrics.json` and
+/// `eval/<stem>.{render,albedo,roughness}.exr`; files of an earlier evaluation are replaced only
+/// when all new ones are complete.
 pub fn evaluate(
     scene: &Scene,
     renderer: &dyn ViewRenderer,
@@ -79,16 +92,29 @@ pub fn evaluate(
     progress: &Progress,
     each: &mut dyn FnMut(&ViewOutcome<'_>),
 ) -> Result<Evaluation> {
-    let held_out = scene.views.iter().filter(|v| v.split == Split::Test).count();
+    let held_out = scene
+        .views
+        .iter()
+        .filter(|v| v.split == Split::Test)
+        .count();
     let with_train = options.train || held_out == 0;
     if held_out == 0 {
         progress.note("the scene holds out no view: the training views are scored, which says nothing about novel views");
     }
-    let views: Vec<&View> = scene.views.iter().filter(|v| with_train || v.split == Split::Test).collect();
+    let views: Vec<&View> = scene
+        .views
+        .iter()
+        .filter(|v| with_train || v.split == Split::Test)
+        .collect();
     if views.is_empty() {
-        return Err(Error::input(&scene.folder, "has no views to evaluate; add frames to transforms.json"));
+        return Err(Error::input(
+            &scene.folder,
+            "has no views to evaluate; add frames to transforms.json",
+        ));
     }
-    let aside = folder.map(|f| AsideFolder::new(&f.join("eval"))).transpose()?;
+    let aside = folder
+        .map(|f| AsideFolder::new(&f.join("eval")))
+        .transpose()?;
     let mut files: Vec<String> = Vec::new();
     let (mut test, mut train) = (Accumulator::new(scene), Accumulator::new(scene));
 
@@ -104,26 +130,44 @@ pub fn evaluate(
                 files.extend(write_view(&aside.folder, &view.stem, &rendered)?);
             }
             let truth = ground_truth(scene, view)?;
-            let accumulator = if view.split == Split::Test { &mut test } else { &mut train };
+            let accumulator = if view.split == Split::Test {
+                &mut test
+            } else {
+                &mut train
+            };
             let truth = truth.as_ref();
-            let mut scores = score_rendering(view, (&photograph, &valid), &rendered, options, accumulator)?;
+            let mut scores =
+                score_rendering(view, (&photograph, &valid), &rendered, options, accumulator)?;
             let labels = classes.unwrap_or_else(|| rendered.labels.clone());
-            if let Some(emission) = EmissionTruth::of(scene, view, &photograph, &labels, &accumulator.lights)? {
+            if let Some(emission) =
+                EmissionTruth::of(scene, view, &photograph, &labels, &accumulator.lights)?
+            {
                 accumulator.emission.add(&emission, &rendered);
             }
             if let Some(truth) = truth {
                 score_materials(&labels, &rendered, truth, options, accumulator, &mut scores);
             }
-            each(&ViewOutcome { view, photograph: &photograph, rendered: &rendered, scores: &scores, truth });
+            each(&ViewOutcome {
+                view,
+                photograph: &photograph,
+                rendered: &rendered,
+                scores: &scores,
+                truth,
+            });
             accumulator.views.push(scores);
             progress.advance(1);
         }
         Ok::<(), Error>(())
     })?;
 
-    let evaluation = Evaluation { protocols: protocol::descriptions(options), test: test.finish(), train: train.finish() };
+    let evaluation = Evaluation {
+        protocols: protocol::descriptions(options),
+        test: test.finish(),
+        train: train.finish(),
+    };
     if let (Some(folder), Some(aside)) = (folder, &aside) {
-        let json = serde_json::to_vec_pretty(&evaluation).map_err(|e| Error::Failed(format!("metrics.json: {e}")))?;
+        let json = serde_json::to_vec_pretty(&evaluation)
+            .map_err(|e| Error::Failed(format!("metrics.json: {e}")))?;
         let path = aside.folder.join("metrics.json");
         std::fs::write(&path, json).map_err(|e| Error::io(&path, e))?;
         files.push("metrics.json".into());
@@ -135,7 +179,9 @@ pub fn evaluate(
 /// The working radiance of a view and which of its pixels count.
 pub fn photograph(scene: &Scene, view: &View) -> Result<(RgbPlane, Plane<bool>)> {
     let image = scene.load_radiance(view)?;
-    let valid = scene.load_mask(view)?.unwrap_or_else(|| Plane::filled(image.width, image.height, true));
+    let valid = scene
+        .load_mask(view)?
+        .unwrap_or_else(|| Plane::filled(image.width, image.height, true));
     Ok((image, valid))
 }
 
@@ -143,7 +189,13 @@ fn check_size(path: &Path, width: usize, height: usize, camera: &Camera) -> Resu
     if (width, height) == (camera.width, camera.height) {
         return Ok(());
     }
-    Err(Error::input(path, format!("is {width}×{height}, but its frame is {}×{}; make them agree", camera.width, camera.height)))
+    Err(Error::input(
+        path,
+        format!(
+            "is {width}×{height}, but its frame is {}×{}; make them agree",
+            camera.width, camera.height
+        ),
+    ))
 }
 
 /// The value of `plane` under pixel (x, y) of an image of another resolution and the same aspect.
@@ -154,14 +206,33 @@ fn nearest_of<'a, T, U>(plane: &'a Plane<T>, image: &Plane<U>, x: usize, y: usiz
 }
 
 fn ground_truth(scene: &Scene, view: &View) -> Result<Option<GroundTruth>> {
-    let file = |kind: &str| -> PathBuf { scene.folder.join("gt").join(kind).join(format!("{}.exr", view.stem)) };
+    let file = |kind: &str| -> PathBuf {
+        scene
+            .folder
+            .join("gt")
+            .join(kind)
+            .join(format!("{}.exr", view.stem))
+    };
     let (albedo, roughness) = (file("albedo"), file("roughness"));
     if !albedo.is_file() || !roughness.is_file() {
         return Ok(None);
     }
-    let truth = GroundTruth { albedo: read_rgb(&albedo)?, roughness: read_plane(&roughness)? };
-    check_size(&albedo, truth.albedo.width, truth.albedo.height, &view.camera)?;
-    check_size(&roughness, truth.roughness.width, truth.roughness.height, &view.camera)?;
+    let truth = GroundTruth {
+        albedo: read_rgb(&albedo)?,
+        roughness: read_plane(&roughness)?,
+    };
+    check_size(
+        &albedo,
+        truth.albedo.width,
+        truth.albedo.height,
+        &view.camera,
+    )?;
+    check_size(
+        &roughness,
+        truth.roughness.width,
+        truth.roughness.height,
+        &view.camera,
+    )?;
     Ok(Some(truth))
 }
 
@@ -182,7 +253,10 @@ fn score_rendering(
 ) -> Result<ViewScores> {
     let (a, b, counted) = comparable(photograph, valid, &rendered.radiance, options.exposure);
     let Some(mse) = masked_mse(&a, &b, &counted) else {
-        return Err(Error::input(&view.image_path, "has no valid pixel to compare with; check the image and its mask"));
+        return Err(Error::input(
+            &view.image_path,
+            "has no valid pixel to compare with; check the image and its mask",
+        ));
     };
     let ssim = masked_ssim(&a, &b, &counted);
     accumulator.rendering.add(mse, ssim);
@@ -191,7 +265,12 @@ fn score_rendering(
         psnr: psnr(mse),
         ssim: ssim.unwrap_or(1.0),
         mse,
-        nonfinite_pixels: rendered.radiance.data.iter().filter(|v| !v.is_finite()).count(),
+        nonfinite_pixels: rendered
+            .radiance
+            .data
+            .iter()
+            .filter(|v| !v.is_finite())
+            .count(),
         ..ViewScores::default()
     })
 }
@@ -208,16 +287,28 @@ pub fn comparable(
     let (photo_small, counted) = box_average(photograph, valid, w, h);
     let (render_small, _) = box_average(rendering, valid, w, h);
     let gain = exposure.exp2();
-    (tone_mapped(&render_small, gain), tone_mapped(&photo_small, gain), counted)
+    (
+        tone_mapped(&render_small, gain),
+        tone_mapped(&photo_small, gain),
+        counted,
+    )
 }
 
 /// The scene's class ids at the frame's size; none where it labels nothing.
 fn labels_of(scene: &Scene, view: &View) -> Result<Option<Plane<u16>>> {
-    let Some(file) = scene.load_labels(view)? else { return Ok(None) };
+    let Some(file) = scene.load_labels(view)? else {
+        return Ok(None);
+    };
     let (width, height) = (view.camera.width, view.camera.height);
     let frame: Plane<()> = Plane::filled(width, height, ());
-    let data = (0..width * height).map(|i| *nearest_of(&file, &frame, i % width, i / width)).collect();
-    Ok(Some(Plane { width, height, data }))
+    let data = (0..width * height)
+        .map(|i| *nearest_of(&file, &frame, i % width, i / width))
+        .collect();
+    Ok(Some(Plane {
+        width,
+        height,
+        data,
+    }))
 }
 
 fn score_materials(
@@ -232,18 +323,36 @@ fn score_materials(
     let Some(linear) = masked_mse(&rendered.albedo, &truth.albedo, &mask) else {
         return; // a view of lamps and sky only says nothing about materials
     };
-    let bits = |p: &RgbPlane| if options.quantise { p.map(|v| v.map(quantised)) } else { p.clone() };
+    let bits = |p: &RgbPlane| {
+        if options.quantise {
+            p.map(|v| v.map(quantised))
+        } else {
+            p.clone()
+        }
+    };
     let fipt_roughness = |p: &Plane<f32>| {
         p.map(|r| {
             let clamped = r.clamp(0.2, 1.0);
-            if options.quantise { quantised(clamped) } else { clamped }
+            if options.quantise {
+                quantised(clamped)
+            } else {
+                clamped
+            }
         })
     };
     let (scaled, scale) = least_squares_albedo(&rendered.albedo, &truth.albedo, &mask);
     let materials = accumulator.materials.get_or_insert_default();
     let albedo = [
-        (&mut materials.albedo.linear, rendered.albedo.clone(), truth.albedo.clone()),
-        (&mut materials.albedo.fipt, bits(&rendered.albedo), bits(&truth.albedo)),
+        (
+            &mut materials.albedo.linear,
+            rendered.albedo.clone(),
+            truth.albedo.clone(),
+        ),
+        (
+            &mut materials.albedo.fipt,
+            bits(&rendered.albedo),
+            bits(&truth.albedo),
+        ),
         (&mut materials.albedo.texir, scaled, truth.albedo.clone()),
     ];
     let mut albedo_mse = [linear; 3];
@@ -252,8 +361,16 @@ fn score_materials(
         tally.add(*slot, masked_ssim(&prediction, &reference, &mask));
     }
     let roughness = [
-        (&mut materials.roughness.linear, rendered.roughness.clone(), truth.roughness.clone()),
-        (&mut materials.roughness.fipt, fipt_roughness(&rendered.roughness), fipt_roughness(&truth.roughness)),
+        (
+            &mut materials.roughness.linear,
+            rendered.roughness.clone(),
+            truth.roughness.clone(),
+        ),
+        (
+            &mut materials.roughness.fipt,
+            fipt_roughness(&rendered.roughness),
+            fipt_roughness(&truth.roughness),
+        ),
     ];
     let mut roughness_mse = [0.0; 2];
     for (slot, (tally, prediction, reference)) in roughness_mse.iter_mut().zip(roughness) {

@@ -55,15 +55,24 @@ pub fn working_size(width: usize, height: usize) -> (usize, usize) {
     (WORKING_WIDTH, scaled.max(1))
 }
 
-/// Averages the `valid` pixels under each pixel of a smaller image, weighted by covered area. The second plane says where
-/// there was any; the first is 0 elsewhere.
+/// Averages the `valid` pixels under each pixel of a smaller image, weighted by covered area. The
+/// second plane says where there was any; the first is 0 elsewhere.
 #[must_use]
-pub fn box_average(image: &RgbPlane, valid: &Plane<bool>, width: usize, height: usize) -> (RgbPlane, Plane<bool>) {
+pub fn box_average(
+    image: &RgbPlane,
+    valid: &Plane<bool>,
+    width: usize,
+    height: usize,
+) -> (RgbPlane, Plane<bool>) {
     // the source pixels under output pixel i and the share of each that it covers
     let cover = |i: usize, n: usize, source: usize| {
-        let (begin, end) = (i as f64 * source as f64 / n as f64, (i + 1) as f64 * source as f64 / n as f64);
+        let (begin, end) = (
+            i as f64 * source as f64 / n as f64,
+            (i + 1) as f64 * source as f64 / n as f64,
+        );
         let last = (end.ceil() as usize).min(source);
-        (begin as usize..last).map(move |s| (s, (end.min(s as f64 + 1.0) - begin.max(s as f64)).max(0.0)))
+        (begin as usize..last)
+            .map(move |s| (s, (end.min(s as f64 + 1.0) - begin.max(s as f64)).max(0.0)))
     };
     let pixels: Vec<Option<Vec3>> = (0..width * height)
         .into_par_iter()
@@ -80,14 +89,37 @@ pub fn box_average(image: &RgbPlane, valid: &Plane<bool>, width: usize, height: 
             (weight > 0.0).then(|| (sum / weight).as_vec3())
         })
         .collect();
-    let counted = Plane { width, height, data: pixels.iter().map(Option::is_some).collect() };
-    (Plane { width, height, data: pixels.into_iter().map(|p| p.unwrap_or(Vec3::ZERO)).collect() }, counted)
+    let counted = Plane {
+        width,
+        height,
+        data: pixels.iter().map(Option::is_some).collect(),
+    };
+    (
+        Plane {
+            width,
+            height,
+            data: pixels
+                .into_iter()
+                .map(|p| p.unwrap_or(Vec3::ZERO))
+                .collect(),
+        },
+        counted,
+    )
 }
 
-/// TexIR's display transform clamp((gain·x)^(1/2.2), 0, 1); NaN stays NaN, so that it scores as an error.
+/// TexIR's display transform clamp((gain·x)^(1/2.2), 0, 1); NaN stays NaN, so that it scores as an
+/// error.
 #[must_use]
 pub fn tone_mapped(image: &RgbPlane, gain: f32) -> RgbPlane {
-    image.map(|v| v.map(|x| if x.is_nan() { x } else { (x * gain).max(0.0).powf(1.0 / 2.2).min(1.0) }))
+    image.map(|v| {
+        v.map(|x| {
+            if x.is_nan() {
+                x
+            } else {
+                (x * gain).max(0.0).powf(1.0 / 2.2).min(1.0)
+            }
+        })
+    })
 }
 
 /// The nearest multiple of 1/255 in [0, 1].
@@ -96,19 +128,35 @@ pub fn quantised(x: f32) -> f32 {
     (x.clamp(0.0, 1.0) * 255.0).round() / 255.0
 }
 
-/// Pixels that count for material scores: geometry of a class that is not a light, with finite ground truth.
+/// Pixels that count for material scores: geometry of a class that is not a light, with finite
+/// ground truth.
 #[must_use]
-pub fn material_mask(labels: &Plane<u16>, truth: &GroundTruth, lights: &BTreeSet<u16>) -> Plane<bool> {
+pub fn material_mask(
+    labels: &Plane<u16>,
+    truth: &GroundTruth,
+    lights: &BTreeSet<u16>,
+) -> Plane<bool> {
     let counts = |i: usize| {
         let label = labels.data[i];
-        label != 0 && !lights.contains(&label) && truth.albedo.data[i].is_finite() && truth.roughness.data[i].is_finite()
+        label != 0
+            && !lights.contains(&label)
+            && truth.albedo.data[i].is_finite()
+            && truth.roughness.data[i].is_finite()
     };
-    Plane { width: labels.width, height: labels.height, data: (0..labels.data.len()).map(counts).collect() }
+    Plane {
+        width: labels.width,
+        height: labels.height,
+        data: (0..labels.data.len()).map(counts).collect(),
+    }
 }
 
 /// The prediction times the scalar that brings it closest to the truth, and that scalar.
 #[must_use]
-pub fn least_squares_albedo(prediction: &RgbPlane, truth: &RgbPlane, mask: &Plane<bool>) -> (RgbPlane, f64) {
+pub fn least_squares_albedo(
+    prediction: &RgbPlane,
+    truth: &RgbPlane,
+    mask: &Plane<bool>,
+) -> (RgbPlane, f64) {
     let scale = least_squares_scale(prediction, truth, mask);
     (prediction.map(|v| *v * scale as f32), scale)
 }
@@ -119,13 +167,25 @@ mod tests {
 
     #[test]
     fn box_average_keeps_the_mean_at_any_ratio() {
-        let image = Plane { width: 7, height: 5, data: (0..35).map(|i| Vec3::splat((i * i % 13) as f32)).collect() };
+        let image = Plane {
+            width: 7,
+            height: 5,
+            data: (0..35).map(|i| Vec3::splat((i * i % 13) as f32)).collect(),
+        };
         let valid = Plane::filled(7, 5, true);
         let (small, counted) = box_average(&image, &valid, 3, 2);
-        let mean = |p: &RgbPlane| p.data.iter().map(|v| f64::from(v.x)).sum::<f64>() / p.data.len() as f64;
-        assert!((mean(&small) - mean(&image)).abs() < 1e-5, "area weights partition the image");
+        let mean =
+            |p: &RgbPlane| p.data.iter().map(|v| f64::from(v.x)).sum::<f64>() / p.data.len() as f64;
+        assert!(
+            (mean(&small) - mean(&image)).abs() < 1e-5,
+            "area weights partition the image"
+        );
         assert!(counted.data.iter().all(|c| *c));
-        assert_eq!(box_average(&image, &valid, 7, 5).0, image, "same size is the identity");
+        assert_eq!(
+            box_average(&image, &valid, 7, 5).0,
+            image,
+            "same size is the identity"
+        );
     }
 
     #[test]
@@ -154,7 +214,11 @@ mod tests {
 
     #[test]
     fn tone_mapping_and_quantisation_have_their_closed_forms() {
-        let p = Plane { width: 3, height: 1, data: vec![Vec3::splat(0.25), Vec3::splat(9.0), Vec3::splat(-1.0)] };
+        let p = Plane {
+            width: 3,
+            height: 1,
+            data: vec![Vec3::splat(0.25), Vec3::splat(9.0), Vec3::splat(-1.0)],
+        };
         let t = tone_mapped(&p, 2.0);
         assert!((t.data[0].x - 0.5f32.powf(1.0 / 2.2)).abs() < 1e-6);
         assert_eq!((t.data[1], t.data[2]), (Vec3::ONE, Vec3::ZERO));

@@ -183,7 +183,12 @@ pub(super) struct Accumulator {
 impl Accumulator {
     pub(super) fn new(scene: &Scene) -> Self {
         Self {
-            lights: scene.classes.iter().filter(|c| c.is_light).map(|c| c.id).collect(),
+            lights: scene
+                .classes
+                .iter()
+                .filter(|c| c.is_light)
+                .map(|c| c.id)
+                .collect(),
             rendering: Tally::default(),
             materials: None,
             classes: ClassTally::new(scene),
@@ -205,17 +210,27 @@ impl Accumulator {
                     fipt: m.albedo.fipt.finish(),
                     texir: m.albedo.texir.finish(),
                 },
-                roughness: Protocols { linear: roughness.clone(), fipt: m.roughness.fipt.finish(), texir: roughness },
+                roughness: Protocols {
+                    linear: roughness.clone(),
+                    fipt: m.roughness.fipt.finish(),
+                    texir: roughness,
+                },
                 roughness_median_absolute_error: self.classes.median_of_all(),
                 classes: self.classes.finish(),
                 calibration: self.calibration.finish(),
             }
         });
-        Some(SplitScores { rendering: self.rendering.finish(), materials, emission: self.emission.finish(), views: self.views })
+        Some(SplitScores {
+            rendering: self.rendering.finish(),
+            materials,
+            emission: self.emission.finish(),
+            views: self.views,
+        })
     }
 }
 
-/// Bins of the error histogram: |R − truth| in [0, 1] to 1e-4, which is finer than an 8-bit texture.
+/// Bins of the error histogram: |R − truth| in [0, 1] to 1e-4, which is finer than an 8-bit
+/// texture.
 const BINS: usize = 10_000;
 
 #[derive(Clone, Debug)]
@@ -239,22 +254,38 @@ pub(super) struct ClassTally {
 
 impl ClassTally {
     fn new(scene: &Scene) -> Self {
-        Self { names: scene.classes.iter().map(|c| (c.id, c.name.clone())).collect(), sums: BTreeMap::new() }
+        Self {
+            names: scene
+                .classes
+                .iter()
+                .map(|c| (c.id, c.name.clone()))
+                .collect(),
+            sums: BTreeMap::new(),
+        }
     }
 
     /// Adds the counted pixels of one view.
-    pub(super) fn add(&mut self, labels: &Plane<u16>, mask: &Plane<bool>, rendered: &RenderedView, truth: &GroundTruth) {
+    pub(super) fn add(
+        &mut self,
+        labels: &Plane<u16>,
+        mask: &Plane<bool>,
+        rendered: &RenderedView,
+        truth: &GroundTruth,
+    ) {
         for i in (0..labels.data.len()).filter(|&i| mask.data[i]) {
-            let sums = self.sums.entry(labels.data[i]).or_insert_with(|| ClassSums {
-                pixels: 0,
-                albedo_squared: 0.0,
-                albedo_error: [0.0; 3],
-                albedo_truth: [0.0; 3],
-                roughness_squared: 0.0,
-                roughness_error: 0.0,
-                roughness_truth: 0.0,
-                histogram: vec![0; BINS + 1],
-            });
+            let sums = self
+                .sums
+                .entry(labels.data[i])
+                .or_insert_with(|| ClassSums {
+                    pixels: 0,
+                    albedo_squared: 0.0,
+                    albedo_error: [0.0; 3],
+                    albedo_truth: [0.0; 3],
+                    roughness_squared: 0.0,
+                    roughness_error: 0.0,
+                    roughness_truth: 0.0,
+                    histogram: vec![0; BINS + 1],
+                });
             sums.pixels += 1;
             for c in 0..3 {
                 let (a, t) = (rendered.albedo.data[i][c], truth.albedo.data[i][c]);
@@ -288,7 +319,11 @@ impl ClassTally {
                 let n = s.pixels as f64;
                 ClassScores {
                     id: *id,
-                    name: self.names.get(id).cloned().unwrap_or_else(|| format!("class {id}")),
+                    name: self
+                        .names
+                        .get(id)
+                        .cloned()
+                        .unwrap_or_else(|| format!("class {id}")),
                     pixels: s.pixels,
                     albedo_psnr: psnr(s.albedo_squared / (3.0 * n)),
                     albedo_bias: s.albedo_error.map(|e| e / n),
@@ -304,7 +339,11 @@ impl ClassTally {
 }
 
 fn signed_error(a: f32, truth: f32) -> f64 {
-    if a.is_finite() { f64::from(a.clamp(0.0, 1.0)) - f64::from(truth.clamp(0.0, 1.0)) } else { 0.0 }
+    if a.is_finite() {
+        f64::from(a.clamp(0.0, 1.0)) - f64::from(truth.clamp(0.0, 1.0))
+    } else {
+        0.0
+    }
 }
 
 /// Lower median of a histogram over [0, 1].

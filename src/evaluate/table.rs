@@ -7,9 +7,10 @@ use std::fmt::Write;
 #[must_use]
 pub fn terminal_table(evaluation: &Evaluation) -> String {
     let mut out = String::new();
-    for (title, kind, split) in
-        [("Held-out views", "novel views", &evaluation.test), ("Training views", "re-rendering", &evaluation.train)]
-    {
+    for (title, kind, split) in [
+        ("Held-out views", "novel views", &evaluation.test),
+        ("Training views", "re-rendering", &evaluation.train),
+    ] {
         if let Some(split) = split {
             if !out.is_empty() {
                 out.push('\n');
@@ -23,8 +24,16 @@ pub fn terminal_table(evaluation: &Evaluation) -> String {
 fn split_table(out: &mut String, title: &str, kind: &str, split: &SplitScores) {
     // writing to a String cannot fail
     let count = split.views.len();
-    let _ = writeln!(out, "{title} ({count} image{})", if count == 1 { "" } else { "s" });
-    let _ = writeln!(out, "  {:<24} {:>18} {:>12} {:>9} {:>10}", "", "PSNR of mean MSE", "mean PSNR", "SSIM", "MSE");
+    let _ = writeln!(
+        out,
+        "{title} ({count} image{})",
+        if count == 1 { "" } else { "s" }
+    );
+    let _ = writeln!(
+        out,
+        "  {:<24} {:>18} {:>12} {:>9} {:>10}",
+        "", "PSNR of mean MSE", "mean PSNR", "SSIM", "MSE"
+    );
     row(out, kind, &split.rendering);
     if let Some(e) = &split.emission {
         let _ = writeln!(
@@ -39,8 +48,15 @@ fn split_table(out: &mut String, title: &str, kind: &str, split: &SplitScores) {
         row(out, "albedo, TexIR", &m.albedo.texir);
         row(out, "roughness, linear", &m.roughness.linear);
         row(out, "roughness, FIPT", &m.roughness.fipt);
-        let _ = writeln!(out, "  median |R - truth| {:>24.4}", m.roughness_median_absolute_error);
-        for (name, c) in [("albedo", &m.calibration.albedo), ("roughness", &m.calibration.roughness)] {
+        let _ = writeln!(
+            out,
+            "  median |R - truth| {:>24.4}",
+            m.roughness_median_absolute_error
+        );
+        for (name, c) in [
+            ("albedo", &m.calibration.albedo),
+            ("roughness", &m.calibration.roughness),
+        ] {
             let _ = writeln!(
                 out,
                 "  stated error, {name:<10} {:.4} (actual {:.4}); within 1: {:.0} %, within 2: {:.0} %",
@@ -60,7 +76,12 @@ fn split_table(out: &mut String, title: &str, kind: &str, split: &SplitScores) {
             let _ = writeln!(
                 out,
                 "  {name:<24} {:>10} {:>9.2} dB {:>9.2} dB {:>12.4} {:>+9.3} {:>9.3}",
-                c.pixels, c.albedo_psnr, c.roughness_psnr, c.roughness_median_absolute_error, c.roughness_bias, c.roughness_truth
+                c.pixels,
+                c.albedo_psnr,
+                c.roughness_psnr,
+                c.roughness_median_absolute_error,
+                c.roughness_bias,
+                c.roughness_truth
             );
         }
     }
@@ -68,5 +89,9 @@ fn split_table(out: &mut String, title: &str, kind: &str, split: &SplitScores) {
 
 fn row(out: &mut String, name: &str, s: &super::ImageScores) {
     let (psnr, mean) = (s.psnr_of_mean_mse, s.mean_psnr);
-    let _ = writeln!(out, "  {name:<24} {psnr:>15.2} dB {mean:>9.2} dB {:>9.4} {:>10.5}", s.ssim, s.mse);
+    let _ = writeln!(
+        out,
+        "  {name:<24} {psnr:>15.2} dB {mean:>9.2} dB {:>9.4} {:>10.5}",
+        s.ssim, s.mse
+    );
 }

@@ -24,7 +24,13 @@ impl FrameWriter {
     /// The folder cannot be made.
     pub fn new(folder: &Path, exposure: Exposure, exr: bool) -> Result<Self> {
         std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
-        Ok(Self { folder: folder.to_path_buf(), exposure, factor: None, exr, pictures: Vec::new() })
+        Ok(Self {
+            folder: folder.to_path_buf(),
+            exposure,
+            factor: None,
+            exr,
+            pictures: Vec::new(),
+        })
     }
 
     /// Writes a picture of a frame that is not finished yet; the finished one takes its place.
@@ -32,7 +38,9 @@ impl FrameWriter {
     /// # Errors
     /// The file cannot be written.
     pub fn preview(&mut self, name: &str, radiance: &RgbPlane) -> Result<()> {
-        let factor = self.factor.unwrap_or_else(|| self.exposure.factor(radiance));
+        let factor = self
+            .factor
+            .unwrap_or_else(|| self.exposure.factor(radiance));
         write_picture(&self.folder.join(format!("{name}.png")), radiance, factor)
     }
 
@@ -41,7 +49,9 @@ impl FrameWriter {
     /// # Errors
     /// A file cannot be written.
     pub fn write(&mut self, name: &str, radiance: &RgbPlane) -> Result<()> {
-        let factor = *self.factor.get_or_insert_with(|| self.exposure.factor(radiance));
+        let factor = *self
+            .factor
+            .get_or_insert_with(|| self.exposure.factor(radiance));
         if self.exr {
             let aside = Aside::new(self.folder.join(format!("{name}.exr")))?;
             write_rgb_float(aside.path(), radiance)?;
@@ -71,8 +81,14 @@ impl FrameWriter {
     pub fn film(&self, video: Video, fps: u32) -> Result<Option<PathBuf>> {
         let (name, codec): (&str, &[&str]) = match video {
             Video::None => return Ok(None),
-            Video::Mp4 => ("frames.mp4", &["-c:v", "libx264", "-crf", "18", "-movflags", "+faststart"]),
-            Video::Webm => ("frames.webm", &["-c:v", "libvpx-vp9", "-crf", "28", "-b:v", "0"]),
+            Video::Mp4 => (
+                "frames.mp4",
+                &["-c:v", "libx264", "-crf", "18", "-movflags", "+faststart"],
+            ),
+            Video::Webm => (
+                "frames.webm",
+                &["-c:v", "libvpx-vp9", "-crf", "28", "-b:v", "0"],
+            ),
         };
         let path = self.folder.join(name);
         let aside = Aside::new(&path)?;
@@ -94,12 +110,18 @@ impl FrameWriter {
             })?;
         // a broken pipe shows in ffmpeg's own message below
         let fed = child.stdin.take().map_or(Ok(()), |mut pipe| {
-            self.pictures.iter().try_for_each(|p| std::fs::read(p).and_then(|bytes| pipe.write_all(&bytes)))
+            self.pictures
+                .iter()
+                .try_for_each(|p| std::fs::read(p).and_then(|bytes| pipe.write_all(&bytes)))
         });
         let output = child.wait_with_output().map_err(|e| Error::io(&path, e))?;
         if !output.status.success() || fed.is_err() {
             let said = String::from_utf8_lossy(&output.stderr);
-            return Err(Error::Failed(format!("{}: ffmpeg failed: {}", path.display(), said.trim())));
+            return Err(Error::Failed(format!(
+                "{}: ffmpeg failed: {}",
+                path.display(),
+                said.trim()
+            )));
         }
         aside.finish()?;
         Ok(Some(path))
@@ -108,7 +130,12 @@ impl FrameWriter {
 
 fn write_picture(path: &Path, radiance: &RgbPlane, factor: f32) -> Result<()> {
     let aside = Aside::new(path)?;
-    write_png_rgb8(aside.path(), radiance.width, radiance.height, &tone_map(radiance, factor, srgb8_from_linear))?;
+    write_png_rgb8(
+        aside.path(),
+        radiance.width,
+        radiance.height,
+        &tone_map(radiance, factor, srgb8_from_linear),
+    )?;
     aside.finish()
 }
 
@@ -121,7 +148,8 @@ mod tests {
     #[test]
     fn frames_share_the_first_ones_exposure() {
         let folder = tempfile::tempdir().expect("temp");
-        let mut writer = FrameWriter::new(&folder.path().join("a/b"), Exposure::Auto, true).expect("folder");
+        let mut writer =
+            FrameWriter::new(&folder.path().join("a/b"), Exposure::Auto, true).expect("folder");
         let grey = |v: f32| Plane::filled(7, 5, Vec3::splat(v));
         writer.preview("x", &grey(1.0)).expect("writes");
         writer.write("x", &grey(4.0)).expect("writes");
@@ -129,7 +157,9 @@ mod tests {
         assert!((writer.stops().expect("set") - 0.2f32.log2()).abs() < 1e-5);
         let back = crate::formats::read_rgb(folder.path().join("a/b/y.exr")).expect("reads");
         assert_eq!(back.data[3], Vec3::splat(8.0));
-        let names = std::fs::read_dir(folder.path().join("a/b")).expect("lists").count();
+        let names = std::fs::read_dir(folder.path().join("a/b"))
+            .expect("lists")
+            .count();
         assert_eq!(names, 4, "two frames, nothing aside");
         assert_eq!(writer.film(Video::None, 24).expect("none"), None);
     }

@@ -33,16 +33,19 @@ pub struct ExportOptions {
     /// Largest side of an embedded glTF texture, texels.
     #[arg(long, value_name = "TEXELS", default_value_t = Self::default().max_texture)]
     pub max_texture: usize,
-    /// Add the lamps to the glTF file as KHR_lights_punctual, for engines that do not light by emissive surfaces.
+    /// Add the lamps to the glTF file as KHR_lights_punctual, for engines that do not light by
+    /// emissive surfaces.
     #[arg(long)]
     pub punctual_lights: bool,
-    /// Add the irradiance to the glTF file as a lightmap on the second texture set (named in the material's extras).
+    /// Add the irradiance to the glTF file as a lightmap on the second texture set (named in the
+    /// material's extras).
     #[arg(long)]
     pub lightmap: bool,
     /// Store the glTF file's textures as lossless WebP (EXT_texture_webp) instead of PNG.
     #[arg(long)]
     pub webp: bool,
-    /// Mitsuba: leave out specular reflection, so that its rendering must equal `unbake render --renderer path --diffuse-only --flat`.
+    /// Mitsuba: leave out specular reflection, so that its rendering must equal `unbake render
+    /// --renderer path --diffuse-only --flat`.
     #[arg(long)]
     pub mitsuba_diffuse: bool,
 }
@@ -60,11 +63,17 @@ impl Default for ExportOptions {
     }
 }
 
-/// Writes the wanted formats and `cameras.json` into `folder`, all or nothing; returns the file names.
+/// Writes the wanted formats and `cameras.json` into `folder`, all or nothing; returns the file
+/// names.
 ///
 /// # Errors
 /// A file cannot be written.
-pub fn export(folder: &Path, solution: &Solution, cameras: &[NamedCamera], options: &ExportOptions) -> Result<Vec<String>> {
+pub fn export(
+    folder: &Path,
+    solution: &Solution,
+    cameras: &[NamedCamera],
+    options: &ExportOptions,
+) -> Result<Vec<String>> {
     if options.max_texture == 0 {
         return Err(Error::Usage("--max-texture must be at least 1".into()));
     }
@@ -75,16 +84,26 @@ pub fn export(folder: &Path, solution: &Solution, cameras: &[NamedCamera], optio
             Format::Glb => {
                 let glb = GlbOptions {
                     max_texture: options.max_texture,
-                    lights: if options.punctual_lights { punctual_lights(solution) } else { Vec::new() },
+                    lights: if options.punctual_lights {
+                        punctual_lights(solution)
+                    } else {
+                        Vec::new()
+                    },
                     lightmap: options.lightmap,
                     webp: options.webp,
                 };
                 let path = aside.folder.join("scene.glb");
-                std::fs::write(&path, scene_glb(solution, &glb)?).map_err(|e| Error::io(&path, e))?;
+                std::fs::write(&path, scene_glb(solution, &glb)?)
+                    .map_err(|e| Error::io(&path, e))?;
                 files.push("scene.glb".to_owned());
             }
             Format::Usd => files.extend(write_usd(&aside.folder, solution)?),
-            Format::Mitsuba => files.extend(write_mitsuba(&aside.folder, solution, cameras, options.mitsuba_diffuse)?),
+            Format::Mitsuba => files.extend(write_mitsuba(
+                &aside.folder,
+                solution,
+                cameras,
+                options.mitsuba_diffuse,
+            )?),
         }
     }
     let path = aside.folder.join("cameras.json");
@@ -101,9 +120,22 @@ pub fn export(folder: &Path, solution: &Solution, cameras: &[NamedCamera], optio
 #[must_use]
 pub fn camera_file(cameras: &[NamedCamera], origin: DVec3) -> Value {
     let frame = |c: &NamedCamera| {
-        let Camera { width, height, world_from_camera: m, position, .. } = c.camera;
+        let Camera {
+            width,
+            height,
+            world_from_camera: m,
+            position,
+            ..
+        } = c.camera;
         let p = position.as_dvec3() + origin;
-        let row = |k: usize| [f64::from(m.x_axis[k]), f64::from(m.y_axis[k]), f64::from(m.z_axis[k]), p[k]];
+        let row = |k: usize| {
+            [
+                f64::from(m.x_axis[k]),
+                f64::from(m.y_axis[k]),
+                f64::from(m.z_axis[k]),
+                p[k],
+            ]
+        };
         let mut out = json!({
             "file_path": format!("{}.exr", c.name),
             "w": width,
@@ -151,13 +183,27 @@ mod tests {
         let tracer = EmbreeTracer::new(&solution.mesh).expect("embree");
         let cameras = viewpoints(&solution.mesh, &tracer, 2, 64, 48);
         assert!(!cameras.is_empty());
-        let files = export(folder.path(), &solution, &cameras, &ExportOptions::default()).expect("exports");
+        let files = export(
+            folder.path(),
+            &solution,
+            &cameras,
+            &ExportOptions::default(),
+        )
+        .expect("exports");
         for name in ["scene.glb", "scene.usda", "mitsuba.xml", "cameras.json"] {
-            assert!(files.iter().any(|f| f == name) && folder.path().join(name).is_file(), "{name}");
+            assert!(
+                files.iter().any(|f| f == name) && folder.path().join(name).is_file(),
+                "{name}"
+            );
         }
-        let back = read_cameras(&folder.path().join("cameras.json"), solution.origin, None).expect("reads").cameras;
+        let back = read_cameras(&folder.path().join("cameras.json"), solution.origin, None)
+            .expect("reads")
+            .cameras;
         for (a, b) in back.iter().zip(&cameras) {
-            assert_eq!((a.name.as_str(), a.camera.projection), (b.name.as_str(), b.camera.projection));
+            assert_eq!(
+                (a.name.as_str(), a.camera.projection),
+                (b.name.as_str(), b.camera.projection)
+            );
             assert!((a.camera.position - b.camera.position).length() < 1e-5);
         }
     }

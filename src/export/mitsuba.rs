@@ -1,7 +1,8 @@
 //! A Mitsuba 3 scene: meshes as PLY, textures as EXR, one XML file.
 //!
-//! Mitsuba has no BSDF with this program's specular lobe: `principled` with the same base colour and roughness looks alike, but
-//! is not the same. With `diffuse_only` both programs describe exactly the same light, and must agree within their noise.
+//! Mitsuba has no BSDF with this program's specular lobe: `principled` with the same base colour
+//! and roughness looks alike, but is not the same. With `diffuse_only` both programs describe
+//! exactly the same light, and must agree within their noise.
 
 use crate::error::{Error, Result};
 use crate::formats::{write_plane_float, write_rgb_float};
@@ -17,25 +18,40 @@ use std::path::Path;
 ///
 /// # Errors
 /// A file cannot be written.
-pub fn write_mitsuba(folder: &Path, solution: &Solution, cameras: &[NamedCamera], diffuse_only: bool) -> Result<Vec<String>> {
+pub fn write_mitsuba(
+    folder: &Path,
+    solution: &Solution,
+    cameras: &[NamedCamera],
+    diffuse_only: bool,
+) -> Result<Vec<String>> {
     let world = World::new(solution);
     let mesh = &solution.mesh;
-    let (lamps, rest): (Vec<usize>, Vec<usize>) = (0..mesh.triangles.len()).partition(|&t| world.emits(t));
+    let (lamps, rest): (Vec<usize>, Vec<usize>) =
+        (0..mesh.triangles.len()).partition(|&t| world.emits(t));
     let mut files = vec!["mitsuba.xml".to_owned()];
     let mut save = |name: &str, write: &dyn Fn(&Path) -> Result<()>| {
         files.push(name.to_owned());
         write(&folder.join(name))
     };
-    save("mitsuba_albedo.exr", &|p| write_rgb_float(p, &solution.albedo))?;
-    save("mitsuba_roughness.exr", &|p| write_plane_float(p, &solution.roughness))?;
+    save("mitsuba_albedo.exr", &|p| {
+        write_rgb_float(p, &solution.albedo)
+    })?;
+    save("mitsuba_roughness.exr", &|p| {
+        write_plane_float(p, &solution.roughness)
+    })?;
     let mut shapes = String::new();
     for (name, triangles) in [("surfaces", &rest), ("lamps", &lamps)] {
         if triangles.is_empty() {
             continue;
         }
         let ply = format!("mitsuba_{name}.ply");
-        save(&ply, &|p| std::fs::write(p, ply_bytes(mesh, triangles)).map_err(|e| Error::io(p, e)))?;
-        let _ = writeln!(shapes, "  <shape type=\"ply\" id=\"{name}\">\n    <string name=\"filename\" value=\"{ply}\"/>");
+        save(&ply, &|p| {
+            std::fs::write(p, ply_bytes(mesh, triangles)).map_err(|e| Error::io(p, e))
+        })?;
+        let _ = writeln!(
+            shapes,
+            "  <shape type=\"ply\" id=\"{name}\">\n    <string name=\"filename\" value=\"{ply}\"/>"
+        );
         // lamps shine to the side of their winding, whatever their vertex normals say
         if diffuse_only || name == "lamps" {
             shapes.push_str("    <boolean name=\"face_normals\" value=\"true\"/>\n");
@@ -49,17 +65,24 @@ pub fn write_mitsuba(folder: &Path, solution: &Solution, cameras: &[NamedCamera]
         shapes.push_str("  </shape>\n");
     }
     if !lamps.is_empty() {
-        save("mitsuba_emission.exr", &|p| write_rgb_float(p, &solution.emission))?;
+        save("mitsuba_emission.exr", &|p| {
+            write_rgb_float(p, &solution.emission)
+        })?;
     }
     let dark = solution.environment.data.iter().all(|c| *c == Vec3::ZERO);
     if !dark {
-        save("mitsuba_environment.exr", &|p| write_rgb_float(p, &turned(&solution.environment)))?;
+        save("mitsuba_environment.exr", &|p| {
+            write_rgb_float(p, &turned(&solution.environment))
+        })?;
         shapes.push_str(
             "  <emitter type=\"envmap\">\n    <string name=\"filename\" value=\"mitsuba_environment.exr\"/>\n  </emitter>\n",
         );
     }
     let material = if diffuse_only {
-        format!("    <bsdf type=\"diffuse\">\n{}    </bsdf>\n", bitmap("reflectance", "mitsuba_albedo.exr", "bilinear", 6))
+        format!(
+            "    <bsdf type=\"diffuse\">\n{}    </bsdf>\n",
+            bitmap("reflectance", "mitsuba_albedo.exr", "bilinear", 6)
+        )
     } else {
         format!(
             "    <bsdf type=\"principled\">\n{}{}      <float name=\"specular\" value=\"0.5\"/>\n    </bsdf>\n",
@@ -67,16 +90,26 @@ pub fn write_mitsuba(folder: &Path, solution: &Solution, cameras: &[NamedCamera]
             bitmap("roughness", "mitsuba_roughness.exr", "nearest", 6)
         )
     };
-    let mut xml = String::from("<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<scene version=\"3.0.0\">\n");
-    let _ = writeln!(xml, "  <!-- positions are relative to {} -->", solution.origin);
+    let mut xml =
+        String::from("<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<scene version=\"3.0.0\">\n");
+    let _ = writeln!(
+        xml,
+        "  <!-- positions are relative to {} -->",
+        solution.origin
+    );
     xml.push_str("  <default name=\"spp\" value=\"64\"/>\n  <integrator type=\"path\">\n    <integer name=\"max_depth\" value=\"65\"/>\n  </integrator>\n");
-    let _ = write!(xml, "  <bsdf type=\"twosided\" id=\"material\">\n{material}  </bsdf>\n");
+    let _ = write!(
+        xml,
+        "  <bsdf type=\"twosided\" id=\"material\">\n{material}  </bsdf>\n"
+    );
     xml.push_str(&shapes);
     for c in cameras {
         xml.push_str(&sensor(&c.name, &c.camera)?);
     }
     xml.push_str("</scene>\n");
-    save("mitsuba.xml", &|p| std::fs::write(p, &xml).map_err(|e| Error::io(p, e)))?;
+    save("mitsuba.xml", &|p| {
+        std::fs::write(p, &xml).map_err(|e| Error::io(p, e))
+    })?;
     files.pop();
     Ok(files)
 }
@@ -96,19 +129,28 @@ fn turned(map: &RgbPlane) -> RgbPlane {
     Plane {
         width: map.width,
         height: map.height,
-        data: (0..map.data.len()).map(|i| map[((i % map.width + half) % map.width, i / map.width)]).collect(),
+        data: (0..map.data.len())
+            .map(|i| map[((i % map.width + half) % map.width, i / map.width)])
+            .collect(),
     }
 }
 
 fn sensor(name: &str, camera: &Camera) -> Result<String> {
     let Projection::Pinhole(lens) = camera.projection else {
-        return Err(Error::Usage(format!("camera {name}: Mitsuba has no panoramas; give pinhole cameras or --fov DEGREES")));
+        return Err(Error::Usage(format!(
+            "camera {name}: Mitsuba has no panoramas; give pinhole cameras or --fov DEGREES"
+        )));
     };
-    let fov = 2.0 * (0.5 * f64::from(camera.width as f32 / lens.fl_x)).atan().to_degrees();
+    let fov = 2.0
+        * (0.5 * f64::from(camera.width as f32 / lens.fl_x))
+            .atan()
+            .to_degrees();
     let m = camera.world_from_camera;
     // x to the left, z forward
     let (x, y, z, p) = (-m.x_axis, m.y_axis, -m.z_axis, camera.position);
-    let rows: Vec<String> = (0..3).map(|k| format!("{} {} {} {}", x[k], y[k], z[k], p[k])).collect();
+    let rows: Vec<String> = (0..3)
+        .map(|k| format!("{} {} {} {}", x[k], y[k], z[k], p[k]))
+        .collect();
     let shift = |c: f32, side: usize, sign: f32| sign * (c / side as f32 - 0.5);
     Ok(format!(
         "  <sensor type=\"perspective\" id=\"{name}\">\n    <float name=\"fov\" value=\"{fov}\"/>\n    \
@@ -173,14 +215,29 @@ mod tests {
         let files = write_mitsuba(folder.path(), &solution, &[], true).expect("writes");
         let xml = std::fs::read_to_string(folder.path().join("mitsuba.xml")).expect("reads");
         assert!(files.iter().all(|f| folder.path().join(f).is_file()));
-        assert!(files.iter().skip(1).filter(|f| *f != "mitsuba_roughness.exr").all(|f| xml.contains(f.as_str())), "{xml}");
-        let back = crate::formats::read_mesh(&folder.path().join("mitsuba_lamps.ply")).expect("reads");
+        assert!(
+            files
+                .iter()
+                .skip(1)
+                .filter(|f| *f != "mitsuba_roughness.exr")
+                .all(|f| xml.contains(f.as_str())),
+            "{xml}"
+        );
+        let back =
+            crate::formats::read_mesh(&folder.path().join("mitsuba_lamps.ply")).expect("reads");
         assert_eq!(back.positions.len(), solution.mesh.positions.len());
     }
 
     #[test]
     fn panoramas_turn_by_half() {
-        let map = Plane { width: 4, height: 1, data: (0..4).map(|i| Vec3::splat(i as f32)).collect() };
-        assert_eq!(turned(&map).data.iter().map(|c| c.x).collect::<Vec<_>>(), [2.0, 3.0, 0.0, 1.0]);
+        let map = Plane {
+            width: 4,
+            height: 1,
+            data: (0..4).map(|i| Vec3::splat(i as f32)).collect(),
+        };
+        assert_eq!(
+            turned(&map).data.iter().map(|c| c.x).collect::<Vec<_>>(),
+            [2.0, 3.0, 0.0, 1.0]
+        );
     }
 }

@@ -1,8 +1,9 @@
 //! Embree: a committed triangle scene and batch queries against it.
 //!
-//! [`TriangleScene::build`] consumes plain arrays and returns a scene that is already committed and can never change again;
-//! only that type traces, hence it may be shared between threads. Structures and constants come from the headers of the
-//! Embree the program is linked to (`build.rs`), and the library met at run time is compared with them before use.
+//! [`TriangleScene::build`] consumes plain arrays and returns a scene that is already committed and
+//! can never change again; only that type traces, hence it may be shared between threads.
+//! Structures and constants come from the headers of the Embree the program is linked to
+//! (`build.rs`), and the library met at run time is compared with them before use.
 
 use super::ray::{Hit, Ray};
 use std::ffi::{CStr, CString, c_char, c_void};
@@ -35,7 +36,12 @@ struct ErrorLog(Mutex<Vec<String>>);
 
 impl ErrorLog {
     fn take(&self) -> Vec<String> {
-        std::mem::take(&mut *self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner))
+        std::mem::take(
+            &mut *self
+                .0
+                .lock()
+                .unwrap_or_else(std::sync::PoisonError::into_inner),
+        )
     }
 }
 
@@ -44,18 +50,28 @@ unsafe extern "C" fn collect_error(user: *mut c_void, code: sys::RTCError, text:
     if user.is_null() {
         return;
     }
-    // SAFETY: `user` is the `ErrorLog` registered by `Device::new`, which outlives the device (see its drop).
+    // SAFETY: `user` is the `ErrorLog` registered by `Device::new`, which outlives the device (see
+    // its drop).
     let log = unsafe { &*user.cast::<ErrorLog>() };
     let text = if text.is_null() {
         String::new()
     } else {
         // SAFETY: Embree passes a NUL-terminated string that lives for the duration of the call.
-        unsafe { CStr::from_ptr(text) }.to_string_lossy().into_owned()
+        unsafe { CStr::from_ptr(text) }
+            .to_string_lossy()
+            .into_owned()
     };
-    let mut messages = log.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let mut messages = log
+        .0
+        .lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner);
     // A broken scene can fail once per primitive: a few messages say it all.
     if messages.len() < 8 {
-        messages.push(format!("{} {text}", error_name(code)).trim_end().to_string());
+        messages.push(
+            format!("{} {text}", error_name(code))
+                .trim_end()
+                .to_string(),
+        );
     }
 }
 
@@ -71,10 +87,11 @@ fn error_name(code: sys::RTCError) -> &'static str {
     }
 }
 
-/// The instruction set asked of Embree: `UNBAKE_EMBREE_ISA` if set (`native` leaves the choice to Embree), else AVX2.
+/// The instruction set asked of Embree: `UNBAKE_EMBREE_ISA` if set (`native` leaves the choice to
+/// Embree), else AVX2.
 ///
-/// Which of two triangles at exactly the same distance is returned depends on the instruction set (2 % of rays in a test),
-/// so that the same bits on different machines need the same one.
+/// Which of two triangles at exactly the same distance is returned depends on the instruction set
+/// (2 % of rays in a test), so that the same bits on different machines need the same one.
 fn device_config() -> Result<String, String> {
     let wanted = match std::env::var("UNBAKE_EMBREE_ISA") {
         Ok(isa) if !isa.is_empty() => isa,
@@ -84,7 +101,9 @@ fn device_config() -> Result<String, String> {
     match wanted.as_str() {
         "native" => Ok(String::new()),
         "sse2" | "sse4.2" | "avx" | "avx2" | "avx512" => Ok(format!("isa={wanted}")),
-        other => Err(format!("UNBAKE_EMBREE_ISA={other}: expected native, sse2, sse4.2, avx, avx2 or avx512")),
+        other => Err(format!(
+            "UNBAKE_EMBREE_ISA={other}: expected native, sse2, sse4.2, avx, avx2 or avx512"
+        )),
     }
 }
 
@@ -112,10 +131,18 @@ impl Device {
         if raw.is_null() {
             // SAFETY: a null device asks for the error of device creation on this thread.
             let code = unsafe { sys::rtcGetDeviceError(std::ptr::null_mut()) };
-            return Err(format!("Embree could not start ({}; {})", error_name(code), config.to_string_lossy()));
+            return Err(format!(
+                "Embree could not start ({}; {})",
+                error_name(code),
+                config.to_string_lossy()
+            ));
         }
-        let device = Self { raw, log: Box::into_raw(Box::new(ErrorLog::default())) };
-        // SAFETY: the device is live, and the log behind the user pointer is freed only after the device was released.
+        let device = Self {
+            raw,
+            log: Box::into_raw(Box::new(ErrorLog::default())),
+        };
+        // SAFETY: the device is live, and the log behind the user pointer is freed only after the
+        // device was released.
         unsafe { sys::rtcSetDeviceErrorFunction(raw, Some(collect_error), device.log.cast()) };
         device.check_version()?;
         Ok(device)
@@ -133,10 +160,14 @@ impl Device {
         )
     }
 
-    /// A library older than the headers, or of another major version, may lay its structures out differently.
+    /// A library older than the headers, or of another major version, may lay its structures out
+    /// differently.
     fn check_version(&self) -> Result<(), String> {
         let (major, minor, patch) = self.version();
-        let built = (i64::from(sys::RTC_VERSION_MAJOR), i64::from(sys::RTC_VERSION_MINOR));
+        let built = (
+            i64::from(sys::RTC_VERSION_MAJOR),
+            i64::from(sys::RTC_VERSION_MINOR),
+        );
         if major == built.0 && minor >= built.1 {
             return Ok(());
         }
@@ -150,14 +181,18 @@ impl Device {
     fn check(&self, doing: &str) -> Result<(), String> {
         // SAFETY: the log lives as long as `self`.
         let messages = unsafe { &*self.log }.take();
-        if messages.is_empty() { Ok(()) } else { Err(format!("Embree failed {doing}: {}", messages.join("; "))) }
+        if messages.is_empty() {
+            Ok(())
+        } else {
+            Err(format!("Embree failed {doing}: {}", messages.join("; ")))
+        }
     }
 }
 
 impl Drop for Device {
     fn drop(&mut self) {
-        // SAFETY: `raw` is owned here and not used afterwards; with the last reference gone no callback can run, so the
-        // log, which was made by `Box::into_raw`, can be freed.
+        // SAFETY: `raw` is owned here and not used afterwards; with the last reference gone no
+        // callback can run, so the log, which was made by `Box::into_raw`, can be freed.
         unsafe {
             sys::rtcReleaseDevice(self.raw);
             drop(Box::from_raw(self.log));
@@ -182,24 +217,33 @@ pub struct TriangleScene {
     device: Device,
 }
 
-// SAFETY: a committed scene may be queried from any number of threads at once (Embree API, "Multi-Threading"); it is never
-// modified after `build`, and the device's log is behind a mutex.
+// SAFETY: a committed scene may be queried from any number of threads at once (Embree API,
+// "Multi-Threading"); it is never modified after `build`, and the device's log is behind a mutex.
 unsafe impl Sync for TriangleScene {}
 // SAFETY: Embree handles are not bound to the thread that made them.
 unsafe impl Send for TriangleScene {}
 
 impl TriangleScene {
-    /// Builds and commits a scene: high quality (splits triangles; 4 to 7 % more rays per second), neither robust nor compact (robust
-    /// costs 11–13 % of speed, compact a quarter or more, and both silently turn high quality into medium).
+    /// Builds and commits a scene: high quality (splits triangles; 4 to 7 % more rays per second),
+    /// neither robust nor compact (robust costs 11–13 % of speed, compact a quarter or more, and
+    /// both silently turn high quality into medium).
     ///
-    /// Every index must be below `positions.len()` and every position finite; the caller has checked it, and it is
-    /// checked again here because Embree would read out of bounds.
+    /// Every index must be below `positions.len()` and every position finite; the caller has
+    /// checked it, and it is checked again here because Embree would read out of bounds.
     pub fn build(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Result<Self, String> {
-        if triangles.iter().flatten().any(|&i| i as usize >= positions.len()) {
+        if triangles
+            .iter()
+            .flatten()
+            .any(|&i| i as usize >= positions.len())
+        {
             return Err("a triangle names a vertex that does not exist".into());
         }
         if u32::try_from(triangles.len()).is_err() {
-            return Err(format!("{} triangles: Embree takes at most {}", triangles.len(), u32::MAX));
+            return Err(format!(
+                "{} triangles: Embree takes at most {}",
+                triangles.len(),
+                u32::MAX
+            ));
         }
         let device = Device::new()?;
         // SAFETY: the device is live.
@@ -217,27 +261,45 @@ impl TriangleScene {
         if !triangles.is_empty() {
             scene.attach(positions, triangles)?;
         }
-        // SAFETY: the scene is live; the build runs on Embree's own threads and this one, and returns when complete.
+        // SAFETY: the scene is live; the build runs on Embree's own threads and this one, and
+        // returns when complete.
         unsafe { sys::rtcCommitScene(scene.raw) };
-        scene.device.check("building the scene (is there enough memory?)")?;
+        scene
+            .device
+            .check("building the scene (is there enough memory?)")?;
         Ok(scene)
     }
 
     fn attach(&self, positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Result<(), String> {
         // SAFETY: the device is live.
-        let geometry = unsafe { sys::rtcNewGeometry(self.device.raw, sys::RTC_GEOMETRY_TYPE_TRIANGLE) };
+        let geometry =
+            unsafe { sys::rtcNewGeometry(self.device.raw, sys::RTC_GEOMETRY_TYPE_TRIANGLE) };
         if geometry.is_null() {
             self.device.check("making a geometry")?;
             return Err("Embree failed making a geometry".into());
         }
-        let filled = self.fill(geometry, sys::RTC_BUFFER_TYPE_VERTEX, sys::RTC_FORMAT_FLOAT3, positions).and_then(|()| {
-            // Triangle indices are u32 in both.
-            self.fill(geometry, sys::RTC_BUFFER_TYPE_INDEX, sys::RTC_FORMAT_UINT3, triangles)
-        });
-        // SAFETY: the geometry is live; attaching makes the scene hold its own reference, so ours is released last.
+        let filled = self
+            .fill(
+                geometry,
+                sys::RTC_BUFFER_TYPE_VERTEX,
+                sys::RTC_FORMAT_FLOAT3,
+                positions,
+            )
+            .and_then(|()| {
+                // Triangle indices are u32 in both.
+                self.fill(
+                    geometry,
+                    sys::RTC_BUFFER_TYPE_INDEX,
+                    sys::RTC_FORMAT_UINT3,
+                    triangles,
+                )
+            });
+        // SAFETY: the geometry is live; attaching makes the scene hold its own reference, so ours
+        // is released last.
         unsafe {
             if filled.is_ok() {
-                // The default mask is all ones in Embree 3 and 1 in Embree 4: rays carry all ones, and so does this.
+                // The default mask is all ones in Embree 3 and 1 in Embree 4: rays carry all ones,
+                // and so does this.
                 sys::rtcSetGeometryMask(geometry, u32::MAX);
                 sys::rtcSetGeometryBuildQuality(geometry, sys::RTC_BUILD_QUALITY_HIGH);
                 sys::rtcCommitGeometry(geometry);
@@ -249,7 +311,8 @@ impl TriangleScene {
         self.device.check("attaching the mesh")
     }
 
-    /// Copies `data` into a buffer that Embree allocates, aligns and pads (it reads 16 bytes per vertex).
+    /// Copies `data` into a buffer that Embree allocates, aligns and pads (it reads 16 bytes per
+    /// vertex).
     fn fill<T: bytemuck::Pod>(
         &self,
         geometry: sys::RTCGeometry,
@@ -258,13 +321,18 @@ impl TriangleScene {
         data: &[T],
     ) -> Result<(), String> {
         // SAFETY: the geometry is live, and format and stride describe `T` (three 4-byte numbers).
-        let target = unsafe { sys::rtcSetNewGeometryBuffer(geometry, kind, 0, format, size_of::<T>(), data.len()) };
+        let target = unsafe {
+            sys::rtcSetNewGeometryBuffer(geometry, kind, 0, format, size_of::<T>(), data.len())
+        };
         if target.is_null() {
             self.device.check("allocating the mesh")?;
-            return Err(format!("Embree could not allocate {} bytes", size_of_val(data)));
+            return Err(format!(
+                "Embree could not allocate {} bytes",
+                size_of_val(data)
+            ));
         }
-        // SAFETY: Embree returned room for `data.len()` elements of `size_of::<T>()` bytes, suitably aligned, not
-        // overlapping ours; `T` is plain data.
+        // SAFETY: Embree returned room for `data.len()` elements of `size_of::<T>()` bytes,
+        // suitably aligned, not overlapping ours; `T` is plain data.
         unsafe { std::ptr::copy_nonoverlapping(data.as_ptr(), target.cast::<T>(), data.len()) };
         Ok(())
     }
@@ -275,8 +343,16 @@ impl TriangleScene {
     /// If the slices differ in length.
     pub fn closest(&self, rays: &[Ray], hits: &mut [Hit]) {
         assert_eq!(rays.len(), hits.len(), "one hit per ray");
-        // SAFETY: the scene is committed; both arrays have `rays.len()` elements of the layouts asserted above.
-        unsafe { sys::unbake_closest(self.raw, rays.as_ptr().cast(), hits.as_mut_ptr().cast(), rays.len()) }
+        // SAFETY: the scene is committed; both arrays have `rays.len()` elements of the layouts
+        // asserted above.
+        unsafe {
+            sys::unbake_closest(
+                self.raw,
+                rays.as_ptr().cast(),
+                hits.as_mut_ptr().cast(),
+                rays.len(),
+            )
+        }
     }
 
     /// Occlusion on the calling thread: 1 where anything lies on the segment, else 0.
@@ -286,19 +362,27 @@ impl TriangleScene {
     pub fn occluded(&self, rays: &[Ray], occluded: &mut [u8], width: PacketWidth) {
         assert_eq!(rays.len(), occluded.len(), "one flag per ray");
         // SAFETY: as in `closest`.
-        unsafe { sys::unbake_occluded(self.raw, rays.as_ptr().cast(), occluded.as_mut_ptr(), rays.len(), width as i32) }
+        unsafe {
+            sys::unbake_occluded(
+                self.raw,
+                rays.as_ptr().cast(),
+                occluded.as_mut_ptr(),
+                rays.len(),
+                width as i32,
+            )
+        }
     }
 
-    /// The yardstick of the benchmarks: a plain C++ loop of closest-hit queries. Returns the number of hits.
-    /// Rays must be finite.
+    /// The yardstick of the benchmarks: a plain C++ loop of closest-hit queries. Returns the number
+    /// of hits. Rays must be finite.
     #[must_use]
     pub fn bare_closest(&self, rays: &[Ray]) -> usize {
         // SAFETY: the scene is committed and the array has `rays.len()` rays.
         unsafe { sys::unbake_bare_closest(self.raw, rays.as_ptr().cast(), rays.len()) }
     }
 
-    /// The yardstick of the benchmarks: a plain C++ loop of occlusion queries. Returns the number of blocked rays.
-    /// Rays must be finite.
+    /// The yardstick of the benchmarks: a plain C++ loop of occlusion queries. Returns the number
+    /// of blocked rays. Rays must be finite.
     #[must_use]
     pub fn bare_occluded(&self, rays: &[Ray]) -> usize {
         // SAFETY: as in `bare_closest`.
@@ -315,7 +399,8 @@ impl TriangleScene {
 
 impl Drop for TriangleScene {
     fn drop(&mut self) {
-        // SAFETY: the scene is owned here and no query can be running (`&mut self`); the device, a field, goes after it.
+        // SAFETY: the scene is owned here and no query can be running (`&mut self`); the device, a
+        // field, goes after it.
         unsafe { sys::rtcReleaseScene(self.raw) };
     }
 }

@@ -1,6 +1,7 @@
 //! The border to native code: the only `unsafe` of the program.
 //!
-//! Each submodule owns one library or one machine feature behind safe types; every block says which rule permits it.
+//! Each submodule owns one library or one machine feature behind safe types; every block says which
+//! rule permits it.
 
 #[allow(unsafe_code)]
 pub mod embree;

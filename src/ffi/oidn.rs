@@ -1,8 +1,9 @@
-//! Open Image Denoise: its lightmap filter, for comparison with ours. Loaded at run time where it is found.
+//! Open Image Denoise: its lightmap filter, for comparison with ours. Loaded at run time where it
+//! is found.
 //!
-//! Nothing of the program needs the library, so neither its headers nor a shim are part of the build: the few functions are
-//! declared here by hand, from the C interface of version 2. Once loaded it stays until the process ends, for threads of its own
-//! may outlive a device.
+//! Nothing of the program needs the library, so neither its headers nor a shim are part of the
+//! build: the few functions are declared here by hand, from the C interface of version 2. Once
+//! loaded it stays until the process ends, for threads of its own may outlive a device.
 
 use glam::Vec3;
 use std::ffi::{CStr, OsString, c_char, c_int, c_void};
@@ -12,7 +13,8 @@ use std::path::Path;
 /// Environment variable that names the library.
 pub const VARIABLE: &str = "OIDN_LIBRARY";
 
-/// Names under which the system's loader may know the library; the one that promises version 2 first.
+/// Names under which the system's loader may know the library; the one that promises version 2
+/// first.
 const NAMES: [&str; 2] = ["libOpenImageDenoise.so.2", "libOpenImageDenoise.so"];
 
 /// The major version that the declarations below are of.
@@ -41,8 +43,9 @@ macro_rules! functions {
 
         impl Functions {
             fn of(library: &libloading::Library) -> Result<Self, libloading::Error> {
-                // SAFETY: the types are those that the library's C header gives these names; enumerations without negative values
-                // are passed like `int`, `bool` is one byte in both languages. The library is never unloaded.
+                // SAFETY: the types are those that the library's C header gives these names;
+                // enumerations without negative values are passed like `int`, `bool` is one byte in
+                // both languages. The library is never unloaded.
                 unsafe { Ok(Self { $($field: *library.get(concat!($symbol, "\0").as_bytes())?,)* }) }
             }
         }
@@ -72,13 +75,15 @@ pub struct Denoiser {
 }
 
 impl Denoiser {
-    /// Loads the library and starts it with `threads` threads (at least 1; the library takes no more than the machine has).
+    /// Loads the library and starts it with `threads` threads (at least 1; the library takes no
+    /// more than the machine has).
     ///
-    /// The library is `file` if one is given, else the one that [`VARIABLE`] names, else whatever the system's loader finds.
+    /// The library is `file` if one is given, else the one that [`VARIABLE`] names, else whatever
+    /// the system's loader finds.
     ///
     /// # Errors
-    /// No library there, one of another major version, or one that does not run on this machine. The message names the file and
-    /// the way out.
+    /// No library there, one of another major version, or one that does not run on this machine.
+    /// The message names the file and the way out.
     pub fn open(file: Option<&Path>, threads: usize) -> Result<Self, String> {
         let variable = std::env::var_os(VARIABLE).filter(|v| !v.is_empty());
         let named = file.map(|f| f.as_os_str().to_owned()).or(variable);
@@ -101,31 +106,45 @@ impl Denoiser {
         // the loader's own message begins with the name of the file, which the caller states
         let failed = |e: libloading::Error| {
             let text = e.to_string();
-            text.strip_prefix(&format!("{}: ", path.display())).unwrap_or(&text).to_owned()
+            text.strip_prefix(&format!("{}: ", path.display()))
+                .unwrap_or(&text)
+                .to_owned()
         };
-        // SAFETY: whoever names a file vouches for it as for a program; the library's initialisers are ordinary C++ static
-        // constructors.
+        // SAFETY: whoever names a file vouches for it as for a program; the library's initialisers
+        // are ordinary C++ static constructors.
         let library = unsafe { libloading::Library::new(path) }.map_err(failed)?;
         // its threads may run until the process ends
         let library = ManuallyDrop::new(library);
         let functions = Functions::of(&library).map_err(failed)?;
         // SAFETY: takes a constant of the interface.
         let device = unsafe { (functions.new_device)(DEVICE_CPU) };
-        let mut denoiser = Self { functions, device, version: 0 };
+        let mut denoiser = Self {
+            functions,
+            device,
+            version: 0,
+        };
         if device.is_null() {
             // a null device stands for the creation of a device on this thread
             denoiser.check()?;
             return Err("it has no device for this processor".into());
         }
-        // SAFETY: the device is live, the names are NUL-terminated and among those that the library knows.
+        // SAFETY: the device is live, the names are NUL-terminated and among those that the library
+        // knows.
         unsafe {
             denoiser.version = (functions.device_int)(device, c"version".as_ptr());
-            (functions.set_device_int)(device, c"numThreads".as_ptr(), c_int::try_from(threads.max(1)).unwrap_or(c_int::MAX));
+            (functions.set_device_int)(
+                device,
+                c"numThreads".as_ptr(),
+                c_int::try_from(threads.max(1)).unwrap_or(c_int::MAX),
+            );
             // pinned threads would compete with ours for single cores
             (functions.set_device_bool)(device, c"setAffinity".as_ptr(), false);
         }
         if denoiser.version / 10_000 != MAJOR {
-            return Err(format!("it is version {}, version {MAJOR} is needed", denoiser.version()));
+            return Err(format!(
+                "it is version {}, version {MAJOR} is needed",
+                denoiser.version()
+            ));
         }
         // SAFETY: the device is live and not committed yet.
         unsafe { (functions.commit_device)(device) };
@@ -140,30 +159,64 @@ impl Denoiser {
         format!("{}.{}.{}", v / 10_000, v / 100 % 100, v % 100)
     }
 
-    /// Filters a lightmap of `width × height` texels (rows one after another, linear colour, values from 0 upwards in any unit) with
-    /// the filter made for them, at its highest quality. Returns as many texels; `color` is left as it is.
+    /// Filters a lightmap of `width × height` texels (rows one after another, linear colour, values
+    /// from 0 upwards in any unit) with the filter made for them, at its highest quality. Returns
+    /// as many texels; `color` is left as it is.
     ///
     /// # Errors
-    /// A number of texels other than `width · height`, none at all, or what the library says: too large an image, no memory.
-    pub fn lightmap(&self, width: usize, height: usize, color: &[Vec3]) -> Result<Vec<Vec3>, String> {
+    /// A number of texels other than `width · height`, none at all, or what the library says: too
+    /// large an image, no memory.
+    pub fn lightmap(
+        &self,
+        width: usize,
+        height: usize,
+        color: &[Vec3],
+    ) -> Result<Vec<Vec3>, String> {
         if color.is_empty() || width.checked_mul(height) != Some(color.len()) {
-            return Err(format!("a lightmap of {width} × {height} texels cannot have {}", color.len()));
+            return Err(format!(
+                "a lightmap of {width} × {height} texels cannot have {}",
+                color.len()
+            ));
         }
         let mut output = vec![Vec3::ZERO; color.len()];
         let f = &self.functions;
         // SAFETY: the device is live and committed, the name NUL-terminated.
-        let filter = Filter { raw: unsafe { (f.new_filter)(self.device, c"RTLightmap".as_ptr()) }, release: f.release_filter };
+        let filter = Filter {
+            raw: unsafe { (f.new_filter)(self.device, c"RTLightmap".as_ptr()) },
+            release: f.release_filter,
+        };
         if filter.raw.is_null() {
             self.check()?;
             return Err("Open Image Denoise has no filter for lightmaps".into());
         }
-        // SAFETY: the filter is live. Both images hold `width · height` texels of three floats without gaps (strides of 0 say so),
-        // and outlive the filter's execution, which ends before it returns. Nothing is written to the image named "color".
+        // SAFETY: the filter is live. Both images hold `width · height` texels of three floats
+        // without gaps (strides of 0 say so), and outlive the filter's execution, which ends before
+        // it returns. Nothing is written to the image named "color".
         unsafe {
             let input = color.as_ptr().cast_mut().cast();
-            (f.set_image)(filter.raw, c"color".as_ptr(), input, FORMAT_FLOAT3, width, height, 0, 0, 0);
+            (f.set_image)(
+                filter.raw,
+                c"color".as_ptr(),
+                input,
+                FORMAT_FLOAT3,
+                width,
+                height,
+                0,
+                0,
+                0,
+            );
             let result = output.as_mut_ptr().cast();
-            (f.set_image)(filter.raw, c"output".as_ptr(), result, FORMAT_FLOAT3, width, height, 0, 0, 0);
+            (f.set_image)(
+                filter.raw,
+                c"output".as_ptr(),
+                result,
+                FORMAT_FLOAT3,
+                width,
+                height,
+                0,
+                0,
+                0,
+            );
             (f.commit_filter)(filter.raw);
         }
         self.check()?;
@@ -184,7 +237,8 @@ impl Denoiser {
         if message.is_null() {
             return Err(format!("Open Image Denoise reports error {code}"));
         }
-        // SAFETY: the library hands out a NUL-terminated text that lives until the next call; it is copied at once.
+        // SAFETY: the library hands out a NUL-terminated text that lives until the next call; it is
+        // copied at once.
         let text = unsafe { CStr::from_ptr(message) }.to_string_lossy();
         Err(format!("Open Image Denoise reports error {code}: {text}"))
     }
@@ -193,7 +247,8 @@ impl Denoiser {
 impl Drop for Denoiser {
     fn drop(&mut self) {
         if !self.device.is_null() {
-            // SAFETY: the device is owned here and not used afterwards; its filters hold references of their own.
+            // SAFETY: the device is owned here and not used afterwards; its filters hold references
+            // of their own.
             unsafe { (self.functions.release_device)(self.device) };
         }
     }
@@ -228,7 +283,9 @@ mod tests {
     #[test]
     fn a_missing_library_is_named_with_the_way_out() {
         let missing = "/nonexistent/libOpenImageDenoise.so.2";
-        let error = Denoiser::open(Some(Path::new(missing)), 1).err().expect("there is no such file");
+        let error = Denoiser::open(Some(Path::new(missing)), 1)
+            .err()
+            .expect("there is no such file");
         assert_helps(&error, missing);
         assert_eq!(error.matches(missing).count(), 1, "named twice: {error}");
     }
@@ -236,7 +293,9 @@ mod tests {
     #[test]
     fn another_library_is_no_denoiser() {
         // the C library is always there, and has none of the functions
-        let error = Denoiser::open(Some(Path::new("libc.so.6")), 1).err().expect("no denoiser");
+        let error = Denoiser::open(Some(Path::new("libc.so.6")), 1)
+            .err()
+            .expect("no denoiser");
         assert_helps(&error, "libc.so.6");
         assert!(error.contains("oidnNewDevice"), "{error}");
     }
@@ -249,15 +308,34 @@ mod tests {
             Ok(denoiser) => denoiser,
             Err(error) => return assert_helps(&error, variable.as_deref().unwrap_or(NAMES[0])),
         };
-        assert!(denoiser.version().starts_with("2."), "{}", denoiser.version());
+        assert!(
+            denoiser.version().starts_with("2."),
+            "{}",
+            denoiser.version()
+        );
         let mut rng = crate::sampling::KeyedRng::new(1, 2);
-        let noisy: Vec<Vec3> =
-            (0..SIDE * SIDE).map(|_| Vec3::new(2.0, 1.0, 0.5) * (0.5 + rng.below(1001) as f32 * 1e-3)).collect();
+        let noisy: Vec<Vec3> = (0..SIDE * SIDE)
+            .map(|_| Vec3::new(2.0, 1.0, 0.5) * (0.5 + rng.below(1001) as f32 * 1e-3))
+            .collect();
         let filtered = denoiser.lightmap(SIDE, SIDE, &noisy).expect("filters");
-        let scatter = |v: &[Vec3]| v.iter().map(|e| (e.y - 1.0).powi(2)).sum::<f32>() / v.len() as f32;
-        assert!(scatter(&filtered) < 0.1 * scatter(&noisy), "{} of {}", scatter(&filtered), scatter(&noisy));
-        let wrong = denoiser.lightmap(SIDE, SIDE + 1, &noisy).expect_err("one row short");
-        assert!(wrong.contains("64 × 65") && wrong.contains("4096"), "{wrong}");
-        assert!(denoiser.lightmap(0, 0, &[]).is_err() && denoiser.lightmap(usize::MAX, 2, &noisy).is_err());
+        let scatter =
+            |v: &[Vec3]| v.iter().map(|e| (e.y - 1.0).powi(2)).sum::<f32>() / v.len() as f32;
+        assert!(
+            scatter(&filtered) < 0.1 * scatter(&noisy),
+            "{} of {}",
+            scatter(&filtered),
+            scatter(&noisy)
+        );
+        let wrong = denoiser
+            .lightmap(SIDE, SIDE + 1, &noisy)
+            .expect_err("one row short");
+        assert!(
+            wrong.contains("64 × 65") && wrong.contains("4096"),
+            "{wrong}"
+        );
+        assert!(
+            denoiser.lightmap(0, 0, &[]).is_err()
+                && denoiser.lightmap(usize::MAX, 2, &noisy).is_err()
+        );
     }
 }

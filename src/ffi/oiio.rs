@@ -1,7 +1,9 @@
-//! OpenImageIO: opening, reading and writing images through the C++ shim, loaded at the first image.
+//! OpenImageIO: opening, reading and writing images through the C++ shim, loaded at the first
+//! image.
 //!
-//! The shim is a shared object embedded in the program (`build.rs`). It is handed to the dynamic loader as an anonymous
-//! memory file, so that no temporary folder has to exist or allow execution, and stays loaded until the process ends.
+//! The shim is a shared object embedded in the program (`build.rs`). It is handed to the dynamic
+//! loader as an anonymous memory file, so that no temporary folder has to exist or allow execution,
+//! and stays loaded until the process ends.
 
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::io::Write;
@@ -51,12 +53,18 @@ fn load() -> Result<sys::ImageShim, String> {
     // SAFETY: `fd` was just made and nothing else owns it.
     let mut file = unsafe { std::fs::File::from_raw_fd(fd) };
     file.write_all(SHIM).map_err(|e| failed(&e))?;
-    // SAFETY: the object was built from ffi/oiio_shim.cpp along with these bindings; its initialisers, and those of the
-    // libraries it needs, are ordinary C++ static constructors. The file may be closed once it is mapped.
-    let shim = unsafe { sys::ImageShim::new(format!("/proc/self/fd/{}", file.as_raw_fd())) }.map_err(|e| failed(&e))?;
+    // SAFETY: the object was built from ffi/oiio_shim.cpp along with these bindings; its
+    // initialisers, and those of the libraries it needs, are ordinary C++ static constructors. The
+    // file may be closed once it is mapped.
+    let shim = unsafe { sys::ImageShim::new(format!("/proc/self/fd/{}", file.as_raw_fd())) }
+        .map_err(|e| failed(&e))?;
     // SAFETY: takes nothing, returns a constant.
     let abi = unsafe { shim.unbake_image_abi() };
-    if abi == sys::UNBAKE_IMAGE_ABI as c_int { Ok(shim) } else { Err(failed(&"the embedded shim is of another build")) }
+    if abi == sys::UNBAKE_IMAGE_ABI as c_int {
+        Ok(shim)
+    } else {
+        Err(failed(&"the embedded shim is of another build"))
+    }
 }
 
 /// OpenImageIO's run-time version, such as `2.5.18`; loads the library.
@@ -79,8 +87,14 @@ impl ErrorText {
     }
 
     fn text(&self) -> String {
-        let text = CStr::from_bytes_until_nul(&self.0).map(|c| c.to_string_lossy().trim().to_string()).unwrap_or_default();
-        if text.is_empty() { "no reason given".into() } else { text }
+        let text = CStr::from_bytes_until_nul(&self.0)
+            .map(|c| c.to_string_lossy().trim().to_string())
+            .unwrap_or_default();
+        if text.is_empty() {
+            "no reason given".into()
+        } else {
+            text
+        }
     }
 }
 
@@ -111,17 +125,30 @@ pub struct OpenImage {
 }
 
 impl OpenImage {
-    /// Opens `path` with the reader `format` (`openexr`, `hdr`, `jpeg`), whatever the file is called.
+    /// Opens `path` with the reader `format` (`openexr`, `hdr`, `jpeg`), whatever the file is
+    /// called.
     pub fn open(path: &Path, format: &CStr) -> Result<Self, String> {
         let shim = shim()?;
         let name = c_path(path)?;
         // SAFETY: the structure holds only integers, for which all zeros is a value.
         let mut info: sys::UnbakeImageInfo = unsafe { std::mem::zeroed() };
         let mut error = ErrorText::new();
-        // SAFETY: all pointers are live for the call, strings are NUL-terminated, the error buffer's size is its own.
-        let raw =
-            unsafe { shim.unbake_image_open(name.as_ptr(), format.as_ptr(), &raw mut info, error.as_mut_ptr(), error.0.len()) };
-        if raw.is_null() { Err(error.text()) } else { Ok(Self { raw, info, shim }) }
+        // SAFETY: all pointers are live for the call, strings are NUL-terminated, the error
+        // buffer's size is its own.
+        let raw = unsafe {
+            shim.unbake_image_open(
+                name.as_ptr(),
+                format.as_ptr(),
+                &raw mut info,
+                error.as_mut_ptr(),
+                error.0.len(),
+            )
+        };
+        if raw.is_null() {
+            Err(error.text())
+        } else {
+            Ok(Self { raw, info, shim })
+        }
     }
 
     /// Columns, rows and channels as the file states them; not yet judged.
@@ -130,7 +157,8 @@ impl OpenImage {
         (self.info.width, self.info.height, self.info.channels)
     }
 
-    /// Whether every pixel of the image the file speaks of is stored: data window equal to display window.
+    /// Whether every pixel of the image the file speaks of is stored: data window equal to display
+    /// window.
     #[must_use]
     pub fn is_uncropped(&self) -> bool {
         let i = &self.info;
@@ -165,27 +193,49 @@ impl OpenImage {
     #[must_use]
     pub fn channel_name(&self, c: usize) -> String {
         let c = c_int::try_from(c).unwrap_or(c_int::MAX);
-        // SAFETY: the image is open, and the returned string lives as long as it is; it is copied at once.
-        unsafe { CStr::from_ptr(self.shim.unbake_image_channel(self.raw, c)) }.to_string_lossy().into_owned()
+        // SAFETY: the image is open, and the returned string lives as long as it is; it is copied
+        // at once.
+        unsafe { CStr::from_ptr(self.shim.unbake_image_channel(self.raw, c)) }
+            .to_string_lossy()
+            .into_owned()
     }
 
     /// Reads channels `channels` of every pixel into `out[offset..]`, pixels `step` floats apart.
-    pub fn read(&mut self, channels: std::ops::Range<usize>, out: &mut [f32], offset: usize, step: usize) -> Result<(), String> {
+    pub fn read(
+        &mut self,
+        channels: std::ops::Range<usize>,
+        out: &mut [f32],
+        offset: usize,
+        step: usize,
+    ) -> Result<(), String> {
         let (w, h, c) = self.size();
-        let (Ok(w), Ok(h), Ok(c)) = (usize::try_from(w), usize::try_from(h), usize::try_from(c)) else {
+        let (Ok(w), Ok(h), Ok(c)) = (usize::try_from(w), usize::try_from(h), usize::try_from(c))
+        else {
             return Err("negative size".into());
         };
-        let pixels = w.checked_mul(h).filter(|&n| n.checked_mul(step) == Some(out.len())).ok_or("wrong buffer size")?;
-        if pixels == 0 || channels.is_empty() || channels.end > c || offset + channels.len() > step {
+        let pixels = w
+            .checked_mul(h)
+            .filter(|&n| n.checked_mul(step) == Some(out.len()))
+            .ok_or("wrong buffer size")?;
+        if pixels == 0 || channels.is_empty() || channels.end > c || offset + channels.len() > step
+        {
             return Err("wrong channel range".into());
         }
         let mut error = ErrorText::new();
-        // SAFETY: the image is open; the last float written is `offset + (pixels − 1)·step + channels.len() − 1`, which the
-        // checks above keep below `pixels · step = out.len()`.
+        // SAFETY: the image is open; the last float written is `offset + (pixels − 1)·step +
+        // channels.len() − 1`, which the checks above keep below `pixels · step = out.len()`.
         let done = unsafe {
             let first = out.as_mut_ptr().add(offset);
             let (begin, end) = (channels.start as c_int, channels.end as c_int);
-            self.shim.unbake_image_read(self.raw, begin, end, first, step * size_of::<f32>(), error.as_mut_ptr(), error.0.len())
+            self.shim.unbake_image_read(
+                self.raw,
+                begin,
+                end,
+                first,
+                step * size_of::<f32>(),
+                error.as_mut_ptr(),
+                error.0.len(),
+            )
         };
         if done == 1 { Ok(()) } else { Err(error.text()) }
     }
@@ -207,25 +257,37 @@ pub enum Samples<'a> {
     Float(&'a [f32]),
 }
 
-/// Writes an OpenEXR image of `width × height × names.len()` interleaved samples to `path`, ZIP-compressed.
-pub fn write(path: &Path, width: usize, height: usize, names: &[&CStr], samples: Samples) -> Result<(), String> {
+/// Writes an OpenEXR image of `width × height × names.len()` interleaved samples to `path`,
+/// ZIP-compressed.
+pub fn write(
+    path: &Path,
+    width: usize,
+    height: usize,
+    names: &[&CStr],
+    samples: Samples,
+) -> Result<(), String> {
     let (length, kind, data): (usize, _, *const c_void) = match samples {
         Samples::Half(s) => (s.len(), sys::UNBAKE_SAMPLE_HALF, s.as_ptr().cast()),
         Samples::Float(s) => (s.len(), sys::UNBAKE_SAMPLE_FLOAT, s.as_ptr().cast()),
     };
-    let expected = width.checked_mul(height).and_then(|n| n.checked_mul(names.len()));
+    let expected = width
+        .checked_mul(height)
+        .and_then(|n| n.checked_mul(names.len()));
     let (Ok(w), Ok(h)) = (c_int::try_from(width), c_int::try_from(height)) else {
         return Err(format!("{width} × {height} pixels: too large for OpenEXR"));
     };
     if length == 0 || expected != Some(length) {
-        return Err(format!("{width} × {height} pixels of {} channels need other than {length} samples", names.len()));
+        return Err(format!(
+            "{width} × {height} pixels of {} channels need other than {length} samples",
+            names.len()
+        ));
     }
     let shim = shim()?;
     let name = c_path(path)?;
     let names: Vec<*const c_char> = names.iter().map(|n| n.as_ptr()).collect();
     let mut error = ErrorText::new();
-    // SAFETY: `data` holds `w · h · names.len()` samples of the stated type, every string is NUL-terminated and all of them
-    // outlive the call.
+    // SAFETY: `data` holds `w · h · names.len()` samples of the stated type, every string is
+    // NUL-terminated and all of them outlive the call.
     let done = unsafe {
         shim.unbake_image_write(
             name.as_ptr(),

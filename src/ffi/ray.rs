@@ -2,14 +2,17 @@
 
 use glam::Vec3;
 
-/// Triple products of coordinates beyond this would overflow inside the intersection test; Embree itself refuses vertices
-/// beyond 1.8e18, but returns infinite distances long before. The shim uses the same limit.
+/// Triple products of coordinates beyond this would overflow inside the intersection test; Embree
+/// itself refuses vertices beyond 1.8e18, but returns infinite distances long before. The shim uses
+/// the same limit.
 pub const FAR_AWAY: f32 = 1e12;
 
-/// Squared length below which a direction is none (directions are unit vectors); the shim uses the same limit.
+/// Squared length below which a direction is none (directions are unit vectors); the shim uses the
+/// same limit.
 pub const TINY: f32 = 1e-30;
 
-/// Whether a position can take part in tracing: finite and not so far out that products of it overflow.
+/// Whether a position can take part in tracing: finite and not so far out that products of it
+/// overflow.
 #[must_use]
 pub fn is_usable(p: Vec3) -> bool {
     p.abs().max_element() < FAR_AWAY && p.is_finite()
@@ -33,11 +36,16 @@ impl Ray {
     /// A ray from `origin` along `direction` up to `t_far`, starting at 0.
     #[must_use]
     pub fn new(origin: Vec3, direction: Vec3, t_far: f32) -> Self {
-        Self { origin: origin.to_array(), t_near: 0.0, direction: direction.to_array(), t_far }
+        Self {
+            origin: origin.to_array(),
+            t_near: 0.0,
+            direction: direction.to_array(),
+            t_far,
+        }
     }
 
-    /// Whether the ray can hit anything at all: finite origin and direction, a direction that is not zero, and a segment that
-    /// is not empty. Other rays miss.
+    /// Whether the ray can hit anything at all: finite origin and direction, a direction that is
+    /// not zero, and a segment that is not empty. Other rays miss.
     #[must_use]
     pub fn is_usable(&self) -> bool {
         let d2 = Vec3::from(self.direction).length_squared();
@@ -67,7 +75,12 @@ impl Hit {
     /// A miss.
     #[must_use]
     pub fn miss() -> Self {
-        Self { t: f32::INFINITY, u: 0.0, v: 0.0, triangle: Self::MISS }
+        Self {
+            t: f32::INFINITY,
+            u: 0.0,
+            v: 0.0,
+            triangle: Self::MISS,
+        }
     }
 
     /// Whether a triangle was hit.

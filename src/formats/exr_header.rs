@@ -1,8 +1,8 @@
 //! The size an OpenEXR file states, read before any library sees it.
 //!
-//! An OpenEXR file starts with a magic number and a version word; then come attributes — name, type, byte count, value —
-//! until an empty name. A hostile `dataWindow` can make a library allocate tables for billions of rows on opening, hence this
-//! look at the header's first part.
+//! An OpenEXR file starts with a magic number and a version word; then come attributes — name,
+//! type, byte count, value — until an empty name. A hostile `dataWindow` can make a library
+//! allocate tables for billions of rows on opening, hence this look at the header's first part.
 
 use std::io::Read;
 
@@ -15,8 +15,12 @@ const LIMIT: u64 = 4 << 20;
 /// Width and height of the data window of an OpenEXR file, or what is wrong with its header.
 pub fn data_window(file: impl Read) -> Result<(i64, i64), String> {
     let mut bytes = Vec::new();
-    file.take(LIMIT).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
-    let mut rest = bytes.strip_prefix(&MAGIC).ok_or("it does not start like an OpenEXR file")?;
+    file.take(LIMIT)
+        .read_to_end(&mut bytes)
+        .map_err(|e| e.to_string())?;
+    let mut rest = bytes
+        .strip_prefix(&MAGIC)
+        .ok_or("it does not start like an OpenEXR file")?;
     let cut = "it ends within its header";
     let _version = take(&mut rest, 4).ok_or(cut)?;
     loop {
@@ -26,7 +30,8 @@ pub fn data_window(file: impl Read) -> Result<(i64, i64), String> {
         }
         let kind = text(&mut rest).ok_or(cut)?;
         let size = i32_at(take(&mut rest, 4).ok_or(cut)?, 0);
-        let size = usize::try_from(size).map_err(|_| "an attribute of its header has a negative size")?;
+        let size =
+            usize::try_from(size).map_err(|_| "an attribute of its header has a negative size")?;
         let value = take(&mut rest, size).ok_or(cut)?;
         if name == b"dataWindow" {
             if kind != b"box2i" || size != 16 {
@@ -74,7 +79,10 @@ mod tests {
     fn sizes_are_read_without_overflow() {
         assert_eq!(data_window(&header([0, 0, 1023, 511])[..]), Ok((1024, 512)));
         assert_eq!(data_window(&header([-5, -7, 4, 2])[..]), Ok((10, 10)));
-        assert_eq!(data_window(&header([i32::MIN, i32::MIN, i32::MAX, i32::MAX])[..]), Ok((1 << 32, 1 << 32)));
+        assert_eq!(
+            data_window(&header([i32::MIN, i32::MIN, i32::MAX, i32::MAX])[..]),
+            Ok((1 << 32, 1 << 32))
+        );
         assert_eq!(data_window(&header([3, 3, 2, 2])[..]), Ok((0, 0)));
     }
 

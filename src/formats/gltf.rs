@@ -1,8 +1,9 @@
 //! glTF 2.0 geometry: `.glb` and `.gltf` with embedded or neighbouring buffers.
 //!
-//! Only what geometry needs is deserialised, and every index, offset and count is checked against the bytes that are there
-//! before anything is allocated: a hostile file gives an error, never a panic or a huge allocation. Node transforms are
-//! composed in f64, so that a mesh moved far from the origin by its node keeps its shape.
+//! Only what geometry needs is deserialised, and every index, offset and count is checked against
+//! the bytes that are there before anything is allocated: a hostile file gives an error, never a
+//! panic or a huge allocation. Node transforms are composed in f64, so that a mesh moved far from
+//! the origin by its node keeps its shape.
 
 use super::raw_mesh::{Part, RawMesh};
 use crate::{Error, Result};
@@ -102,20 +103,38 @@ struct Buffer {
 }
 
 /// Extensions that change how geometry is stored in ways not read here.
-const UNREADABLE: [&str; 3] = ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"];
+const UNREADABLE: [&str; 3] = [
+    "KHR_draco_mesh_compression",
+    "EXT_meshopt_compression",
+    "KHR_meshopt_compression",
+];
 /// Deepest node hierarchy followed; real files stay far below, and a cycle must end.
 const MAX_DEPTH: usize = 256;
 /// Most mesh instances; a hostile hierarchy can reach one node along exponentially many paths.
 const MAX_INSTANCES: usize = 1 << 20;
 
-/// Geometry of a `.glb` or `.gltf` from its bytes; neighbouring buffer files are looked up beside `path`.
+/// Geometry of a `.glb` or `.gltf` from its bytes; neighbouring buffer files are looked up beside
+/// `path`.
 pub fn mesh_from_gltf(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     let fail = |m: String| Error::input(path, m);
-    let (json, blob) = if bytes.starts_with(b"glTF") { split_glb(bytes).map_err(fail)? } else { (bytes, None) };
-    let document: Document =
-        serde_json::from_slice(json).map_err(|e| fail(format!("the glTF JSON is malformed: {e}; export the mesh again")))?;
-    if let Some(e) = document.extensions_required.iter().find(|e| UNREADABLE.contains(&e.as_str())) {
-        return Err(fail(format!("the geometry is compressed with {e}, which is not supported; export without compression")));
+    let (json, blob) = if bytes.starts_with(b"glTF") {
+        split_glb(bytes).map_err(fail)?
+    } else {
+        (bytes, None)
+    };
+    let document: Document = serde_json::from_slice(json).map_err(|e| {
+        fail(format!(
+            "the glTF JSON is malformed: {e}; export the mesh again"
+        ))
+    })?;
+    if let Some(e) = document
+        .extensions_required
+        .iter()
+        .find(|e| UNREADABLE.contains(&e.as_str()))
+    {
+        return Err(fail(format!(
+            "the geometry is compressed with {e}, which is not supported; export without compression"
+        )));
     }
     let buffers = document
         .buffers
@@ -124,29 +143,51 @@ pub fn mesh_from_gltf(bytes: &[u8], path: &Path) -> Result<RawMesh> {
         .map(|(i, b)| load_buffer(i, b, blob, path))
         .collect::<std::result::Result<Vec<_>, _>>()
         .map_err(fail)?;
-    let reader = Reader { document: &document, buffers };
+    let reader = Reader {
+        document: &document,
+        buffers,
+    };
     let parts = reader.parts().map_err(fail)?;
     if parts.is_empty() {
-        return Err(fail("no triangle geometry in the scene; export the mesh with its triangles".into()));
+        return Err(fail(
+            "no triangle geometry in the scene; export the mesh with its triangles".into(),
+        ));
     }
     RawMesh::from_parts(parts, path)
 }
 
 /// The JSON and binary chunks of a `.glb`.
 fn split_glb(bytes: &[u8]) -> std::result::Result<(&[u8], Option<&[u8]>), String> {
-    let word = |at: usize| -> Option<u32> { Some(u32::from_le_bytes(bytes.get(at..at.checked_add(4)?)?.try_into().ok()?)) };
-    let truncated = || format!("truncated .glb ({} bytes); copy the file again", bytes.len());
+    let word = |at: usize| -> Option<u32> {
+        Some(u32::from_le_bytes(
+            bytes.get(at..at.checked_add(4)?)?.try_into().ok()?,
+        ))
+    };
+    let truncated = || {
+        format!(
+            "truncated .glb ({} bytes); copy the file again",
+            bytes.len()
+        )
+    };
     let version = word(4).ok_or_else(truncated)?;
     if version != 2 {
-        return Err(format!("glTF binary version {version}; only version 2 is supported"));
+        return Err(format!(
+            "glTF binary version {version}; only version 2 is supported"
+        ));
     }
     if word(8).ok_or_else(truncated)? as usize > bytes.len() {
         return Err(truncated());
     }
     let (mut at, mut json, mut blob) = (12usize, None, None);
     while at + 8 <= bytes.len() {
-        let (length, kind) = (word(at).ok_or_else(truncated)? as usize, word(at + 4).ok_or_else(truncated)?);
-        let chunk = at.checked_add(8).and_then(|b| bytes.get(b..b.checked_add(length)?)).ok_or_else(truncated)?;
+        let (length, kind) = (
+            word(at).ok_or_else(truncated)? as usize,
+            word(at + 4).ok_or_else(truncated)?,
+        );
+        let chunk = at
+            .checked_add(8)
+            .and_then(|b| bytes.get(b..b.checked_add(length)?))
+            .ok_or_else(truncated)?;
         match kind {
             0x4E4F_534A if json.is_none() => json = Some(chunk),
             0x004E_4942 if blob.is_none() => blob = Some(chunk),
@@ -154,30 +195,52 @@ fn split_glb(bytes: &[u8]) -> std::result::Result<(&[u8], Option<&[u8]>), String
         }
         at += 8 + length;
     }
-    Ok((json.ok_or("the .glb has no JSON chunk; export the mesh again")?, blob))
+    Ok((
+        json.ok_or("the .glb has no JSON chunk; export the mesh again")?,
+        blob,
+    ))
 }
 
-fn load_buffer(i: usize, buffer: &Buffer, blob: Option<&[u8]>, path: &Path) -> std::result::Result<Vec<u8>, String> {
+fn load_buffer(
+    i: usize,
+    buffer: &Buffer,
+    blob: Option<&[u8]>,
+    path: &Path,
+) -> std::result::Result<Vec<u8>, String> {
     let Some(uri) = &buffer.uri else {
-        return blob
-            .map(<[u8]>::to_vec)
-            .ok_or_else(|| format!("buffer {i} has neither a uri nor a binary chunk; export the mesh again"));
+        return blob.map(<[u8]>::to_vec).ok_or_else(|| {
+            format!("buffer {i} has neither a uri nor a binary chunk; export the mesh again")
+        });
     };
     if let Some(data) = uri.strip_prefix("data:") {
-        let encoded = data.split_once(";base64,").ok_or_else(|| format!("buffer {i}: the data uri is not base64"))?.1;
-        return decode_base64(encoded).ok_or_else(|| format!("buffer {i}: damaged base64; export the mesh again"));
+        let encoded = data
+            .split_once(";base64,")
+            .ok_or_else(|| format!("buffer {i}: the data uri is not base64"))?
+            .1;
+        return decode_base64(encoded)
+            .ok_or_else(|| format!("buffer {i}: damaged base64; export the mesh again"));
     }
     if uri.contains("://") {
-        return Err(format!("buffer {i} lies at {uri}; only files beside the mesh are read. Export with embedded buffers"));
+        return Err(format!(
+            "buffer {i} lies at {uri}; only files beside the mesh are read. Export with embedded buffers"
+        ));
     }
     let file = path.with_file_name("").join(decode_percent(uri));
-    std::fs::read(&file)
-        .map_err(|e| format!("buffer {i}, {}: {e}; keep the buffer beside the .gltf or export a .glb", file.display()))
+    std::fs::read(&file).map_err(|e| {
+        format!(
+            "buffer {i}, {}: {e}; keep the buffer beside the .gltf or export a .glb",
+            file.display()
+        )
+    })
 }
 
 fn decode_base64(text: &str) -> Option<Vec<u8>> {
     let (mut out, mut bits, mut held) = (Vec::with_capacity(text.len() / 4 * 3), 0u32, 0u32);
-    for c in text.bytes().filter(|c| !c.is_ascii_whitespace()).take_while(|&c| c != b'=') {
+    for c in text
+        .bytes()
+        .filter(|c| !c.is_ascii_whitespace())
+        .take_while(|&c| c != b'=')
+    {
         let value = match c {
             b'A'..=b'Z' => c - b'A',
             b'a'..=b'z' => c - b'a' + 26,
@@ -201,8 +264,9 @@ fn decode_percent(uri: &str) -> String {
     let (bytes, mut out, mut i) = (uri.as_bytes(), Vec::with_capacity(uri.len()), 0);
     while i < bytes.len() {
         let hex = |c: u8| (c as char).to_digit(16).map(|d| d as u8);
-        let escaped =
-            (bytes[i] == b'%' && i + 2 < bytes.len()).then(|| Some(hex(bytes[i + 1])? * 16 + hex(bytes[i + 2])?)).flatten();
+        let escaped = (bytes[i] == b'%' && i + 2 < bytes.len())
+            .then(|| Some(hex(bytes[i + 1])? * 16 + hex(bytes[i + 2])?))
+            .flatten();
         out.push(escaped.unwrap_or(bytes[i]));
         i += if escaped.is_some() { 3 } else { 1 };
     }
@@ -224,26 +288,46 @@ impl Reader<'_> {
             Some(scene) => scene.nodes.clone(),
             // no scene: the nodes nobody lists as a child
             None => {
-                let children: std::collections::BTreeSet<usize> =
-                    d.nodes.iter().flat_map(|n| n.children.iter().copied()).collect();
-                (0..d.nodes.len()).filter(|i| !children.contains(i)).collect()
+                let children: std::collections::BTreeSet<usize> = d
+                    .nodes
+                    .iter()
+                    .flat_map(|n| n.children.iter().copied())
+                    .collect();
+                (0..d.nodes.len())
+                    .filter(|i| !children.contains(i))
+                    .collect()
             }
         };
         let mut parts = Vec::new();
         let mut visited = 0usize;
-        let mut stack: Vec<(usize, DMat4, usize)> = roots.iter().rev().map(|&n| (n, DMat4::IDENTITY, 0)).collect();
+        let mut stack: Vec<(usize, DMat4, usize)> = roots
+            .iter()
+            .rev()
+            .map(|&n| (n, DMat4::IDENTITY, 0))
+            .collect();
         while let Some((index, parent, depth)) = stack.pop() {
             visited += 1;
             if depth > MAX_DEPTH || visited > MAX_INSTANCES {
-                return Err("the node hierarchy is cyclic or nested too deeply; export the mesh again".into());
+                return Err(
+                    "the node hierarchy is cyclic or nested too deeply; export the mesh again"
+                        .into(),
+                );
             }
-            let node = d.nodes.get(index).ok_or_else(|| format!("node {index} does not exist; export the mesh again"))?;
+            let node = d
+                .nodes
+                .get(index)
+                .ok_or_else(|| format!("node {index} does not exist; export the mesh again"))?;
             let world = parent * local_transform(node);
             stack.extend(node.children.iter().rev().map(|&c| (c, world, depth + 1)));
             if let Some(m) = node.mesh {
-                let mesh = d.meshes.get(m).ok_or_else(|| format!("mesh {m} does not exist; export the mesh again"))?;
+                let mesh = d
+                    .meshes
+                    .get(m)
+                    .ok_or_else(|| format!("mesh {m} does not exist; export the mesh again"))?;
                 for (p, primitive) in mesh.primitives.iter().enumerate() {
-                    let part = self.part(primitive, &world).map_err(|e| format!("mesh {m}, primitive {p}: {e}"))?;
+                    let part = self
+                        .part(primitive, &world)
+                        .map_err(|e| format!("mesh {m}, primitive {p}: {e}"))?;
                     parts.extend(part);
                 }
             }
@@ -256,14 +340,23 @@ impl Reader<'_> {
         if mode < 4 {
             return Ok(None); // points and lines carry no surface
         }
-        let position = primitive.attributes.position.ok_or("no POSITION; export the mesh again")?;
-        let positions: Vec<DVec3> =
-            self.floats::<3>(position)?.into_iter().map(|p| world.transform_point3(DVec3::from_array(p))).collect();
+        let position = primitive
+            .attributes
+            .position
+            .ok_or("no POSITION; export the mesh again")?;
+        let positions: Vec<DVec3> = self
+            .floats::<3>(position)?
+            .into_iter()
+            .map(|p| world.transform_point3(DVec3::from_array(p)))
+            .collect();
         let of_length = |what: &str, n: usize| -> Reading<()> {
             if n == positions.len() {
                 Ok(())
             } else {
-                Err(format!("{n} {what} for {} positions; export the mesh again", positions.len()))
+                Err(format!(
+                    "{n} {what} for {} positions; export the mesh again",
+                    positions.len()
+                ))
             }
         };
         // normals transform with the inverse transpose; its sign carries mirrorings
@@ -274,7 +367,11 @@ impl Reader<'_> {
                 of_length("normals", n.len())?;
                 Some(
                     n.into_iter()
-                        .map(|n| (normal_matrix * DVec3::from_array(n)).normalize_or_zero().as_vec3())
+                        .map(|n| {
+                            (normal_matrix * DVec3::from_array(n))
+                                .normalize_or_zero()
+                                .as_vec3()
+                        })
                         .collect::<Vec<Vec3>>(),
                 )
             }
@@ -284,7 +381,11 @@ impl Reader<'_> {
             Some(a) => {
                 let uv = self.floats::<2>(a)?;
                 of_length("texture coordinates", uv.len())?;
-                Some(uv.into_iter().map(|[u, v]| Vec2::new(u as f32, v as f32)).collect())
+                Some(
+                    uv.into_iter()
+                        .map(|[u, v]| Vec2::new(u as f32, v as f32))
+                        .collect(),
+                )
             }
             None => None,
         };
@@ -296,30 +397,60 @@ impl Reader<'_> {
         if glam::DMat3::from_mat4(*world).determinant() < 0.0 {
             triangles.iter_mut().for_each(|t| t.swap(1, 2)); // a mirroring node turns the winding round
         }
-        Ok(Some(Part { positions, normals, uvs, triangles }))
+        Ok(Some(Part {
+            positions,
+            normals,
+            uvs,
+            triangles,
+        }))
     }
 
-    /// The bytes of an accessor's elements: `(bytes from the first element, stride, count)`, checked to lie in the buffer.
+    /// The bytes of an accessor's elements: `(bytes from the first element, stride, count)`,
+    /// checked to lie in the buffer.
     fn elements(&self, index: usize, size: u64) -> Reading<(&[u8], usize, usize)> {
         let again = "export the mesh again";
-        let a = self.document.accessors.get(index).ok_or_else(|| format!("accessor {index} does not exist; {again}"))?;
+        let a = self
+            .document
+            .accessors
+            .get(index)
+            .ok_or_else(|| format!("accessor {index} does not exist; {again}"))?;
         if a.sparse.is_some() {
-            return Err(format!("accessor {index} is sparse, which is not supported; export without morph targets"));
+            return Err(format!(
+                "accessor {index} is sparse, which is not supported; export without morph targets"
+            ));
         }
-        let v = a.buffer_view.ok_or_else(|| format!("accessor {index} has no data; {again}"))?;
-        let view = self.document.buffer_views.get(v).ok_or_else(|| format!("buffer view {v} does not exist; {again}"))?;
-        let buffer = self.buffers.get(view.buffer).ok_or_else(|| format!("buffer {} does not exist; {again}", view.buffer))?;
+        let v = a
+            .buffer_view
+            .ok_or_else(|| format!("accessor {index} has no data; {again}"))?;
+        let view = self
+            .document
+            .buffer_views
+            .get(v)
+            .ok_or_else(|| format!("buffer view {v} does not exist; {again}"))?;
+        let buffer = self
+            .buffers
+            .get(view.buffer)
+            .ok_or_else(|| format!("buffer {} does not exist; {again}", view.buffer))?;
         let stride = view.byte_stride.unwrap_or(size);
         let needed = if a.count == 0 {
             Some(0)
         } else {
-            (a.count - 1).checked_mul(stride).and_then(|n| n.checked_add(size)).and_then(|n| n.checked_add(a.byte_offset))
+            (a.count - 1)
+                .checked_mul(stride)
+                .and_then(|n| n.checked_add(size))
+                .and_then(|n| n.checked_add(a.byte_offset))
         };
         let end = view.byte_offset.checked_add(view.byte_length);
         match (needed, end) {
-            (Some(needed), Some(end)) if needed <= view.byte_length && end <= buffer.len() as u64 && stride >= size => {
+            (Some(needed), Some(end))
+                if needed <= view.byte_length && end <= buffer.len() as u64 && stride >= size =>
+            {
                 let begin = (view.byte_offset + a.byte_offset).min(end) as usize;
-                Ok((&buffer[begin..end as usize], stride as usize, a.count as usize))
+                Ok((
+                    &buffer[begin..end as usize],
+                    stride as usize,
+                    a.count as usize,
+                ))
             }
             _ => Err(format!(
                 "accessor {index} claims {} elements, more than its buffer of {} bytes holds; the file is truncated or damaged, {again}",
@@ -329,7 +460,8 @@ impl Reader<'_> {
         }
     }
 
-    /// Elements of `N` numbers: floats or (`KHR_mesh_quantization`) integers, normalised where the accessor says so.
+    /// Elements of `N` numbers: floats or (`KHR_mesh_quantization`) integers, normalised where the
+    /// accessor says so.
     fn floats<const N: usize>(&self, index: usize) -> Reading<Vec<[f64; N]>> {
         let a = self
             .document
@@ -338,12 +470,18 @@ impl Reader<'_> {
             .ok_or_else(|| format!("accessor {index} does not exist; export the mesh again"))?;
         let expected = if N == 3 { "VEC3" } else { "VEC2" };
         if a.shape != expected {
-            return Err(format!("accessor {index} is {}, expected {expected}; export the mesh again", a.shape));
+            return Err(format!(
+                "accessor {index} is {}, expected {expected}; export the mesh again",
+                a.shape
+            ));
         }
-        let width = component_size(a.component_type).ok_or_else(|| format!("accessor {index}: unknown component type"))?;
+        let width = component_size(a.component_type)
+            .ok_or_else(|| format!("accessor {index}: unknown component type"))?;
         let (bytes, stride, count) = self.elements(index, (width * N) as u64)?;
         let number = |at: usize| component(&bytes[at..at + width], a.component_type, a.normalized);
-        Ok((0..count).map(|i| std::array::from_fn(|k| number(i * stride + k * width))).collect())
+        Ok((0..count)
+            .map(|i| std::array::from_fn(|k| number(i * stride + k * width)))
+            .collect())
     }
 
     fn indices(&self, index: usize) -> Reading<Vec<u32>> {
@@ -356,10 +494,19 @@ impl Reader<'_> {
             (5121, "SCALAR") => 1,
             (5123, "SCALAR") => 2,
             (5125, "SCALAR") => 4,
-            _ => return Err(format!("accessor {index}: indices must be unsigned integers; export the mesh again")),
+            _ => {
+                return Err(format!(
+                    "accessor {index}: indices must be unsigned integers; export the mesh again"
+                ));
+            }
         };
         let (bytes, stride, count) = self.elements(index, width as u64)?;
-        let word = |at: usize| bytes[at..at + width].iter().rev().fold(0u32, |w, &b| (w << 8) | u32::from(b));
+        let word = |at: usize| {
+            bytes[at..at + width]
+                .iter()
+                .rev()
+                .fold(0u32, |w, &b| (w << 8) | u32::from(b))
+        };
         Ok((0..count).map(|i| word(i * stride)).collect())
     }
 }
@@ -370,10 +517,18 @@ fn local_transform(node: &Node) -> DMat4 {
     }
     let rotation = node.rotation.map_or(DQuat::IDENTITY, |r| {
         let q = DQuat::from_array(r);
-        if q.length_squared() > 0.0 { q.normalize() } else { DQuat::IDENTITY }
+        if q.length_squared() > 0.0 {
+            q.normalize()
+        } else {
+            DQuat::IDENTITY
+        }
     });
     let scale = node.scale.map_or(DVec3::ONE, DVec3::from_array);
-    DMat4::from_scale_rotation_translation(scale, rotation, node.translation.map_or(DVec3::ZERO, DVec3::from_array))
+    DMat4::from_scale_rotation_translation(
+        scale,
+        rotation,
+        node.translation.map_or(DVec3::ZERO, DVec3::from_array),
+    )
 }
 
 fn component_size(kind: u32) -> Option<usize> {
@@ -392,7 +547,10 @@ fn component(b: &[u8], kind: u32, normalized: bool) -> f64 {
         (5121, &[a]) => scaled(f64::from(a), 255.0),
         (5122, &[a, b]) => scaled(f64::from(i16::from_le_bytes([a, b])), 32767.0),
         (5123, &[a, b]) => scaled(f64::from(u16::from_le_bytes([a, b])), 65535.0),
-        (5125, &[a, b, c, d]) => scaled(f64::from(u32::from_le_bytes([a, b, c, d])), f64::from(u32::MAX)),
+        (5125, &[a, b, c, d]) => scaled(
+            f64::from(u32::from_le_bytes([a, b, c, d])),
+            f64::from(u32::MAX),
+        ),
         (5126, &[a, b, c, d]) => f64::from(f32::from_le_bytes([a, b, c, d])),
         _ => f64::NAN,
     }
@@ -402,15 +560,32 @@ fn component(b: &[u8], kind: u32, normalized: bool) -> f64 {
 fn triangulate(indices: &[u32], mode: u32) -> Reading<Vec<[u32; 3]>> {
     Ok(match mode {
         4 if !indices.len().is_multiple_of(3) => {
-            return Err(format!("{} indices are no whole triangles; export the mesh again", indices.len()));
+            return Err(format!(
+                "{} indices are no whole triangles; export the mesh again",
+                indices.len()
+            ));
         }
-        4 => indices.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect(),
+        4 => indices
+            .chunks_exact(3)
+            .map(|c| [c[0], c[1], c[2]])
+            .collect(),
         5 => indices
             .windows(3)
             .enumerate()
-            .map(|(i, w)| if i % 2 == 0 { [w[0], w[1], w[2]] } else { [w[1], w[0], w[2]] })
+            .map(|(i, w)| {
+                if i % 2 == 0 {
+                    [w[0], w[1], w[2]]
+                } else {
+                    [w[1], w[0], w[2]]
+                }
+            })
             .collect(),
-        6 => indices.get(1..).unwrap_or_default().windows(2).map(|w| [indices[0], w[0], w[1]]).collect(),
+        6 => indices
+            .get(1..)
+            .unwrap_or_default()
+            .windows(2)
+            .map(|w| [indices[0], w[0], w[1]])
+            .collect(),
         _ => return Err(format!("unknown primitive mode {mode}")),
     })
 }
@@ -421,7 +596,10 @@ mod tests {
 
     /// A `.gltf` of one triangle below two nodes, with the buffer embedded in base64.
     fn document(count: u64, matrix: &str) -> String {
-        let floats: Vec<u8> = [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|f| f.to_le_bytes()).collect();
+        let floats: Vec<u8> = [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+            .iter()
+            .flat_map(|f| f.to_le_bytes())
+            .collect();
         let text = encode_base64(&floats);
         format!(
             r#"{{"asset":{{"version":"2.0"}},"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1],"translation":[10000,0,0]}},{{"mesh":0{matrix}}}],
@@ -431,20 +609,38 @@ mod tests {
     }
 
     fn encode_base64(bytes: &[u8]) -> String {
-        const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+        const ALPHABET: &[u8; 64] =
+            b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
         bytes
             .chunks(3)
             .flat_map(|c| {
                 let w = c.iter().fold(0u32, |w, &b| (w << 8) | u32::from(b)) << (8 * (3 - c.len()));
-                (0..4).map(move |i| if i <= c.len() { ALPHABET[(w >> (18 - 6 * i)) as usize & 63] as char } else { '=' })
+                (0..4).map(move |i| {
+                    if i <= c.len() {
+                        ALPHABET[(w >> (18 - 6 * i)) as usize & 63] as char
+                    } else {
+                        '='
+                    }
+                })
             })
             .collect()
     }
 
     #[test]
     fn node_transforms_compose_and_mirroring_keeps_the_outside_outside() {
-        let mesh = mesh_from_gltf(document(3, r#","scale":[-2,1,1]"#).as_bytes(), Path::new("t.gltf")).expect("readable");
-        assert_eq!(mesh.positions, vec![DVec3::new(1e4, 0.0, 0.0), DVec3::new(9998.0, 0.0, 0.0), DVec3::new(1e4, 1.0, 0.0)]);
+        let mesh = mesh_from_gltf(
+            document(3, r#","scale":[-2,1,1]"#).as_bytes(),
+            Path::new("t.gltf"),
+        )
+        .expect("readable");
+        assert_eq!(
+            mesh.positions,
+            vec![
+                DVec3::new(1e4, 0.0, 0.0),
+                DVec3::new(9998.0, 0.0, 0.0),
+                DVec3::new(1e4, 1.0, 0.0)
+            ]
+        );
         let [a, b, c] = mesh.triangles[0].map(|i| mesh.positions[i as usize]);
         assert!((b - a).cross(c - a).z > 0.0, "the front still faces +z");
         assert!(mesh.uvs.is_empty() && mesh.normals.is_empty());
@@ -453,8 +649,13 @@ mod tests {
     #[test]
     fn counts_beyond_the_bytes_and_cycles_are_errors() {
         for count in [4, u64::MAX / 2, u64::MAX] {
-            let e = mesh_from_gltf(document(count, "").as_bytes(), Path::new("t.gltf")).expect_err("too many").to_string();
-            assert!(e.contains("t.gltf") && (e.contains("claims") || e.contains("malformed")), "{e}");
+            let e = mesh_from_gltf(document(count, "").as_bytes(), Path::new("t.gltf"))
+                .expect_err("too many")
+                .to_string();
+            assert!(
+                e.contains("t.gltf") && (e.contains("claims") || e.contains("malformed")),
+                "{e}"
+            );
         }
         let cyclic = document(3, r#","children":[0]"#);
         assert!(mesh_from_gltf(cyclic.as_bytes(), Path::new("t.gltf")).is_err());
@@ -471,7 +672,10 @@ mod tests {
         glb.extend(json.as_bytes());
         assert!(mesh_from_gltf(&glb, Path::new("t.glb")).is_ok());
         for n in 0..glb.len() {
-            assert!(mesh_from_gltf(&glb[..n], Path::new("t.glb")).is_err(), "truncated to {n}");
+            assert!(
+                mesh_from_gltf(&glb[..n], Path::new("t.glb")).is_err(),
+                "truncated to {n}"
+            );
             for flip in [0x01, 0x80] {
                 let mut damaged = glb.clone();
                 damaged[n] ^= flip;
@@ -482,8 +686,14 @@ mod tests {
 
     #[test]
     fn strips_and_fans_become_triangles() {
-        assert_eq!(triangulate(&[0, 1, 2, 3], 5), Ok(vec![[0, 1, 2], [2, 1, 3]]));
-        assert_eq!(triangulate(&[0, 1, 2, 3], 6), Ok(vec![[0, 1, 2], [0, 2, 3]]));
+        assert_eq!(
+            triangulate(&[0, 1, 2, 3], 5),
+            Ok(vec![[0, 1, 2], [2, 1, 3]])
+        );
+        assert_eq!(
+            triangulate(&[0, 1, 2, 3], 6),
+            Ok(vec![[0, 1, 2], [0, 2, 3]])
+        );
         assert!(triangulate(&[0, 1], 4).is_err());
         assert_eq!(triangulate(&[], 6), Ok(vec![]));
     }

@@ -1,7 +1,7 @@
 //! Floating-point images: OpenEXR and Radiance HDR in, OpenEXR (ZIP) out.
 //!
-//! Values are scene-linear and returned as stored. A file's format is told by its first bytes, never by its name, and its
-//! size is judged before anything is allocated for it.
+//! Values are scene-linear and returned as stored. A file's format is told by its first bytes,
+//! never by its name, and its size is judged before anything is allocated for it.
 
 use super::whole::Aside;
 use super::{checked_size, exr_header, pixel_buffer, png_io};
@@ -79,7 +79,11 @@ pub(super) fn sniff(path: &Path) -> Result<ImageFormat> {
         ),
         _ => Error::input(path, format!("cannot be read: {e}")),
     };
-    File::open(path).map_err(open)?.take(32).read_to_end(&mut head).map_err(open)?;
+    File::open(path)
+        .map_err(open)?
+        .take(32)
+        .read_to_end(&mut head)
+        .map_err(open)?;
     let found = match head.as_slice() {
         h if h.starts_with(&exr_header::MAGIC) => return Ok(ImageFormat::Exr),
         h if h.starts_with(b"#?") => return Ok(ImageFormat::Hdr),
@@ -90,7 +94,10 @@ pub(super) fn sniff(path: &Path) -> Result<ImageFormat> {
         h if h.starts_with(b"II") || h.starts_with(b"MM") => "a TIFF or camera raw file",
         _ => "something else",
     };
-    Err(Error::input(path, format!("not an image: expected OpenEXR, Radiance HDR, PNG or JPEG, found {found}")))
+    Err(Error::input(
+        path,
+        format!("not an image: expected OpenEXR, Radiance HDR, PNG or JPEG, found {found}"),
+    ))
 }
 
 /// Size, channels and format of an image, from its header alone.
@@ -101,7 +108,13 @@ pub fn image_info(path: impl AsRef<Path>) -> Result<ImageInfo> {
         format => {
             let image = open(path, format)?;
             let (w, h, c) = image.size();
-            Ok(ImageInfo { width: w as usize, height: h as usize, channels: c as usize, format, sample: image.sample() })
+            Ok(ImageInfo {
+                width: w as usize,
+                height: h as usize,
+                channels: c as usize,
+                format,
+                sample: image.sample(),
+            })
         }
     }
 }
@@ -109,26 +122,35 @@ pub fn image_info(path: impl AsRef<Path>) -> Result<ImageInfo> {
 /// Opens an image after judging its header; the size is then within limits.
 pub(super) fn open(path: &Path, format: ImageFormat) -> Result<OpenImage> {
     if format == ImageFormat::Exr {
-        let file = File::open(path).map_err(|e| Error::input(path, format!("cannot be read: {e}")))?;
+        let file =
+            File::open(path).map_err(|e| Error::input(path, format!("cannot be read: {e}")))?;
         let (w, h) = exr_header::data_window(file).map_err(|e| Error::input(path, damaged(&e)))?;
         checked_size(path, w, h)?;
     }
     crate::ffi::oiio::version().map_err(Error::Native)?;
-    let image = OpenImage::open(path, format.reader()).map_err(|e| Error::input(path, damaged(&e)))?;
+    let image =
+        OpenImage::open(path, format.reader()).map_err(|e| Error::input(path, damaged(&e)))?;
     let (w, h, c) = image.size();
     checked_size(path, w.into(), h.into())?;
     let refuse = |what: &str| Err(Error::input(path, what.to_string()));
     if !(1..=MAX_CHANNELS).contains(&c) {
-        return Err(Error::input(path, format!("its header states {c} channels; expected 1 to {MAX_CHANNELS}")));
+        return Err(Error::input(
+            path,
+            format!("its header states {c} channels; expected 1 to {MAX_CHANNELS}"),
+        ));
     }
     if !image.is_flat() {
         return refuse("a deep or volume image; expected a flat one: save it flattened");
     }
     if !image.is_uncropped() {
-        return refuse("its data window differs from its display window; expected every pixel: save it uncropped");
+        return refuse(
+            "its data window differs from its display window; expected every pixel: save it uncropped",
+        );
     }
     if format == ImageFormat::Hdr && image.orientation() != 1 {
-        return refuse("its rows or columns are stored in another order than -Y +X; save it in the usual order");
+        return refuse(
+            "its rows or columns are stored in another order than -Y +X; save it in the usual order",
+        );
     }
     Ok(image)
 }
@@ -150,13 +172,18 @@ fn open_linear(path: &Path) -> Result<OpenImage> {
 
 /// The three channels that hold red, green and blue (one channel serves as all three).
 fn pick_rgb(path: &Path, image: &OpenImage) -> Result<[usize; 3]> {
-    let names: Vec<String> = (0..image.size().2 as usize).map(|c| image.channel_name(c)).collect();
+    let names: Vec<String> = (0..image.size().2 as usize)
+        .map(|c| image.channel_name(c))
+        .collect();
     let find = |wanted: &str| names.iter().position(|n| n.eq_ignore_ascii_case(wanted));
     if let (Some(r), Some(g), Some(b)) = (find("R"), find("G"), find("B")) {
         return Ok([r, g, b]);
     }
     // A layer called `combined` or `diffuse` names its channels `combined.R`.
-    let layers: Vec<&str> = names.iter().filter_map(|n| n.strip_suffix(".R").or_else(|| n.strip_suffix(".r"))).collect();
+    let layers: Vec<&str> = names
+        .iter()
+        .filter_map(|n| n.strip_suffix(".R").or_else(|| n.strip_suffix(".r")))
+        .collect();
     if let [layer] = layers[..] {
         let of = |c: &str| find(&format!("{layer}.{c}"));
         if let (Some(r), Some(g), Some(b)) = (of("R"), of("G"), of("B")) {
@@ -172,11 +199,20 @@ fn pick_rgb(path: &Path, image: &OpenImage) -> Result<[usize; 3]> {
             _ => {}
         }
     }
-    let listed = names.iter().take(12).map(String::as_str).collect::<Vec<_>>().join(", ");
-    Err(Error::input(path, format!("channels R, G and B expected, found {listed}: save one layer as R, G, B")))
+    let listed = names
+        .iter()
+        .take(12)
+        .map(String::as_str)
+        .collect::<Vec<_>>()
+        .join(", ");
+    Err(Error::input(
+        path,
+        format!("channels R, G and B expected, found {listed}: save one layer as R, G, B"),
+    ))
 }
 
-/// Reads an OpenEXR or Radiance HDR image as linear RGB: channels R, G, B by name, else the first three; one channel is grey.
+/// Reads an OpenEXR or Radiance HDR image as linear RGB: channels R, G, B by name, else the first
+/// three; one channel is grey.
 pub fn read_rgb(path: impl AsRef<Path>) -> Result<RgbPlane> {
     let path = path.as_ref();
     let image = open_linear(path)?;
@@ -185,7 +221,11 @@ pub fn read_rgb(path: impl AsRef<Path>) -> Result<RgbPlane> {
 }
 
 /// Reads three channels of an open image.
-pub(super) fn read_rgb_channels(path: &Path, mut image: OpenImage, [r, g, b]: [usize; 3]) -> Result<RgbPlane> {
+pub(super) fn read_rgb_channels(
+    path: &Path,
+    mut image: OpenImage,
+    [r, g, b]: [usize; 3],
+) -> Result<RgbPlane> {
     let (w, h, _) = image.size();
     let (width, height) = (w as usize, h as usize);
     let mut data: Vec<Vec3> = pixel_buffer(path, width * height)?;
@@ -201,7 +241,11 @@ pub(super) fn read_rgb_channels(path: &Path, mut image: OpenImage, [r, g, b]: [u
             image.read(c..c + 1, floats, offset, 3).map_err(bad)?;
         }
     }
-    Ok(Plane { width, height, data })
+    Ok(Plane {
+        width,
+        height,
+        data,
+    })
 }
 
 /// Reads the first channel of an OpenEXR or Radiance HDR image.
@@ -211,8 +255,14 @@ pub fn read_plane(path: impl AsRef<Path>) -> Result<Plane<f32>> {
     let (w, h, _) = image.size();
     let (width, height) = (w as usize, h as usize);
     let mut data = pixel_buffer(path, width * height)?;
-    image.read(0..1, &mut data, 0, 1).map_err(|e| Error::input(path, damaged(&e)))?;
-    Ok(Plane { width, height, data })
+    image
+        .read(0..1, &mut data, 0, 1)
+        .map_err(|e| Error::input(path, damaged(&e)))?;
+    Ok(Plane {
+        width,
+        height,
+        data,
+    })
 }
 
 /// Reads the first two channels of an OpenEXR image.
@@ -225,23 +275,41 @@ pub fn read_two_channels(path: impl AsRef<Path>) -> Result<Plane<Vec2>> {
     }
     let (width, height) = (w as usize, h as usize);
     let mut data: Vec<Vec2> = pixel_buffer(path, width * height)?;
-    image.read(0..2, bytemuck::cast_slice_mut(&mut data), 0, 2).map_err(|e| Error::input(path, damaged(&e)))?;
-    Ok(Plane { width, height, data })
+    image
+        .read(0..2, bytemuck::cast_slice_mut(&mut data), 0, 2)
+        .map_err(|e| Error::input(path, damaged(&e)))?;
+    Ok(Plane {
+        width,
+        height,
+        data,
+    })
 }
 
 const RGB: &[&CStr] = &[c"R", c"G", c"B"];
 const GREY: &[&CStr] = &[c"Y"];
 const TWO: &[&CStr] = &[c"R", c"G"];
 
-/// Writes linear RGB in half precision. Returns how many values beyond ±65,504 were clamped; values that are not finite are
-/// an error and nothing is written.
+/// Writes linear RGB in half precision. Returns how many values beyond ±65,504 were clamped; values
+/// that are not finite are an error and nothing is written.
 pub fn write_rgb_half(path: impl AsRef<Path>, plane: &RgbPlane) -> Result<usize> {
-    write_half(path.as_ref(), plane.width, plane.height, RGB, bytemuck::cast_slice(&plane.data))
+    write_half(
+        path.as_ref(),
+        plane.width,
+        plane.height,
+        RGB,
+        bytemuck::cast_slice(&plane.data),
+    )
 }
 
 /// Writes linear RGB in single precision; values that are not finite are an error.
 pub fn write_rgb_float(path: impl AsRef<Path>, plane: &RgbPlane) -> Result<()> {
-    write_float(path.as_ref(), plane.width, plane.height, RGB, bytemuck::cast_slice(&plane.data))
+    write_float(
+        path.as_ref(),
+        plane.width,
+        plane.height,
+        RGB,
+        bytemuck::cast_slice(&plane.data),
+    )
 }
 
 /// Writes one channel in half precision; as [`write_rgb_half`].
@@ -256,18 +324,37 @@ pub fn write_plane_float(path: impl AsRef<Path>, plane: &Plane<f32>) -> Result<(
 
 /// Writes two channels, called R and G, in half precision; as [`write_rgb_half`].
 pub fn write_two_channels_half(path: impl AsRef<Path>, plane: &Plane<Vec2>) -> Result<usize> {
-    write_half(path.as_ref(), plane.width, plane.height, TWO, bytemuck::cast_slice(&plane.data))
+    write_half(
+        path.as_ref(),
+        plane.width,
+        plane.height,
+        TWO,
+        bytemuck::cast_slice(&plane.data),
+    )
 }
 
-/// Writes two channels, called R and G, in single precision; values that are not finite are an error.
+/// Writes two channels, called R and G, in single precision; values that are not finite are an
+/// error.
 pub fn write_two_channels_float(path: impl AsRef<Path>, plane: &Plane<Vec2>) -> Result<()> {
-    write_float(path.as_ref(), plane.width, plane.height, TWO, bytemuck::cast_slice(&plane.data))
+    write_float(
+        path.as_ref(),
+        plane.width,
+        plane.height,
+        TWO,
+        bytemuck::cast_slice(&plane.data),
+    )
 }
 
 /// Samples per piece of a parallel conversion.
 const PIECE: usize = 1 << 16;
 
-fn write_half(path: &Path, width: usize, height: usize, names: &[&CStr], values: &[f32]) -> Result<usize> {
+fn write_half(
+    path: &Path,
+    width: usize,
+    height: usize,
+    names: &[&CStr],
+    values: &[f32],
+) -> Result<usize> {
     let mut halves = vec![f16::ZERO; values.len()];
     let clamped = halves
         .par_chunks_mut(PIECE)
@@ -287,15 +374,37 @@ fn write_half(path: &Path, width: usize, height: usize, names: &[&CStr], values:
     Ok(clamped)
 }
 
-fn write_float(path: &Path, width: usize, height: usize, names: &[&CStr], values: &[f32]) -> Result<()> {
+fn write_float(
+    path: &Path,
+    width: usize,
+    height: usize,
+    names: &[&CStr],
+    values: &[f32],
+) -> Result<()> {
     write(path, width, height, names, values, Samples::Float(values))
 }
 
 /// Refuses values that are not finite, then writes aside and renames.
-fn write(path: &Path, width: usize, height: usize, names: &[&CStr], values: &[f32], samples: Samples) -> Result<()> {
-    let bad: usize = values.par_chunks(PIECE).map(|piece| piece.iter().filter(|v| !v.is_finite()).count()).sum();
-    if let Some(first) = (bad > 0).then(|| values.iter().position(|v| !v.is_finite())).flatten() {
-        let (pixel, channel) = (first / names.len(), names[first % names.len()].to_string_lossy());
+fn write(
+    path: &Path,
+    width: usize,
+    height: usize,
+    names: &[&CStr],
+    values: &[f32],
+    samples: Samples,
+) -> Result<()> {
+    let bad: usize = values
+        .par_chunks(PIECE)
+        .map(|piece| piece.iter().filter(|v| !v.is_finite()).count())
+        .sum();
+    if let Some(first) = (bad > 0)
+        .then(|| values.iter().position(|v| !v.is_finite()))
+        .flatten()
+    {
+        let (pixel, channel) = (
+            first / names.len(),
+            names[first % names.len()].to_string_lossy(),
+        );
         let (column, row) = (pixel % width.max(1), pixel / width.max(1));
         return Err(Error::Failed(format!(
             "{}: not written: {bad} of {} values are not finite (first: {} in channel {channel} at column {column}, row {row})",

@@ -1,6 +1,8 @@
-//! Bytes ⇄ types: images of every format the program reads and writes, and files that appear whole or not at all.
+//! Bytes ⇄ types: images of every format the program reads and writes, and files that appear whole
+//! or not at all.
 //!
-//! Readers return what is in the file, NaN included: the scene judges. Writers refuse values that are not finite.
+//! Readers return what is in the file, NaN included: the scene judges. Writers refuse values that
+//! are not finite.
 
 mod exr_header;
 pub mod gltf;
@@ -17,8 +19,9 @@ mod whole;
 mod tests;
 
 pub use image_io::{
-    ImageFormat, ImageInfo, image_info, read_plane, read_rgb, read_two_channels, write_plane_float, write_plane_half,
-    write_rgb_float, write_rgb_half, write_two_channels_float, write_two_channels_half,
+    ImageFormat, ImageInfo, image_info, read_plane, read_rgb, read_two_channels, write_plane_float,
+    write_plane_half, write_rgb_float, write_rgb_half, write_two_channels_float,
+    write_two_channels_half,
 };
 pub use picture::{encode_grey8, encode_rgb8, encode_webp8, srgb8_from_linear};
 pub use png_io::{read_labels, read_ldr, write_png_rgb8, write_png8, write_png16};
@@ -35,12 +38,17 @@ pub const MAX_PIXELS: usize = 1 << 28;
 /// OpenImageIO's version; loads the library at the first call.
 #[must_use]
 pub fn version() -> String {
-    crate::ffi::oiio::version().unwrap_or_else(|e| format!("unusable: {}", e.lines().next().unwrap_or_default()))
+    crate::ffi::oiio::version()
+        .unwrap_or_else(|e| format!("unusable: {}", e.lines().next().unwrap_or_default()))
 }
 
 /// Judges a size stated by a file before anything is allocated for it.
 fn checked_size(path: &Path, width: i64, height: i64) -> Result<(usize, usize)> {
-    let fine = width > 0 && height > 0 && width.checked_mul(height).is_some_and(|n| n <= MAX_PIXELS as i64);
+    let fine = width > 0
+        && height > 0
+        && width
+            .checked_mul(height)
+            .is_some_and(|n| n <= MAX_PIXELS as i64);
     if fine {
         return Ok((width as usize, height as usize));
     }
@@ -56,8 +64,12 @@ fn checked_size(path: &Path, width: i64, height: i64) -> Result<(usize, usize)> 
 /// A zeroed buffer for pixels, or an error where memory does not suffice.
 fn pixel_buffer<T: bytemuck::Zeroable + Clone>(path: &Path, count: usize) -> Result<Vec<T>> {
     let mut data = Vec::new();
-    data.try_reserve_exact(count)
-        .map_err(|e| Error::Failed(format!("{}: no memory for its {count} values: {e}", path.display())))?;
+    data.try_reserve_exact(count).map_err(|e| {
+        Error::Failed(format!(
+            "{}: no memory for its {count} values: {e}",
+            path.display()
+        ))
+    })?;
     data.resize(count, T::zeroed());
     Ok(data)
 }

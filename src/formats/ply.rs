@@ -1,7 +1,8 @@
-//! Stanford PLY geometry, ASCII and binary of either byte order, with texture coordinates per vertex where present.
+//! Stanford PLY geometry, ASCII and binary of either byte order, with texture coordinates per
+//! vertex where present.
 //!
-//! The header's counts are checked against the size of the file before anything is read: every element takes at least one
-//! byte, so a larger count is damage.
+//! The header's counts are checked against the size of the file before anything is read: every
+//! element takes at least one byte, so a larger count is damage.
 
 use super::raw_mesh::{Part, RawMesh};
 use crate::{Error, Result};
@@ -74,7 +75,9 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     let fail = |m: String| Error::input(path, format!("{m}; export the mesh again"));
     let parser = Parser::<Element>::new();
     let mut reader = Reader::new(Cursor::new(bytes));
-    let header = parser.read_header(&mut reader).map_err(|e| fail(format!("the PLY header is malformed: {e}")))?;
+    let header = parser
+        .read_header(&mut reader)
+        .map_err(|e| fail(format!("the PLY header is malformed: {e}")))?;
     let (mut part, mut found_vertices, mut found_faces) = (Part::default(), false, false);
     for (name, element) in &header.elements {
         if element.count > bytes.len() {
@@ -94,21 +97,40 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
                     return Err(fail("the PLY vertices have no x, y, z".into()));
                 }
                 found_vertices = true;
-                part.positions = elements.iter().map(|e| DVec3::from_array(e.position)).collect();
+                part.positions = elements
+                    .iter()
+                    .map(|e| DVec3::from_array(e.position))
+                    .collect();
                 part.normals = (has(&["nx"]) && has(&["ny"]) && has(&["nz"])).then(|| {
-                    elements.iter().map(|e| DVec3::from_array(e.normal).normalize_or_zero().as_vec3()).collect::<Vec<Vec3>>()
+                    elements
+                        .iter()
+                        .map(|e| DVec3::from_array(e.normal).normalize_or_zero().as_vec3())
+                        .collect::<Vec<Vec3>>()
                 });
                 // like OBJ, PLY counts v from the bottom of the image
-                part.uvs = (has(&["s", "u", "texture_u"]) && has(&["t", "v", "texture_v"]))
-                    .then(|| elements.iter().map(|e| Vec2::new(e.uv[0] as f32, (1.0 - e.uv[1]) as f32)).collect());
+                part.uvs =
+                    (has(&["s", "u", "texture_u"]) && has(&["t", "v", "texture_v"])).then(|| {
+                        elements
+                            .iter()
+                            .map(|e| Vec2::new(e.uv[0] as f32, (1.0 - e.uv[1]) as f32))
+                            .collect()
+                    });
             }
             "face" => {
                 found_faces = true;
                 for (i, e) in elements.iter().enumerate() {
                     if e.bad_index {
-                        return Err(fail(format!("face {i} has vertex indices that are no whole numbers from 0 up")));
+                        return Err(fail(format!(
+                            "face {i} has vertex indices that are no whole numbers from 0 up"
+                        )));
                     }
-                    part.triangles.extend(e.indices.get(1..).unwrap_or_default().windows(2).map(|w| [e.indices[0], w[0], w[1]]));
+                    part.triangles.extend(
+                        e.indices
+                            .get(1..)
+                            .unwrap_or_default()
+                            .windows(2)
+                            .map(|w| [e.indices[0], w[0], w[1]]),
+                    );
                 }
             }
             _ => {}
@@ -139,7 +161,11 @@ mod tests {
 
     fn binary(vertices: u64, faces: u64, list: u8) -> Vec<u8> {
         let mut b = format!("ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\nproperty float x\nproperty float y\nproperty float z\nelement face {faces}\nproperty list uchar uint vertex_index\nend_header\n").into_bytes();
-        b.extend([0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|f| f.to_le_bytes()));
+        b.extend(
+            [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+                .iter()
+                .flat_map(|f| f.to_le_bytes()),
+        );
         b.push(list);
         b.extend([0u32, 1, 2].iter().flat_map(|i| i.to_le_bytes()));
         b
@@ -148,7 +174,10 @@ mod tests {
     #[test]
     fn binary_triangles() {
         let mesh = mesh_from_ply(&binary(3, 1, 3), Path::new("m.ply")).expect("readable");
-        assert_eq!((mesh.positions.len(), mesh.triangles.as_slice()), (3, &[[0u32, 1, 2]][..]));
+        assert_eq!(
+            (mesh.positions.len(), mesh.triangles.as_slice()),
+            (3, &[[0u32, 1, 2]][..])
+        );
         assert!(mesh.uvs.is_empty());
     }
 
@@ -156,11 +185,17 @@ mod tests {
     fn hostile_counts_and_every_truncation_are_errors() {
         for (v, f, l) in [(1 << 40, 1, 3), (3, 1 << 40, 3), (3, 1, 255), (6, 1, 3)] {
             let e = mesh_from_ply(&binary(v, f, l), Path::new("m.ply"));
-            assert!(e.is_err_and(|e| e.to_string().starts_with("m.ply:") && e.exit_code() == 2), "{v} {f} {l}");
+            assert!(
+                e.is_err_and(|e| e.to_string().starts_with("m.ply:") && e.exit_code() == 2),
+                "{v} {f} {l}"
+            );
         }
         let whole = binary(3, 1, 3);
         for n in 0..whole.len() {
-            assert!(mesh_from_ply(&whole[..n], Path::new("m.ply")).is_err(), "{n}");
+            assert!(
+                mesh_from_ply(&whole[..n], Path::new("m.ply")).is_err(),
+                "{n}"
+            );
         }
         let empty = "ply\nformat binary_little_endian 1.0\nelement nothing 9000000000000000000\nend_header\n";
         assert!(mesh_from_ply(empty.as_bytes(), Path::new("m.ply")).is_err());

@@ -17,7 +17,12 @@ use std::path::Path;
 fn open(path: &Path, transform: Transformations) -> Result<Reader<BufReader<File>>> {
     let file = File::open(path).map_err(|e| Error::input(path, format!("cannot be read: {e}")))?;
     // The library's own allocations: the lines it works on, text and colour profiles.
-    let mut decoder = Decoder::new_with_limits(BufReader::new(file), Limits { bytes: MAX_PIXELS * 8 });
+    let mut decoder = Decoder::new_with_limits(
+        BufReader::new(file),
+        Limits {
+            bytes: MAX_PIXELS * 8,
+        },
+    );
     decoder.set_transformations(transform);
     let header = decoder.read_header_info().map_err(|e| damaged(path, &e))?;
     checked_size(path, header.width.into(), header.height.into())?;
@@ -25,14 +30,21 @@ fn open(path: &Path, transform: Transformations) -> Result<Reader<BufReader<File
 }
 
 fn damaged(path: &Path, e: &png::DecodingError) -> Error {
-    Error::input(path, format!("damaged or cut short: {e}; copy or export it again"))
+    Error::input(
+        path,
+        format!("damaged or cut short: {e}; copy or export it again"),
+    )
 }
 
 /// The bytes of the whole image, rows without padding between them.
 fn pixels(path: &Path, reader: &mut Reader<BufReader<File>>) -> Result<Vec<u8>> {
-    let size = reader.output_buffer_size().ok_or_else(|| Error::input(path, "too large to be read"))?;
+    let size = reader
+        .output_buffer_size()
+        .ok_or_else(|| Error::input(path, "too large to be read"))?;
     let mut bytes = pixel_buffer(path, size)?;
-    reader.next_frame(&mut bytes).map_err(|e| damaged(path, &e))?;
+    reader
+        .next_frame(&mut bytes)
+        .map_err(|e| damaged(path, &e))?;
     Ok(bytes)
 }
 
@@ -40,7 +52,11 @@ fn pixels(path: &Path, reader: &mut Reader<BufReader<File>>) -> Result<Vec<u8>> 
 pub(super) fn info(path: &Path) -> Result<ImageInfo> {
     let reader = open(path, Transformations::IDENTITY)?;
     let info = reader.info();
-    let sample = if info.bit_depth == BitDepth::Sixteen { Sample::U16 } else { Sample::U8 };
+    let sample = if info.bit_depth == BitDepth::Sixteen {
+        Sample::U16
+    } else {
+        Sample::U8
+    };
     Ok(ImageInfo {
         width: info.width as usize,
         height: info.height as usize,
@@ -53,7 +69,10 @@ pub(super) fn info(path: &Path) -> Result<ImageInfo> {
 fn expect_png(path: &Path, what: &str) -> Result<()> {
     match image_io::sniff(path)? {
         ImageFormat::Png => Ok(()),
-        other => Err(Error::input(path, format!("{what} expected as PNG, found {other:?}"))),
+        other => Err(Error::input(
+            path,
+            format!("{what} expected as PNG, found {other:?}"),
+        )),
     }
 }
 
@@ -74,7 +93,10 @@ pub fn read_labels(path: impl AsRef<Path>) -> Result<Plane<u16>> {
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
     let bytes = pixels(path, &mut reader)?;
     let data = match depth {
-        BitDepth::Sixteen => bytes.chunks_exact(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect(),
+        BitDepth::Sixteen => bytes
+            .chunks_exact(2)
+            .map(|b| u16::from_be_bytes([b[0], b[1]]))
+            .collect(),
         BitDepth::Eight => bytes.iter().map(|&b| b.into()).collect(),
         // Several ids per byte, the leftmost in the highest bits, rows padded to bytes.
         packed => {
@@ -88,27 +110,63 @@ pub fn read_labels(path: impl AsRef<Path>) -> Result<Plane<u16>> {
             (0..width * height).map(id).collect()
         }
     };
-    Plane::from_data(width, height, data).ok_or_else(|| Error::input(path, "fewer pixels than its header states"))
+    Plane::from_data(width, height, data)
+        .ok_or_else(|| Error::input(path, "fewer pixels than its header states"))
 }
 
 /// Writes ids as a 16-bit greyscale PNG.
 pub fn write_png16(path: impl AsRef<Path>, plane: &Plane<u16>) -> Result<()> {
     let bytes: Vec<u8> = plane.data.iter().flat_map(|v| v.to_be_bytes()).collect();
-    write_png(path.as_ref(), plane.width, plane.height, ColorType::Grayscale, BitDepth::Sixteen, &bytes)
+    write_png(
+        path.as_ref(),
+        plane.width,
+        plane.height,
+        ColorType::Grayscale,
+        BitDepth::Sixteen,
+        &bytes,
+    )
 }
 
 /// Writes 8-bit greyscale.
 pub fn write_png8(path: impl AsRef<Path>, plane: &Plane<u8>) -> Result<()> {
-    write_png(path.as_ref(), plane.width, plane.height, ColorType::Grayscale, BitDepth::Eight, &plane.data)
+    write_png(
+        path.as_ref(),
+        plane.width,
+        plane.height,
+        ColorType::Grayscale,
+        BitDepth::Eight,
+        &plane.data,
+    )
 }
 
 /// Writes 8-bit RGB, three bytes per pixel.
-pub fn write_png_rgb8(path: impl AsRef<Path>, width: usize, height: usize, rgb: &[u8]) -> Result<()> {
-    write_png(path.as_ref(), width, height, ColorType::Rgb, BitDepth::Eight, rgb)
+pub fn write_png_rgb8(
+    path: impl AsRef<Path>,
+    width: usize,
+    height: usize,
+    rgb: &[u8],
+) -> Result<()> {
+    write_png(
+        path.as_ref(),
+        width,
+        height,
+        ColorType::Rgb,
+        BitDepth::Eight,
+        rgb,
+    )
 }
 
-fn write_png(path: &Path, width: usize, height: usize, color: ColorType, depth: BitDepth, bytes: &[u8]) -> Result<()> {
-    let failed = |e: &dyn std::fmt::Display| Error::Failed(format!("{}: could not be written: {e}", path.display()));
+fn write_png(
+    path: &Path,
+    width: usize,
+    height: usize,
+    color: ColorType,
+    depth: BitDepth,
+    bytes: &[u8],
+) -> Result<()> {
+    let failed = |e: &dyn std::fmt::Display| {
+        Error::Failed(format!("{}: could not be written: {e}", path.display()))
+    };
     let (Ok(w), Ok(h)) = (u32::try_from(width), u32::try_from(height)) else {
         return Err(failed(&format!("{width} × {height} pixels are too many")));
     };
@@ -122,19 +180,30 @@ fn write_png(path: &Path, width: usize, height: usize, color: ColorType, depth: 
     atomic_write(path, &file)
 }
 
-/// Reads a display-referred PNG or JPEG and undoes the sRGB curve; transparency and colour profiles are ignored.
+/// Reads a display-referred PNG or JPEG and undoes the sRGB curve; transparency and colour profiles
+/// are ignored.
 pub fn read_ldr(path: impl AsRef<Path>) -> Result<RgbPlane> {
     let path = path.as_ref();
     match image_io::sniff(path)? {
         ImageFormat::Png => read_ldr_png(path),
         ImageFormat::Jpeg => {
             let image = image_io::open(path, ImageFormat::Jpeg)?;
-            let channels = if image.size().2 < 3 { [0; 3] } else { [0, 1, 2] };
+            let channels = if image.size().2 < 3 {
+                [0; 3]
+            } else {
+                [0, 1, 2]
+            };
             let mut plane = image_io::read_rgb_channels(path, image, channels)?;
-            plane.data.par_iter_mut().for_each(|p| *p = p.map(linear_from_srgb));
+            plane
+                .data
+                .par_iter_mut()
+                .for_each(|p| *p = p.map(linear_from_srgb));
             Ok(plane)
         }
-        _ => Err(Error::input(path, "scene-linear where a display-referred PNG or JPEG is expected; leave out --ldr")),
+        _ => Err(Error::input(
+            path,
+            "scene-linear where a display-referred PNG or JPEG is expected; leave out --ldr",
+        )),
     }
 }
 
@@ -146,14 +215,24 @@ fn read_ldr_png(path: &Path) -> Result<RgbPlane> {
     let samples = color.samples();
     let wide = depth == BitDepth::Sixteen;
     let steps = if wide { 65535 } else { 255 };
-    let curve: Vec<f32> = (0..=steps).map(|v| linear_from_srgb(v as f32 / steps as f32)).collect();
+    let curve: Vec<f32> = (0..=steps)
+        .map(|v| linear_from_srgb(v as f32 / steps as f32))
+        .collect();
     let pixel = |p: &[u8]| {
         let value = |c: usize| {
             let c = if samples < 3 { 0 } else { c };
-            curve[if wide { usize::from(u16::from_be_bytes([p[2 * c], p[2 * c + 1]])) } else { usize::from(p[c]) }]
+            curve[if wide {
+                usize::from(u16::from_be_bytes([p[2 * c], p[2 * c + 1]]))
+            } else {
+                usize::from(p[c])
+            }]
         };
         Vec3::new(value(0), value(1), value(2))
     };
-    let data = bytes.par_chunks_exact(samples * if wide { 2 } else { 1 }).map(pixel).collect();
-    Plane::from_data(width, height, data).ok_or_else(|| Error::input(path, "fewer pixels than its header states"))
+    let data = bytes
+        .par_chunks_exact(samples * if wide { 2 } else { 1 })
+        .map(pixel)
+        .collect();
+    Plane::from_data(width, height, data)
+        .ok_or_else(|| Error::input(path, "fewer pixels than its header states"))
 }

@@ -5,14 +5,18 @@ use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use std::path::Path;
 
-/// Triangles as read from a file. Indices may be out of range and positions non-finite: `scene` decides what is usable.
+/// Triangles as read from a file. Indices may be out of range and positions non-finite: `scene`
+/// decides what is usable.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RawMesh {
-    /// Vertex positions in file coordinates; f64 because scenes far from their origin would lose millimetres in f32.
+    /// Vertex positions in file coordinates; f64 because scenes far from their origin would lose
+    /// millimetres in f32.
     pub positions: Vec<DVec3>,
-    /// Vertex normals; empty where the file has none for at least one part, else as long as `positions`.
+    /// Vertex normals; empty where the file has none for at least one part, else as long as
+    /// `positions`.
     pub normals: Vec<Vec3>,
-    /// Texture coordinates with v = 0 at texture row 0; empty where at least one part has none, else as long as `positions`.
+    /// Texture coordinates with v = 0 at texture row 0; empty where at least one part has none,
+    /// else as long as `positions`.
     pub uvs: Vec<Vec2>,
     /// Vertex indices per triangle.
     pub triangles: Vec<[u32; 3]>,
@@ -28,11 +32,18 @@ pub(super) struct Part {
 }
 
 impl RawMesh {
-    /// Joins parts; an attribute one part lacks is dropped from the whole, because half an atlas is no atlas.
+    /// Joins parts; an attribute one part lacks is dropped from the whole, because half an atlas is
+    /// no atlas.
     pub(super) fn from_parts(parts: Vec<Part>, path: &Path) -> Result<Self> {
         let total: usize = parts.iter().map(|p| p.positions.len()).sum();
         if u32::try_from(total).is_err() {
-            return Err(Error::input(path, format!("{total} vertices; at most {} are supported. Simplify the mesh", u32::MAX)));
+            return Err(Error::input(
+                path,
+                format!(
+                    "{total} vertices; at most {} are supported. Simplify the mesh",
+                    u32::MAX
+                ),
+            ));
         }
         let with_normals = parts.iter().all(|p| p.normals.is_some());
         let with_uvs = parts.iter().all(|p| p.uvs.is_some());
@@ -44,10 +55,13 @@ impl RawMesh {
                 if let Some(bad) = t.iter().find(|&&i| i as usize >= count) {
                     return Err(Error::input(
                         path,
-                        format!("a triangle uses vertex {bad}, but its part has {count} vertices; export the mesh again"),
+                        format!(
+                            "a triangle uses vertex {bad}, but its part has {count} vertices; export the mesh again"
+                        ),
                     ));
                 }
-                mesh.triangles.push(t.map(|i| (first + u64::from(i)) as u32));
+                mesh.triangles
+                    .push(t.map(|i| (first + u64::from(i)) as u32));
             }
             mesh.positions.extend(part.positions);
             if with_normals {
@@ -63,7 +77,11 @@ impl RawMesh {
 
 /// Reads a mesh; the extension decides the format (`.glb`, `.gltf`, `.obj`, `.ply`).
 pub fn read_mesh(path: &Path) -> Result<RawMesh> {
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let extension = path
+        .extension()
+        .and_then(|e| e.to_str())
+        .unwrap_or_default()
+        .to_ascii_lowercase();
     let parse: fn(&[u8], &Path) -> Result<RawMesh> = match extension.as_str() {
         "glb" | "gltf" => gltf::mesh_from_gltf,
         "obj" => obj::mesh_from_obj,
@@ -71,10 +89,13 @@ pub fn read_mesh(path: &Path) -> Result<RawMesh> {
         _ => {
             return Err(Error::input(
                 path,
-                format!("\".{extension}\" is no mesh format known here; convert to .glb, .gltf, .obj or .ply"),
+                format!(
+                    "\".{extension}\" is no mesh format known here; convert to .glb, .gltf, .obj or .ply"
+                ),
             ));
         }
     };
-    let bytes = std::fs::read(path).map_err(|e| Error::input(path, format!("the mesh cannot be read: {e}")))?;
+    let bytes = std::fs::read(path)
+        .map_err(|e| Error::input(path, format!("the mesh cannot be read: {e}")))?;
     parse(&bytes, path)
 }

@@ -11,14 +11,26 @@ fn folder() -> tempfile::TempDir {
 
 /// Colours that exercise sign, range and precision.
 fn picture(width: usize, height: usize) -> RgbPlane {
-    let value = |i: usize| Vec3::new(i as f32 * 0.37 + 1e-3, (i as f32 * 1.7).sin(), 60000.0 / (1.0 + i as f32));
-    Plane { width, height, data: (0..width * height).map(value).collect() }
+    let value = |i: usize| {
+        Vec3::new(
+            i as f32 * 0.37 + 1e-3,
+            (i as f32 * 1.7).sin(),
+            60000.0 / (1.0 + i as f32),
+        )
+    };
+    Plane {
+        width,
+        height,
+        data: (0..width * height).map(value).collect(),
+    }
 }
 
 /// Names of everything in a folder.
 fn names(dir: &Path) -> Vec<String> {
-    let mut all: Vec<String> =
-        std::fs::read_dir(dir).expect("folder").map(|e| e.expect("entry").file_name().to_string_lossy().into_owned()).collect();
+    let mut all: Vec<String> = std::fs::read_dir(dir)
+        .expect("folder")
+        .map(|e| e.expect("entry").file_name().to_string_lossy().into_owned())
+        .collect();
     all.sort();
     all
 }
@@ -39,9 +51,16 @@ fn half_and_float_round_trips_keep_every_bit_they_can() {
     assert_eq!(read_rgb(&float).expect("read"), image);
     let rounded = image.map(|v| v.map(|x| half::f16::from_f32(x).to_f32()));
     assert_eq!(read_rgb(&half).expect("read"), rounded);
-    assert_eq!(names(dir.path()), ["float.exr", "half.exr"], "nothing else is left behind");
+    assert_eq!(
+        names(dir.path()),
+        ["float.exr", "half.exr"],
+        "nothing else is left behind"
+    );
     let info = image_info(&half).expect("info");
-    assert_eq!((info.width, info.height, info.channels, info.format), (37, 21, 3, ImageFormat::Exr));
+    assert_eq!(
+        (info.width, info.height, info.channels, info.format),
+        (37, 21, 3, ImageFormat::Exr)
+    );
     assert_eq!(info.sample, crate::ffi::oiio::Sample::Half);
 }
 
@@ -49,10 +68,18 @@ fn half_and_float_round_trips_keep_every_bit_they_can() {
 fn one_and_two_channels_round_trip() {
     let dir = folder();
     let path = dir.path().join("a.exr");
-    let plane = Plane { width: 5, height: 4, data: (0..20).map(|i| i as f32 * 0.125).collect() };
+    let plane = Plane {
+        width: 5,
+        height: 4,
+        data: (0..20).map(|i| i as f32 * 0.125).collect(),
+    };
     write_plane_half(&path, &plane).expect("written");
     assert_eq!(read_plane(&path).expect("read"), plane);
-    assert_eq!(read_rgb(&path).expect("read"), plane.map(|&v| Vec3::splat(v)), "grey serves as all three");
+    assert_eq!(
+        read_rgb(&path).expect("read"),
+        plane.map(|&v| Vec3::splat(v)),
+        "grey serves as all three"
+    );
     write_plane_float(&path, &plane).expect("replaced");
     assert_eq!(read_plane(&path).expect("read"), plane);
     let two = plane.map(|&v| Vec2::new(v, 1e4));
@@ -82,9 +109,16 @@ fn writing_twice_gives_the_same_bytes() {
 fn half_precision_clamps_and_counts() {
     let dir = folder();
     let path = dir.path().join("bright.exr");
-    let plane = Plane { width: 4, height: 1, data: vec![65504.0, 65505.0, -1e9, 1.0] };
+    let plane = Plane {
+        width: 4,
+        height: 1,
+        data: vec![65504.0, 65505.0, -1e9, 1.0],
+    };
     assert_eq!(write_plane_half(&path, &plane).expect("written"), 2);
-    assert_eq!(read_plane(&path).expect("read").data, [65504.0, 65504.0, -65504.0, 1.0]);
+    assert_eq!(
+        read_plane(&path).expect("read").data,
+        [65504.0, 65504.0, -65504.0, 1.0]
+    );
 }
 
 #[test]
@@ -96,13 +130,22 @@ fn values_that_are_not_finite_are_never_written() {
     let before = std::fs::read(&path).expect("bytes");
     image.data[19].y = f32::NAN;
     image.data[30].x = f32::INFINITY;
-    for result in [write_rgb_half(&path, &image).map(|_| ()), write_rgb_float(&path, &image)] {
+    for result in [
+        write_rgb_half(&path, &image).map(|_| ()),
+        write_rgb_float(&path, &image),
+    ] {
         let error = result.expect_err("refused");
         assert_eq!(error.exit_code(), 1);
         let message = error.to_string();
-        assert!(message.contains("2 of 96") && message.contains("channel G at column 3, row 2"), "{message}");
+        assert!(
+            message.contains("2 of 96") && message.contains("channel G at column 3, row 2"),
+            "{message}"
+        );
     }
-    assert!(std::fs::read(&path).expect("bytes") == before, "the older file must survive");
+    assert!(
+        std::fs::read(&path).expect("bytes") == before,
+        "the older file must survive"
+    );
     assert_eq!(names(dir.path()), ["nan.exr"]);
 }
 
@@ -111,7 +154,14 @@ fn reading_returns_nan_as_stored() {
     let dir = folder();
     let path = dir.path().join("nan.exr");
     let bits = [f32::NAN, f32::INFINITY, 1.0];
-    crate::ffi::oiio::write(&path, 3, 1, &[c"Y"], crate::ffi::oiio::Samples::Float(&bits)).expect("written");
+    crate::ffi::oiio::write(
+        &path,
+        3,
+        1,
+        &[c"Y"],
+        crate::ffi::oiio::Samples::Float(&bits),
+    )
+    .expect("written");
     let read = read_plane(&path).expect("read");
     assert!(read.data[0].is_nan() && read.data[1] == f32::INFINITY && read.data[2] == 1.0);
 }
@@ -122,15 +172,37 @@ fn channels_are_picked_by_name() {
     let path = dir.path().join("layers.exr");
     let write = |names: &[&std::ffi::CStr]| {
         let values: Vec<f32> = (0..names.len()).map(|c| c as f32).collect();
-        crate::ffi::oiio::write(&path, 1, 1, names, crate::ffi::oiio::Samples::Float(&values)).expect("written");
+        crate::ffi::oiio::write(
+            &path,
+            1,
+            1,
+            names,
+            crate::ffi::oiio::Samples::Float(&values),
+        )
+        .expect("written");
         read_rgb(&path).map(|p| p.data[0])
     };
-    assert_eq!(write(&[c"R", c"G", c"B", c"A"]).expect("rgba"), Vec3::new(0.0, 1.0, 2.0));
-    assert_eq!(write(&[c"Z", c"B", c"G", c"R"]).expect("shuffled"), Vec3::new(3.0, 2.0, 1.0));
-    assert_eq!(write(&[c"depth.Z", c"combined.R", c"combined.G", c"combined.B"]).expect("layer"), Vec3::new(1.0, 2.0, 3.0));
-    assert_eq!(write(&[c"Y", c"A"]).expect("grey and alpha"), Vec3::splat(0.0));
+    assert_eq!(
+        write(&[c"R", c"G", c"B", c"A"]).expect("rgba"),
+        Vec3::new(0.0, 1.0, 2.0)
+    );
+    assert_eq!(
+        write(&[c"Z", c"B", c"G", c"R"]).expect("shuffled"),
+        Vec3::new(3.0, 2.0, 1.0)
+    );
+    assert_eq!(
+        write(&[c"depth.Z", c"combined.R", c"combined.G", c"combined.B"]).expect("layer"),
+        Vec3::new(1.0, 2.0, 3.0)
+    );
+    assert_eq!(
+        write(&[c"Y", c"A"]).expect("grey and alpha"),
+        Vec3::splat(0.0)
+    );
     let message = refused(write(&[c"a.R", c"a.G", c"a.B", c"b.R", c"b.G", c"b.B"]));
-    assert!(message.contains("a.R") && message.contains("one layer"), "{message}");
+    assert!(
+        message.contains("a.R") && message.contains("one layer"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -139,7 +211,12 @@ fn every_truncation_of_an_exr_is_refused() {
     let (whole, cut) = (dir.path().join("whole.exr"), dir.path().join("cut.exr"));
     write_rgb_half(&whole, &picture(200, 150)).expect("written");
     let bytes = std::fs::read(&whole).expect("bytes");
-    let ends = (0..400).step_by(13).chain([bytes.len() / 3, bytes.len() / 2, bytes.len() * 9 / 10, bytes.len() - 1]);
+    let ends = (0..400).step_by(13).chain([
+        bytes.len() / 3,
+        bytes.len() / 2,
+        bytes.len() * 9 / 10,
+        bytes.len() - 1,
+    ]);
     for n in ends {
         std::fs::write(&cut, &bytes[..n]).expect("cut");
         let message = refused(read_rgb(&cut));
@@ -153,18 +230,34 @@ fn huge_sizes_in_headers_are_refused_before_anything_is_allocated() {
     let path = dir.path().join("huge.exr");
     write_rgb_half(&path, &picture(16, 16)).expect("written");
     let good = std::fs::read(&path).expect("bytes");
-    let at = good.windows(21).position(|w| w == b"dataWindow\0box2i\0\x10\0\0\0").expect("attribute") + 21;
+    let at = good
+        .windows(21)
+        .position(|w| w == b"dataWindow\0box2i\0\x10\0\0\0")
+        .expect("attribute")
+        + 21;
     for corner in [i32::MAX, 1 << 20, -1, i32::MIN] {
         let mut bytes = good.clone();
         bytes[at + 8..at + 12].copy_from_slice(&corner.to_le_bytes());
         bytes[at + 12..at + 16].copy_from_slice(&corner.to_le_bytes());
         std::fs::write(&path, bytes).expect("hostile");
         let message = refused(read_rgb(&path));
-        assert!(message.contains("its header states") && message.contains("at most"), "{message}");
+        assert!(
+            message.contains("its header states") && message.contains("at most"),
+            "{message}"
+        );
     }
     let hdr = dir.path().join("huge.hdr");
-    for size in ["-Y 2000000000 +X 2000000000", "-Y 0 +X 10", "-Y 100000 +X 100000", "nonsense"] {
-        std::fs::write(&hdr, format!("#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n{size}\nabcd")).expect("hostile");
+    for size in [
+        "-Y 2000000000 +X 2000000000",
+        "-Y 0 +X 10",
+        "-Y 100000 +X 100000",
+        "nonsense",
+    ] {
+        std::fs::write(
+            &hdr,
+            format!("#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n{size}\nabcd"),
+        )
+        .expect("hostile");
         refused(read_rgb(&hdr));
     }
     let png = dir.path().join("huge.png");
@@ -180,9 +273,15 @@ fn huge_sizes_in_headers_are_refused_before_anything_is_allocated() {
 
 /// The checksum of PNG chunks (ISO 3309), bit by bit.
 fn crc32(bytes: &[u8]) -> u32 {
-    !bytes
-        .iter()
-        .fold(u32::MAX, |crc, &b| (0..8).fold(crc ^ u32::from(b), |c, _| if c & 1 == 1 { c >> 1 ^ 0xedb8_8320 } else { c >> 1 }))
+    !bytes.iter().fold(u32::MAX, |crc, &b| {
+        (0..8).fold(crc ^ u32::from(b), |c, _| {
+            if c & 1 == 1 {
+                c >> 1 ^ 0xedb8_8320
+            } else {
+                c >> 1
+            }
+        })
+    })
 }
 
 #[test]
@@ -209,7 +308,10 @@ fn files_that_are_not_images_say_what_they_are() {
     assert!(refused(read_rgb(&path)).contains("no such file"));
     let cases: [(&[u8], &str); 4] = [
         (b"", "empty"),
-        (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+        (
+            b"version https://git-lfs.github.com/spec/v1\n",
+            "git lfs pull",
+        ),
         (b"II*\0junk", "TIFF"),
         (b"\x89PNG\r\n\x1a\n", "--ldr"),
     ];
@@ -238,7 +340,10 @@ fn radiance_files_are_read_and_cut_ones_refused() {
     for (i, p) in image.data.iter().enumerate() {
         // Some decoders place the value in the middle of its step.
         let expected = Vec3::new(64.0 + i as f32, 32.0, 200.0) * unit;
-        assert!((*p - expected).abs().max_element() <= 0.51 * unit, "{p} is not {expected}");
+        assert!(
+            (*p - expected).abs().max_element() <= 0.51 * unit,
+            "{p} is not {expected}"
+        );
     }
     std::fs::write(&path, &bytes[..header + 9]).expect("cut");
     refused(read_rgb(&path));
@@ -248,12 +353,20 @@ fn radiance_files_are_read_and_cut_ones_refused() {
 fn labels_of_every_depth_come_back_as_ids() {
     let dir = folder();
     let path = dir.path().join("labels.png");
-    let ids = Plane { width: 7, height: 5, data: (0..35).map(|i| i * 1873).collect::<Vec<u16>>() };
+    let ids = Plane {
+        width: 7,
+        height: 5,
+        data: (0..35).map(|i| i * 1873).collect::<Vec<u16>>(),
+    };
     write_png16(&path, &ids).expect("written");
     assert_eq!(read_labels(&path).expect("read"), ids);
     write_png8(&path, &ids.map(|&v| v as u8)).expect("written");
     assert_eq!(read_labels(&path).expect("read"), ids.map(|&v| v & 255));
-    for (bits, depth) in [(1, png::BitDepth::One), (2, png::BitDepth::Two), (4, png::BitDepth::Four)] {
+    for (bits, depth) in [
+        (1, png::BitDepth::One),
+        (2, png::BitDepth::Two),
+        (4, png::BitDepth::Four),
+    ] {
         let line = (7 * bits as usize).div_ceil(8);
         let mut packed = vec![0u8; line * 5];
         let value = |i: usize| (i * 5 + i / 7) as u8 & ((1u16 << bits) - 1) as u8;
@@ -266,10 +379,18 @@ fn labels_of_every_depth_come_back_as_ids() {
         encoder.set_color(png::ColorType::Indexed);
         encoder.set_depth(depth);
         encoder.set_palette(vec![9; 3 << bits]);
-        encoder.write_header().expect("header").write_image_data(&packed).expect("data");
+        encoder
+            .write_header()
+            .expect("header")
+            .write_image_data(&packed)
+            .expect("data");
         std::fs::write(&path, file).expect("file");
         let read = read_labels(&path).expect("palette");
-        assert_eq!(read.data, (0..35).map(|i| value(i).into()).collect::<Vec<u16>>(), "{bits} bits");
+        assert_eq!(
+            read.data,
+            (0..35).map(|i| value(i).into()).collect::<Vec<u16>>(),
+            "{bits} bits"
+        );
     }
     write_png_rgb8(&path, 1, 1, &[1, 2, 3]).expect("written");
     assert!(refused(read_labels(&path)).contains("greyscale"));
@@ -279,7 +400,15 @@ fn labels_of_every_depth_come_back_as_ids() {
 fn cut_pngs_are_refused() {
     let dir = folder();
     let path = dir.path().join("labels.png");
-    write_png16(&path, &Plane { width: 50, height: 50, data: (0..2500).map(|i| i * 7).collect() }).expect("written");
+    write_png16(
+        &path,
+        &Plane {
+            width: 50,
+            height: 50,
+            data: (0..2500).map(|i| i * 7).collect(),
+        },
+    )
+    .expect("written");
     let bytes = std::fs::read(&path).expect("bytes");
     for n in [0, 7, 20, 40, bytes.len() / 2, bytes.len() - 20] {
         std::fs::write(&path, &bytes[..n]).expect("cut");
@@ -295,14 +424,26 @@ fn display_referred_pictures_are_linearised() {
     let image = read_ldr(&path).expect("read");
     let expected = crate::math::linear_from_srgb(128.0 / 255.0);
     assert_eq!(image.data[0], Vec3::new(0.0, expected, 1.0));
-    write_png16(&path, &Plane { width: 1, height: 1, data: vec![32768] }).expect("written");
-    assert_eq!(read_ldr(&path).expect("read").data[0], Vec3::splat(crate::math::linear_from_srgb(32768.0 / 65535.0)));
+    write_png16(
+        &path,
+        &Plane {
+            width: 1,
+            height: 1,
+            data: vec![32768],
+        },
+    )
+    .expect("written");
+    assert_eq!(
+        read_ldr(&path).expect("read").data[0],
+        Vec3::splat(crate::math::linear_from_srgb(32768.0 / 65535.0))
+    );
     let exr = dir.path().join("a.exr");
     write_rgb_half(&exr, &picture(2, 2)).expect("written");
     assert!(refused(read_ldr(&exr)).contains("--ldr"));
 }
 
-/// A 3 × 2 greyscale JPEG of value 128 throughout (made with Pillow: `Image.new('L', (3, 2), 128)`, quality 95).
+/// A 3 × 2 greyscale JPEG of value 128 throughout (made with Pillow: `Image.new('L', (3, 2), 128)`,
+/// quality 95).
 const GREY_JPEG: &str = "ffd8ffe000104a46494600010100000100010000ffdb00430002010101010102010101020202020204030202020205040403040605060606\
      05060606070908060709070606080b08090a0a0a0a0a06080b0c0b0a0c090a0a0affc0000b080002000301011100ffc4001f000001050101\
      0101010100000000000000000102030405060708090a0bffc400b5100002010303020403050504040000017d010203000411051221314106\
@@ -318,10 +459,20 @@ fn jpeg_photographs_are_linearised() {
     let bytes: Vec<u8> = (0..GREY_JPEG.len()).step_by(2).map(byte).collect();
     std::fs::write(&path, &bytes).expect("file");
     let info = image_info(&path).expect("info");
-    assert_eq!((info.width, info.height, info.channels, info.format), (3, 2, 1, ImageFormat::Jpeg));
+    assert_eq!(
+        (info.width, info.height, info.channels, info.format),
+        (3, 2, 1, ImageFormat::Jpeg)
+    );
     let image = read_ldr(&path).expect("read");
     let expected = Vec3::splat(crate::math::linear_from_srgb(128.0 / 255.0));
-    assert!(image.data.len() == 6 && image.data.iter().all(|p| (*p - expected).abs().max_element() < 1e-6), "{image:?}");
+    assert!(
+        image.data.len() == 6
+            && image
+                .data
+                .iter()
+                .all(|p| (*p - expected).abs().max_element() < 1e-6),
+        "{image:?}"
+    );
     assert!(refused(read_rgb(&path)).contains("--ldr"));
     for n in [4, 30, 300] {
         std::fs::write(&path, &bytes[..n]).expect("cut");
@@ -341,13 +492,20 @@ fn a_file_appears_whole_or_not_at_all() {
     drop(aside);
     assert_eq!(std::fs::read(&path).expect("read"), b"two");
     assert_eq!(names(dir.path()), ["report.json"]);
-    let error = atomic_write(dir.path().join("absent/report.json"), b"x").expect_err("no such folder");
+    let error =
+        atomic_write(dir.path().join("absent/report.json"), b"x").expect_err("no such folder");
     assert_eq!(error.exit_code(), 1);
-    assert!(atomic_write(dir.path(), b"x").is_err(), "a folder is in the way");
+    assert!(
+        atomic_write(dir.path(), b"x").is_err(),
+        "a folder is in the way"
+    );
 }
 
 #[test]
 fn the_library_says_its_version() {
     let version = version();
-    assert!(version.starts_with("2.") || version.starts_with("3."), "{version}");
+    assert!(
+        version.starts_with("2.") || version.starts_with("3."),
+        "{version}"
+    );
 }

@@ -14,24 +14,45 @@ pub struct Aside {
 }
 
 impl Aside {
-    /// Makes an empty file beside `target`, in the same folder, so that the later rename cannot cross file systems.
+    /// Makes an empty file beside `target`, in the same folder, so that the later rename cannot
+    /// cross file systems.
     pub fn new(target: impl AsRef<Path>) -> Result<Self> {
         static COUNT: AtomicU64 = AtomicU64::new(0);
         let target = target.as_ref().to_path_buf();
         let Some(name) = target.file_name() else {
-            return Err(Error::Failed(format!("{}: not the name of a file", target.display())));
+            return Err(Error::Failed(format!(
+                "{}: not the name of a file",
+                target.display()
+            )));
         };
         if target.is_dir() {
-            return Err(Error::Failed(format!("{}: a folder is in the way of this file; remove or rename it", target.display())));
+            return Err(Error::Failed(format!(
+                "{}: a folder is in the way of this file; remove or rename it",
+                target.display()
+            )));
         }
         loop {
             let mut hidden = std::ffi::OsString::from(".");
             // The number keeps threads apart, the process id other runs.
             hidden.push(name);
-            hidden.push(format!(".{}-{}.part", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed)));
+            hidden.push(format!(
+                ".{}-{}.part",
+                std::process::id(),
+                COUNT.fetch_add(1, Ordering::Relaxed)
+            ));
             let temporary = target.with_file_name(hidden);
-            match OpenOptions::new().write(true).create_new(true).open(&temporary) {
-                Ok(_) => return Ok(Self { temporary, target, finished: false }),
+            match OpenOptions::new()
+                .write(true)
+                .create_new(true)
+                .open(&temporary)
+            {
+                Ok(_) => {
+                    return Ok(Self {
+                        temporary,
+                        target,
+                        finished: false,
+                    });
+                }
                 // Left over from a killed run that had the same process id.
                 Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {}
                 Err(e) => return Err(Error::io(&target, e)),

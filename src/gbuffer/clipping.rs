@@ -1,7 +1,8 @@
 //! Pixels at the sensor's ceiling: what they show is a lower bound.
 //!
-//! Clipping leaves a plateau at a channel's maximum. A lamp of constant radiance does too, but there all channels reach their maximum
-//! together, while around clipped light there are pixels with only some channels at the ceiling.
+//! Clipping leaves a plateau at a channel's maximum. A lamp of constant radiance does too, but
+//! there all channels reach their maximum together, while around clipped light there are pixels
+//! with only some channels at the ceiling.
 
 use crate::image::{Plane, RgbPlane};
 
@@ -33,7 +34,8 @@ pub fn clipped_pixels(image: &RgbPlane) -> Option<Plane<bool>> {
         any += usize::from(k > 0);
         some += usize::from(k == 1 || k == 2);
     }
-    let plausible = any > 0 && any as f32 <= SHARES.1 * n as f32 && some as f32 >= PARTIAL * any as f32;
+    let plausible =
+        any > 0 && any as f32 <= SHARES.1 * n as f32 && some as f32 >= PARTIAL * any as f32;
     plausible.then(|| image.map(|p| at(p) > 0))
 }
 
@@ -50,7 +52,11 @@ mod tests {
                 colour * (400.0 / (x * x + y * y + 1.0))
             })
             .collect();
-        Plane { width: 128, height: 64, data }
+        Plane {
+            width: 128,
+            height: 64,
+            data,
+        }
     }
 
     #[test]
@@ -71,7 +77,10 @@ mod tests {
         assert!(clipped_pixels(&glow(Vec3::new(1.0, 0.8, 0.5))).is_none());
         let mut lamp = glow(Vec3::new(0.1, 0.08, 0.05));
         lamp.data[..60].fill(Vec3::new(90.0, 80.0, 60.0));
-        assert!(clipped_pixels(&lamp).is_none(), "a lamp of constant radiance");
+        assert!(
+            clipped_pixels(&lamp).is_none(),
+            "a lamp of constant radiance"
+        );
         assert!(clipped_pixels(&Plane::filled(64, 32, Vec3::splat(0.5))).is_none());
         assert!(clipped_pixels(&Plane::filled(64, 32, Vec3::ZERO)).is_none());
         assert!(clipped_pixels(&Plane::filled(0, 0, Vec3::ZERO)).is_none());

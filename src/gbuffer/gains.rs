@@ -1,8 +1,9 @@
 //! Exposure and white balance of every view from what the views share.
 //!
-//! A surface point sends nearly the same radiance to all views that see it, so ln L = ln D(point) + g(view) for each channel. The
-//! points' D are eliminated in closed form and the views' g solved by iteratively reweighted least squares with Geman-McClure weights,
-//! which highlights and misregistrations cannot bend; the gauge is a geometric mean of 1 over the views.
+//! A surface point sends nearly the same radiance to all views that see it, so ln L = ln D(point) +
+//! g(view) for each channel. The points' D are eliminated in closed form and the views' g solved by
+//! iteratively reweighted least squares with Geman-McClure weights, which highlights and
+//! misregistrations cannot bend; the gauge is a geometric mean of 1 over the views.
 
 use super::{Observation, Observer, Orientation};
 use crate::math::luminance;
@@ -18,7 +19,8 @@ const MIN_COSINE: f32 = 0.25;
 const ITERATIONS: usize = 25;
 /// Iterations over which the weights narrow.
 const ANNEALING: usize = 10;
-/// Gains are believed if they remove this share of the disagreement between views, and differ by this much at least (RMS).
+/// Gains are believed if they remove this share of the disagreement between views, and differ by
+/// this much at least (RMS).
 const REMOVED: f32 = 0.1;
 const NOTICEABLE: f32 = 0.01;
 
@@ -43,7 +45,8 @@ impl ViewGains {
         (square / (3 * self.log_gain.len()).max(1) as f32).sqrt()
     }
 
-    /// Whether the views ask for it: the gains must explain a good part of their disagreement, not merely fit noise.
+    /// Whether the views ask for it: the gains must explain a good part of their disagreement, not
+    /// merely fit noise.
     #[must_use]
     pub fn is_needed(&self) -> bool {
         self.rms() > NOTICEABLE && self.after < (1.0 - REMOVED) * self.before
@@ -64,16 +67,26 @@ type Look = (u32, Vec3, f32);
 pub fn estimate_gains(observer: &Observer, orientation: &Orientation) -> ViewGains {
     let views = observer.views.len();
     let (looks, ends) = shared_looks(observer, orientation);
-    let mut gains = ViewGains { log_gain: vec![Vec3::ZERO; views], points: ends.len(), ..ViewGains::default() };
+    let mut gains = ViewGains {
+        log_gain: vec![Vec3::ZERO; views],
+        points: ends.len(),
+        ..ViewGains::default()
+    };
     if views < 2 || ends.is_empty() {
         return gains;
     }
-    let points: Vec<&[Look]> = (0..ends.len()).map(|i| &looks[if i == 0 { 0 } else { ends[i - 1] }..ends[i]]).collect();
+    let points: Vec<&[Look]> = (0..ends.len())
+        .map(|i| &looks[if i == 0 { 0 } else { ends[i - 1] }..ends[i]])
+        .collect();
     gains.before = disagreement(&points, &gains.log_gain);
     for i in 0..ITERATIONS {
         let scale = scale(&points, &gains.log_gain, i);
         let next = solve(&points, &gains.log_gain, scale);
-        let step = next.iter().zip(&gains.log_gain).map(|(a, b)| (*a - *b).abs().max_element()).fold(0.0, f32::max);
+        let step = next
+            .iter()
+            .zip(&gains.log_gain)
+            .map(|(a, b)| (*a - *b).abs().max_element())
+            .fold(0.0, f32::max);
         gains.log_gain = next;
         if step < 1e-5 && i >= ANNEALING {
             break;
@@ -83,8 +96,9 @@ pub fn estimate_gains(observer: &Observer, orientation: &Orientation) -> ViewGai
     gains
 }
 
-/// Deviation at which a look's weight is a quarter: wide at first, so that drift of any size is caught, then narrowing to the quarter of
-/// the looks that agree best, which are those of matte surfaces. Glossy ones would tilt the gains by what they mirror.
+/// Deviation at which a look's weight is a quarter: wide at first, so that drift of any size is
+/// caught, then narrowing to the quarter of the looks that agree best, which are those of matte
+/// surfaces. Glossy ones would tilt the gains by what they mirror.
 fn scale(points: &[&[Look]], gains: &[Vec3], iteration: usize) -> f32 {
     let wide = quantile(points, gains, 0.5);
     let narrow = quantile(points, gains, 0.25);
@@ -92,7 +106,8 @@ fn scale(points: &[&[Look]], gains: &[Vec3], iteration: usize) -> f32 {
     (1.5 * wide * (1.0 - t) + narrow * t).max(1e-4)
 }
 
-/// Clean, frontal looks at points spread over the pixels of all views; `ends[i]` ends the looks of point i.
+/// Clean, frontal looks at points spread over the pixels of all views; `ends[i]` ends the looks of
+/// point i.
 fn shared_looks(observer: &Observer, orientation: &Orientation) -> (Vec<Look>, Vec<usize>) {
     let per_view = (POINTS / observer.views.len().max(1)).clamp(PER_VIEW.0, PER_VIEW.1);
     let parts = parallel::map_chunks(observer.views.len(), 1, |range| {
@@ -112,7 +127,11 @@ fn shared_looks(observer: &Observer, orientation: &Orientation) -> (Vec<Look>, V
                 observer.observe(view.buffer.position(x, y), normal, &mut seen);
                 seen.retain(|o| o.clean && o.n_v > MIN_COSINE && o.radiance.min_element() > 0.0);
                 if seen.len() >= 2 {
-                    out.push(seen.iter().map(|o| (o.view, o.radiance.map(f32::ln), o.n_v)).collect());
+                    out.push(
+                        seen.iter()
+                            .map(|o| (o.view, o.radiance.map(f32::ln), o.n_v))
+                            .collect(),
+                    );
                 }
             }
         }
@@ -126,7 +145,8 @@ fn shared_looks(observer: &Observer, orientation: &Orientation) -> (Vec<Look>, V
     (looks, ends)
 }
 
-/// A point's level given the gains: the median look by luminance, the darker of two (reflections only add).
+/// A point's level given the gains: the median look by luminance, the darker of two (reflections
+/// only add).
 fn level(point: &[Look], gains: &[Vec3], order: &mut Vec<(f32, Vec3)>) -> Vec3 {
     order.clear();
     order.extend(point.iter().map(|l| {
@@ -148,17 +168,24 @@ fn quantile(points: &[&[Look]], gains: &[Vec3], share: f64) -> f32 {
     for p in points {
         let centre = level(p, gains, &mut order);
         // the look that is the level itself says nothing
-        all.extend(p.iter().map(|l| distance(l.1 - gains[l.0 as usize] - centre)).filter(|d| *d > 0.0));
+        all.extend(
+            p.iter()
+                .map(|l| distance(l.1 - gains[l.0 as usize] - centre))
+                .filter(|d| *d > 0.0),
+        );
     }
     all.sort_by(f32::total_cmp);
-    all.get((all.len() as f64 * share) as usize).copied().unwrap_or(0.0)
+    all.get((all.len() as f64 * share) as usize)
+        .copied()
+        .unwrap_or(0.0)
 }
 
 fn distance(e: Vec3) -> f32 {
     e.abs().element_sum() / 3.0
 }
 
-/// One step of reweighted least squares: the points' levels eliminated, a dense system over the views.
+/// One step of reweighted least squares: the points' levels eliminated, a dense system over the
+/// views.
 fn solve(points: &[&[Look]], gains: &[Vec3], scale: f32) -> Vec<Vec3> {
     let n = gains.len();
     let mut a = DMatrix::<f64>::zeros(n, n);
@@ -172,8 +199,13 @@ fn solve(points: &[&[Look]], gains: &[Vec3], scale: f32) -> Vec<Vec3> {
             f64::from(l.2 / (1.0 + r * r).powi(2))
         }));
         let total: f64 = weights.iter().sum();
-        let mean: [f64; 3] =
-            std::array::from_fn(|c| p.iter().zip(&weights).map(|(l, w)| w * f64::from(l.1[c])).sum::<f64>() / total);
+        let mean: [f64; 3] = std::array::from_fn(|c| {
+            p.iter()
+                .zip(&weights)
+                .map(|(l, w)| w * f64::from(l.1[c]))
+                .sum::<f64>()
+                / total
+        });
         for (l, w) in p.iter().zip(&weights) {
             let i = l.0 as usize;
             a[(i, i)] += w;
@@ -185,16 +217,21 @@ fn solve(points: &[&[Look]], gains: &[Vec3], scale: f32) -> Vec<Vec3> {
             }
         }
     }
-    // the gauge, and a touch of ridge that holds views which share nothing with the rest at their own mean
+    // the gauge, and a touch of ridge that holds views which share nothing with the rest at their
+    // own mean
     let trace = a.trace().max(f64::MIN_POSITIVE);
     a.add_scalar_mut(1e-3 * trace / (n * n) as f64);
     for i in 0..n {
         a[(i, i)] += 1e-6 * trace / n as f64;
     }
-    let Some(factors) = a.cholesky() else { return gains.to_vec() };
+    let Some(factors) = a.cholesky() else {
+        return gains.to_vec();
+    };
     let x = factors.solve(&b);
     let mean = x.row_mean();
-    x.row_iter().map(|g| Vec3::from_array(std::array::from_fn(|c| (g[c] - mean[c]) as f32))).collect()
+    x.row_iter()
+        .map(|g| Vec3::from_array(std::array::from_fn(|c| (g[c] - mean[c]) as f32)))
+        .collect()
 }
 
 #[cfg(test)]
@@ -202,7 +239,8 @@ mod tests {
     use super::*;
     use crate::sampling::KeyedRng;
 
-    /// Points of known level seen by some of eight views with known gains; a fifth of the looks shows a highlight.
+    /// Points of known level seen by some of eight views with known gains; a fifth of the looks
+    /// shows a highlight.
     fn looks(gain: impl Fn(usize) -> Vec3) -> Vec<Vec<Look>> {
         let mut rng = KeyedRng::new(11, 0);
         (0..4000)
@@ -213,7 +251,11 @@ mod tests {
                     .map(|k| {
                         let v = (first + k) % 8;
                         let noise = 0.02 * (rng.next_f32() + rng.next_f32() - 1.0);
-                        let highlight = if rng.next_f32() < 0.2 { rng.next_f32() } else { 0.0 };
+                        let highlight = if rng.next_f32() < 0.2 {
+                            rng.next_f32()
+                        } else {
+                            0.0
+                        };
                         (v as u32, d + gain(v) + noise + highlight, 0.5)
                     })
                     .collect()
@@ -223,7 +265,11 @@ mod tests {
 
     fn solved(points: &[Vec<Look>]) -> ViewGains {
         let points: Vec<&[Look]> = points.iter().map(Vec::as_slice).collect();
-        let mut g = ViewGains { log_gain: vec![Vec3::ZERO; 8], points: points.len(), ..ViewGains::default() };
+        let mut g = ViewGains {
+            log_gain: vec![Vec3::ZERO; 8],
+            points: points.len(),
+            ..ViewGains::default()
+        };
         g.before = disagreement(&points, &g.log_gain);
         for i in 0..ITERATIONS {
             g.log_gain = solve(&points, &g.log_gain, scale(&points, &g.log_gain, i));
@@ -238,7 +284,12 @@ mod tests {
         let g = solved(&looks(truth));
         assert!(g.is_needed(), "{g:?}");
         for v in 0..8 {
-            assert!((g.log_gain[v] - truth(v)).abs().max_element() < 0.01, "view {v}: {} for {}", g.log_gain[v], truth(v));
+            assert!(
+                (g.log_gain[v] - truth(v)).abs().max_element() < 0.01,
+                "view {v}: {} for {}",
+                g.log_gain[v],
+                truth(v)
+            );
             assert!((g.correction(v) * truth(v).exp() - 1.0).abs().max_element() < 0.02);
         }
     }
@@ -249,8 +300,9 @@ mod tests {
         assert!(g.rms() < 0.005 && !g.is_needed(), "{g:?}");
     }
 
-    /// Gradient row: with constant weights the step is the minimum of Σ w ‖l − D − g‖² over gains and levels together, so central
-    /// differences of that loss vanish in every gain (and only there).
+    /// Gradient row: with constant weights the step is the minimum of Σ w ‖l − D − g‖² over gains
+    /// and levels together, so central differences of that loss vanish in every gain (and only
+    /// there).
     #[test]
     fn a_step_is_stationary_in_every_gain() {
         let truth = |v: usize| Vec3::new(0.1, -0.05, 0.02) * (v as f32 - 3.5);
@@ -262,9 +314,14 @@ mod tests {
             let of = |p: &&[Look], c: usize| {
                 let total: f64 = p.iter().map(|l| f64::from(l.2)).sum();
                 let level = p.iter().map(|l| f64::from(l.2) * at(l, c)).sum::<f64>() / total;
-                p.iter().map(|l| f64::from(l.2) * (at(l, c) - level).powi(2)).sum::<f64>()
+                p.iter()
+                    .map(|l| f64::from(l.2) * (at(l, c) - level).powi(2))
+                    .sum::<f64>()
             };
-            points.iter().map(|p| (0..3).map(|c| of(p, c)).sum::<f64>()).sum()
+            points
+                .iter()
+                .map(|p| (0..3).map(|c| of(p, c)).sum::<f64>())
+                .sum()
         };
         let slope = |gains: &[Vec3], v: usize, c: usize| {
             let (mut a, mut b) = (gains.to_vec(), gains.to_vec());
@@ -275,7 +332,10 @@ mod tests {
         for v in 0..8 {
             for c in 0..3 {
                 let (there, elsewhere) = (slope(&gains, v, c), slope(&[Vec3::ZERO; 8], v, c));
-                assert!(there.abs() < 1e-3 * elsewhere.abs().max(10.0), "view {v}, channel {c}: {there} beside {elsewhere}");
+                assert!(
+                    there.abs() < 1e-3 * elsewhere.abs().max(10.0),
+                    "view {v}, channel {c}: {there} beside {elsewhere}"
+                );
             }
         }
     }

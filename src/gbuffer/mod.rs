@@ -1,4 +1,5 @@
-//! What each view sees: first hits per pixel, which pixels are free of edges, and the observations of a surface point.
+//! What each view sees: first hits per pixel, which pixels are free of edges, and the observations
+//! of a surface point.
 
 mod clipping;
 mod gains;

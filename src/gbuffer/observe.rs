@@ -1,7 +1,8 @@
 //! Observations of a surface point: in which views it is seen, with what radiance, and how well.
 //!
-//! A view sees a point if the pixels around its projection first hit the point's own surface; their radiance is interpolated
-//! bilinearly over those pixels only. No ray is needed beyond the view's own first hits.
+//! A view sees a point if the pixels around its projection first hit the point's own surface; their
+//! radiance is interpolated bilinearly over those pixels only. No ray is needed beyond the view's
+//! own first hits.
 
 use super::ViewBuffer;
 use crate::geometry::{Camera, Mesh};
@@ -24,7 +25,8 @@ pub struct ObservedView {
     pub valid: Option<Plane<bool>>,
 }
 
-/// Parallel surfaces farther apart than this share of their distance from the camera are two: well above the rounding of positions.
+/// Parallel surfaces farther apart than this share of their distance from the camera are two: well
+/// above the rounding of positions.
 const LAYER: f32 = 5e-5;
 /// Cosine of the angle up to which triangles count as parallel.
 const PARALLEL: f32 = 0.999_99;
@@ -55,30 +57,43 @@ pub struct Orientation {
 }
 
 impl Orientation {
-    /// Lets the pixels of all views vote per triangle, by solid angle; triangles nobody sees keep their winding.
+    /// Lets the pixels of all views vote per triangle, by solid angle; triangles nobody sees keep
+    /// their winding.
     #[must_use]
     pub fn vote(mesh: &Mesh, buffers: &[&ViewBuffer]) -> Self {
         let mut ballot = vec![0.0f32; mesh.triangles.len()];
         for b in buffers {
             let (w, h) = (b.triangle.width, b.triangle.height);
             for y in 0..h {
-                let solid_angle = b.camera.pixel_solid_angle(glam::Vec2::new(0.5 * w as f32, y as f32 + 0.5));
+                let solid_angle = b
+                    .camera
+                    .pixel_solid_angle(glam::Vec2::new(0.5 * w as f32, y as f32 + 0.5));
                 for x in 0..w {
                     let t = b.triangle[(x, y)];
                     if t != Hit::MISS {
-                        let d = b.camera.direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
-                        ballot[t as usize] -= solid_angle * mesh.face_normal(t as usize).dot(d).signum();
+                        let d = b
+                            .camera
+                            .direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+                        ballot[t as usize] -=
+                            solid_angle * mesh.face_normal(t as usize).dot(d).signum();
                     }
                 }
             }
         }
-        Self { sign: ballot.into_iter().map(|b| if b < 0.0 { -1 } else { 1 }).collect() }
+        Self {
+            sign: ballot
+                .into_iter()
+                .map(|b| if b < 0.0 { -1 } else { 1 })
+                .collect(),
+        }
     }
 
     /// The winding's own orientation for `triangles` triangles.
     #[must_use]
     pub fn of_winding(triangles: usize) -> Self {
-        Self { sign: vec![1; triangles] }
+        Self {
+            sign: vec![1; triangles],
+        }
     }
 
     /// +1 or −1 for triangle `t`.
@@ -103,7 +118,8 @@ pub struct Observer<'a> {
 }
 
 impl Observer<'_> {
-    /// Appends to `out` (cleared first) every view that sees `position` on a surface with outward unit `face_normal`.
+    /// Appends to `out` (cleared first) every view that sees `position` on a surface with outward
+    /// unit `face_normal`.
     pub fn observe(&self, position: Vec3, face_normal: Vec3, out: &mut Vec<Observation>) {
         out.clear();
         for (i, view) in self.views.iter().enumerate() {
@@ -111,7 +127,13 @@ impl Observer<'_> {
         }
     }
 
-    fn observe_in(&self, index: u32, view: &ObservedView, position: Vec3, face_normal: Vec3) -> Option<Observation> {
+    fn observe_in(
+        &self,
+        index: u32,
+        view: &ObservedView,
+        position: Vec3,
+        face_normal: Vec3,
+    ) -> Option<Observation> {
         let camera: &Camera = &view.buffer.camera;
         let to_camera = camera.position - position;
         let distance = to_camera.length();
@@ -123,7 +145,8 @@ impl Observer<'_> {
         let angle = camera.pixel_angle(pixel);
         let footprint = distance * angle / n_v.sqrt();
         let taps = bilinear_taps(camera.width, camera.height, pixel, view.buffer.wrap());
-        // reach of two pixels along the surface; off the plane by a third of a pixel's footprint at most
+        // reach of two pixels along the surface; off the plane by a third of a pixel's footprint at
+        // most
         let reach = 2.5 * distance * angle / n_v.max(0.1);
         let lift = (0.35 * distance * angle).max(2e-4 * distance);
         let (mut sum, mut weight, mut clean) = (Vec3::ZERO, 0.0f32, true);
@@ -133,14 +156,22 @@ impl Observer<'_> {
                 continue;
             }
             let (x, y) = (k % camera.width, k / camera.width);
-            let offset = camera.position + camera.direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5)) * t - position;
+            let offset = camera.position
+                + camera.direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5)) * t
+                - position;
             let off_plane = face_normal.dot(offset).abs();
             if off_plane > lift + 0.15 * offset.length() || offset.length() > reach {
                 continue;
             }
-            // what lies parallel at a distance is another layer: a lamp's glass before its frame, a picture before its wall
+            // what lies parallel at a distance is another layer: a lamp's glass before its frame, a
+            // picture before its wall
             if off_plane > LAYER * t
-                && self.mesh.face_normal(view.buffer.triangle.data[k] as usize).dot(face_normal).abs() > PARALLEL
+                && self
+                    .mesh
+                    .face_normal(view.buffer.triangle.data[k] as usize)
+                    .dot(face_normal)
+                    .abs()
+                    > PARALLEL
             {
                 continue;
             }
@@ -152,9 +183,20 @@ impl Observer<'_> {
             return None;
         }
         let label = view.labels.as_ref().map_or(0, |l| {
-            let scale = glam::Vec2::new(l.width as f32 / camera.width as f32, l.height as f32 / camera.height as f32);
+            let scale = glam::Vec2::new(
+                l.width as f32 / camera.width as f32,
+                l.height as f32 / camera.height as f32,
+            );
             *l.nearest(pixel * scale)
         });
-        Some(Observation { view: index, radiance: sum / weight, pixel, n_v, footprint, clean: clean && weight > 0.99, label })
+        Some(Observation {
+            view: index,
+            radiance: sum / weight,
+            pixel,
+            n_v,
+            footprint,
+            clean: clean && weight > 0.99,
+            label,
+        })
     }
 }

@@ -23,11 +23,18 @@ pub struct Lens {
 }
 
 impl Lens {
-    /// A lens without distortion, its axis through the middle of the image, with a horizontal angle of view in degrees.
+    /// A lens without distortion, its axis through the middle of the image, with a horizontal angle
+    /// of view in degrees.
     #[must_use]
     pub fn centred(width: usize, height: usize, degrees: f32) -> Self {
         let focal = 0.5 * width as f32 / (0.5 * degrees.to_radians()).tan();
-        Self { fl_x: focal, fl_y: focal, cx: 0.5 * width as f32, cy: 0.5 * height as f32, ..Self::default() }
+        Self {
+            fl_x: focal,
+            fl_y: focal,
+            cx: 0.5 * width as f32,
+            cy: 0.5 * height as f32,
+            ..Self::default()
+        }
     }
 }
 
@@ -59,14 +66,26 @@ impl Camera {
     /// The same camera at another image size with the same aspect.
     #[must_use]
     pub fn resized(&self, width: usize, height: usize) -> Self {
-        let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
+        let (sx, sy) = (
+            width as f32 / self.width as f32,
+            height as f32 / self.height as f32,
+        );
         let projection = match self.projection {
             Projection::Equirectangular => Projection::Equirectangular,
-            Projection::Pinhole(l) => {
-                Projection::Pinhole(Lens { fl_x: l.fl_x * sx, fl_y: l.fl_y * sy, cx: l.cx * sx, cy: l.cy * sy, ..l })
-            }
+            Projection::Pinhole(l) => Projection::Pinhole(Lens {
+                fl_x: l.fl_x * sx,
+                fl_y: l.fl_y * sy,
+                cx: l.cx * sx,
+                cy: l.cy * sy,
+                ..l
+            }),
         };
-        Self { projection, width, height, ..*self }
+        Self {
+            projection,
+            width,
+            height,
+            ..*self
+        }
     }
 
     /// Unit world direction through continuous pixel coordinates.
@@ -76,7 +95,11 @@ impl Camera {
             Projection::Equirectangular => {
                 let lambda = TAU * (pixel.x / self.width as f32 - 0.5);
                 let theta = PI * pixel.y / self.height as f32;
-                Vec3::new(lambda.sin() * theta.sin(), theta.cos(), -lambda.cos() * theta.sin())
+                Vec3::new(
+                    lambda.sin() * theta.sin(),
+                    theta.cos(),
+                    -lambda.cos() * theta.sin(),
+                )
             }
             Projection::Pinhole(l) => {
                 let distorted = Vec2::new((pixel.x - l.cx) / l.fl_x, (pixel.y - l.cy) / l.fl_y);
@@ -87,8 +110,8 @@ impl Camera {
         (self.world_from_camera * d_camera).normalize()
     }
 
-    /// Continuous pixel coordinates of a world point; `None` where the camera cannot see it (behind a pinhole camera,
-    /// outside its frame, or the camera centre itself).
+    /// Continuous pixel coordinates of a world point; `None` where the camera cannot see it (behind
+    /// a pinhole camera, outside its frame, or the camera centre itself).
     #[must_use]
     pub fn project(&self, point: Vec3) -> Option<Vec2> {
         let d = self.world_from_camera.transpose() * (point - self.position);
@@ -100,7 +123,10 @@ impl Camera {
             Projection::Equirectangular => {
                 let lambda = d.x.atan2(-d.z);
                 let theta = (d.x * d.x + d.z * d.z).sqrt().atan2(d.y);
-                Some(Vec2::new((lambda / TAU + 0.5) * self.width as f32, theta / PI * self.height as f32))
+                Some(Vec2::new(
+                    (lambda / TAU + 0.5) * self.width as f32,
+                    theta / PI * self.height as f32,
+                ))
             }
             Projection::Pinhole(l) => {
                 if d.z >= -1e-6 * length {
@@ -108,13 +134,17 @@ impl Camera {
                 }
                 let p = distort(Vec2::new(d.x / -d.z, -d.y / -d.z), &l);
                 let pixel = Vec2::new(p.x * l.fl_x + l.cx, p.y * l.fl_y + l.cy);
-                let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < self.width as f32 && pixel.y < self.height as f32;
+                let inside = pixel.x >= 0.0
+                    && pixel.y >= 0.0
+                    && pixel.x < self.width as f32
+                    && pixel.y < self.height as f32;
                 inside.then_some(pixel)
             }
         }
     }
 
-    /// Angle subtended by one pixel at continuous pixel coordinates, radians (square root of its solid angle).
+    /// Angle subtended by one pixel at continuous pixel coordinates, radians (square root of its
+    /// solid angle).
     #[must_use]
     pub fn pixel_angle(&self, pixel: Vec2) -> f32 {
         self.pixel_solid_angle(pixel).sqrt()
@@ -147,7 +177,8 @@ fn distort(p: Vec2, l: &Lens) -> Vec2 {
     )
 }
 
-/// Inverse of [`distort`] by fixed-point iteration (as OpenCV's `undistortPoints`); exact without coefficients.
+/// Inverse of [`distort`] by fixed-point iteration (as OpenCV's `undistortPoints`); exact without
+/// coefficients.
 fn undistort(target: Vec2, l: &Lens) -> Vec2 {
     if l.k == [0.0; 2] && l.p == [0.0; 2] {
         return target;
@@ -169,15 +200,32 @@ mod tests {
 
     #[test]
     fn project_inverts_direction_for_both_models() {
-        let lens = Lens { fl_x: 300.0, fl_y: 310.0, cx: 161.0, cy: 118.0, k: [-0.05, 0.01], p: [0.001, -0.002] };
+        let lens = Lens {
+            fl_x: 300.0,
+            fl_y: 310.0,
+            cx: 161.0,
+            cy: 118.0,
+            k: [-0.05, 0.01],
+            p: [0.001, -0.002],
+        };
         for projection in [Projection::Equirectangular, Projection::Pinhole(lens)] {
-            let c =
-                Camera { projection, width: 320, height: 240, world_from_camera: rotation(), position: Vec3::new(1.0, 2.0, 3.0) };
+            let c = Camera {
+                projection,
+                width: 320,
+                height: 240,
+                world_from_camera: rotation(),
+                position: Vec3::new(1.0, 2.0, 3.0),
+            };
             for y in 1..24 {
                 for x in 1..32 {
                     let pixel = Vec2::new(x as f32 * 10.0 + 0.3, y as f32 * 10.0 - 0.2);
-                    let back = c.project(c.position + c.direction(pixel) * 4.0).expect("visible");
-                    assert!((back - pixel).length() < 2e-2, "{projection:?} {pixel} {back}");
+                    let back = c
+                        .project(c.position + c.direction(pixel) * 4.0)
+                        .expect("visible");
+                    assert!(
+                        (back - pixel).length() < 2e-2,
+                        "{projection:?} {pixel} {back}"
+                    );
                 }
             }
         }
@@ -192,9 +240,18 @@ mod tests {
             world_from_camera: Mat3::IDENTITY,
             position: Vec3::ZERO,
         };
-        assert!((c.direction(Vec2::new(4.0, 2.0)) - Vec3::NEG_Z).length() < 1e-6, "centre looks down -z");
-        assert!((c.direction(Vec2::new(6.0, 2.0)) - Vec3::X).length() < 1e-6, "right of centre is +x");
-        assert!((c.direction(Vec2::new(4.0, 0.0)) - Vec3::Y).length() < 1e-6, "row 0 is up");
+        assert!(
+            (c.direction(Vec2::new(4.0, 2.0)) - Vec3::NEG_Z).length() < 1e-6,
+            "centre looks down -z"
+        );
+        assert!(
+            (c.direction(Vec2::new(6.0, 2.0)) - Vec3::X).length() < 1e-6,
+            "right of centre is +x"
+        );
+        assert!(
+            (c.direction(Vec2::new(4.0, 0.0)) - Vec3::Y).length() < 1e-6,
+            "row 0 is up"
+        );
     }
 
     #[test]
@@ -206,7 +263,9 @@ mod tests {
             world_from_camera: Mat3::IDENTITY,
             position: Vec3::ZERO,
         };
-        let sum: f32 = (0..32).map(|y| 64.0 * c.pixel_solid_angle(Vec2::new(0.5, y as f32 + 0.5))).sum();
+        let sum: f32 = (0..32)
+            .map(|y| 64.0 * c.pixel_solid_angle(Vec2::new(0.5, y as f32 + 0.5)))
+            .sum();
         assert!((sum / (4.0 * PI) - 1.0).abs() < 2e-3);
     }
 }

@@ -7,15 +7,19 @@ use std::collections::BTreeMap;
 /// Vertices closer than this share of the gap are one.
 const WELD: f32 = 2e-3;
 
-/// Groups of `triangles` that share a corner, or whose bounding boxes lie at most `gap` apart (in the mesh's unit). Each group lists its triangles
-/// in the order given; groups are in the order of their first triangle.
+/// Groups of `triangles` that share a corner, or whose bounding boxes lie at most `gap` apart (in
+/// the mesh's unit). Each group lists its triangles in the order given; groups are in the order of
+/// their first triangle.
 #[must_use]
 pub fn clusters(mesh: &Mesh, triangles: &[u32], gap: f32) -> Vec<Vec<u32>> {
     let mut touching = Sets::new(triangles.len());
     let mut at: BTreeMap<[i64; 3], usize> = BTreeMap::new();
     for (k, &t) in triangles.iter().enumerate() {
         for p in mesh.corners(t as usize) {
-            let key = (p / (WELD * gap).max(f32::MIN_POSITIVE)).round().to_array().map(|x| x as i64);
+            let key = (p / (WELD * gap).max(f32::MIN_POSITIVE))
+                .round()
+                .to_array()
+                .map(|x| x as i64);
             touching.join(k, *at.entry(key).or_insert(k));
         }
     }
@@ -23,29 +27,44 @@ pub fn clusters(mesh: &Mesh, triangles: &[u32], gap: f32) -> Vec<Vec<u32>> {
     let boxes: Vec<(Vec3, Vec3)> = parts
         .iter()
         .map(|part| {
-            let corners = part.iter().flat_map(|&k| mesh.corners(triangles[k] as usize));
-            corners.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |b, p| (b.0.min(p), b.1.max(p)))
+            let corners = part
+                .iter()
+                .flat_map(|&k| mesh.corners(triangles[k] as usize));
+            corners.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |b, p| {
+                (b.0.min(p), b.1.max(p))
+            })
         })
         .collect();
     let mut near = Sets::new(parts.len());
     let mut order: Vec<usize> = (0..parts.len()).collect();
     order.sort_by(|&a, &b| boxes[a].0.x.total_cmp(&boxes[b].0.x));
     for (i, &a) in order.iter().enumerate() {
-        for &b in order[i + 1..].iter().take_while(|&&b| boxes[b].0.x <= boxes[a].1.x + gap) {
-            if (boxes[a].0 - boxes[b].1).max(boxes[b].0 - boxes[a].1).max_element() <= gap {
+        for &b in order[i + 1..]
+            .iter()
+            .take_while(|&&b| boxes[b].0.x <= boxes[a].1.x + gap)
+        {
+            if (boxes[a].0 - boxes[b].1)
+                .max(boxes[b].0 - boxes[a].1)
+                .max_element()
+                <= gap
+            {
                 near.join(a, b);
             }
         }
     }
     let whole = |group: Vec<usize>| {
-        let mut members: Vec<usize> = group.into_iter().flat_map(|p| parts[p].iter().copied()).collect();
+        let mut members: Vec<usize> = group
+            .into_iter()
+            .flat_map(|p| parts[p].iter().copied())
+            .collect();
         members.sort_unstable();
         members.into_iter().map(|k| triangles[k]).collect()
     };
     near.members().into_iter().map(whole).collect()
 }
 
-/// For every triangle the number of its piece: what vertices hold together, texture seams and sharp edges apart. Pieces are numbered from 0.
+/// For every triangle the number of its piece: what vertices hold together, texture seams and sharp
+/// edges apart. Pieces are numbered from 0.
 #[must_use]
 pub fn pieces(mesh: &Mesh) -> Vec<u32> {
     let mut of_vertex = Sets::new(mesh.positions.len());
@@ -100,22 +119,38 @@ mod tests {
     /// Unit right triangles at the given places.
     fn triangles_at(places: &[Vec3]) -> Mesh {
         let corners = [Vec3::ZERO, Vec3::X, Vec3::Z];
-        let positions: Vec<Vec3> = places.iter().flat_map(|p| corners.map(|c| *p + c)).collect();
+        let positions: Vec<Vec3> = places
+            .iter()
+            .flat_map(|p| corners.map(|c| *p + c))
+            .collect();
         let n = positions.len();
         Mesh {
             positions,
             normals: vec![Vec3::NEG_Y; n],
             uvs: vec![Vec2::ZERO; n],
-            triangles: (0..places.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
+            triangles: (0..places.len() as u32)
+                .map(|t| [3 * t, 3 * t + 1, 3 * t + 2])
+                .collect(),
         }
     }
 
     #[test]
     fn corners_and_short_gaps_join_and_long_gaps_part() {
         // 0 and 2 share a corner, 3 lies 4 cm above 2, 1 stands alone
-        let mesh = triangles_at(&[Vec3::ZERO, Vec3::X * 20.0, Vec3::X, Vec3::new(1.0, 0.04, 0.0)]);
-        assert_eq!(clusters(&mesh, &[0, 1, 2, 3], 0.05), [vec![0, 2, 3], vec![1]]);
-        assert_eq!(clusters(&mesh, &[0, 1, 2, 3], 0.03), [vec![0, 2], vec![1], vec![3]]);
+        let mesh = triangles_at(&[
+            Vec3::ZERO,
+            Vec3::X * 20.0,
+            Vec3::X,
+            Vec3::new(1.0, 0.04, 0.0),
+        ]);
+        assert_eq!(
+            clusters(&mesh, &[0, 1, 2, 3], 0.05),
+            [vec![0, 2, 3], vec![1]]
+        );
+        assert_eq!(
+            clusters(&mesh, &[0, 1, 2, 3], 0.03),
+            [vec![0, 2], vec![1], vec![3]]
+        );
         assert_eq!(clusters(&mesh, &[3, 1], 0.05), [vec![3], vec![1]]);
         assert!(clusters(&mesh, &[], 0.05).is_empty());
     }
@@ -123,7 +158,11 @@ mod tests {
     #[test]
     fn pieces_are_held_together_by_vertices_and_not_by_places() {
         let mut mesh = triangles_at(&[Vec3::ZERO, Vec3::ZERO, 5.0 * Vec3::X, Vec3::Y]);
-        mesh.triangles[3] = [mesh.triangles[0][1], mesh.triangles[3][1], mesh.triangles[3][2]];
+        mesh.triangles[3] = [
+            mesh.triangles[0][1],
+            mesh.triangles[3][1],
+            mesh.triangles[3][2],
+        ];
         assert_eq!(pieces(&mesh), [0, 1, 2, 0]);
         assert!(pieces(&triangles_at(&[])).is_empty());
     }

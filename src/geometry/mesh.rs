@@ -4,7 +4,8 @@ use glam::{Vec2, Vec3};
 
 /// Indexed triangles; `positions`, `normals` and `uvs` have equal length.
 ///
-/// Positions are in metres relative to [`crate::scene::Scene::origin`]; `uvs` has v = 0 at texture row 0 (glTF).
+/// Positions are in metres relative to [`crate::scene::Scene::origin`]; `uvs` has v = 0 at texture
+/// row 0 (glTF).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
     /// Vertex positions.
@@ -56,7 +57,8 @@ impl Mesh {
         a + (b - a) * u + (c - a) * v
     }
 
-    /// Barycentrics (u, v) of the point of triangle `t`'s plane nearest to `p`, clamped to the triangle; (0, 0) if its area is zero.
+    /// Barycentrics (u, v) of the point of triangle `t`'s plane nearest to `p`, clamped to the
+    /// triangle; (0, 0) if its area is zero.
     #[must_use]
     pub fn barycentrics(&self, t: usize, p: Vec3) -> (f32, f32) {
         let [a, b, c] = self.corners(t);
@@ -79,8 +81,8 @@ impl Mesh {
         a + (b - a) * u + (c - a) * v
     }
 
-    /// Interpolated unit shading normal at barycentrics (u, v), on the side of the geometric normal; falls back to
-    /// the geometric normal where vertex normals cancel.
+    /// Interpolated unit shading normal at barycentrics (u, v), on the side of the geometric
+    /// normal; falls back to the geometric normal where vertex normals cancel.
     #[must_use]
     pub fn shading_normal(&self, t: usize, u: f32, v: f32) -> Vec3 {
         let [a, b, c] = self.triangles[t].map(|i| self.normals[i as usize]);
@@ -94,7 +96,9 @@ impl Mesh {
     pub fn bounds(&self) -> (Vec3, Vec3) {
         self.positions
             .iter()
-            .fold(None, |b: Option<(Vec3, Vec3)>, &p| Some(b.map_or((p, p), |(lo, hi)| (lo.min(p), hi.max(p)))))
+            .fold(None, |b: Option<(Vec3, Vec3)>, &p| {
+                Some(b.map_or((p, p), |(lo, hi)| (lo.min(p), hi.max(p))))
+            })
             .unwrap_or((Vec3::ZERO, Vec3::ZERO))
     }
 
@@ -107,6 +111,9 @@ impl Mesh {
                 normals[i as usize] += n;
             }
         }
-        self.normals = normals.into_iter().map(|n| n.normalize_or(Vec3::Y)).collect();
+        self.normals = normals
+            .into_iter()
+            .map(|n| n.normalize_or(Vec3::Y))
+            .collect();
     }
 }

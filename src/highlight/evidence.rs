@@ -1,7 +1,9 @@
-//! The specular response of evidence points in every view that sees them, traced once (method §12.3 point 6).
+//! The specular response of evidence points in every view that sees them, traced once (method §12.3
+//! point 6).
 //!
-//! A point seen from several views pins down roughness without knowing its albedo or irradiance: its diffuse radiance is the same in
-//! all views, so whatever differs between them must be the specular part.
+//! A point seen from several views pins down roughness without knowing its albedo or irradiance:
+//! its diffuse radiance is the same in all views, so whatever differs between them must be the
+//! specular part.
 
 use super::{Candidate, LOBES};
 use crate::brdf::Reflectance;
@@ -54,11 +56,14 @@ pub struct Evidence {
     pub points: Vec<EvidencePoint>,
     /// Sights of all points, point by point.
     pub sights: Vec<Sight>,
-    /// `sights.len() × MODELS.len() × levels.len()` specular radiances: means of two independent estimates.
+    /// `sights.len() × MODELS.len() × levels.len()` specular radiances: means of two independent
+    /// estimates.
     pub specular: Vec<Vec3>,
-    /// Half the difference of the luminance of the two estimates: what the mean is off by, but for its sign.
+    /// Half the difference of the luminance of the two estimates: what the mean is off by, but for
+    /// its sign.
     pub noise: Vec<f32>,
-    /// Per sight Burley's diffuse radiance over Lambert's in the light that arrives, as a polynomial in the roughness.
+    /// Per sight Burley's diffuse radiance over Lambert's in the light that arrives, as a
+    /// polynomial in the roughness.
     pub diffuse: Vec<[f32; 3]>,
     /// Rays traced.
     pub rays: u64,
@@ -68,7 +73,11 @@ impl Evidence {
     /// Takes over the points of `more`, tabulated at the same levels, behind its own.
     pub fn append(&mut self, more: Self) {
         let base = self.sights.len() as u32;
-        self.points.extend(more.points.into_iter().map(|q| EvidencePoint { first: q.first + base, ..q }));
+        self.points
+            .extend(more.points.into_iter().map(|q| EvidencePoint {
+                first: q.first + base,
+                ..q
+            }));
         self.sights.extend(more.sights);
         self.specular.extend(more.specular);
         self.noise.extend(more.noise);
@@ -79,7 +88,11 @@ impl Evidence {
     /// Diffuse radiance of sight `s` over that of a Lambertian surface in the same light.
     #[must_use]
     pub fn diffuse_factor(&self, s: usize, model: Reflectance, roughness: f32) -> f32 {
-        if model == Reflectance::Burley { Reflectance::diffuse_at(self.diffuse[s], roughness) } else { 1.0 }
+        if model == Reflectance::Burley {
+            Reflectance::diffuse_at(self.diffuse[s], roughness)
+        } else {
+            1.0
+        }
     }
 
     /// Specular radiance of sight `s` at all levels under [`MODELS`]`[m]`.
@@ -94,18 +107,27 @@ impl Evidence {
         &self.noise[self.row(s, m)]
     }
 
-    /// Takes the responses and diffuse factors of [`FOOTPRINT`] gazes per sight, `row` responses each.
+    /// Takes the responses and diffuse factors of [`FOOTPRINT`] gazes per sight, `row` responses
+    /// each.
     fn fill(&mut self, specular: &[Vec3], diffuse: &[[f32; 3]], row: usize) {
         for sight in specular.chunks_exact(FOOTPRINT * row) {
             for k in 0..row {
-                let mean = |from: usize| (from..from + HALF).map(|g| sight[g * row + k]).sum::<Vec3>() / HALF as f32;
+                let mean = |from: usize| {
+                    (from..from + HALF)
+                        .map(|g| sight[g * row + k])
+                        .sum::<Vec3>()
+                        / HALF as f32
+                };
                 let [a, b] = [mean(0), mean(HALF)];
                 self.specular.push(0.5 * (a + b));
                 self.noise.push(0.5 * luminance(a - b));
             }
         }
-        let mean = |of: &[[f32; 3]]| std::array::from_fn(|c| of.iter().map(|d| d[c]).sum::<f32>() / FOOTPRINT as f32);
-        self.diffuse.extend(diffuse.chunks_exact(FOOTPRINT).map(mean));
+        let mean = |of: &[[f32; 3]]| {
+            std::array::from_fn(|c| of.iter().map(|d| d[c]).sum::<f32>() / FOOTPRINT as f32)
+        };
+        self.diffuse
+            .extend(diffuse.chunks_exact(FOOTPRINT).map(mean));
     }
 
     fn row(&self, s: usize, m: usize) -> Range<usize> {
@@ -126,14 +148,15 @@ pub struct Tabulation<'a> {
     pub rays_per_lobe: u32,
 }
 
-/// Points of a pixel's footprint that a sight is traced from, an even number: a pixel on a curved surface mirrors many directions.
+/// Points of a pixel's footprint that a sight is traced from, an even number: a pixel on a curved
+/// surface mirrors many directions.
 const FOOTPRINT: usize = 16;
 const HALF: usize = FOOTPRINT / 2;
 /// Pixels' footprints beyond which a place of the image shows another surface.
 const REACH: f32 = 2.5;
 
-/// Observes every candidate in all views and traces its specular response as `tabulation` says; candidates with fewer than two clean
-/// sights are dropped.
+/// Observes every candidate in all views and traces its specular response as `tabulation` says;
+/// candidates with fewer than two clean sights are dropped.
 #[must_use]
 pub fn gather_evidence(
     bake: &Bake,
@@ -145,10 +168,19 @@ pub fn gather_evidence(
     progress: &Progress,
 ) -> Evidence {
     const CHUNK: usize = 64;
-    let Tabulation { levels, rays_per_lobe } = tabulation;
+    let Tabulation {
+        levels,
+        rays_per_lobe,
+    } = tabulation;
     let rays = AtomicU64::new(0);
     let rays_per_lobe = rays_per_lobe.div_ceil(FOOTPRINT as u32);
-    let reflector = Reflector { bake, rays_per_lobe, emitter_samples: rays_per_lobe * 12 / 5, model: Reflectance::Paper, seed };
+    let reflector = Reflector {
+        bake,
+        rays_per_lobe,
+        emitter_samples: rays_per_lobe * 12 / 5,
+        model: Reflectance::Paper,
+        seed,
+    };
     let parts = parallel::map_chunks(candidates.len(), CHUNK, |range| {
         let mut out = Evidence::default();
         let mut footprints = Footprints::default();
@@ -172,7 +204,14 @@ pub fn gather_evidence(
                     weight: (o.n_v / o.footprint).sqrt(),
                 });
                 let key = hash_u64(hash_u64(u64::from(o.view), u64::from(c.triangle)), i as u64);
-                let centre = Gaze { position: c.position, normal, face_normal, view, key, turn: 0 };
+                let centre = Gaze {
+                    position: c.position,
+                    normal,
+                    face_normal,
+                    view,
+                    key,
+                    turn: 0,
+                };
                 footprints.push(&observer.views[o.view as usize].buffer, o, centre);
             }
             out.points.push(EvidencePoint {
@@ -187,14 +226,22 @@ pub fn gather_evidence(
         let row = MODELS.len() * levels.len();
         let mut specular = vec![Vec3::ZERO; gazes.len() * row];
         let mut diffuse = vec![[0.0; 3]; gazes.len()];
-        let table = Levels::Shared { lobes: &LOBES, evaluate: levels, models: &MODELS };
+        let table = Levels::Shared {
+            lobes: &LOBES,
+            evaluate: levels,
+            models: &MODELS,
+        };
         let traced = reflector.reflect_and_spread(&gazes, table, &mut specular, &mut diffuse);
         out.fill(&specular, &diffuse, row);
         rays.fetch_add(traced + gazes.len() as u64, Ordering::Relaxed);
         progress.advance(range.len() as u64);
         out
     });
-    let mut all = Evidence { levels: levels.to_vec(), rays: rays.into_inner(), ..Evidence::default() };
+    let mut all = Evidence {
+        levels: levels.to_vec(),
+        rays: rays.into_inner(),
+        ..Evidence::default()
+    };
     parts.into_iter().for_each(|p| all.append(p));
     all
 }
@@ -223,13 +270,22 @@ impl Footprints {
             });
             let k = tap.unwrap_or(&taps[0]).0;
             let at = Vec2::new((k % camera.width) as f32 + x, (k / camera.width) as f32 + y);
-            self.rays.push(Ray::new(camera.position, camera.direction(at), f32::INFINITY));
+            self.rays.push(Ray::new(
+                camera.position,
+                camera.direction(at),
+                f32::INFINITY,
+            ));
         }
-        self.centres.push((centre, REACH * seen.footprint / seen.n_v.max(0.1).sqrt()));
+        self.centres
+            .push((centre, REACH * seen.footprint / seen.n_v.max(0.1).sqrt()));
     }
 
     /// [`FOOTPRINT`] gazes per sight; where another surface is met, the one at its point.
-    fn gazes(&self, bake: &Bake, normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync)) -> Vec<Gaze> {
+    fn gazes(
+        &self,
+        bake: &Bake,
+        normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
+    ) -> Vec<Gaze> {
         let mut hits = vec![Hit::miss(); self.rays.len()];
         bake.tracer.closest(&self.rays, &mut hits);
         let gaze = |(k, (ray, hit)): (usize, (&Ray, &Hit))| {
@@ -239,14 +295,29 @@ impl Footprints {
             let direction = Vec3::from_array(ray.direction);
             let position = Vec3::from_array(ray.origin) + direction * hit.t;
             if !hit.is_hit() || position.distance(centre.position) > reach {
-                return Gaze { key, turn, ..centre };
+                return Gaze {
+                    key,
+                    turn,
+                    ..centre
+                };
             }
             let (normal, face_normal) = normals(hit.triangle, position);
             let turned = normal.dot(direction) >= 0.0 || face_normal.dot(direction) >= 0.0;
             if turned {
-                Gaze { key, turn, ..centre }
+                Gaze {
+                    key,
+                    turn,
+                    ..centre
+                }
             } else {
-                Gaze { position, normal, face_normal, view: -direction, key, turn }
+                Gaze {
+                    position,
+                    normal,
+                    face_normal,
+                    view: -direction,
+                    key,
+                    turn,
+                }
             }
         };
         self.rays.iter().zip(&hits).enumerate().map(gaze).collect()

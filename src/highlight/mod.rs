@@ -1,5 +1,5 @@
-//! Where the photographs say something about roughness: virtual highlights (VHL) and the specular response of points seen
-//! from several views.
+//! Where the photographs say something about roughness: virtual highlights (VHL) and the specular
+//! response of points seen from several views.
 
 mod evidence;
 mod select;
@@ -8,10 +8,13 @@ pub use evidence::{Evidence, EvidencePoint, MODELS, Sight, Tabulation, gather_ev
 pub use select::{Candidate, SelectOptions, select_points};
 
 /// Roughness levels at which specular responses are tabulated; closer where lobes change fastest.
-pub const LEVELS: [f32; 18] =
-    [0.03, 0.06, 0.09, 0.12, 0.15, 0.18, 0.22, 0.26, 0.31, 0.36, 0.42, 0.48, 0.55, 0.62, 0.70, 0.80, 0.90, 1.0];
+pub const LEVELS: [f32; 18] = [
+    0.03, 0.06, 0.09, 0.12, 0.15, 0.18, 0.22, 0.26, 0.31, 0.36, 0.42, 0.48, 0.55, 0.62, 0.70, 0.80,
+    0.90, 1.0,
+];
 
-/// `n` levels from the first to the last of [`LEVELS`], as unevenly spaced as those; `LEVELS` themselves for 18. At least two.
+/// `n` levels from the first to the last of [`LEVELS`], as unevenly spaced as those; `LEVELS`
+/// themselves for 18. At least two.
 #[must_use]
 pub fn roughness_levels(n: usize) -> Vec<f32> {
     let steps = (LEVELS.len() - 1) as f32;
@@ -38,7 +41,10 @@ mod tests {
         for n in [2, 3, 9, 35, 72] {
             let levels = roughness_levels(n);
             assert_eq!(levels.len(), n);
-            assert_eq!([levels[0], levels[n - 1]], [LEVELS[0], LEVELS[LEVELS.len() - 1]]);
+            assert_eq!(
+                [levels[0], levels[n - 1]],
+                [LEVELS[0], LEVELS[LEVELS.len() - 1]]
+            );
             assert!(levels.windows(2).all(|w| w[0] < w[1]), "{n}: {levels:?}");
         }
     }

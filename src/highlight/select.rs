@@ -1,8 +1,9 @@
 //! Which surface points carry evidence about roughness.
 //!
-//! A pixel is a virtual highlight if a mirror there would show something much brighter than the surface itself (the paper's VHL with
-//! a scale-free threshold, method §6). Per class the strongest ones are kept beside evenly spread ones: highlights fix the
-//! roughness, ordinary points keep the answer honest.
+//! A pixel is a virtual highlight if a mirror there would show something much brighter than the
+//! surface itself (the paper's VHL with a scale-free threshold, method §6). Per class the strongest
+//! ones are kept beside evenly spread ones: highlights fix the roughness, ordinary points keep the
+//! answer honest.
 
 use crate::brdf::fresnel;
 use crate::gbuffer::ObservedView;
@@ -17,7 +18,8 @@ use std::collections::{BTreeMap, BTreeSet};
 /// How many points are selected.
 #[derive(Clone, Debug)]
 pub struct SelectOptions {
-    /// Pixels between candidates along rows and columns; every pixel is one for classes too rare to fill their places.
+    /// Pixels between candidates along rows and columns; every pixel is one for classes too rare to
+    /// fill their places.
     pub stride: usize,
     /// Evenly spread points per class.
     pub even: usize,
@@ -41,8 +43,8 @@ pub struct Candidate {
     order: u64,
 }
 
-/// Selects points per class. `class(triangle, position)` names the class of a surface point, or `None` for surfaces
-/// without material (emitters, unlabelled).
+/// Selects points per class. `class(triangle, position)` names the class of a surface point, or
+/// `None` for surfaces without material (emitters, unlabelled).
 #[must_use]
 pub fn select_points(
     bake: &Bake,
@@ -52,8 +54,11 @@ pub fn select_points(
     options: &SelectOptions,
 ) -> Vec<Candidate> {
     let by_class = |class: &(dyn Fn(u32, Vec3) -> Option<u16> + Sync), options: &SelectOptions| {
-        let per_view: Vec<Vec<Candidate>> =
-            views.par_iter().enumerate().map(|(i, v)| candidates(bake, i, v, normals, class, options)).collect();
+        let per_view: Vec<Vec<Candidate>> = views
+            .par_iter()
+            .enumerate()
+            .map(|(i, v)| candidates(bake, i, v, normals, class, options))
+            .collect();
         let mut classes: BTreeMap<u16, Vec<Candidate>> = BTreeMap::new();
         for c in per_view.into_iter().flatten() {
             classes.entry(c.class).or_default().push(c);
@@ -62,9 +67,19 @@ pub fn select_points(
     };
     let mut classes = by_class(class, options);
     let enough = options.even + options.highlights;
-    let common: BTreeSet<u16> = classes.iter().filter(|(_, c)| c.len() >= enough).map(|(class, _)| *class).collect();
+    let common: BTreeSet<u16> = classes
+        .iter()
+        .filter(|(_, c)| c.len() >= enough)
+        .map(|(class, _)| *class)
+        .collect();
     let class_if_rare = |t: u32, p: Vec3| class(t, p).filter(|c| !common.contains(c));
-    classes.extend(by_class(&class_if_rare, &SelectOptions { stride: 1, ..*options }));
+    classes.extend(by_class(
+        &class_if_rare,
+        &SelectOptions {
+            stride: 1,
+            ..*options
+        },
+    ));
     let mut chosen = Vec::new();
     for (_, mut members) in classes {
         // a keyed shuffle, then evenly spread points first
@@ -73,7 +88,12 @@ pub fn select_points(
         let mut rest = members.split_off(even);
         chosen.extend(members);
         rest.retain(|c| c.strength > 0.05);
-        rest.sort_by(|a, b| b.strength.min(2.0).total_cmp(&a.strength.min(2.0)).then(a.order.cmp(&b.order)));
+        rest.sort_by(|a, b| {
+            b.strength
+                .min(2.0)
+                .total_cmp(&a.strength.min(2.0))
+                .then(a.order.cmp(&b.order))
+        });
         rest.truncate(options.highlights);
         chosen.extend(rest);
     }
@@ -99,24 +119,46 @@ fn candidates(
         kept.clear();
         for x in (0..w).step_by(stride) {
             let t = b.triangle[(x, y)];
-            if t == Hit::MISS || !view.clean[(x, y)] || view.valid.as_ref().is_some_and(|v| !v[(x, y)]) {
+            if t == Hit::MISS
+                || !view.clean[(x, y)]
+                || view.valid.as_ref().is_some_and(|v| !v[(x, y)])
+            {
                 continue;
             }
-            let d = b.camera.direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+            let d = b
+                .camera
+                .direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
             let position = b.camera.position + d * b.distance[(x, y)];
             let (n, face) = normals(t, position);
             let n_v = -n.dot(d);
-            let Some(own_class) = class(t, position).filter(|_| n_v > 0.05 && face.dot(d) < 0.0) else { continue };
+            let Some(own_class) = class(t, position).filter(|_| n_v > 0.05 && face.dot(d) < 0.0)
+            else {
+                continue;
+            };
             let mirror = d + n * (2.0 * n_v);
             let order = hash_u64(options.seed, hash_u64(index as u64, (y * w + x) as u64));
-            rays.push(Ray::new(position + face * bake.offset, mirror, f32::INFINITY));
-            let c = Candidate { triangle: t, position, class: own_class, strength: 0.0, order };
+            rays.push(Ray::new(
+                position + face * bake.offset,
+                mirror,
+                f32::INFINITY,
+            ));
+            let c = Candidate {
+                triangle: t,
+                position,
+                class: own_class,
+                strength: 0.0,
+                order,
+            };
             kept.push((c, n_v, luminance(view.radiance[(x, y)])));
         }
         let mut hits = vec![Hit::miss(); rays.len()];
         bake.tracer.closest(&rays, &mut hits);
         for (k, (mut c, n_v, own)) in kept.iter().copied().enumerate() {
-            let mirrored = luminance(bake.field.arriving(&hits[k], Vec3::from_array(rays[k].direction), 0.05));
+            let mirrored = luminance(bake.field.arriving(
+                &hits[k],
+                Vec3::from_array(rays[k].direction),
+                0.05,
+            ));
             c.strength = fresnel(n_v) * mirrored / own.max(1e-12);
             found.push(c);
         }

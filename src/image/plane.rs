@@ -18,7 +18,11 @@ impl<T: Clone> Plane<T> {
     /// A plane filled with one value.
     #[must_use]
     pub fn filled(width: usize, height: usize, value: T) -> Self {
-        Self { width, height, data: vec![value; width * height] }
+        Self {
+            width,
+            height,
+            data: vec![value; width * height],
+        }
     }
 }
 
@@ -26,16 +30,25 @@ impl<T> Plane<T> {
     /// A plane from `width * height` values; `None` if the count differs.
     #[must_use]
     pub fn from_data(width: usize, height: usize, data: Vec<T>) -> Option<Self> {
-        (width.checked_mul(height) == Some(data.len())).then_some(Self { width, height, data })
+        (width.checked_mul(height) == Some(data.len())).then_some(Self {
+            width,
+            height,
+            data,
+        })
     }
 
     /// Applies `f` to every value.
     #[must_use]
     pub fn map<U>(&self, f: impl Fn(&T) -> U) -> Plane<U> {
-        Plane { width: self.width, height: self.height, data: self.data.iter().map(f).collect() }
+        Plane {
+            width: self.width,
+            height: self.height,
+            data: self.data.iter().map(f).collect(),
+        }
     }
 
-    /// The value nearest to continuous pixel coordinates (pixel centres at +0.5), clamped at the border.
+    /// The value nearest to continuous pixel coordinates (pixel centres at +0.5), clamped at the
+    /// border.
     #[must_use]
     #[inline]
     pub fn nearest(&self, p: Vec2) -> &T {
@@ -57,8 +70,8 @@ pub enum Wrap {
 /// The four values and weights of a bilinear lookup: `(index, weight)`; weights sum to 1.
 pub type BilinearTaps = [(usize, f32); 4];
 
-/// Bilinear taps at continuous pixel coordinates (centres at +0.5); `wrap_x` says what happens at the left and right border,
-/// rows clamp.
+/// Bilinear taps at continuous pixel coordinates (centres at +0.5); `wrap_x` says what happens at
+/// the left and right border, rows clamp.
 #[must_use]
 pub fn bilinear_taps(width: usize, height: usize, p: Vec2, wrap_x: Wrap) -> BilinearTaps {
     let (fx, fy) = (p.x - 0.5, p.y - 0.5);
@@ -69,8 +82,18 @@ pub fn bilinear_taps(width: usize, height: usize, p: Vec2, wrap_x: Wrap) -> Bili
         Wrap::Repeat => (x as i64).rem_euclid(width as i64) as usize,
     };
     let row = |y: f32| (y.max(0.0) as usize).min(height - 1);
-    let (c0, c1, r0, r1) = (column(x0), column(x0 + 1.0), row(y0) * width, row(y0 + 1.0) * width);
-    [(r0 + c0, (1.0 - tx) * (1.0 - ty)), (r0 + c1, tx * (1.0 - ty)), (r1 + c0, (1.0 - tx) * ty), (r1 + c1, tx * ty)]
+    let (c0, c1, r0, r1) = (
+        column(x0),
+        column(x0 + 1.0),
+        row(y0) * width,
+        row(y0 + 1.0) * width,
+    );
+    [
+        (r0 + c0, (1.0 - tx) * (1.0 - ty)),
+        (r0 + c1, tx * (1.0 - ty)),
+        (r1 + c0, (1.0 - tx) * ty),
+        (r1 + c1, tx * ty),
+    ]
 }
 
 impl<T> Plane<T>
@@ -85,7 +108,8 @@ where
         v(0) + v(1) + v(2) + v(3)
     }
 
-    /// Box-filtered image of half the size (odd sizes drop the last row or column; a side of 1 stays 1).
+    /// Box-filtered image of half the size (odd sizes drop the last row or column; a side of 1
+    /// stays 1).
     #[must_use]
     pub fn half(&self) -> Self {
         let (w, h) = ((self.width / 2).max(1), (self.height / 2).max(1));
@@ -104,7 +128,11 @@ where
                 data.extend(acc.map(|a| a * scale));
             }
         }
-        Self { width: w, height: h, data }
+        Self {
+            width: w,
+            height: h,
+            data,
+        }
     }
 }
 
@@ -128,7 +156,13 @@ mod tests {
 
     #[test]
     fn bilinear_reproduces_a_linear_ramp_and_wraps() {
-        let p = Plane { width: 4, height: 3, data: (0..12).map(|i| (i % 4) as f32 + 10.0 * (i / 4) as f32).collect() };
+        let p = Plane {
+            width: 4,
+            height: 3,
+            data: (0..12)
+                .map(|i| (i % 4) as f32 + 10.0 * (i / 4) as f32)
+                .collect(),
+        };
         assert!((p.bilinear(Vec2::new(1.75, 1.25), Wrap::Clamp) - (1.25 + 7.5)).abs() < 1e-6);
         // half a pixel left of the first centre: mean of the last and the first column
         assert!((p.bilinear(Vec2::new(0.0, 0.5), Wrap::Repeat) - 1.5).abs() < 1e-6);
@@ -138,7 +172,11 @@ mod tests {
 
     #[test]
     fn half_keeps_the_mean_and_survives_a_single_pixel() {
-        let p = Plane { width: 4, height: 2, data: vec![1.0f32, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0] };
+        let p = Plane {
+            width: 4,
+            height: 2,
+            data: vec![1.0f32, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0],
+        };
         let h = p.half();
         assert_eq!((h.width, h.height), (2, 1));
         assert_eq!(h.data, vec![3.5, 5.5]);

@@ -1,5 +1,5 @@
-//! Stage I in closed form: a texel's albedo is π/E times its diffuse radiance, the robust mean over views of the observed radiance
-//! less the specular part.
+//! Stage I in closed form: a texel's albedo is π/E times its diffuse radiance, the robust mean over
+//! views of the observed radiance less the specular part.
 
 use crate::brdf::Reflectance;
 use crate::gbuffer::{ObservedView, Observer, Orientation};
@@ -21,7 +21,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub struct AlbedoEstimate {
     /// Albedo, not clamped; zero where unobserved.
     pub value: Vec<Vec3>,
-    /// Standard error of its luminance as far as the views' disagreement tells; infinite where unobserved.
+    /// Standard error of its luminance as far as the views' disagreement tells; infinite where
+    /// unobserved.
     pub error: Vec<f32>,
     /// Effective number of independent looks; 0 where unobserved.
     pub looks: Vec<f32>,
@@ -29,12 +30,14 @@ pub struct AlbedoEstimate {
     pub specular_share: Vec<f32>,
     /// Whether a look is clean: free of edges and clipping.
     pub clean: Vec<bool>,
-    /// Side of the sharpest look's pixel footprint on the surface, metres; infinite where unobserved.
+    /// Side of the sharpest look's pixel footprint on the surface, metres; infinite where
+    /// unobserved.
     pub footprint: Vec<f32>,
 }
 
-/// Specular radiance at every pixel of a view, given roughness per surface point. Where `known(triangle, position, n·v)` knows it, no
-/// ray is traced. Returns the image and the rays traced.
+/// Specular radiance at every pixel of a view, given roughness per surface point. Where
+/// `known(triangle, position, n·v)` knows it, no ray is traced. Returns the image and the rays
+/// traced.
 #[must_use]
 pub fn specular_image(
     reflector: &Reflector,
@@ -48,42 +51,51 @@ pub fn specular_image(
     let (w, h) = (b.triangle.width, b.triangle.height);
     let mut image = Plane::filled(w, h, Vec3::ZERO);
     let rays = AtomicU64::new(0);
-    image.data.par_chunks_mut(w).enumerate().for_each(|(y, row)| {
-        let mut gazes = Vec::with_capacity(w);
-        let mut levels = Vec::with_capacity(w);
-        let mut columns = Vec::with_capacity(w);
-        for (x, out) in row.iter_mut().enumerate() {
-            let t = b.triangle[(x, y)];
-            if t == Hit::MISS {
-                continue;
+    image
+        .data
+        .par_chunks_mut(w)
+        .enumerate()
+        .for_each(|(y, row)| {
+            let mut gazes = Vec::with_capacity(w);
+            let mut levels = Vec::with_capacity(w);
+            let mut columns = Vec::with_capacity(w);
+            for (x, out) in row.iter_mut().enumerate() {
+                let t = b.triangle[(x, y)];
+                if t == Hit::MISS {
+                    continue;
+                }
+                let d = b
+                    .camera
+                    .direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+                let position = b.camera.position + d * b.distance[(x, y)];
+                let (normal, face_normal) = normals(t, position);
+                if face_normal.dot(d) >= 0.0 {
+                    continue;
+                }
+                if let Some(value) = known(t, position, -normal.dot(d)) {
+                    *out = value;
+                    continue;
+                }
+                gazes.push(Gaze {
+                    position,
+                    normal,
+                    face_normal,
+                    view: -d,
+                    key: hash_u64(view_index as u64, (y * w + x) as u64),
+                    turn: 0,
+                });
+                levels.push(roughness(t, position));
+                columns.push(x);
             }
-            let d = b.camera.direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
-            let position = b.camera.position + d * b.distance[(x, y)];
-            let (normal, face_normal) = normals(t, position);
-            if face_normal.dot(d) >= 0.0 {
-                continue;
+            let mut out = vec![Vec3::ZERO; gazes.len()];
+            rays.fetch_add(
+                reflector.reflect(&gazes, Levels::Own(&levels), &mut out),
+                Ordering::Relaxed,
+            );
+            for (x, value) in columns.into_iter().zip(out) {
+                row[x] = value;
             }
-            if let Some(value) = known(t, position, -normal.dot(d)) {
-                *out = value;
-                continue;
-            }
-            gazes.push(Gaze {
-                position,
-                normal,
-                face_normal,
-                view: -d,
-                key: hash_u64(view_index as u64, (y * w + x) as u64),
-                turn: 0,
-            });
-            levels.push(roughness(t, position));
-            columns.push(x);
-        }
-        let mut out = vec![Vec3::ZERO; gazes.len()];
-        rays.fetch_add(reflector.reflect(&gazes, Levels::Own(&levels), &mut out), Ordering::Relaxed);
-        for (x, value) in columns.into_iter().zip(out) {
-            row[x] = value;
-        }
-    });
+        });
     (image, rays.into_inner())
 }
 
@@ -114,13 +126,21 @@ pub fn estimate_albedo(
         let mut looks: Vec<(Vec3, f32)> = Vec::new();
         for i in range.clone() {
             let t = texels.point[i].triangle as usize;
-            observer.observe(texels.position(mesh, i), mesh.face_normal(t) * orientation.sign(t), &mut seen);
+            observer.observe(
+                texels.position(mesh, i),
+                mesh.face_normal(t) * orientation.sign(t),
+                &mut seen,
+            );
             crate::lighting::prefer_clean(&mut seen);
             looks.clear();
             let mut mean_share = 0.0;
-            let sharpest = seen.iter().map(|o| o.footprint).fold(f32::INFINITY, f32::min);
+            let sharpest = seen
+                .iter()
+                .map(|o| o.footprint)
+                .fold(f32::INFINITY, f32::min);
             for o in &seen {
-                let s = specular[o.view as usize].bilinear(o.pixel, observer.views[o.view as usize].buffer.wrap());
+                let s = specular[o.view as usize]
+                    .bilinear(o.pixel, observer.views[o.view as usize].buffer.wrap());
                 // where the specular part is a large share, its own error is too
                 let share = luminance(s) / luminance(o.radiance).max(1e-12);
                 let w = (sharpest / o.footprint).powi(4) * o.n_v / (1.0 + (share / 0.15).powi(2));
@@ -132,7 +152,12 @@ pub fn estimate_albedo(
             // a channel without light keeps a finite albedo whatever the exposure
             let e = lit.max(Vec3::splat(luminance(lit) * 1e-6));
             let (diffuse, spread, effective) = robust_diffuse(&looks);
-            let specular_share = mean_share / looks.iter().map(|l| l.1).sum::<f32>().max(f32::MIN_POSITIVE);
+            let specular_share = mean_share
+                / looks
+                    .iter()
+                    .map(|l| l.1)
+                    .sum::<f32>()
+                    .max(f32::MIN_POSITIVE);
             // without light nothing is known of what would reflect it
             if luminance(lit) <= 0.0 {
                 out.push(Vec3::ZERO, f32::INFINITY, [0.0; 2], (false, sharpest));
@@ -140,7 +165,12 @@ pub fn estimate_albedo(
             }
             let error = spread * std::f32::consts::PI / luminance(e);
             let clean = seen.iter().any(|o| o.clean);
-            out.push(diffuse * std::f32::consts::PI / e, error, [effective, specular_share], (clean, sharpest));
+            out.push(
+                diffuse * std::f32::consts::PI / e,
+                error,
+                [effective, specular_share],
+                (clean, sharpest),
+            );
         }
         progress.advance(range.len() as u64);
         out
@@ -158,7 +188,13 @@ pub fn estimate_albedo(
 }
 
 impl AlbedoEstimate {
-    fn push(&mut self, value: Vec3, error: f32, [looks, specular_share]: [f32; 2], (clean, footprint): (bool, f32)) {
+    fn push(
+        &mut self,
+        value: Vec3,
+        error: f32,
+        [looks, specular_share]: [f32; 2],
+        (clean, footprint): (bool, f32),
+    ) {
         self.value.push(value);
         self.error.push(error);
         self.looks.push(looks);
@@ -168,7 +204,8 @@ impl AlbedoEstimate {
     }
 }
 
-/// Weighted robust mean of diffuse radiances, its standard error and the effective number of looks; (0, ∞, 0) without any.
+/// Weighted robust mean of diffuse radiances, its standard error and the effective number of looks;
+/// (0, ∞, 0) without any.
 fn robust_diffuse(looks: &[(Vec3, f32)]) -> (Vec3, f32, f32) {
     if looks.is_empty() {
         return (Vec3::ZERO, f32::INFINITY, 0.0);
@@ -189,5 +226,9 @@ fn robust_diffuse(looks: &[(Vec3, f32)]) -> (Vec3, f32, f32) {
         return (looks[0].0, median.abs(), 1.0);
     }
     let effective = total * total / weight2;
-    (sum / total, ((square / total).max((0.02 * median).powi(2)) / effective).sqrt(), effective)
+    (
+        sum / total,
+        ((square / total).max((0.02 * median).powi(2)) / effective).sqrt(),
+        effective,
+    )
 }

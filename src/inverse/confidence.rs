@@ -1,14 +1,18 @@
-//! Standard error of the albedo: how far off the estimate must be expected to be, not merely how well the views agree.
+//! Standard error of the albedo: how far off the estimate must be expected to be, not merely how
+//! well the views agree.
 //!
-//! An albedo is π/E times the diffuse part of the looks. Its parts err independently, so their variances add:
-//! * the looks: their disagreement. Most of it is common to all looks (shading model, geometry), so it does not shrink with their
-//!   number; a few looks say little about their own spread and are shrunk towards their class's;
+//! An albedo is π/E times the diffuse part of the looks. Its parts err independently, so their
+//! variances add:
+//! * the looks: their disagreement. Most of it is common to all looks (shading model, geometry), so
+//!   it does not shrink with their number; a few looks say little about their own spread and are
+//!   shrunk towards their class's;
 //! * the irradiance: its relative standard error;
 //! * the specular part that was subtracted, known to a fifth of itself;
-//! * the place: registration and blur leave a texel's position uncertain by about one pixel footprint, so that it may have the albedo
-//!   of a neighbour that far away;
-//! * what no part accounts for: the scatter of albedo over the classes that scatter least. Most rooms have surfaces of one colour;
-//!   how much their estimates vary is what unmodelled errors of light and shading amount to.
+//! * the place: registration and blur leave a texel's position uncertain by about one pixel
+//!   footprint, so that it may have the albedo of a neighbour that far away;
+//! * what no part accounts for: the scatter of albedo over the classes that scatter least. Most
+//!   rooms have surfaces of one colour; how much their estimates vary is what unmodelled errors of
+//!   light and shading amount to.
 
 use super::AlbedoEstimate;
 use crate::image::Plane;
@@ -21,14 +25,16 @@ use std::collections::BTreeMap;
 const SPECULAR_DOUBT: f32 = 0.2;
 /// Looks that a class's typical disagreement counts for beside a texel's own.
 const PRIOR_LOOKS: f32 = 2.0;
-/// The unexplained part is read from the class at this share of the observed texels, ordered by scatter, and is at most this.
+/// The unexplained part is read from the class at this share of the observed texels, ordered by
+/// scatter, and is at most this.
 const QUIET_SHARE: f64 = 0.25;
 const MOST_UNEXPLAINED: f32 = 0.2;
 /// At most this many texels per class are looked at.
 const SAMPLES: usize = 40_000;
 
-/// Standard error of each covered texel's albedo luminance; infinite where unobserved. `footprint(i)` is the side of the sharpest
-/// pixel footprint in texels, `irradiance_error(i)` the relative standard error of E; `considered(i)` leaves out lamps.
+/// Standard error of each covered texel's albedo luminance; infinite where unobserved.
+/// `footprint(i)` is the side of the sharpest pixel footprint in texels, `irradiance_error(i)` the
+/// relative standard error of E; `considered(i)` leaves out lamps.
 #[must_use]
 pub fn albedo_error(
     albedo: &AlbedoEstimate,
@@ -38,12 +44,26 @@ pub fn albedo_error(
     footprint: impl Fn(usize) -> f32 + Sync,
     considered: impl Fn(usize) -> bool,
 ) -> Vec<f32> {
-    let value: Vec<f32> = albedo.value.iter().map(|v| luminance(*v).clamp(0.0, 1.0)).collect();
+    let value: Vec<f32> = albedo
+        .value
+        .iter()
+        .map(|v| luminance(*v).clamp(0.0, 1.0))
+        .collect();
     let known = |i: usize| albedo.error[i].is_finite() && albedo.looks[i] > 0.0;
-    let plane =
-        texels.scatter(&(0..value.len()).map(|i| if known(i) { value[i] } else { f32::NAN }).collect::<Vec<_>>(), f32::NAN);
+    let plane = texels.scatter(
+        &(0..value.len())
+            .map(|i| if known(i) { value[i] } else { f32::NAN })
+            .collect::<Vec<_>>(),
+        f32::NAN,
+    );
     let spread = |i: usize| albedo.error[i] * albedo.looks[i].sqrt() / value[i].max(1e-3);
-    let (typical, unexplained) = statistics(albedo, labels, &value, &|i| known(i) && considered(i), &spread);
+    let (typical, unexplained) = statistics(
+        albedo,
+        labels,
+        &value,
+        &|i| known(i) && considered(i),
+        &spread,
+    );
     crate::parallel::map_chunks(value.len(), 4096, |range| {
         range
             .map(|i| {
@@ -51,11 +71,14 @@ pub fn albedo_error(
                     return f32::INFINITY;
                 }
                 let looks = albedo.looks[i];
-                let own = spread(i).powi(2) * looks + typical.get(&labels[i]).map_or(0.0, |t| t * t) * PRIOR_LOOKS;
+                let own = spread(i).powi(2) * looks
+                    + typical.get(&labels[i]).map_or(0.0, |t| t * t) * PRIOR_LOOKS;
                 let share = albedo.specular_share[i].min(0.9);
                 let specular = SPECULAR_DOUBT * share / (1.0 - share);
-                let relative =
-                    own / (looks + PRIOR_LOOKS) + irradiance_error(i).powi(2) + specular * specular + unexplained * unexplained;
+                let relative = own / (looks + PRIOR_LOOKS)
+                    + irradiance_error(i).powi(2)
+                    + specular * specular
+                    + unexplained * unexplained;
                 let place = contrast(&plane, texels.cell[i] as usize, footprint(i));
                 (relative * value[i] * value[i] + place * place).sqrt()
             })
@@ -64,7 +87,8 @@ pub fn albedo_error(
     .concat()
 }
 
-/// Per class the median spread of the looks; over all, the scatter of ln albedo of the quiet classes.
+/// Per class the median spread of the looks; over all, the scatter of ln albedo of the quiet
+/// classes.
 fn statistics(
     albedo: &AlbedoEstimate,
     labels: &[u16],
@@ -73,7 +97,9 @@ fn statistics(
     spread: &dyn Fn(usize) -> f32,
 ) -> (BTreeMap<u16, f32>, f32) {
     let mut members: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
-    for i in (0..value.len()).filter(|&i| counts(i) && albedo.clean[i] && albedo.looks[i] >= 1.5 && value[i] > 0.005) {
+    for i in (0..value.len())
+        .filter(|&i| counts(i) && albedo.clean[i] && albedo.looks[i] >= 1.5 && value[i] > 0.005)
+    {
         members.entry(labels[i]).or_default().push(i);
     }
     let mut typical = BTreeMap::new();
@@ -81,7 +107,10 @@ fn statistics(
     for (label, ids) in members {
         let stride = (ids.len() / SAMPLES).max(1);
         let chosen: Vec<usize> = ids.iter().copied().step_by(stride).collect();
-        typical.insert(label, median(chosen.iter().map(|&i| spread(i)).collect()).unwrap_or(0.0));
+        typical.insert(
+            label,
+            median(chosen.iter().map(|&i| spread(i)).collect()).unwrap_or(0.0),
+        );
         let logs: Vec<f32> = chosen.iter().map(|&i| value[i].ln()).collect();
         let centre = median(logs.clone()).unwrap_or(0.0);
         // 1.4826 turns a median absolute deviation into a Gaussian's standard deviation
@@ -95,18 +124,31 @@ fn statistics(
         below += s.1;
         below as f64 >= QUIET_SHARE * total as f64
     });
-    (typical, quiet.map_or(MOST_UNEXPLAINED, |q| q.0.min(MOST_UNEXPLAINED)))
+    (
+        typical,
+        quiet.map_or(MOST_UNEXPLAINED, |q| q.0.min(MOST_UNEXPLAINED)),
+    )
 }
 
-/// Root mean square difference between a texel and its eight neighbours `footprint` texels away (one at least); its own value, which
-/// is the largest error there can be, where none of them is known.
+/// Root mean square difference between a texel and its eight neighbours `footprint` texels away
+/// (one at least); its own value, which is the largest error there can be, where none of them is
+/// known.
 fn contrast(plane: &Plane<f32>, cell: usize, footprint: f32) -> f32 {
     let (w, h) = (plane.width as i64, plane.height as i64);
     let own = plane.data[cell];
     let lag = footprint.round().clamp(1.0, 16.0) as i64;
     let (x, y) = (cell as i64 % w, cell as i64 / w);
     let (mut sum, mut count) = (0.0, 0.0);
-    for (dx, dy) in [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)] {
+    for (dx, dy) in [
+        (-1, -1),
+        (0, -1),
+        (1, -1),
+        (-1, 0),
+        (1, 0),
+        (-1, 1),
+        (0, 1),
+        (1, 1),
+    ] {
         let (i, j) = (x + dx * lag, y + dy * lag);
         if i >= 0 && j >= 0 && i < w && j < h {
             let v = plane.data[(j * w + i) as usize];
@@ -116,7 +158,11 @@ fn contrast(plane: &Plane<f32>, cell: usize, footprint: f32) -> f32 {
             }
         }
     }
-    if count > 0.0 { (sum / count).sqrt() } else { own }
+    if count > 0.0 {
+        (sum / count).sqrt()
+    } else {
+        own
+    }
 }
 
 #[cfg(test)]
@@ -155,7 +201,10 @@ mod tests {
             albedo_error(&a, &texels, &labels, |_| e, |_| 1.0, |_| true)[300]
         };
         // disagreement of 0.01 between looks, whatever their number
-        assert!((state(4.0, 0.0, 0.0) - 0.01).abs() < 1e-5 && (state(40.0, 0.0, 0.0) - 0.01).abs() < 1e-5);
+        assert!(
+            (state(4.0, 0.0, 0.0) - 0.01).abs() < 1e-5
+                && (state(40.0, 0.0, 0.0) - 0.01).abs() < 1e-5
+        );
         assert!((state(4.0, 0.0, 0.06) - (0.01f32.powi(2) + 0.03f32.powi(2)).sqrt()).abs() < 1e-5);
         assert!((state(4.0, 0.5, 0.0) - (0.01f32.powi(2) + 0.1f32.powi(2)).sqrt()).abs() < 1e-5);
     }
@@ -165,15 +214,30 @@ mod tests {
         let texels = square();
         let labels = vec![1u16; texels.len()];
         let width = texels.width;
-        let mut a =
-            estimate(texels.len(), |i| if (texels.cell[i] as usize % width).is_multiple_of(2) { 0.4 } else { 0.6 }, 4.0, 0.0);
+        let mut a = estimate(
+            texels.len(),
+            |i| {
+                if (texels.cell[i] as usize % width).is_multiple_of(2) {
+                    0.4
+                } else {
+                    0.6
+                }
+            },
+            4.0,
+            0.0,
+        );
         a.error[7] = f32::INFINITY;
         let near = albedo_error(&a, &texels, &labels, |_| 0.0, |_| 1.0, |_| true);
         let far = albedo_error(&a, &texels, &labels, |_| 0.0, |_| 2.0, |_| true);
         assert!(near[7].is_infinite());
         // six of eight neighbours have the other value at a distance of one texel, none at two
         let unexplained = far[300];
-        assert!(near[300] > 0.17 && unexplained < near[300], "{} {}", near[300], far[300]);
+        assert!(
+            near[300] > 0.17 && unexplained < near[300],
+            "{} {}",
+            near[300],
+            far[300]
+        );
     }
 
     #[test]
@@ -188,6 +252,10 @@ mod tests {
             footprint: vec![0.01; texels.len()],
         };
         let labels = vec![0u16; texels.len()];
-        assert!(albedo_error(&none, &texels, &labels, |_| 0.0, |_| 1.0, |_| true).iter().all(|e| e.is_infinite()));
+        assert!(
+            albedo_error(&none, &texels, &labels, |_| 0.0, |_| 1.0, |_| true)
+                .iter()
+                .all(|e| e.is_infinite())
+        );
     }
 }

@@ -1,7 +1,8 @@
 //! How far the views of evidence points disagree at a candidate roughness.
 //!
-//! A point's views, less their specular part, must agree on one diffuse radiance. It is eliminated in closed form (variable projection,
-//! Golub & Pereyra 1973), so that neither albedo nor irradiance is needed.
+//! A point's views, less their specular part, must agree on one diffuse radiance. It is eliminated
+//! in closed form (variable projection, Golub & Pereyra 1973), so that neither albedo nor
+//! irradiance is needed.
 
 use crate::brdf::Reflectance;
 use crate::highlight::{Evidence, MODELS};
@@ -15,7 +16,8 @@ use std::collections::BTreeMap;
 const OUTLIER: f32 = 0.25;
 /// Relative disagreement from which the loss grows linearly.
 const KNEE: f32 = 0.02;
-/// Relative noise of a response that can be taken out. Beyond, halves that both miss a highlight would agree on there being none.
+/// Relative noise of a response that can be taken out. Beyond, halves that both miss a highlight
+/// would agree on there being none.
 const KNOWN_NOISE: f32 = 0.05;
 
 /// How far the views of one point disagree at every level of the evidence.
@@ -35,24 +37,48 @@ impl<'a> Disagreement<'a> {
         Self::of_sights(evidence, model, points, |_| true)
     }
 
-    /// As [`Self::of`], of every other view only: the even ones for `half` 0, the odd ones for 1. Points of which it has fewer than two
-    /// sights disagree about nothing.
-    pub(super) fn of_half(evidence: &'a Evidence, model: Reflectance, points: &[usize], half: u32) -> Self {
+    /// As [`Self::of`], of every other view only: the even ones for `half` 0, the odd ones for 1.
+    /// Points of which it has fewer than two sights disagree about nothing.
+    pub(super) fn of_half(
+        evidence: &'a Evidence,
+        model: Reflectance,
+        points: &[usize],
+        half: u32,
+    ) -> Self {
         Self::of_sights(evidence, model, points, |view| view % 2 == half)
     }
 
-    fn of_sights(evidence: &'a Evidence, model: Reflectance, points: &[usize], take: impl Fn(u32) -> bool + Sync) -> Self {
+    fn of_sights(
+        evidence: &'a Evidence,
+        model: Reflectance,
+        points: &[usize],
+        take: impl Fn(u32) -> bool + Sync,
+    ) -> Self {
         let row = |&i: &usize| {
             let mut looks = Looks::of(evidence, model, i, &take);
-            (0..evidence.levels.len()).map(|k| looks.disagreement(k)).collect()
+            (0..evidence.levels.len())
+                .map(|k| looks.disagreement(k))
+                .collect()
         };
-        Self { levels: &evidence.levels, rows: points.par_iter().map(row).collect() }
+        Self {
+            levels: &evidence.levels,
+            rows: points.par_iter().map(row).collect(),
+        }
     }
 
     /// That of the points for which `keep(k)` is true, `k` counting them.
     pub(super) fn of_points(&self, keep: impl Fn(usize) -> bool) -> Self {
-        let rows = self.rows.iter().enumerate().filter(|(k, _)| keep(*k)).map(|(_, r)| r.clone()).collect();
-        Self { levels: self.levels, rows }
+        let rows = self
+            .rows
+            .iter()
+            .enumerate()
+            .filter(|(k, _)| keep(*k))
+            .map(|(_, r)| r.clone())
+            .collect();
+        Self {
+            levels: self.levels,
+            rows,
+        }
     }
 
     /// Sum per level over the points for which `keep(k)` is true.
@@ -68,7 +94,11 @@ impl<'a> Disagreement<'a> {
 /// Indices of the evidence's points, class by class.
 pub(super) fn points_by_class(evidence: &Evidence) -> BTreeMap<u16, Vec<usize>> {
     let mut classes: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
-    evidence.points.iter().enumerate().for_each(|(i, p)| classes.entry(p.class).or_default().push(i));
+    evidence
+        .points
+        .iter()
+        .enumerate()
+        .for_each(|(i, p)| classes.entry(p.class).or_default().push(i));
     classes
 }
 
@@ -88,42 +118,75 @@ struct Looks<'a> {
 }
 
 impl<'a> Looks<'a> {
-    fn of(evidence: &'a Evidence, model: Reflectance, point: usize, take: impl Fn(u32) -> bool) -> Self {
+    fn of(
+        evidence: &'a Evidence,
+        model: Reflectance,
+        point: usize,
+        take: impl Fn(u32) -> bool,
+    ) -> Self {
         let p = &evidence.points[point];
         let all = p.first as usize..(p.first + p.count) as usize;
         let sights: Vec<usize> = all.filter(|&j| take(evidence.sights[j].view)).collect();
-        let scale = median(sights.iter().map(|&j| luminance(evidence.sights[j].radiance)).collect()).unwrap_or(0.0).max(1e-9);
-        Self { evidence, model, sights, scale, diffuse: Vec::new(), noise: Vec::new(), share: Vec::new() }
+        let scale = median(
+            sights
+                .iter()
+                .map(|&j| luminance(evidence.sights[j].radiance))
+                .collect(),
+        )
+        .unwrap_or(0.0)
+        .max(1e-9);
+        Self {
+            evidence,
+            model,
+            sights,
+            scale,
+            diffuse: Vec::new(),
+            noise: Vec::new(),
+            share: Vec::new(),
+        }
     }
 
     /// The diffuse radiance the views agree on best if the roughness is that of level `k`.
     fn centre(&mut self, k: usize) -> Vec3 {
         let (evidence, model) = (self.evidence, self.model);
-        let m = MODELS.iter().position(|m| (*m == Reflectance::Paper) == (model == Reflectance::Paper)).unwrap_or(0);
+        let m = MODELS
+            .iter()
+            .position(|m| (*m == Reflectance::Paper) == (model == Reflectance::Paper))
+            .unwrap_or(0);
         self.diffuse.clear();
         self.noise.clear();
         for &j in &self.sights {
             let s = &evidence.sights[j];
             let factor = evidence.diffuse_factor(j, model, evidence.levels[k]);
-            self.diffuse.push(((s.radiance - evidence.response(j, m)[k]) / factor, s.weight * factor));
+            self.diffuse.push((
+                (s.radiance - evidence.response(j, m)[k]) / factor,
+                s.weight * factor,
+            ));
             self.noise.push(evidence.noise(j, m)[k] / factor);
         }
         robust_centre(&self.diffuse, self.scale, &mut self.share)
     }
 
-    /// Robust relative disagreement of the views at level `k`: mean product of the residuals of two independent estimates of the responses.
-    /// Of their noise nothing is left on average; in a square it would stay, and narrow lobes, which are noisier than wide ones, would seem
-    /// to explain the views less.
+    /// Robust relative disagreement of the views at level `k`: mean product of the residuals of two
+    /// independent estimates of the responses. Of their noise nothing is left on average; in a
+    /// square it would stay, and narrow lobes, which are noisier than wide ones, would seem to
+    /// explain the views less.
     fn disagreement(&mut self, k: usize) -> f64 {
         if self.sights.len() < 2 {
             return 0.0;
         }
         let centre = self.centre(k);
-        let common = self.noise.iter().zip(&self.share).map(|(n, s)| n * s).sum::<f32>();
+        let common = self
+            .noise
+            .iter()
+            .zip(&self.share)
+            .map(|(n, s)| n * s)
+            .sum::<f32>();
         let (mut sum, mut weight) = (0.0, 0.0);
         for ((d, w), noise) in self.diffuse.iter().zip(&self.noise) {
             let e = (*d - centre) / self.scale;
-            let noise = Vec3::splat(((noise - common) / self.scale).clamp(-KNOWN_NOISE, KNOWN_NOISE));
+            let noise =
+                Vec3::splat(((noise - common) / self.scale).clamp(-KNOWN_NOISE, KNOWN_NOISE));
             let product = damped(e + noise) * damped(e - noise);
             sum += f64::from(w * product.element_sum() * (1.0 / 3.0));
             weight += f64::from(*w);
@@ -132,19 +195,29 @@ impl<'a> Looks<'a> {
     }
 }
 
-/// Root of a robust loss with the residual's sign: the loss is square where residuals are small and linear beyond, up to [`OUTLIER`].
+/// Root of a robust loss with the residual's sign: the loss is square where residuals are small and
+/// linear beyond, up to [`OUTLIER`].
 fn damped(residual: Vec3) -> Vec3 {
     residual.map(|r| (r / (r.abs() + KNEE).sqrt()).clamp(-OUTLIER.sqrt(), OUTLIER.sqrt()))
 }
 
-/// The diffuse radiance that the views of a point agree on best, if its roughness is about `roughness`.
-pub(super) fn diffuse_radiance(evidence: &Evidence, model: Reflectance, point: usize, roughness: f32) -> Vec3 {
+/// The diffuse radiance that the views of a point agree on best, if its roughness is about
+/// `roughness`.
+pub(super) fn diffuse_radiance(
+    evidence: &Evidence,
+    model: Reflectance,
+    point: usize,
+    roughness: f32,
+) -> Vec3 {
     let away = |k: &usize| (evidence.levels[*k] - roughness).abs();
-    let nearest = (0..evidence.levels.len()).min_by(|a, b| away(a).total_cmp(&away(b))).unwrap_or(0);
+    let nearest = (0..evidence.levels.len())
+        .min_by(|a, b| away(a).total_cmp(&away(b)))
+        .unwrap_or(0);
     Looks::of(evidence, model, point, |_| true).centre(nearest)
 }
 
-/// Weighted mean refined twice by Cauchy-like weights, per colour together. `share` takes what each value counts for it, 1 in all.
+/// Weighted mean refined twice by Cauchy-like weights, per colour together. `share` takes what each
+/// value counts for it, 1 in all.
 fn robust_centre(values: &[(Vec3, f32)], scale: f32, share: &mut Vec<f32>) -> Vec3 {
     let by_luminance: Vec<(f32, f32)> = values.iter().map(|v| (luminance(v.0), v.1)).collect();
     let mut centre = weighted_median(&by_luminance).map_or(Vec3::ZERO, |i| values[i].0);
@@ -170,18 +243,27 @@ mod tests {
     use crate::inverse::fit_groups;
     use crate::sampling::KeyedRng;
 
-    /// Points of roughness 0.62, six views each, whose traced responses are the noisier the narrower the lobe. `known`: whether the halves'
-    /// difference is.
+    /// Points of roughness 0.62, six views each, whose traced responses are the noisier the
+    /// narrower the lobe. `known`: whether the halves' difference is.
     fn noisy(known: bool) -> Evidence {
         let mut rng = KeyedRng::new(11, 5);
-        let mut out = Evidence { levels: LEVELS.to_vec(), ..Evidence::default() };
+        let mut out = Evidence {
+            levels: LEVELS.to_vec(),
+            ..Evidence::default()
+        };
         let response = |strength: f32, r: f32| strength / (0.2 + r * r);
         for i in 0..600 {
             let first = out.sights.len() as u32;
             for view in 0..6 {
                 let strength = 0.03 * rng.next_f32();
-                let radiance = Vec3::splat(1.0 + response(strength, 0.62) + 0.01 * (rng.next_f32() - 0.5));
-                out.sights.push(Sight { view, radiance, n_v: 0.8, weight: 1.0 });
+                let radiance =
+                    Vec3::splat(1.0 + response(strength, 0.62) + 0.01 * (rng.next_f32() - 0.5));
+                out.sights.push(Sight {
+                    view,
+                    radiance,
+                    n_v: 0.8,
+                    weight: 1.0,
+                });
                 out.diffuse.push([1.0, 0.0, 0.0]);
                 let halves = [rng.next_f32(), rng.next_f32()].map(|u| 2.0 * u - 1.0);
                 for r in MODELS.iter().flat_map(|_| LEVELS) {
@@ -190,7 +272,13 @@ mod tests {
                     out.noise.push(if known { 0.5 * (a - b) } else { 0.0 });
                 }
             }
-            out.points.push(EvidencePoint { class: 7, triangle: 0, position: Vec3::X * i as f32, first, count: 6 });
+            out.points.push(EvidencePoint {
+                class: 7,
+                triangle: 0,
+                position: Vec3::X * i as f32,
+                first,
+                count: 6,
+            });
         }
         out
     }
@@ -199,6 +287,10 @@ mod tests {
     fn noise_of_the_responses_does_not_make_surfaces_look_rougher() {
         let found = |known: bool| fit_groups(&noisy(known), Reflectance::Paper)[0].roughness;
         assert!((found(true) - 0.62).abs() < 0.06, "{}", found(true));
-        assert!(found(false) > 0.7, "the noise of the test must matter: {}", found(false));
+        assert!(
+            found(false) > 0.7,
+            "the noise of the test must matter: {}",
+            found(false)
+        );
     }
 }

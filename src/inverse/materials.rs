@@ -1,10 +1,12 @@
-//! One class, several materials: tiles and their grout share a label, not a roughness; nor does the wood of two rooms.
+//! One class, several materials: tiles and their grout share a label, not a roughness; nor does the
+//! wood of two rooms.
 //!
-//! A class has one roughness unless the evidence asks for more: one per room, one that follows the colour from texel to texel, or, if
-//! neither, one that follows the place (`place.rs`). A division by room or colour stands if each side has evidence of its own, the
-//! roughness values differ by more than their errors, and views that had no part in the fit are explained better by them than by one
-//! value (cross-validation); of two such, the one that explains more.
-//! Between two colours, where a texel holds both materials, the roughness is in between.
+//! A class has one roughness unless the evidence asks for more: one per room, one that follows the
+//! colour from texel to texel, or, if neither, one that follows the place (`place.rs`). A division
+//! by room or colour stands if each side has evidence of its own, the roughness values differ by
+//! more than their errors, and views that had no part in the fit are explained better by them than
+//! by one value (cross-validation); of two such, the one that explains more. Between two colours,
+//! where a texel holds both materials, the roughness is in between.
 
 use super::disagreement::{Disagreement, diffuse_radiance, points_by_class};
 use super::place::{self, Field};
@@ -19,17 +21,19 @@ use std::f32::consts::PI;
 
 /// Points a material needs for a fit of its own.
 const FEWEST: usize = 40;
-/// Distance of the two mean colours in standard deviations around them, from which a class counts as two-coloured: halves of a normal
-/// distribution are 2.7 apart.
+/// Distance of the two mean colours in standard deviations around them, from which a class counts
+/// as two-coloured: halves of a normal distribution are 2.7 apart.
 const APART: f32 = 3.0;
-/// Share of the held-out views' disagreement that a division must explain: tiles and grout explain 9 %, surfaces of one roughness whose colour
-/// merely follows their place up to 4 %.
+/// Share of the held-out views' disagreement that a division must explain: tiles and grout explain
+/// 9 %, surfaces of one roughness whose colour merely follows their place up to 4 %.
 pub const DIVISION_GAIN: f64 = 0.05;
-/// The same for roughness that follows the place: on surfaces of one roughness it explains up to 8 %.
+/// The same for roughness that follows the place: on surfaces of one roughness it explains up to 8
+/// %.
 const PLACE_GAIN: f64 = 0.15;
 /// Standard errors by which the two roughness values must differ.
 const DIFFERENT: f32 = 3.0;
-/// Share of the way from one colour to the other on which points tell of the first, and of the second.
+/// Share of the way from one colour to the other on which points tell of the first, and of the
+/// second.
 const PURE: f32 = 0.25;
 /// Rounds of the division by colour: it has settled long before.
 const ROUNDS: usize = 12;
@@ -72,7 +76,8 @@ struct Parts {
     fits: [GroupFit; 2],
 }
 
-/// The way from the rarer albedo to the usual one: what a texel on the border of two materials mixes is light, hence albedo.
+/// The way from the rarer albedo to the usual one: what a texel on the border of two materials
+/// mixes is light, hence albedo.
 #[derive(Clone, Copy, Debug)]
 struct Axis {
     from: Vec3,
@@ -88,9 +93,16 @@ impl Axis {
 }
 
 impl Materials {
-    /// Divides the classes fitted by `fits` where that explains more than the share `least` of the held-out views' disagreement.
+    /// Divides the classes fitted by `fits` where that explains more than the share `least` of the
+    /// held-out views' disagreement.
     #[must_use]
-    pub fn find(evidence: &Evidence, fits: Vec<GroupFit>, model: Reflectance, places: &Places, least: f64) -> Self {
+    pub fn find(
+        evidence: &Evidence,
+        fits: Vec<GroupFit>,
+        model: Reflectance,
+        places: &Places,
+        least: f64,
+    ) -> Self {
         let members = points_by_class(evidence);
         let classes = fits
             .into_iter()
@@ -100,19 +112,34 @@ impl Materials {
                 let albedo = |&i: &usize| {
                     let p = &evidence.points[i];
                     let e = (places.irradiance)(p.triangle, p.position).max(Vec3::splat(1e-12));
-                    (diffuse_radiance(evidence, model, i, whole.roughness) * PI / e).clamp(Vec3::ZERO, Vec3::ONE)
+                    (diffuse_radiance(evidence, model, i, whole.roughness) * PI / e)
+                        .clamp(Vec3::ZERO, Vec3::ONE)
                 };
                 let colours: Vec<Vec3> = points.par_iter().map(albedo).collect();
-                let rooms: Vec<u16> =
-                    points.iter().map(|&i| (places.room)(evidence.points[i].triangle, evidence.points[i].position)).collect();
-                let by_colour = divide(&colours).and_then(|axis| by_colour(whole.class, axis, &table, &colours));
+                let rooms: Vec<u16> = points
+                    .iter()
+                    .map(|&i| {
+                        (places.room)(evidence.points[i].triangle, evidence.points[i].position)
+                    })
+                    .collect();
+                let by_colour = divide(&colours)
+                    .and_then(|axis| by_colour(whole.class, axis, &table, &colours));
                 let by_room = by_room(whole.class, &table, &rooms);
                 let enough = |d: &(Division, f64)| d.1 > least;
                 let better = |a: (Division, f64), b: (Division, f64)| if b.1 > a.1 { b } else { a };
-                let division = by_colour.into_iter().chain(by_room).filter(enough).reduce(better).map(|d| d.0);
+                let division = by_colour
+                    .into_iter()
+                    .chain(by_room)
+                    .filter(enough)
+                    .reduce(better)
+                    .map(|d| d.0);
                 let division = division.or_else(|| {
-                    let positions: Vec<Vec3> = points.iter().map(|&i| evidence.points[i].position).collect();
-                    let halves = [0, 1].map(|half| Disagreement::of_half(evidence, model, points, half));
+                    let positions: Vec<Vec3> = points
+                        .iter()
+                        .map(|&i| evidence.points[i].position)
+                        .collect();
+                    let halves =
+                        [0, 1].map(|half| Disagreement::of_half(evidence, model, points, half));
                     let least = least + PLACE_GAIN - DIVISION_GAIN;
                     let (field, _) = place::by_place(&whole, &positions, &table, &halves, least)?;
                     Some(Division::Place(field))
@@ -126,13 +153,32 @@ impl Materials {
     /// One roughness per class, whatever the evidence says.
     #[must_use]
     pub fn undivided(fits: Vec<GroupFit>) -> Self {
-        Self { classes: fits.into_iter().map(|whole| (whole.class, Class { whole, division: None })).collect() }
+        Self {
+            classes: fits
+                .into_iter()
+                .map(|whole| {
+                    (
+                        whole.class,
+                        Class {
+                            whole,
+                            division: None,
+                        },
+                    )
+                })
+                .collect(),
+        }
     }
 
-    /// Roughness of a class in a room at a `place` of albedo `colour` (`None`: unknown) and its standard error; `None` for a class
-    /// without evidence.
+    /// Roughness of a class in a room at a `place` of albedo `colour` (`None`: unknown) and its
+    /// standard error; `None` for a class without evidence.
     #[must_use]
-    pub fn roughness(&self, class: u16, room: u16, colour: Option<Vec3>, place: Vec3) -> Option<(f32, f32)> {
+    pub fn roughness(
+        &self,
+        class: u16,
+        room: u16,
+        colour: Option<Vec3>,
+        place: Vec3,
+    ) -> Option<(f32, f32)> {
         let Class { whole, division } = self.classes.get(&class)?;
         let of = |f: &GroupFit| (f.roughness, f.error);
         Some(match division {
@@ -140,9 +186,11 @@ impl Materials {
             Some(Division::Room(fits)) => of(fits.get(&room).unwrap_or(whole)),
             Some(Division::Place(field)) => field.at(place),
             Some(Division::Colour(p)) => {
-                // the usual colour scatters from tile to tile; what lies beyond the rare one is just that
+                // the usual colour scatters from tile to tile; what lies beyond the rare one is
+                // just that
                 let t = colour.map_or(1.0, |c| (p.axis.place(c) / (1.0 - PURE)).min(1.0));
-                let between = |f: fn(&GroupFit) -> f32| f(&p.fits[0]) * (1.0 - t) + f(&p.fits[1]) * t;
+                let between =
+                    |f: fn(&GroupFit) -> f32| f(&p.fits[0]) * (1.0 - t) + f(&p.fits[1]) * t;
                 (between(|f| f.roughness), between(|f| f.error))
             }
         })
@@ -150,26 +198,38 @@ impl Materials {
 
     /// Classes of two colours, with the roughness of both.
     pub fn by_colour(&self) -> impl Iterator<Item = (u16, [f32; 2])> {
-        self.classes.iter().filter_map(|(&class, c)| match &c.division {
-            Some(Division::Colour(p)) => Some((class, [p.fits[0].roughness, p.fits[1].roughness])),
-            _ => None,
-        })
+        self.classes
+            .iter()
+            .filter_map(|(&class, c)| match &c.division {
+                Some(Division::Colour(p)) => {
+                    Some((class, [p.fits[0].roughness, p.fits[1].roughness]))
+                }
+                _ => None,
+            })
     }
 
     /// Classes whose roughness differs from room to room, with the rooms' values.
     pub fn by_room(&self) -> impl Iterator<Item = (u16, Vec<(u16, f32)>)> {
-        self.classes.iter().filter_map(|(&class, c)| match &c.division {
-            Some(Division::Room(fits)) => Some((class, fits.iter().map(|(room, f)| (*room, f.roughness)).collect())),
-            _ => None,
-        })
+        self.classes
+            .iter()
+            .filter_map(|(&class, c)| match &c.division {
+                Some(Division::Room(fits)) => Some((
+                    class,
+                    fits.iter().map(|(room, f)| (*room, f.roughness)).collect(),
+                )),
+                _ => None,
+            })
     }
 
-    /// Classes whose roughness follows the place, with the values that a twentieth of their points lies below, and above.
+    /// Classes whose roughness follows the place, with the values that a twentieth of their points
+    /// lies below, and above.
     pub fn by_place(&self) -> impl Iterator<Item = (u16, [f32; 2])> {
-        self.classes.iter().filter_map(|(&class, c)| match &c.division {
-            Some(Division::Place(field)) => Some((class, field.range())),
-            _ => None,
-        })
+        self.classes
+            .iter()
+            .filter_map(|(&class, c)| match &c.division {
+                Some(Division::Place(field)) => Some((class, field.range())),
+                _ => None,
+            })
     }
 
     /// The fits of whole classes.
@@ -178,8 +238,14 @@ impl Materials {
     }
 }
 
-/// Divides a class by colour; also the share of the held-out views' disagreement that the division explains.
-fn by_colour(class: u16, axis: Axis, table: &Disagreement, colours: &[Vec3]) -> Option<(Division, f64)> {
+/// Divides a class by colour; also the share of the held-out views' disagreement that the division
+/// explains.
+fn by_colour(
+    class: u16,
+    axis: Axis,
+    table: &Disagreement,
+    colours: &[Vec3],
+) -> Option<(Division, f64)> {
     let of = |lies: &dyn Fn(f32) -> bool| table.of_points(|k| lies(axis.place(colours[k])));
     let sides = [of(&|place| place <= PURE), of(&|place| place >= 1.0 - PURE)];
     let (fits, gain) = explained(class, &sides)?;
@@ -190,21 +256,34 @@ fn by_colour(class: u16, axis: Axis, table: &Disagreement, colours: &[Vec3]) -> 
 /// The same room by room.
 fn by_room(class: u16, table: &Disagreement, rooms: &[u16]) -> Option<(Division, f64)> {
     let mut size: BTreeMap<u16, usize> = BTreeMap::new();
-    rooms.iter().filter(|room| **room != 0).for_each(|room| *size.entry(*room).or_default() += 1);
-    let names: Vec<u16> = size.into_iter().filter(|(_, n)| *n >= FEWEST).map(|(room, _)| room).collect();
-    let sides: Vec<Disagreement> = names.iter().map(|room| table.of_points(|k| rooms[k] == *room)).collect();
+    rooms
+        .iter()
+        .filter(|room| **room != 0)
+        .for_each(|room| *size.entry(*room).or_default() += 1);
+    let names: Vec<u16> = size
+        .into_iter()
+        .filter(|(_, n)| *n >= FEWEST)
+        .map(|(room, _)| room)
+        .collect();
+    let sides: Vec<Disagreement> = names
+        .iter()
+        .map(|room| table.of_points(|k| rooms[k] == *room))
+        .collect();
     let (fits, gain) = explained(class, &sides)?;
     Some((Division::Room(names.into_iter().zip(fits).collect()), gain))
 }
 
-/// Fits each side of a division; `None` unless the sides differ. Also the share of the held-out views' disagreement that the division
-/// explains.
+/// Fits each side of a division; `None` unless the sides differ. Also the share of the held-out
+/// views' disagreement that the division explains.
 fn explained(class: u16, sides: &[Disagreement]) -> Option<(Vec<GroupFit>, f64)> {
     if sides.len() < 2 || sides.iter().any(|s| s.rows.len() < FEWEST) {
         return None;
     }
     let apart: f64 = sides.iter().map(held_out).sum();
-    let together = Disagreement { levels: sides[0].levels, rows: sides.iter().flat_map(|s| s.rows.iter().cloned()).collect() };
+    let together = Disagreement {
+        levels: sides[0].levels,
+        rows: sides.iter().flat_map(|s| s.rows.iter().cloned()).collect(),
+    };
     let together = held_out(&together);
     if together <= 0.0 {
         return None;
@@ -221,8 +300,8 @@ fn logarithm(albedo: Vec3) -> Vec3 {
     albedo.max(Vec3::splat(DARK)).map(f32::ln)
 }
 
-/// The way from the rarer to the more usual of the two colours that a list is divided into best (Lloyd 1982); `None` if it has one
-/// colour.
+/// The way from the rarer to the more usual of the two colours that a list is divided into best
+/// (Lloyd 1982); `None` if it has one colour.
 fn divide(colours: &[Vec3]) -> Option<Axis> {
     if colours.len() < 2 * FEWEST {
         return None;
@@ -256,15 +335,23 @@ fn divide(colours: &[Vec3]) -> Option<Axis> {
         return None;
     }
     let mean = |of: &dyn Fn(usize) -> bool| {
-        let (sum, n) = (0..colours.len()).filter(|&i| of(i)).fold((Vec3::ZERO, 0.0), |s, i| (s.0 + colours[i], s.1 + 1.0));
+        let (sum, n) = (0..colours.len())
+            .filter(|&i| of(i))
+            .fold((Vec3::ZERO, 0.0), |s, i| (s.0 + colours[i], s.1 + 1.0));
         sum / f32::max(n, 1.0)
     };
-    // the rarer material is the thinner one, and most of its pixels hold some of the other: the half farther off is purer
+    // the rarer material is the thinner one, and most of its pixels hold some of the other: the
+    // half farther off is purer
     let rare = usize::from(2 * side.iter().sum::<usize>() < side.len());
     let outwards = if rare == 1 { way } else { -way };
-    let ends = [0, 1].map(|k| mean(&|i| side[i] == k && (k != rare || (logs[i] - centres[k]).dot(outwards) >= 0.0)));
+    let ends = [0, 1].map(|k| {
+        mean(&|i| side[i] == k && (k != rare || (logs[i] - centres[k]).dot(outwards) >= 0.0))
+    });
     let step = ends[1 - rare] - ends[rare];
-    Some(Axis { from: ends[rare], step: step / step.length_squared().max(f32::MIN_POSITIVE) })
+    Some(Axis {
+        from: ends[rare],
+        step: step / step.length_squared().max(f32::MIN_POSITIVE),
+    })
 }
 
 #[cfg(test)]
@@ -292,32 +379,59 @@ mod tests {
         both.extend(scattered(&mut rng, grout, 0.1, 120));
         let axis = divide(&both).expect("two colours");
         // (the rarer one comes first)
-        assert!(axis.place(grout) < 0.15 && axis.place(tile) > 0.95, "{} {}", axis.place(grout), axis.place(tile));
+        assert!(
+            axis.place(grout) < 0.15 && axis.place(tile) > 0.95,
+            "{} {}",
+            axis.place(grout),
+            axis.place(tile)
+        );
         let middle = axis.place(0.5 * (tile + grout));
         assert!((middle - 0.5).abs() < 0.1, "{middle}");
-        assert!(divide(&scattered(&mut rng, tile, 0.25, 1000)).is_none(), "one colour of wide scatter");
+        assert!(
+            divide(&scattered(&mut rng, tile, 0.25, 1000)).is_none(),
+            "one colour of wide scatter"
+        );
         assert!(divide(&both[..50]).is_none(), "too few points");
         assert!(divide(&[Vec3::ZERO; 200]).is_none(), "black");
     }
 
     const LIGHT: Vec3 = Vec3::splat(2.0);
 
-    /// Evidence of one class: per point its albedo and roughness; six views each, of which two meet a highlight.
+    /// Evidence of one class: per point its albedo and roughness; six views each, of which two meet
+    /// a highlight.
     fn evidence_of(rng: &mut KeyedRng, points: &[(Vec3, f32)]) -> Evidence {
-        let mut out = Evidence { levels: LEVELS.to_vec(), ..Evidence::default() };
+        let mut out = Evidence {
+            levels: LEVELS.to_vec(),
+            ..Evidence::default()
+        };
         for (i, &(albedo, roughness)) in points.iter().enumerate() {
             let first = out.sights.len() as u32;
             for view in 0..6 {
                 let strength = if view < 2 { 0.05 * rng.next_f32() } else { 0.0 };
                 let response = |r: f32| Vec3::splat(strength / (0.05 + r * r));
                 let radiance = albedo * LIGHT / PI + response(roughness);
-                out.sights.push(Sight { view, radiance, n_v: 0.8, weight: 1.0 });
+                out.sights.push(Sight {
+                    view,
+                    radiance,
+                    n_v: 0.8,
+                    weight: 1.0,
+                });
                 out.diffuse.push([1.0, 0.0, 0.0]);
-                MODELS.iter().for_each(|_| out.specular.extend(LEVELS.map(response)));
-                MODELS.iter().for_each(|_| out.noise.extend(LEVELS.map(|_| 0.0)));
+                MODELS
+                    .iter()
+                    .for_each(|_| out.specular.extend(LEVELS.map(response)));
+                MODELS
+                    .iter()
+                    .for_each(|_| out.noise.extend(LEVELS.map(|_| 0.0)));
             }
             let position = Vec3::X * i as f32;
-            out.points.push(EvidencePoint { class: 7, triangle: 0, position, first, count: 6 });
+            out.points.push(EvidencePoint {
+                class: 7,
+                triangle: 0,
+                position,
+                first,
+                count: 6,
+            });
         }
         out
     }
@@ -327,19 +441,54 @@ mod tests {
         let (tile, grout) = (Vec3::new(0.53, 0.52, 0.44), Vec3::new(0.24, 0.23, 0.22));
         for (second, divides) in [(0.9, true), (0.15, false)] {
             let mut rng = KeyedRng::new(3, 4);
-            let mut points: Vec<(Vec3, f32)> = scattered(&mut rng, tile, 0.05, 300).into_iter().map(|c| (c, 0.15)).collect();
-            points.extend(scattered(&mut rng, grout, 0.05, 80).into_iter().map(|c| (c, second)));
+            let mut points: Vec<(Vec3, f32)> = scattered(&mut rng, tile, 0.05, 300)
+                .into_iter()
+                .map(|c| (c, 0.15))
+                .collect();
+            points.extend(
+                scattered(&mut rng, grout, 0.05, 80)
+                    .into_iter()
+                    .map(|c| (c, second)),
+            );
             let evidence = evidence_of(&mut rng, &points);
             let model = Reflectance::Paper;
-            let places = Places { irradiance: &|_, _| LIGHT, room: &|_, _| 1 };
-            let materials = Materials::find(&evidence, fit_groups(&evidence, model), model, &places, DIVISION_GAIN);
-            assert_eq!(materials.by_colour().count(), usize::from(divides), "grout of roughness {second}");
+            let places = Places {
+                irradiance: &|_, _| LIGHT,
+                room: &|_, _| 1,
+            };
+            let materials = Materials::find(
+                &evidence,
+                fit_groups(&evidence, model),
+                model,
+                &places,
+                DIVISION_GAIN,
+            );
+            assert_eq!(
+                materials.by_colour().count(),
+                usize::from(divides),
+                "grout of roughness {second}"
+            );
             assert_eq!(materials.by_room().count(), 0);
-            let roughness = |c: Option<Vec3>| materials.roughness(7, 1, c, Vec3::ZERO).expect("evidence").0;
-            assert!((roughness(Some(tile)) - 0.15).abs() < 0.02 && (roughness(None) - 0.15).abs() < 0.02);
-            assert!((roughness(Some(grout)) - second).abs() < 0.1, "{}", roughness(Some(grout)));
+            let roughness = |c: Option<Vec3>| {
+                materials
+                    .roughness(7, 1, c, Vec3::ZERO)
+                    .expect("evidence")
+                    .0
+            };
+            assert!(
+                (roughness(Some(tile)) - 0.15).abs() < 0.02
+                    && (roughness(None) - 0.15).abs() < 0.02
+            );
+            assert!(
+                (roughness(Some(grout)) - second).abs() < 0.1,
+                "{}",
+                roughness(Some(grout))
+            );
             let between = roughness(Some(grout.lerp(tile, 0.4)));
-            assert!(!divides || (between > 0.3 && between < 0.75), "half of each: {between}");
+            assert!(
+                !divides || (between > 0.3 && between < 0.75),
+                "half of each: {between}"
+            );
             assert!(materials.roughness(8, 1, None, Vec3::ZERO).is_none());
         }
     }
@@ -357,18 +506,44 @@ mod tests {
             let evidence = evidence_of(&mut rng, &points);
             let model = Reflectance::Paper;
             // (points lie along x; a third room has too few of them)
-            let places =
-                Places { irradiance: &|_, _| LIGHT, room: &|_, p| if p.x < 250.0 { 1 } else { 2 + u16::from(p.x >= 380.0) } };
-            let materials = Materials::find(&evidence, fit_groups(&evidence, model), model, &places, DIVISION_GAIN);
-            assert_eq!(materials.by_room().count(), usize::from(divides), "second room of roughness {second}");
+            let places = Places {
+                irradiance: &|_, _| LIGHT,
+                room: &|_, p| {
+                    if p.x < 250.0 {
+                        1
+                    } else {
+                        2 + u16::from(p.x >= 380.0)
+                    }
+                },
+            };
+            let materials = Materials::find(
+                &evidence,
+                fit_groups(&evidence, model),
+                model,
+                &places,
+                DIVISION_GAIN,
+            );
+            assert_eq!(
+                materials.by_room().count(),
+                usize::from(divides),
+                "second room of roughness {second}"
+            );
             assert_eq!(materials.by_colour().count(), 0);
-            let roughness = |room: u16| materials.roughness(7, room, Some(wood), Vec3::ZERO).expect("evidence").0;
+            let roughness = |room: u16| {
+                materials
+                    .roughness(7, room, Some(wood), Vec3::ZERO)
+                    .expect("evidence")
+                    .0
+            };
             assert!((roughness(1) - 0.2).abs() < 0.03, "{}", roughness(1));
             assert!((roughness(2) - second).abs() < 0.05, "{}", roughness(2));
             let whole = materials.fits().next().expect("a class").roughness;
             assert_eq!(roughness(3), whole, "too few points of its own");
             let one = Materials::undivided(fit_groups(&evidence, model));
-            assert_eq!(one.roughness(7, 2, None, Vec3::ZERO).expect("evidence").0, whole);
+            assert_eq!(
+                one.roughness(7, 2, None, Vec3::ZERO).expect("evidence").0,
+                whole
+            );
         }
     }
 }

@@ -1,7 +1,8 @@
-//! Specular lobes too wide to show anything: what they reflect is the mean light around, so no ray needs to look for it.
+//! Specular lobes too wide to show anything: what they reflect is the mean light around, so no ray
+//! needs to look for it.
 //!
-//! L_s(v) = ∫ L f_s (n·l) dl ≈ (E/π) ∫ f_s (n·l) dl: exact where light comes evenly from all sides, and the wider the lobe the
-//! better elsewhere.
+//! L_s(v) = ∫ L f_s (n·l) dl ≈ (E/π) ∫ f_s (n·l) dl: exact where light comes evenly from all sides,
+//! and the wider the lobe the better elsewhere.
 
 use crate::brdf::Reflectance;
 use crate::math::Frame;
@@ -9,7 +10,8 @@ use crate::sampling::{hammersley, square_to_cosine_hemisphere};
 use glam::Vec3;
 use std::f32::consts::PI;
 
-/// Roughness from which a lobe counts as wide: half of its reflection comes from a cone of more than 40° half angle.
+/// Roughness from which a lobe counts as wide: half of its reflection comes from a cone of more
+/// than 40° half angle.
 pub const WIDE: f32 = 0.6;
 
 const COSINES: usize = 24;
@@ -29,12 +31,14 @@ impl WideLobes {
         let frame = Frame::from_normal(Vec3::Z);
         let table = (0..LEVELS * COSINES)
             .map(|i| {
-                let roughness = NARROWEST + (1.0 - NARROWEST) * (i / COSINES) as f32 / (LEVELS - 1) as f32;
+                let roughness =
+                    NARROWEST + (1.0 - NARROWEST) * (i / COSINES) as f32 / (LEVELS - 1) as f32;
                 let n_v = ((i % COSINES) as f32 + 0.5) / COSINES as f32;
                 let v = Vec3::new((1.0 - n_v * n_v).sqrt(), 0.0, n_v);
                 let sum: f32 = (0..SAMPLES)
                     .map(|s| {
-                        let l = frame.world_from_local(square_to_cosine_hemisphere(hammersley(s, SAMPLES)));
+                        let l = frame
+                            .world_from_local(square_to_cosine_hemisphere(hammersley(s, SAMPLES)));
                         let h = (v + l).normalize_or(Vec3::Z);
                         let sin2 = Vec3::Z.cross(h).length_squared().min(1.0);
                         model.specular(l.z.max(0.0), n_v, sin2, v.dot(h).max(0.0), roughness)
@@ -49,19 +53,26 @@ impl WideLobes {
     /// Specular radiance under even light of radiance 1; roughness below 0.5 counts as 0.5.
     #[must_use]
     pub fn response(&self, n_v: f32, roughness: f32) -> f32 {
-        let r = ((roughness - NARROWEST) / (1.0 - NARROWEST) * (LEVELS - 1) as f32).clamp(0.0, (LEVELS - 1) as f32);
+        let r = ((roughness - NARROWEST) / (1.0 - NARROWEST) * (LEVELS - 1) as f32)
+            .clamp(0.0, (LEVELS - 1) as f32);
         let c = (n_v * COSINES as f32 - 0.5).clamp(0.0, (COSINES - 1) as f32);
         let (k, i) = ((r as usize).min(LEVELS - 2), (c as usize).min(COSINES - 2));
         let (fr, fc) = (r - k as f32, c - i as f32);
-        let row = |k: usize| self.table[k * COSINES + i] * (1.0 - fc) + self.table[k * COSINES + i + 1] * fc;
+        let row = |k: usize| {
+            self.table[k * COSINES + i] * (1.0 - fc) + self.table[k * COSINES + i + 1] * fc
+        };
         row(k) * (1.0 - fr) + row(k + 1) * fr
     }
 
-    /// Specular reflectance under even light: the share of the irradiance that leaves by specular reflection, 2 ∫ response(c) c dc.
+    /// Specular reflectance under even light: the share of the irradiance that leaves by specular
+    /// reflection, 2 ∫ response(c) c dc.
     #[must_use]
     pub fn mean_response(&self, roughness: f32) -> f32 {
         let cosine = |i: usize| (i as f32 + 0.5) / COSINES as f32;
-        (0..COSINES).map(|i| 2.0 * cosine(i) * self.response(cosine(i), roughness)).sum::<f32>() / COSINES as f32
+        (0..COSINES)
+            .map(|i| 2.0 * cosine(i) * self.response(cosine(i), roughness))
+            .sum::<f32>()
+            / COSINES as f32
     }
 }
 
@@ -85,12 +96,23 @@ mod tests {
                         let s = (1.0 - z * z).sqrt();
                         let l = Vec3::new(s * phi.cos(), s * phi.sin(), z);
                         let h = (v + l).normalize();
-                        sum += f64::from(model.specular(z, n_v, Vec3::Z.cross(h).length_squared(), v.dot(h), roughness) * z);
+                        sum += f64::from(
+                            model.specular(
+                                z,
+                                n_v,
+                                Vec3::Z.cross(h).length_squared(),
+                                v.dot(h),
+                                roughness,
+                            ) * z,
+                        );
                     }
                 }
                 let exact = sum * f64::from(2.0 * PI) / f64::from(n * m);
                 let got = f64::from(lobes.response(n_v, roughness));
-                assert!((got / exact - 1.0).abs() < 0.03, "{model:?} n·v {n_v} R {roughness}: {got} against {exact}");
+                assert!(
+                    (got / exact - 1.0).abs() < 0.03,
+                    "{model:?} n·v {n_v} R {roughness}: {got} against {exact}"
+                );
             }
         }
     }
@@ -101,18 +123,24 @@ mod tests {
         const N: u32 = 1 << 17;
         for (model, roughness) in [(Reflectance::Paper, 0.6), (Reflectance::Smith, 0.9)] {
             let mut rng = crate::sampling::KeyedRng::new(3, 0);
-            let mut direction = || crate::sampling::square_to_uniform_hemisphere([rng.next_f32(), rng.next_f32()]);
+            let mut direction =
+                || crate::sampling::square_to_uniform_hemisphere([rng.next_f32(), rng.next_f32()]);
             let sum: f64 = (0..N)
                 .map(|_| {
                     let (v, l) = (direction(), direction());
                     let h = (v + l).normalize_or(Vec3::Z);
                     let sin2 = Vec3::Z.cross(h).length_squared().min(1.0);
-                    f64::from(model.specular(l.z, v.z, sin2, v.dot(h).max(0.0), roughness) * l.z * v.z)
+                    f64::from(
+                        model.specular(l.z, v.z, sin2, v.dot(h).max(0.0), roughness) * l.z * v.z,
+                    )
                 })
                 .sum();
             let exact = 4.0 * std::f64::consts::PI * sum / f64::from(N);
             let got = f64::from(WideLobes::new(model).mean_response(roughness));
-            assert!((got / exact - 1.0).abs() < 0.03, "{model:?} R {roughness}: {got} against {exact}");
+            assert!(
+                (got / exact - 1.0).abs() < 0.03,
+                "{model:?} R {roughness}: {got} against {exact}"
+            );
         }
     }
 }

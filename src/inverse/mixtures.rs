@@ -1,7 +1,9 @@
-//! Albedos from pixels that mix several surfaces: sparse linear equations, solved robustly with a prior.
+//! Albedos from pixels that mix several surfaces: sparse linear equations, solved robustly with a
+//! prior.
 //!
-//! Least squares over pixels and prior by conjugate gradients on the normal equations, repeated with new weights: residuals beyond the
-//! noise lose weight (Cauchy), and so does the prior where the pixels contradict it.
+//! Least squares over pixels and prior by conjugate gradients on the normal equations, repeated
+//! with new weights: residuals beyond the noise lose weight (Cauchy), and so does the prior where
+//! the pixels contradict it.
 
 use crate::math::luminance;
 use crate::parallel;
@@ -27,7 +29,8 @@ pub(super) struct Pixel {
     pub(super) variance: f32,
 }
 
-/// Mixtures in rows: terms of pixel k are `term[end[k-1]..end[k]]`, an unknown and the factor of its E·A/π.
+/// Mixtures in rows: terms of pixel k are `term[end[k-1]..end[k]]`, an unknown and the factor of
+/// its E·A/π.
 #[derive(Default)]
 pub(super) struct Mixtures {
     pub(super) pixel: Vec<Pixel>,
@@ -41,7 +44,12 @@ impl Mixtures {
     }
 
     /// Most plausible albedos, the precision of each (of its luminance) and the misfit.
-    pub(super) fn solve(&self, light: &[Vec3], prior: &[(Vec3, f32)], start: Vec<Vec3>) -> (Vec<Vec3>, Vec<f32>, f32) {
+    pub(super) fn solve(
+        &self,
+        light: &[Vec3],
+        prior: &[(Vec3, f32)],
+        start: Vec<Vec3>,
+    ) -> (Vec<Vec3>, Vec<f32>, f32) {
         let columns = self.transposed(prior.len());
         let mut x = start;
         let (mut misfit, mut data) = (1.0, vec![0.0; x.len()]);
@@ -57,15 +65,27 @@ impl Mixtures {
                     if round == 0 {
                         return 1.0 / (FIRST_PRIOR * variance);
                     }
-                    let own = if data[u] > 0.0 { 1.0 / data[u] } else { f32::MAX };
-                    let off = luminance(x[u] - mean).powi(2) / (TOLERANCE * TOLERANCE * (variance + own));
+                    let own = if data[u] > 0.0 {
+                        1.0 / data[u]
+                    } else {
+                        f32::MAX
+                    };
+                    let off =
+                        luminance(x[u] - mean).powi(2) / (TOLERANCE * TOLERANCE * (variance + own));
                     // many pixels do not average out an error that they share
                     let shared = data[u] * (SHARED_ERROR * luminance(x[u])).powi(2);
                     (1.0 + shared) / (variance * (1.0 + off))
                 })
                 .collect();
             data = columns.information(&weight, light);
-            self.conjugate_gradients(&columns, (&residual, &weight), &data, light, (prior, &pull), &mut x);
+            self.conjugate_gradients(
+                &columns,
+                (&residual, &weight),
+                &data,
+                light,
+                (prior, &pull),
+                &mut x,
+            );
             if round + 1 == ROUNDS {
                 data.iter_mut().zip(&pull).for_each(|(d, p)| *d += p);
             }
@@ -76,13 +96,24 @@ impl Mixtures {
     fn residuals(&self, x: &[Vec3], light: &[Vec3]) -> Vec<Vec3> {
         (0..self.pixel.len())
             .into_par_iter()
-            .map(|k| self.pixel[k].rest - self.row(k).iter().map(|&(u, w)| light[u as usize] * x[u as usize] * w).sum::<Vec3>())
+            .map(|k| {
+                self.pixel[k].rest
+                    - self
+                        .row(k)
+                        .iter()
+                        .map(|&(u, w)| light[u as usize] * x[u as usize] * w)
+                        .sum::<Vec3>()
+            })
             .collect()
     }
 
     /// Median residual relative to its noise, as a multiple of a Gaussian's; at least 1.
     fn misfit(&self, residual: &[Vec3]) -> f32 {
-        let mut all: Vec<f32> = residual.iter().zip(&self.pixel).map(|(r, p)| luminance(*r).abs() / p.variance.sqrt()).collect();
+        let mut all: Vec<f32> = residual
+            .iter()
+            .zip(&self.pixel)
+            .map(|(r, p)| luminance(*r).abs() / p.variance.sqrt())
+            .collect();
         if all.is_empty() {
             return 1.0;
         }
@@ -117,7 +148,8 @@ impl Mixtures {
         Columns { begin, term }
     }
 
-    /// Conjugate gradients with a diagonal preconditioner, the three channels side by side, from `x`, whose residuals are given.
+    /// Conjugate gradients with a diagonal preconditioner, the three channels side by side, from
+    /// `x`, whose residuals are given.
     fn conjugate_gradients(
         &self,
         columns: &Columns,
@@ -129,24 +161,48 @@ impl Mixtures {
     ) {
         let mut r: Vec<Vec3> = (0..x.len())
             .into_par_iter()
-            .map(|u| columns.gather(u, |k| residual[k] * weight[k]) * light[u] + (prior[u].0 - x[u]) * pull[u])
+            .map(|u| {
+                columns.gather(u, |k| residual[k] * weight[k]) * light[u]
+                    + (prior[u].0 - x[u]) * pull[u]
+            })
             .collect();
         let apply = |p: &[Vec3]| -> Vec<Vec3> {
             let image: Vec<Vec3> = (0..self.pixel.len())
                 .into_par_iter()
-                .map(|k| weight[k] * self.row(k).iter().map(|&(u, w)| light[u as usize] * p[u as usize] * w).sum::<Vec3>())
+                .map(|k| {
+                    weight[k]
+                        * self
+                            .row(k)
+                            .iter()
+                            .map(|&(u, w)| light[u as usize] * p[u as usize] * w)
+                            .sum::<Vec3>()
+                })
                 .collect();
-            (0..p.len()).into_par_iter().map(|u| columns.gather(u, |k| image[k]) * light[u] + p[u] * pull[u]).collect()
+            (0..p.len())
+                .into_par_iter()
+                .map(|u| columns.gather(u, |k| image[k]) * light[u] + p[u] * pull[u])
+                .collect()
         };
         let dot = |a: &[Vec3], b: &[Vec3]| {
-            let sum = |c: usize| parallel::sum_f64(a.len(), |i| f64::from(a[i][c]) * f64::from(b[i][c]));
+            let sum =
+                |c: usize| parallel::sum_f64(a.len(), |i| f64::from(a[i][c]) * f64::from(b[i][c]));
             [sum(0), sum(1), sum(2)]
         };
         let divide = |a: [f64; 3], b: [f64; 3]| {
-            Vec3::from_array(std::array::from_fn(|c| if b[c] > 0.0 { (a[c] / b[c]) as f32 } else { 0.0 }))
+            Vec3::from_array(std::array::from_fn(|c| {
+                if b[c] > 0.0 {
+                    (a[c] / b[c]) as f32
+                } else {
+                    0.0
+                }
+            }))
         };
-        let conditioned =
-            |r: &[Vec3]| -> Vec<Vec3> { (0..r.len()).into_par_iter().map(|u| r[u] / (information[u] + pull[u])).collect() };
+        let conditioned = |r: &[Vec3]| -> Vec<Vec3> {
+            (0..r.len())
+                .into_par_iter()
+                .map(|u| r[u] / (information[u] + pull[u]))
+                .collect()
+        };
         let mut z = conditioned(&r);
         let mut p = z.clone();
         let mut rz = dot(&r, &z);
@@ -154,18 +210,24 @@ impl Mixtures {
             let ap = apply(&p);
             let alpha = divide(rz, dot(&p, &ap));
             x.par_iter_mut().zip(&p).for_each(|(x, p)| *x += alpha * *p);
-            r.par_iter_mut().zip(&ap).for_each(|(r, a)| *r -= alpha * *a);
+            r.par_iter_mut()
+                .zip(&ap)
+                .for_each(|(r, a)| *r -= alpha * *a);
             z = conditioned(&r);
             let next = dot(&r, &z);
             let beta = divide(next, rz);
             rz = next;
-            p.par_iter_mut().zip(&z).for_each(|(p, z)| *p = *z + beta * *p);
+            p.par_iter_mut()
+                .zip(&z)
+                .for_each(|(p, z)| *p = *z + beta * *p);
         }
-        x.par_iter_mut().for_each(|x| *x = x.clamp(Vec3::ZERO, Vec3::ONE));
+        x.par_iter_mut()
+            .for_each(|x| *x = x.clamp(Vec3::ZERO, Vec3::ONE));
     }
 }
 
-/// The equations by unknown: terms of unknown u are `term[begin[u]..begin[u+1]]`, a pixel and the factor.
+/// The equations by unknown: terms of unknown u are `term[begin[u]..begin[u+1]]`, a pixel and the
+/// factor.
 struct Columns {
     begin: Vec<usize>,
     term: Vec<(u32, f32)>,
@@ -173,15 +235,22 @@ struct Columns {
 
 impl Columns {
     fn gather(&self, u: usize, value: impl Fn(usize) -> Vec3) -> Vec3 {
-        self.term[self.begin[u]..self.begin[u + 1]].iter().map(|&(k, w)| value(k as usize) * w).sum()
+        self.term[self.begin[u]..self.begin[u + 1]]
+            .iter()
+            .map(|&(k, w)| value(k as usize) * w)
+            .sum()
     }
 
-    /// Diagonal of the normal equations without the prior, of luminance: the inverse of the variance that the pixels leave.
+    /// Diagonal of the normal equations without the prior, of luminance: the inverse of the
+    /// variance that the pixels leave.
     fn information(&self, weight: &[f32], light: &[Vec3]) -> Vec<f32> {
         (0..light.len())
             .into_par_iter()
             .map(|u| {
-                let sum: f32 = self.term[self.begin[u]..self.begin[u + 1]].iter().map(|&(k, w)| w * w * weight[k as usize]).sum();
+                let sum: f32 = self.term[self.begin[u]..self.begin[u + 1]]
+                    .iter()
+                    .map(|&(k, w)| w * w * weight[k as usize])
+                    .sum();
                 luminance(light[u]).powi(2) * sum
             })
             .collect()

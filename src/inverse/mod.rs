@@ -1,4 +1,5 @@
-//! From light and observations to materials: stage I albedo, stage II roughness, stage III refinement.
+//! From light and observations to materials: stage I albedo, stage II roughness, stage III
+//! refinement.
 
 mod albedo;
 mod class_prior;

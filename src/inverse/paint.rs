@@ -1,11 +1,13 @@
 //! Surfaces painted in few colours: what a whole class of surfaces says about each of its texels.
 //!
-//! Most of a room has no texture: walls, ceilings, mouldings and doors are painted evenly, a class in one colour or in a few. Their
-//! albedo still comes out uneven, for every error of the light is in it: a few percent everywhere, much more at edges and in corners.
-//! That unevenness is smooth or lies at edges, while texture shows on flat surface far from any edge. So the contrast of such texels
-//! tells how much texture a class has. Where it is hardly any, the colours of the class are the modes of its albedo (mean shift,
-//! Comaniciu and Meer 2002), and every texel becomes its posterior mean: its own value and the colours around it, each weighed by its
-//! precision. A texel that is none of the colours keeps its value, and so does every class with texture.
+//! Most of a room has no texture: walls, ceilings, mouldings and doors are painted evenly, a class
+//! in one colour or in a few. Their albedo still comes out uneven, for every error of the light is
+//! in it: a few percent everywhere, much more at edges and in corners. That unevenness is smooth or
+//! lies at edges, while texture shows on flat surface far from any edge. So the contrast of such
+//! texels tells how much texture a class has. Where it is hardly any, the colours of the class are
+//! the modes of its albedo (mean shift, Comaniciu and Meer 2002), and every texel becomes its
+//! posterior mean: its own value and the colours around it, each weighed by its precision. A texel
+//! that is none of the colours keeps its value, and so does every class with texture.
 
 use super::AlbedoEstimate;
 use crate::geometry::Mesh;
@@ -16,22 +18,27 @@ use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Relative contrast of flat surface up to which a class is painted: estimates of paint vary by 0.6 to 2.5 %, wood by 4 to 15 %.
+/// Relative contrast of flat surface up to which a class is painted: estimates of paint vary by 0.6
+/// to 2.5 %, wood by 4 to 15 %.
 const MOST_TEXTURE: f32 = 0.03;
-/// Texels around one that must be flat and clean for it to tell of texture: this far if there are enough such texels, else half.
+/// Texels around one that must be flat and clean for it to tell of texture: this far if there are
+/// enough such texels, else half.
 const REACH: i64 = 4;
 const ENOUGH_FLAT: usize = 200;
 /// Distance of the texels compared.
 const LAG: i64 = 2;
 /// Least relative error of an albedo: what lies nearer together is one colour.
 const LEAST_ERROR: f32 = 0.05;
-/// Most relative error where a view sees a texel clean: what is further from a colour of its class is something else.
+/// Most relative error where a view sees a texel clean: what is further from a colour of its class
+/// is something else.
 const MOST_CLEAN_ERROR: f32 = 0.15;
 /// Relative error added where no view sees a texel clean.
 const EDGE_ERROR: f32 = 0.1;
-/// Error of a colour's hue and saturation relative to that of its luminance: light errs in brightness rather than in colour.
+/// Error of a colour's hue and saturation relative to that of its luminance: light errs in
+/// brightness rather than in colour.
 const CHROMA: f32 = 0.4;
-/// A class has at most this many colours, each of at least this share of its clean texels, and together this share.
+/// A class has at most this many colours, each of at least this share of its clean texels, and
+/// together this share.
 const MOST_COLOURS: usize = 6;
 const LEAST_SHARE: f32 = 0.02;
 const COVERED: f32 = 0.9;
@@ -44,7 +51,8 @@ const STARTS: usize = 24;
 const ANYTHING: f32 = 1.0 / 60.0;
 /// Share of labels that belong to the surface next to a texel.
 const WRONG_LABEL: f32 = 0.05;
-/// Side of the cubes, in texels, within which colours are known to lie, and how many clean texels outweigh the class.
+/// Side of the cubes, in texels, within which colours are known to lie, and how many clean texels
+/// outweigh the class.
 const CUBE: f32 = 32.0;
 const ENOUGH_NEAR: f32 = 50.0;
 /// Share of the error that all texels of a colour have in common.
@@ -91,15 +99,25 @@ impl Painting<'_> {
     #[must_use]
     pub fn paints(&self, any: bool) -> Vec<Paint> {
         let mut clean: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
-        (0..self.texels.len()).filter(|&i| self.is_clean(i)).for_each(|i| clean.entry(self.labels[i]).or_default().push(i));
+        (0..self.texels.len())
+            .filter(|&i| self.is_clean(i))
+            .for_each(|i| clean.entry(self.labels[i]).or_default().push(i));
         let texture = self.textures();
         clean
             .into_par_iter()
             .filter_map(|(class, members)| {
                 let texture = *texture.get(&class).filter(|t| any || **t <= MOST_TEXTURE)?;
                 let stride = members.len().div_ceil(SAMPLES);
-                let looks: Vec<Look> = members.iter().step_by(stride).map(|&i| self.look(i, texture)).collect();
-                Some(Paint { class, colours: colours(&looks)?, texture })
+                let looks: Vec<Look> = members
+                    .iter()
+                    .step_by(stride)
+                    .map(|&i| self.look(i, texture))
+                    .collect();
+                Some(Paint {
+                    class,
+                    colours: colours(&looks)?,
+                    texture,
+                })
             })
             .collect()
     }
@@ -113,12 +131,19 @@ impl Painting<'_> {
             .into_par_iter()
             .map(|i| {
                 let own = (self.albedo.value[i], self.error[i]);
-                let Some((paint, logs)) = palette.get(&self.labels[i]).filter(|_| self.error[i].is_finite()) else { return own };
+                let Some((paint, logs)) = palette
+                    .get(&self.labels[i])
+                    .filter(|_| self.error[i].is_finite())
+                else {
+                    return own;
+                };
                 let look = self.look(i, paint.texture);
                 let around = near.get(&self.cube(i)).map_or(&[][..], |c| c);
                 let here = around.iter().find(|n| n.class == paint.class);
                 let share = |k: usize| {
-                    let (count, total) = here.map_or((0.0, 0.0), |n| (n.colours[k], n.colours.iter().sum::<f32>()));
+                    let (count, total) = here.map_or((0.0, 0.0), |n| {
+                        (n.colours[k], n.colours.iter().sum::<f32>())
+                    });
                     (count + ENOUGH_NEAR * paint.colours[k].1) / (total + ENOUGH_NEAR)
                 };
                 // its label may be that of the surface next to it
@@ -126,11 +151,15 @@ impl Painting<'_> {
                 let others = around.iter().filter(|n| n.class != paint.class);
                 let mislabelled: f32 = others
                     .map(|n| {
-                        let look = Look { error: look.error.hypot(MOST_TEXTURE), ..look };
+                        let look = Look {
+                            error: look.error.hypot(MOST_TEXTURE),
+                            ..look
+                        };
                         n.texels / all * look.density(look.distance2(n.sum / n.texels))
                     })
                     .sum();
-                posterior(&look, (paint, logs), share, WRONG_LABEL * mislabelled).map_or(own, |p| p.over(own))
+                posterior(&look, (paint, logs), share, WRONG_LABEL * mislabelled)
+                    .map_or(own, |p| p.over(own))
             })
             .collect()
     }
@@ -142,15 +171,28 @@ impl Painting<'_> {
     fn look(&self, i: usize, texture: f32) -> Look {
         let value = self.albedo.value[i].clamp(Vec3::splat(BLACK), Vec3::ONE);
         let error = (self.error[i] / luminance(value)).max(LEAST_ERROR);
-        let error = if self.albedo.clean[i] { error.min(MOST_CLEAN_ERROR) } else { error.hypot(EDGE_ERROR) };
-        Look { log: value.ln(), error: error.hypot(texture) }
+        let error = if self.albedo.clean[i] {
+            error.min(MOST_CLEAN_ERROR)
+        } else {
+            error.hypot(EDGE_ERROR)
+        };
+        Look {
+            log: value.ln(),
+            error: error.hypot(texture),
+        }
     }
 
     fn cube(&self, i: usize) -> [i32; 3] {
-        let side = self.texels.texel_area(self.mesh, self.texels.point[i].triangle as usize).sqrt();
+        let side = self
+            .texels
+            .texel_area(self.mesh, self.texels.point[i].triangle as usize)
+            .sqrt();
         // texels of about the same size share cubes
         let side = CUBE * side.max(f32::MIN_POSITIVE).log2().round().exp2();
-        (self.texels.position(self.mesh, i) / side).floor().as_ivec3().to_array()
+        (self.texels.position(self.mesh, i) / side)
+            .floor()
+            .as_ivec3()
+            .to_array()
     }
 
     /// What the clean texels around are, by cube and class.
@@ -160,14 +202,25 @@ impl Painting<'_> {
             let class = self.labels[i];
             let look = self.look(i, 0.0);
             let cube = near.entry(self.cube(i)).or_default();
-            let known = cube.iter().position(|n| n.class == class).unwrap_or_else(|| {
-                cube.push(Neighbours { class, texels: 0.0, sum: Vec3::ZERO, colours: [0.0; MOST_COLOURS] });
-                cube.len() - 1
-            });
+            let known = cube
+                .iter()
+                .position(|n| n.class == class)
+                .unwrap_or_else(|| {
+                    cube.push(Neighbours {
+                        class,
+                        texels: 0.0,
+                        sum: Vec3::ZERO,
+                        colours: [0.0; MOST_COLOURS],
+                    });
+                    cube.len() - 1
+                });
             let n = &mut cube[known];
             n.texels += 1.0;
             n.sum += look.log;
-            if let Some(k) = palette.get(&class).and_then(|(_, logs)| nearest(&look, logs)) {
+            if let Some(k) = palette
+                .get(&class)
+                .and_then(|(_, logs)| nearest(&look, logs))
+            {
                 n.colours[k] += 1.0;
             }
         }
@@ -176,27 +229,62 @@ impl Painting<'_> {
 
     /// Median contrast of the flat surface of every class that has enough of it.
     fn textures(&self) -> BTreeMap<u16, f32> {
-        let (texels, w, h) = (self.texels, self.texels.width as i64, self.texels.height as i64);
+        let (texels, w, h) = (
+            self.texels,
+            self.texels.width as i64,
+            self.texels.height as i64,
+        );
         let mut cells = vec![u32::MAX; texels.width * texels.height];
-        texels.cell.iter().enumerate().for_each(|(i, c)| cells[*c as usize] = i as u32);
-        let log: Vec<f32> = self.albedo.value.iter().map(|a| luminance(*a).max(BLACK).ln()).collect();
+        texels
+            .cell
+            .iter()
+            .enumerate()
+            .for_each(|(i, c)| cells[*c as usize] = i as u32);
+        let log: Vec<f32> = self
+            .albedo
+            .value
+            .iter()
+            .map(|a| luminance(*a).max(BLACK).ln())
+            .collect();
         let normal = |i: usize| self.mesh.face_normal(texels.point[i].triangle as usize);
         let at = |i: usize, dx: i64, dy: i64| {
-            let (x, y) = (i64::from(texels.cell[i]) % w + dx, i64::from(texels.cell[i]) / w + dy);
+            let (x, y) = (
+                i64::from(texels.cell[i]) % w + dx,
+                i64::from(texels.cell[i]) / w + dy,
+            );
             let inside = x >= 0 && y >= 0 && x < w && y < h;
-            inside.then(|| cells[(y * w + x) as usize]).filter(|j| *j != u32::MAX).map(|j| j as usize)
+            inside
+                .then(|| cells[(y * w + x) as usize])
+                .filter(|j| *j != u32::MAX)
+                .map(|j| j as usize)
         };
         let flat = |i: usize, reach: i64| {
             let n = normal(i);
             (1..=reach).all(|r| {
-                [(r, 0), (-r, 0), (0, r), (0, -r), (r, r), (-r, r), (r, -r), (-r, -r)].iter().all(|&(dx, dy)| {
-                    at(i, dx, dy)
-                        .is_some_and(|j| self.is_clean(j) && self.labels[j] == self.labels[i] && normal(j).dot(n) > 0.999)
+                [
+                    (r, 0),
+                    (-r, 0),
+                    (0, r),
+                    (0, -r),
+                    (r, r),
+                    (-r, r),
+                    (r, -r),
+                    (-r, -r),
+                ]
+                .iter()
+                .all(|&(dx, dy)| {
+                    at(i, dx, dy).is_some_and(|j| {
+                        self.is_clean(j)
+                            && self.labels[j] == self.labels[i]
+                            && normal(j).dot(n) > 0.999
+                    })
                 })
             })
         };
         let contrast = |i: usize| {
-            let others = [(LAG, 0), (-LAG, 0), (0, LAG), (0, -LAG)].into_iter().filter_map(|(dx, dy)| at(i, dx, dy));
+            let others = [(LAG, 0), (-LAG, 0), (0, LAG), (0, -LAG)]
+                .into_iter()
+                .filter_map(|(dx, dy)| at(i, dx, dy));
             (0.25 * others.map(|j| (log[j] - log[i]).powi(2)).sum::<f32>()).sqrt()
         };
         let found: Vec<(u16, bool, f32)> = (0..texels.len())
@@ -212,12 +300,18 @@ impl Painting<'_> {
                 far.push(contrast);
             }
         }
-        let typical = |[all, far]: [Vec<f32>; 2]| median(if far.len() >= ENOUGH_FLAT { far } else { all });
-        classes.into_iter().filter(|(_, [all, _])| all.len() >= ENOUGH_FLAT).filter_map(|(c, l)| Some((c, typical(l)?))).collect()
+        let typical =
+            |[all, far]: [Vec<f32>; 2]| median(if far.len() >= ENOUGH_FLAT { far } else { all });
+        classes
+            .into_iter()
+            .filter(|(_, [all, _])| all.len() >= ENOUGH_FLAT)
+            .filter_map(|(c, l)| Some((c, typical(l)?)))
+            .collect()
     }
 }
 
-/// The clean texels of one class in a cube: their number, the sum of their ln albedo, and how many have which colour.
+/// The clean texels of one class in a cube: their number, the sum of their ln albedo, and how many
+/// have which colour.
 struct Neighbours {
     class: u16,
     texels: f32,
@@ -243,7 +337,11 @@ impl Look {
 
     /// Density of looks at this distance: Gaussian, of unit mass over (ln albedo)³.
     fn density(&self, distance2: f32) -> f32 {
-        let volume = (2.0 * std::f32::consts::PI).powf(1.5) * 3f32.sqrt() * CHROMA * CHROMA * self.error.powi(3);
+        let volume = (2.0 * std::f32::consts::PI).powf(1.5)
+            * 3f32.sqrt()
+            * CHROMA
+            * CHROMA
+            * self.error.powi(3);
         (-0.5 * distance2).exp() / volume
     }
 }
@@ -251,14 +349,18 @@ impl Look {
 /// Which of the colours, as ln albedo, a look is nearest to, if it may be it.
 fn nearest(look: &Look, logs: &[Vec3]) -> Option<usize> {
     let distance: Vec<f32> = logs.iter().map(|l| look.distance2(*l)).collect();
-    (0..distance.len()).min_by(|&a, &b| distance[a].total_cmp(&distance[b])).filter(|&k| distance[k] < WITHIN * WITHIN)
+    (0..distance.len())
+        .min_by(|&a, &b| distance[a].total_cmp(&distance[b]))
+        .filter(|&k| distance[k] < WITHIN * WITHIN)
 }
 
 /// The modes of the looks, the largest first, if few of them explain nearly all looks.
 fn colours(looks: &[Look]) -> Option<Vec<(Vec3, f32)>> {
     let mut cells: BTreeMap<[i32; 3], (u32, Vec3)> = BTreeMap::new();
     for l in looks {
-        let cell = cells.entry((l.log / LEAST_ERROR).floor().as_ivec3().to_array()).or_default();
+        let cell = cells
+            .entry((l.log / LEAST_ERROR).floor().as_ivec3().to_array())
+            .or_default();
         *cell = (cell.0 + 1, cell.1 + l.log);
     }
     let mut starts: Vec<(u32, Vec3)> = cells.into_values().collect();
@@ -267,17 +369,32 @@ fn colours(looks: &[Look]) -> Option<Vec<(Vec3, f32)>> {
     for (count, sum) in starts.into_iter().take(STARTS) {
         let mode = climb(looks, sum / count as f32);
         // modes nearer than the errors are one
-        let same = |m: &Vec3| Look { log: mode, error: LEAST_ERROR }.distance2(*m) < 4.0;
+        let same = |m: &Vec3| {
+            Look {
+                log: mode,
+                error: LEAST_ERROR,
+            }
+            .distance2(*m)
+                < 4.0
+        };
         if !modes.iter().any(same) {
             modes.push(mode);
         }
     }
-    let assign = |modes: &[Vec3]| -> Vec<Option<usize>> { looks.iter().map(|l| nearest(l, modes)).collect() };
+    let assign = |modes: &[Vec3]| -> Vec<Option<usize>> {
+        looks.iter().map(|l| nearest(l, modes)).collect()
+    };
     let shares = |of: &[Option<usize>], n: usize| -> Vec<f32> {
-        (0..n).map(|k| of.iter().filter(|o| **o == Some(k)).count() as f32 / looks.len() as f32).collect()
+        (0..n)
+            .map(|k| of.iter().filter(|o| **o == Some(k)).count() as f32 / looks.len() as f32)
+            .collect()
     };
     let all = shares(&assign(&modes), modes.len());
-    let mut kept: Vec<(Vec3, f32)> = modes.into_iter().zip(all).filter(|(_, s)| *s >= LEAST_SHARE).collect();
+    let mut kept: Vec<(Vec3, f32)> = modes
+        .into_iter()
+        .zip(all)
+        .filter(|(_, s)| *s >= LEAST_SHARE)
+        .collect();
     kept.sort_by(|a, b| b.1.total_cmp(&a.1));
     let modes: Vec<Vec3> = kept.into_iter().map(|(m, _)| m).collect();
     let of = assign(&modes);
@@ -286,10 +403,13 @@ fn colours(looks: &[Look]) -> Option<Vec<(Vec3, f32)>> {
         return None;
     }
     let mean = |k: usize| {
-        let (sum, total) = looks.iter().zip(&of).filter(|(_, o)| **o == Some(k)).fold((Vec3::ZERO, 0.0), |(s, t), (l, _)| {
-            let w = 1.0 / (l.error * l.error);
-            (s + l.log * w, t + w)
-        });
+        let (sum, total) = looks.iter().zip(&of).filter(|(_, o)| **o == Some(k)).fold(
+            (Vec3::ZERO, 0.0),
+            |(s, t), (l, _)| {
+                let w = 1.0 / (l.error * l.error);
+                (s + l.log * w, t + w)
+            },
+        );
         (sum / total).exp()
     };
     Some((0..modes.len()).map(|k| (mean(k), share[k])).collect())
@@ -340,10 +460,19 @@ impl Posterior {
     }
 }
 
-/// What a look is if it is paint; none if nothing is known of it. `share(k)` is how common colour k is where it lies, `mislabelled` the
-/// density of looks like it on other classes there.
-fn posterior(look: &Look, (paint, logs): (&Paint, &[Vec3]), share: impl Fn(usize) -> f32, mislabelled: f32) -> Option<Posterior> {
-    let weight: Vec<f32> = logs.iter().enumerate().map(|(k, l)| share(k) * look.density(look.distance2(*l))).collect();
+/// What a look is if it is paint; none if nothing is known of it. `share(k)` is how common colour k
+/// is where it lies, `mislabelled` the density of looks like it on other classes there.
+fn posterior(
+    look: &Look,
+    (paint, logs): (&Paint, &[Vec3]),
+    share: impl Fn(usize) -> f32,
+    mislabelled: f32,
+) -> Option<Posterior> {
+    let weight: Vec<f32> = logs
+        .iter()
+        .enumerate()
+        .map(|(k, l)| share(k) * look.density(look.distance2(*l)))
+        .collect();
     let known: f32 = paint.colours.iter().map(|c| c.1).sum();
     let other = (1.0 - known).max(LEAST_SHARE) * ANYTHING + mislabelled;
     let total: f32 = weight.iter().sum();
@@ -353,10 +482,22 @@ fn posterior(look: &Look, (paint, logs): (&Paint, &[Vec3]), share: impl Fn(usize
     // of the deviation from a colour, what texture explains is the texel's own
     let (own2, texture2) = (look.error * look.error, paint.texture * paint.texture);
     let keep = texture2 / own2;
-    let log = logs.iter().zip(&weight).map(|(l, w)| (*l + (look.log - *l) * keep) * (w / total)).sum::<Vec3>();
-    let spread: f32 = logs.iter().zip(&weight).map(|(l, w)| ((*l - log).element_sum() / 3.0).powi(2) * w / total).sum();
+    let log = logs
+        .iter()
+        .zip(&weight)
+        .map(|(l, w)| (*l + (look.log - *l) * keep) * (w / total))
+        .sum::<Vec3>();
+    let spread: f32 = logs
+        .iter()
+        .zip(&weight)
+        .map(|(l, w)| ((*l - log).element_sum() / 3.0).powi(2) * w / total)
+        .sum();
     let variance = keep * (own2 - texture2) + (COMMON * LEAST_ERROR).powi(2) + spread;
-    Some(Posterior { paint: total / (total + other), log, variance })
+    Some(Posterior {
+        paint: total / (total + other),
+        log,
+        variance,
+    })
 }
 
 #[cfg(test)]
@@ -388,7 +529,11 @@ mod tests {
         fn new(albedo: impl Fn(usize, usize) -> Vec3) -> Self {
             let mesh = square();
             let texels = Texels::rasterize(&mesh, SIDE, SIDE);
-            let value: Vec<Vec3> = texels.cell.iter().map(|&c| albedo(c as usize % SIDE, c as usize / SIDE)).collect();
+            let value: Vec<Vec3> = texels
+                .cell
+                .iter()
+                .map(|&c| albedo(c as usize % SIDE, c as usize / SIDE))
+                .collect();
             let n = value.len();
             let albedo = AlbedoEstimate {
                 error: vec![0.01; n],
@@ -398,12 +543,30 @@ mod tests {
                 footprint: vec![0.01; n],
                 value,
             };
-            Self { error: vec![0.02; n], labels: vec![1; n], mesh, texels, albedo }
+            Self {
+                error: vec![0.02; n],
+                labels: vec![1; n],
+                mesh,
+                texels,
+                albedo,
+            }
         }
 
         fn painting(&self) -> Painting<'_> {
-            let Self { mesh, texels, albedo, error, labels } = self;
-            Painting { albedo, error, texels, mesh, labels }
+            let Self {
+                mesh,
+                texels,
+                albedo,
+                error,
+                labels,
+            } = self;
+            Painting {
+                albedo,
+                error,
+                texels,
+                mesh,
+                labels,
+            }
         }
 
         fn settled(&self) -> Vec<(Vec3, f32)> {
@@ -411,7 +574,11 @@ mod tests {
         }
 
         fn at(&self, x: usize, y: usize) -> usize {
-            self.texels.cell.iter().position(|c| *c as usize == y * SIDE + x).expect("covered")
+            self.texels
+                .cell
+                .iter()
+                .position(|c| *c as usize == y * SIDE + x)
+                .expect("covered")
         }
     }
 
@@ -426,7 +593,10 @@ mod tests {
         let wall = Wall::new(|x, y| grey * shade(x, y));
         let paints = wall.painting().paints(false);
         assert_eq!((paints.len(), paints[0].colours.len()), (1, 1));
-        assert!((paints[0].colours[0].0 - grey).abs().max_element() < 0.005, "{paints:?}");
+        assert!(
+            (paints[0].colours[0].0 - grey).abs().max_element() < 0.005,
+            "{paints:?}"
+        );
         for (value, error) in wall.settled() {
             assert!((value - grey).abs().max_element() < 0.008, "{value}");
             assert!(error > 0.0 && error < 0.02, "{error}");
@@ -452,7 +622,8 @@ mod tests {
         for (x, y, truth) in [(20, 20, red), (120, 90, blue), (54, 54, Vec3::splat(0.05))] {
             let value = settled[wall.at(x, y)].0;
             assert!(
-                ((value - truth) / truth).abs().max_element() < 0.03 + 0.03 * f32::from(u8::from(picture(x, y))),
+                ((value - truth) / truth).abs().max_element()
+                    < 0.03 + 0.03 * f32::from(u8::from(picture(x, y))),
                 "{x} {y}: {value}"
             );
         }
@@ -460,17 +631,28 @@ mod tests {
 
     #[test]
     fn wood_keeps_its_grain_whatever_its_light() {
-        let grain = |x: usize, y: usize| 0.3 * (1.0 + 0.15 * ((x * 7 + y / 9) as f32).sin()) * shade(x, y);
+        let grain =
+            |x: usize, y: usize| 0.3 * (1.0 + 0.15 * ((x * 7 + y / 9) as f32).sin()) * shade(x, y);
         let wall = Wall::new(|x, y| Vec3::splat(grain(x, y)));
         assert!(wall.painting().paints(false).is_empty());
-        assert!(wall.settled().iter().zip(&wall.albedo.value).all(|(s, v)| s.0 == *v));
+        assert!(
+            wall.settled()
+                .iter()
+                .zip(&wall.albedo.value)
+                .all(|(s, v)| s.0 == *v)
+        );
     }
 
     #[test]
     fn an_edge_takes_the_colour_around_it_but_not_that_of_another_class() {
         let (white, wood) = (Vec3::splat(0.8), Vec3::new(0.4, 0.2, 0.05));
         let mut wall = Wall::new(|x, _| if x < 64 { white } else { wood });
-        wall.labels = wall.texels.cell.iter().map(|c| if *c as usize % SIDE < 64 { 1 } else { 2 }).collect();
+        wall.labels = wall
+            .texels
+            .cell
+            .iter()
+            .map(|c| if *c as usize % SIDE < 64 { 1 } else { 2 })
+            .collect();
         let (mixed, stray) = (wall.at(62, 40), wall.at(61, 90));
         for (i, value, error) in [(mixed, 0.65 * Vec3::ONE, 0.2), (stray, wood, 0.12)] {
             wall.albedo.value[i] = value;
@@ -478,9 +660,17 @@ mod tests {
             wall.error[i] = error;
         }
         let settled = wall.settled();
-        assert!((settled[mixed].0 - white).abs().max_element() < 0.02, "{:?}", settled[mixed]);
+        assert!(
+            (settled[mixed].0 - white).abs().max_element() < 0.02,
+            "{:?}",
+            settled[mixed]
+        );
         // labelled as paint, but it looks like the wood beside it
-        assert!((settled[stray].0 - wood).abs().max_element() < 0.05, "{:?}", settled[stray]);
+        assert!(
+            (settled[stray].0 - wood).abs().max_element() < 0.05,
+            "{:?}",
+            settled[stray]
+        );
     }
 
     #[test]
@@ -492,6 +682,10 @@ mod tests {
         assert!(wall.painting().paints(false).is_empty());
         wall.albedo.value.fill(Vec3::ZERO);
         wall.error.fill(0.0);
-        assert!(wall.settled().iter().all(|s| s.0.is_finite() && s.1.is_finite()));
+        assert!(
+            wall.settled()
+                .iter()
+                .all(|s| s.0.is_finite() && s.1.is_finite())
+        );
     }
 }

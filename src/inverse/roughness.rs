@@ -1,7 +1,8 @@
 //! Stage II: one roughness per class by a pooled search over the evidence.
 //!
-//! The disagreement of the views ([`super::disagreement`]), summed over the points of a group, is tabulated at all levels; its global
-//! minimum is the answer and its depth the confidence (method §12.3 point 7).
+//! The disagreement of the views ([`super::disagreement`]), summed over the points of a group, is
+//! tabulated at all levels; its global minimum is the answer and its depth the confidence (method
+//! §12.3 point 7).
 
 use super::disagreement::{Disagreement, points_by_class};
 use crate::brdf::Reflectance;
@@ -30,7 +31,8 @@ impl GroupFit {
     }
 }
 
-/// Width of the range of values that explain the views equally well from which a roughness counts as unknown.
+/// Width of the range of values that explain the views equally well from which a roughness counts
+/// as unknown.
 const UNKNOWN: f32 = 0.5;
 /// A more elaborate model must explain the views better by this share of the disagreement.
 const MODEL_GAIN: f64 = 0.01;
@@ -38,10 +40,14 @@ const MODEL_GAIN: f64 = 0.01;
 /// Fits every group of the evidence under one reflection model.
 #[must_use]
 pub fn fit_groups(evidence: &Evidence, model: Reflectance) -> Vec<GroupFit> {
-    points_by_class(evidence).into_iter().map(|(class, points)| fit(class, &Disagreement::of(evidence, model, &points))).collect()
+    points_by_class(evidence)
+        .into_iter()
+        .map(|(class, points)| fit(class, &Disagreement::of(evidence, model, &points)))
+        .collect()
 }
 
-/// Fits all groups under every model and keeps the simplest that explains the views; also returns the mean disagreement per model.
+/// Fits all groups under every model and keeps the simplest that explains the views; also returns
+/// the mean disagreement per model.
 #[must_use]
 pub fn choose_model(evidence: &Evidence) -> (Reflectance, Vec<GroupFit>, Vec<(Reflectance, f64)>) {
     let mut best: Option<(Reflectance, Vec<GroupFit>, f64)> = None;
@@ -49,10 +55,16 @@ pub fn choose_model(evidence: &Evidence) -> (Reflectance, Vec<GroupFit>, Vec<(Re
     for model in Reflectance::ALL {
         let fits = fit_groups(evidence, model);
         let points: usize = fits.iter().map(|f| f.points).sum();
-        let total: f64 = fits.iter().map(|f| f.points as f64 * f.disagreement()).sum();
+        let total: f64 = fits
+            .iter()
+            .map(|f| f.points as f64 * f.disagreement())
+            .sum();
         let score = total / points.max(1) as f64;
         scores.push((model, score));
-        if best.as_ref().is_none_or(|b| score < b.2 * (1.0 - MODEL_GAIN)) {
+        if best
+            .as_ref()
+            .is_none_or(|b| score < b.2 * (1.0 - MODEL_GAIN))
+        {
             best = Some((model, fits, score));
         }
     }
@@ -60,13 +72,21 @@ pub fn choose_model(evidence: &Evidence) -> (Reflectance, Vec<GroupFit>, Vec<(Re
     (model, fits, scores)
 }
 
-/// Sum over the points of how far their views disagree at the roughness that the other points ask for: each of [`FOLDS`] parts is
-/// judged by what is fitted to the rest (Stone 1974, cross-validation), so that more values explain nothing by their number alone.
+/// Sum over the points of how far their views disagree at the roughness that the other points ask
+/// for: each of [`FOLDS`] parts is judged by what is fitted to the rest (Stone 1974,
+/// cross-validation), so that more values explain nothing by their number alone.
 pub(super) fn held_out(table: &Disagreement) -> f64 {
     (0..FOLDS.min(table.rows.len()))
         .map(|fold| {
-            let (rest, held) = (table.sum(|i| i % FOLDS != fold), table.sum(|i| i % FOLDS == fold));
-            at_roughness(table.levels, &held, parabola_minimum(table.levels, lowest(&rest), &rest).0)
+            let (rest, held) = (
+                table.sum(|i| i % FOLDS != fold),
+                table.sum(|i| i % FOLDS == fold),
+            );
+            at_roughness(
+                table.levels,
+                &held,
+                parabola_minimum(table.levels, lowest(&rest), &rest).0,
+            )
         })
         .sum()
 }
@@ -76,12 +96,16 @@ const FOLDS: usize = 5;
 
 /// The level of the least value.
 pub(super) fn lowest(objective: &[f64]) -> usize {
-    (0..objective.len()).min_by(|&a, &b| objective[a].total_cmp(&objective[b])).unwrap_or(0)
+    (0..objective.len())
+        .min_by(|&a, &b| objective[a].total_cmp(&objective[b]))
+        .unwrap_or(0)
 }
 
 /// A table over the levels between two of them.
 pub(super) fn at_roughness(levels: &[f32], table: &[f64], roughness: f32) -> f64 {
-    let above = levels.partition_point(|l| *l < roughness).clamp(1, levels.len() - 1);
+    let above = levels
+        .partition_point(|l| *l < roughness)
+        .clamp(1, levels.len() - 1);
     let [low, high] = [levels[above - 1], levels[above]];
     let t = f64::from(((roughness - low) / (high - low)).clamp(0.0, 1.0));
     table[above - 1] * (1.0 - t) + table[above] * t
@@ -100,16 +124,34 @@ pub(super) fn fit(class: u16, table: &Disagreement) -> GroupFit {
     let slopes: Vec<f64> = rows.iter().map(|r| (r[hi] - r[lo]) / step).collect();
     let mean = slopes.iter().sum::<f64>() / n;
     let variance = slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n / n;
-    let noise = if curvature > 0.0 { (variance.sqrt() / curvature) as f32 } else { 1.0 };
+    let noise = if curvature > 0.0 {
+        (variance.sqrt() / curvature) as f32
+    } else {
+        1.0
+    };
     let [low, high] = indistinguishable(levels, &objective);
-    // where nearly any roughness would do, the least disagreement is chance: the mean of all that would do errs least
-    let roughness = if high - low > UNKNOWN { 0.5 * (low + high) } else { roughness };
-    let error = noise.hypot(distance_within([low, high], roughness)).min(1.0);
-    GroupFit { class, roughness, error, objective, points: rows.len() }
+    // where nearly any roughness would do, the least disagreement is chance: the mean of all that
+    // would do errs least
+    let roughness = if high - low > UNKNOWN {
+        0.5 * (low + high)
+    } else {
+        roughness
+    };
+    let error = noise
+        .hypot(distance_within([low, high], roughness))
+        .min(1.0);
+    GroupFit {
+        class,
+        roughness,
+        error,
+        objective,
+        points: rows.len(),
+    }
 }
 
-/// The roughness values around the best whose disagreement is within [`MODEL_GAIN`] of the least: what no model can be trusted to tell
-/// apart. Unlike the points' scatter this range does not shrink with their number: the model's own error is common to all points.
+/// The roughness values around the best whose disagreement is within [`MODEL_GAIN`] of the least:
+/// what no model can be trusted to tell apart. Unlike the points' scatter this range does not
+/// shrink with their number: the model's own error is common to all points.
 fn indistinguishable(levels: &[f32], objective: &[f64]) -> [f32; 2] {
     let best = lowest(objective);
     let least = objective[best];
@@ -118,11 +160,20 @@ fn indistinguishable(levels: &[f32], objective: &[f64]) -> [f32; 2] {
     // where the objective crosses the limit between an outside level and its inside neighbour
     let crossing = |inside: usize, outside: usize| {
         let (a, b) = (objective[inside], objective[outside]);
-        let t = if b > a { ((limit - a) / (b - a)).clamp(0.0, 1.0) as f32 } else { 1.0 };
+        let t = if b > a {
+            ((limit - a) / (b - a)).clamp(0.0, 1.0) as f32
+        } else {
+            1.0
+        };
         levels[inside] + t * (levels[outside] - levels[inside])
     };
-    let low = (0..best).rev().find(|&k| objective[k] > limit).map_or(levels[0], |k| crossing(k + 1, k));
-    let high = (best + 1..levels.len()).find(|&k| objective[k] > limit).map_or(levels[levels.len() - 1], |k| crossing(k - 1, k));
+    let low = (0..best)
+        .rev()
+        .find(|&k| objective[k] > limit)
+        .map_or(levels[0], |k| crossing(k + 1, k));
+    let high = (best + 1..levels.len())
+        .find(|&k| objective[k] > limit)
+        .map_or(levels[levels.len() - 1], |k| crossing(k - 1, k));
     [low, high]
 }
 
@@ -132,7 +183,8 @@ fn distance_within([low, high]: [f32; 2], roughness: f32) -> f32 {
     ((down.powi(3) + up.powi(3)) / (3.0 * (down + up).max(1e-6))).sqrt()
 }
 
-/// Vertex of the parabola through the best level and its neighbours (unequal spacing), and the second derivative there.
+/// Vertex of the parabola through the best level and its neighbours (unequal spacing), and the
+/// second derivative there.
 pub(super) fn parabola_minimum(levels: &[f32], best: usize, objective: &[f64]) -> (f32, f64) {
     let last = levels.len() - 1;
     let mid = best.clamp(1, last - 1);
@@ -145,7 +197,10 @@ pub(super) fn parabola_minimum(levels: &[f32], best: usize, objective: &[f64]) -
     }
     let slope_mid = d1 + (x[1] - x[0]) * curvature * 0.5;
     let vertex = x[1] - slope_mid / curvature;
-    let bounds = (f64::from(levels[best.saturating_sub(1)]), f64::from(levels[(best + 1).min(last)]));
+    let bounds = (
+        f64::from(levels[best.saturating_sub(1)]),
+        f64::from(levels[(best + 1).min(last)]),
+    );
     (vertex.clamp(bounds.0, bounds.1) as f32, curvature)
 }
 
@@ -155,23 +210,35 @@ mod tests {
     use crate::highlight::LEVELS;
 
     fn bowl(centre: f32, depth: f64) -> Vec<f64> {
-        LEVELS.iter().map(|r| 0.02 * (1.0 + depth * f64::from(r - centre).powi(2))).collect()
+        LEVELS
+            .iter()
+            .map(|r| 0.02 * (1.0 + depth * f64::from(r - centre).powi(2)))
+            .collect()
     }
 
-    /// Gradient row: vertex and curvature of the search are those of the objective, against its analytic derivatives.
+    /// Gradient row: vertex and curvature of the search are those of the objective, against its
+    /// analytic derivatives.
     #[test]
     fn the_parabola_is_exact_for_quadratics_and_close_for_smooth_bowls() {
         for centre in [0.2f64, 0.33, 0.5, 0.75] {
             let nearest = |f: &dyn Fn(f64) -> f64| {
                 let objective: Vec<f64> = LEVELS.iter().map(|r| f(f64::from(*r))).collect();
-                let best = (0..LEVELS.len()).min_by(|&a, &b| objective[a].total_cmp(&objective[b])).expect("levels");
+                let best = (0..LEVELS.len())
+                    .min_by(|&a, &b| objective[a].total_cmp(&objective[b]))
+                    .expect("levels");
                 parabola_minimum(&LEVELS, best, &objective)
             };
             let (vertex, curvature) = nearest(&|r| 0.3 + 2.5 * (r - centre).powi(2));
-            assert!((f64::from(vertex) - centre).abs() < 1e-6 && (curvature - 5.0).abs() < 1e-5, "{vertex} {curvature}");
+            assert!(
+                (f64::from(vertex) - centre).abs() < 1e-6 && (curvature - 5.0).abs() < 1e-5,
+                "{vertex} {curvature}"
+            );
             // cosh has the second derivative 4·cosh(0) = 4 at its minimum
             let (vertex, curvature) = nearest(&|r| (2.0 * (r - centre)).cosh());
-            assert!((f64::from(vertex) - centre).abs() < 2e-3 && (curvature / 4.0 - 1.0).abs() < 0.03, "{vertex} {curvature}");
+            assert!(
+                (f64::from(vertex) - centre).abs() < 2e-3 && (curvature / 4.0 - 1.0).abs() < 0.03,
+                "{vertex} {curvature}"
+            );
         }
     }
 
@@ -182,19 +249,29 @@ mod tests {
         let flat = error(0.0);
         assert!(sharp < 0.02, "{sharp}");
         // uniform over all levels: √((0.39³ + 0.58³) / (3 · 0.97))
-        assert!((flat - ((0.39f32.powi(3) + 0.58f32.powi(3)) / (3.0 * 0.97)).sqrt()).abs() < 1e-4, "{flat}");
-        // 1 % above the minimum lies √(0.01 / 1) = 0.1 away on both sides: ±0.1 uniform, but for the chords between levels
+        assert!(
+            (flat - ((0.39f32.powi(3) + 0.58f32.powi(3)) / (3.0 * 0.97)).sqrt()).abs() < 1e-4,
+            "{flat}"
+        );
+        // 1 % above the minimum lies √(0.01 / 1) = 0.1 away on both sides: ±0.1 uniform, but for
+        // the chords between levels
         let known = error(1.0);
         assert!((known - 0.1 / 3f32.sqrt()).abs() < 0.012, "{known}");
     }
 
     #[test]
     fn what_the_views_do_not_tell_is_in_the_middle_of_what_they_allow() {
-        let table = |bowl: Vec<f64>| Disagreement { levels: &LEVELS, rows: vec![bowl; 50] };
+        let table = |bowl: Vec<f64>| Disagreement {
+            levels: &LEVELS,
+            rows: vec![bowl; 50],
+        };
         let mut flat = bowl(0.42, 0.0);
         flat[16] *= 0.999; // R = 0.9 by chance
         let found = fit(1, &table(flat));
-        assert!((found.roughness - 0.515).abs() < 0.01 && found.error > 0.25, "{found:?}");
+        assert!(
+            (found.roughness - 0.515).abs() < 0.01 && found.error > 0.25,
+            "{found:?}"
+        );
         let known = fit(1, &table(bowl(0.9, 1.0)));
         assert!((known.roughness - 0.9).abs() < 0.02, "{known:?}");
     }

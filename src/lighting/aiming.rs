@@ -1,5 +1,5 @@
-//! Emitter samples of one receiver, from chosen sources to shadow rays and the weights of what they bring, side by side in vector
-//! registers.
+//! Emitter samples of one receiver, from chosen sources to shadow rays and the weights of what they
+//! bring, side by side in vector registers.
 
 use super::LightField;
 use super::sources::{Columns, Sources};
@@ -39,7 +39,8 @@ impl Picks {
     }
 }
 
-/// An emitter sample that waits for its shadow ray: what its radiance is multiplied by, where that is stored, whose it is.
+/// An emitter sample that waits for its shadow ray: what its radiance is multiplied by, where that
+/// is stored, whose it is.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Aimed {
     pub weight: f32,
@@ -48,7 +49,8 @@ pub(super) struct Aimed {
     pub owner: u32,
 }
 
-/// Writes the shadow rays of `picks` that can carry light and what waits for them; returns how many there are.
+/// Writes the shadow rays of `picks` that can carry light and what waits for them; returns how many
+/// there are.
 pub(super) struct Aiming<'a> {
     pub sources: &'a Sources,
     pub field: &'a LightField,
@@ -60,7 +62,8 @@ pub(super) struct Aiming<'a> {
     /// Unit shading normal and face normal.
     pub normal: Vec3,
     pub face_normal: Vec3,
-    /// Samples of all sources, and hemisphere rays, that the balance heuristic weighs against one another.
+    /// Samples of all sources, and hemisphere rays, that the balance heuristic weighs against one
+    /// another.
     pub samples: f32,
     pub rays: f32,
     pub shadow: &'a mut [Ray],
@@ -72,11 +75,21 @@ impl Kernel for Aiming<'_> {
 
     #[inline(always)]
     fn run(self) -> usize {
-        let Self { sources, picks, origin, normal, face_normal: face, .. } = self;
+        let Self {
+            sources,
+            picks,
+            origin,
+            normal,
+            face_normal: face,
+            ..
+        } = self;
         let rays = self.rays * FRAC_1_PI;
         let n = self.count;
-        let (sources_of, probabilities, owners) =
-            (picks.source.as_chunks().0, picks.probability.as_chunks().0, picks.owner.as_chunks::<BLOCK>().0);
+        let (sources_of, probabilities, owners) = (
+            picks.source.as_chunks().0,
+            picks.probability.as_chunks().0,
+            picks.owner.as_chunks::<BLOCK>().0,
+        );
         let places = picks.place.each_ref().map(|p| p.as_chunks().0);
         let mut columns = Columns::default();
         let (mut kept, start) = (0, origin.to_array());
@@ -85,7 +98,13 @@ impl Kernel for Aiming<'_> {
         for b in 0..n.div_ceil(BLOCK) {
             sources_of.get(b + AHEAD).into_iter().for_each(expect);
             let (probability, owner): (&[f32; BLOCK], _) = (&probabilities[b], &owners[b]);
-            let aims = sources.aim(self.field, origin, &sources_of[b], [&places[0][b], &places[1][b]], &mut columns);
+            let aims = sources.aim(
+                self.field,
+                origin,
+                &sources_of[b],
+                [&places[0][b], &places[1][b]],
+                &mut columns,
+            );
             let [x, y, z] = &aims.direction;
             let (mut weight, mut useful) = ([0.0f32; BLOCK], [false; BLOCK]);
             for k in 0..BLOCK {
@@ -93,17 +112,29 @@ impl Kernel for Aiming<'_> {
                 let cosine = normal.dot(direction);
                 // balance heuristic, over a common denominator
                 let both = cosine * aims.facing[k];
-                weight[k] = both / (self.samples * (probability[k] * aims.density[k]) + rays * both);
+                weight[k] =
+                    both / (self.samples * (probability[k] * aims.density[k]) + rays * both);
                 // (false too where something is not a number)
                 useful[k] = (aims.facing[k] > 0.0) & (cosine > 0.0) & (face.dot(direction) > 0.0);
             }
             let left = BLOCK.min(n - b * BLOCK);
             for first in (0..left).step_by(4) {
-                let four = |column: &[f32; BLOCK]| -> [f32; 4] { std::array::from_fn(|k| column[first + k]) };
+                let four = |column: &[f32; BLOCK]| -> [f32; 4] {
+                    std::array::from_fn(|k| column[first + k])
+                };
                 let ends = transpose4([four(x), four(y), four(z), four(&aims.t_far)]);
                 for (k, [x, y, z, t_far]) in (first..left).zip(ends) {
-                    self.shadow[kept] = Ray { origin: start, t_near: 0.0, direction: [x, y, z], t_far };
-                    self.aimed[kept] = Aimed { weight: weight[k], address: aims.address[k], owner: owner[k] };
+                    self.shadow[kept] = Ray {
+                        origin: start,
+                        t_near: 0.0,
+                        direction: [x, y, z],
+                        t_far,
+                    };
+                    self.aimed[kept] = Aimed {
+                        weight: weight[k],
+                        address: aims.address[k],
+                        owner: owner[k],
+                    };
                     kept += usize::from(useful[k]);
                 }
             }

@@ -1,7 +1,8 @@
 //! The rays of a group of receivers: drawn, traced and summed in batches.
 //!
-//! Whatever all receivers share (unscrambled sample points) is computed once per round, whatever is the same for every ray of one
-//! receiver runs in vector registers, and a ray costs no allocation, no library call and few branches.
+//! Whatever all receivers share (unscrambled sample points) is computed once per round, whatever is
+//! the same for every ray of one receiver runs in vector registers, and a ray costs no allocation,
+//! no library call and few branches.
 
 use super::aiming::{Aimed, Aiming, Picks};
 use super::irt::{Bake, Estimator, IrtOptions, PARTS, Receiver};
@@ -12,14 +13,16 @@ use super::sweep::Sweep;
 use crate::ffi::simd::{Kernel, run_widest, whole_within};
 use crate::math::Frame;
 use crate::sampling::{
-    KeyedRng, SobolBlock, SobolSequence, hammersley, square_to_cosine_hemisphere, square_to_uniform_hemisphere,
+    KeyedRng, SobolBlock, SobolSequence, hammersley, square_to_cosine_hemisphere,
+    square_to_uniform_hemisphere,
 };
 use crate::trace::{Hit, Ray};
 use glam::Vec3;
 use std::f32::consts::{FRAC_1_PI, PI, TAU};
 use std::ops::Range;
 
-/// Rays per batch, about: enough to hide the cost of a foreign call, few enough to stay in the cache.
+/// Rays per batch, about: enough to hide the cost of a foreign call, few enough to stay in the
+/// cache.
 const BATCH: usize = 4096;
 /// Emitter samples of a receiver from which a table of the lamps at its numbers pays.
 const GUIDED: usize = 24;
@@ -46,18 +49,23 @@ pub(super) struct Round {
 enum Points {
     /// Coordinates before the receiver's shift, and where each part ends.
     Hammersley([Vec<f32>; 2], [usize; PARTS]),
-    /// Scrambled per receiver. Parts of a block are nets of their own, so that their differences tell of the whole's error.
+    /// Scrambled per receiver. Parts of a block are nets of their own, so that their differences
+    /// tell of the whole's error.
     Sobol(SobolBlock),
 }
 
 impl Points {
-    /// The paper's points. Their parts in order would be parts of the hemisphere, hence a die per sample.
+    /// The paper's points. Their parts in order would be parts of the hemisphere, hence a die per
+    /// sample.
     fn hammersley(n: u32) -> Self {
         let part = |s: u32| (u64::from(s.wrapping_mul(0x9E37_79B9)) * PARTS as u64) >> 32;
         let mut all: Vec<u32> = (0..n).collect();
         all.sort_by_key(|s| part(*s));
         let ends = std::array::from_fn(|p| all.partition_point(|s| part(*s) <= p as u64));
-        Self::Hammersley([0, 1].map(|d| all.iter().map(|&s| hammersley(s, n)[d]).collect()), ends)
+        Self::Hammersley(
+            [0, 1].map(|d| all.iter().map(|&s| hammersley(s, n)[d]).collect()),
+            ends,
+        )
     }
 
     fn len(&self) -> usize {
@@ -73,13 +81,19 @@ impl Points {
             Self::Hammersley(_, ends) => *ends,
             Self::Sobol(block) => std::array::from_fn(|p| block.len() * (p + 1) / PARTS),
         };
-        (0..self.len()).map(|k| ends.partition_point(|end| *end <= k) as u8).collect()
+        (0..self.len())
+            .map(|k| ends.partition_point(|end| *end <= k) as u8)
+            .collect()
     }
 }
 
 impl Round {
     /// The hemisphere rays and emitter samples given by index ranges.
-    pub(super) fn new(options: &IrtOptions, [first_ray, rays]: [u32; 2], [first_light, lights]: [u32; 2]) -> Self {
+    pub(super) fn new(
+        options: &IrtOptions,
+        [first_ray, rays]: [u32; 2],
+        [first_light, lights]: [u32; 2],
+    ) -> Self {
         let hemisphere = match options.estimator {
             Estimator::Uniform => Points::hammersley(rays),
             Estimator::Cosine | Estimator::Mis => Points::Sobol(SobolBlock::new(first_ray, rays)),
@@ -151,7 +165,8 @@ struct Span {
 }
 
 impl Bundle {
-    /// Traces one round of samples of every receiver; `add(k, parts)` takes the contributions of the k-th. Returns the rays traced.
+    /// Traces one round of samples of every receiver; `add(k, parts)` takes the contributions of
+    /// the k-th. Returns the rays traced.
     pub(super) fn run(
         &mut self,
         bake: &Bake,
@@ -167,14 +182,23 @@ impl Bundle {
         for r in receivers {
             let drawn = self.draw_hemisphere(bake, round, &r, rays);
             rays = drawn.end;
-            let choice = if round.lights.is_empty() { None } else { self.choose(bake, round, &r) };
+            let choice = if round.lights.is_empty() {
+                None
+            } else {
+                self.choose(bake, round, &r)
+            };
             if let Some(choice) = choice {
                 lights = self.draw_lights(bake, round, &r, choice, lights);
             }
-            self.spans.push(Span { choice, rays: drawn });
+            self.spans.push(Span {
+                choice,
+                rays: drawn,
+            });
         }
-        bake.tracer.closest(&self.rays[..rays], &mut self.hits[..rays]);
-        bake.tracer.occluded(&self.shadow[..lights], &mut self.hidden[..lights]);
+        bake.tracer
+            .closest(&self.rays[..rays], &mut self.hits[..rays]);
+        bake.tracer
+            .occluded(&self.shadow[..lights], &mut self.hidden[..lights]);
         self.sums.clear();
         self.sums.resize(PARTS * n, Vec3::ZERO);
         self.gather_surfaces(bake, round, rays);
@@ -198,19 +222,39 @@ impl Bundle {
         grow(&mut self.aimed, lights, Aimed::default());
         grow(&mut self.arrived, lights, 0);
         grow(&mut self.outside, rays.max(lights), 0);
-        self.sky.iter_mut().for_each(|c| grow(c, rays.max(lights), 0.0));
-        self.columns.iter_mut().for_each(|c| grow(c, round.hemisphere.len().max(round.lights.len()), 0.0));
+        self.sky
+            .iter_mut()
+            .for_each(|c| grow(c, rays.max(lights), 0.0));
+        self.columns
+            .iter_mut()
+            .for_each(|c| grow(c, round.hemisphere.len().max(round.lights.len()), 0.0));
     }
 
-    /// Writes the hemisphere rays of the next receiver from index `at` on, neighbours in direction side by side; returns where they lie.
-    fn draw_hemisphere(&mut self, bake: &Bake, round: &Round, r: &Receiver, at: usize) -> Range<usize> {
+    /// Writes the hemisphere rays of the next receiver from index `at` on, neighbours in direction
+    /// side by side; returns where they lie.
+    fn draw_hemisphere(
+        &mut self,
+        bake: &Bake,
+        round: &Round,
+        r: &Receiver,
+        at: usize,
+    ) -> Range<usize> {
         let n = round.hemisphere.len();
         let columns = self.columns.each_mut().map(|c| &mut c[..n]);
-        run_widest(Directions { points: &round.hemisphere, seed: round.seed, receiver: r, columns });
+        run_widest(Directions {
+            points: &round.hemisphere,
+            seed: round.seed,
+            receiver: r,
+            columns,
+        });
         let [u, v, x, y, z, cosine, facing] = self.columns.each_ref().map(|c| &c[..n]);
         let origin = r.position + r.face_normal * bake.offset;
         let first = (PARTS * self.spans.len()) as u32;
-        let (rays, cosines, owners) = (&mut self.rays[at..at + n], &mut self.cosines[at..at + n], &mut self.owners[at..at + n]);
+        let (rays, cosines, owners) = (
+            &mut self.rays[at..at + n],
+            &mut self.cosines[at..at + n],
+            &mut self.owners[at..at + n],
+        );
         let mut kept = 0;
         round.sweep.order([u, v], &mut self.order);
         for k in self.order[..n].iter().map(|k| *k as usize) {
@@ -227,7 +271,9 @@ impl Bundle {
     fn choose(&mut self, bake: &Bake, round: &Round, r: &Receiver) -> Option<usize> {
         let rays_per_sample = round.total_rays as f32 / round.total_lights.max(1) as f32;
         let known = self.choices.len();
-        let number = self.choices.choose(bake.emitters, r.position, r.normal, rays_per_sample);
+        let number = self
+            .choices
+            .choose(bake.emitters, r.position, r.normal, rays_per_sample);
         let choice = &self.choices[number];
         if number == known && round.is_guided() && !choice.is_empty() {
             choice.guide(round.slots, &mut self.guide);
@@ -235,13 +281,24 @@ impl Bundle {
         (!choice.is_empty()).then_some(number)
     }
 
-    /// Writes the shadow rays of the next receiver from index `at` on, in the order of the lamps: neighbours in a packet then go the
-    /// same way. Returns where they end.
-    fn draw_lights(&mut self, bake: &Bake, round: &Round, r: &Receiver, choice: usize, at: usize) -> usize {
+    /// Writes the shadow rays of the next receiver from index `at` on, in the order of the lamps:
+    /// neighbours in a packet then go the same way. Returns where they end.
+    fn draw_lights(
+        &mut self,
+        bake: &Bake,
+        round: &Round,
+        r: &Receiver,
+        choice: usize,
+        at: usize,
+    ) -> usize {
         let n = round.lights.len();
         let [u, v, w, ..] = self.columns.each_mut().map(|c| &mut c[..n]);
         let sequence = SobolSequence::new(round.seed ^ 0x5eed_1a3b, r.key);
-        run_widest(Coordinates { block: &round.lights, sequence, columns: [&mut *u, &mut *v, &mut *w] });
+        run_widest(Coordinates {
+            block: &round.lights,
+            sequence,
+            columns: [&mut *u, &mut *v, &mut *w],
+        });
         self.order.clear();
         self.order.resize(round.slots, u32::MAX);
         let slots = round.slots as f32;
@@ -258,7 +315,9 @@ impl Bundle {
             // (an interval may have no sample)
             let s = s as usize;
             if s < n {
-                let (slot, probability) = bake.emitters.pick(choice, guided.then(|| self.guide[interval]), u[s]);
+                let (slot, probability) =
+                    bake.emitters
+                        .pick(choice, guided.then(|| self.guide[interval]), u[s]);
                 picks.source[k] = slot;
                 picks.probability[k] = probability;
                 picks.place[0][k] = v[s];
@@ -267,7 +326,9 @@ impl Bundle {
                 k += 1;
             }
         }
-        picks.source[..n].iter_mut().for_each(|s| *s = bake.emitters.source_in(*s));
+        picks.source[..n]
+            .iter_mut()
+            .for_each(|s| *s = bake.emitters.source_in(*s));
         at + run_widest(Aiming {
             sources: bake.emitters.sources(),
             field: bake.field,
@@ -302,11 +363,18 @@ impl Bundle {
                     expect(later);
                 }
                 let (hit, cosine) = (&self.hits[k], self.cosines[k]);
-                // a single texel: the mean over the ray's cone mixes charts and gains nothing beside this many rays (CHANGELOG)
-                let (address, facing) = bake.field.address(hit, Vec3::from_array(self.rays[k].direction), 0.0);
+                // a single texel: the mean over the ray's cone mixes charts and gains nothing
+                // beside this many rays (CHANGELOG)
+                let (address, facing) =
+                    bake.field
+                        .address(hit, Vec3::from_array(self.rays[k].direction), 0.0);
                 bake.field.expect_texel(address);
                 let weight = match choice {
-                    Some(choice) => cosine / (n * (cosine * FRAC_1_PI) + lights * bake.emitters.hit_pdf(choice, hit, facing)),
+                    Some(choice) => {
+                        cosine
+                            / (n * (cosine * FRAC_1_PI)
+                                + lights * bake.emitters.hit_pdf(choice, hit, facing))
+                    }
                     None if round.estimator == Estimator::Uniform => TAU * cosine / n,
                     None => PI / n,
                 };
@@ -324,10 +392,21 @@ impl Bundle {
             let k = self.outside[i] as usize;
             let owner = self.owners[k] as usize;
             let weight = match (round.estimator, &self.spans[owner / PARTS]) {
-                (Estimator::Mis, Span { choice: Some(choice), .. }) => {
+                (
+                    Estimator::Mis,
+                    Span {
+                        choice: Some(choice),
+                        ..
+                    },
+                ) => {
                     let ray = &self.rays[k];
-                    let (origin, direction) = (Vec3::from_array(ray.origin), Vec3::from_array(ray.direction));
-                    let pdf = bake.emitters.miss_pdf(&self.choices[*choice], origin, direction);
+                    let (origin, direction) = (
+                        Vec3::from_array(ray.origin),
+                        Vec3::from_array(ray.direction),
+                    );
+                    let pdf = bake
+                        .emitters
+                        .miss_pdf(&self.choices[*choice], origin, direction);
                     self.cosines[k] / (n * (self.cosines[k] * FRAC_1_PI) + lights * pdf)
                 }
                 _ => self.terms[k].1,
@@ -336,11 +415,22 @@ impl Bundle {
         });
     }
 
-    /// Adds what glossy surfaces mirror along the first `count` hemisphere rays; returns the rays traced.
+    /// Adds what glossy surfaces mirror along the first `count` hemisphere rays; returns the rays
+    /// traced.
     fn gather_bounces(&mut self, bake: &Bake, count: usize) -> u64 {
         let Some(bounce) = bake.bounce else { return 0 };
-        let Self { rays, hits, bounces, sums, owners, terms, .. } = self;
-        bounce.follow(&rays[..count], &hits[..count], bounces, |k, radiance| sums[owners[k] as usize] += radiance * terms[k].1)
+        let Self {
+            rays,
+            hits,
+            bounces,
+            sums,
+            owners,
+            terms,
+            ..
+        } = self;
+        bounce.follow(&rays[..count], &hits[..count], bounces, |k, radiance| {
+            sums[owners[k] as usize] += radiance * terms[k].1
+        })
     }
 
     /// Adds what arrives from emitters along the first `count` shadow rays.
@@ -353,8 +443,12 @@ impl Bundle {
             arrived += usize::from(free & !portal);
             outside += usize::from(free & portal);
         }
-        let arrived = self.arrived[..arrived].iter().map(|l| &self.aimed[*l as usize]);
-        arrived.clone().for_each(|aimed| bake.field.expect_texel(aimed.address));
+        let arrived = self.arrived[..arrived]
+            .iter()
+            .map(|l| &self.aimed[*l as usize]);
+        arrived
+            .clone()
+            .for_each(|aimed| bake.field.expect_texel(aimed.address));
         for aimed in arrived {
             self.sums[aimed.owner as usize] += bake.field.texel(aimed.address) * aimed.weight;
         }
@@ -377,8 +471,8 @@ impl Bundle {
     }
 }
 
-/// The hemisphere samples of a receiver: coordinates in the unit square, world directions, and their cosines to the shading normal and
-/// to the face, a column each.
+/// The hemisphere samples of a receiver: coordinates in the unit square, world directions, and
+/// their cosines to the shading normal and to the face, a column each.
 struct Directions<'a> {
     points: &'a Points,
     seed: u64,
@@ -391,14 +485,25 @@ impl Kernel for Directions<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { points, seed, receiver: r, columns: [u, v, x, y, z, cosine, facing] } = self;
+        let Self {
+            points,
+            seed,
+            receiver: r,
+            columns: [u, v, x, y, z, cosine, facing],
+        } = self;
         let (frame, out) = (Frame::from_normal(r.normal), [x, y, z, cosine, facing]);
         match points {
             Points::Sobol(block) => {
                 let sequence = SobolSequence::new(seed, r.key);
                 block.fill(&sequence, 0, u);
                 block.fill(&sequence, 1, v);
-                directions(&frame, r.face_normal, square_to_cosine_hemisphere, [u, v], out);
+                directions(
+                    &frame,
+                    r.face_normal,
+                    square_to_cosine_hemisphere,
+                    [u, v],
+                    out,
+                );
             }
             Points::Hammersley(points, _) => {
                 let mut rng = KeyedRng::new(seed, r.key);
@@ -409,7 +514,13 @@ impl Kernel for Directions<'_> {
                         *o = if x >= 1.0 { x - 1.0 } else { x };
                     }
                 }
-                directions(&frame, r.face_normal, square_to_uniform_hemisphere, [u, v], out);
+                directions(
+                    &frame,
+                    r.face_normal,
+                    square_to_uniform_hemisphere,
+                    [u, v],
+                    out,
+                );
             }
         }
     }
@@ -427,14 +538,19 @@ impl Kernel for Coordinates<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { block, sequence, columns: [u, v, w] } = self;
+        let Self {
+            block,
+            sequence,
+            columns: [u, v, w],
+        } = self;
         block.fill(&sequence, 0, u);
         block.fill(&sequence, 1, v);
         block.fill(&sequence, 2, w);
     }
 }
 
-/// World directions of points of the unit square under a warp around a frame's normal, with their cosines.
+/// World directions of points of the unit square under a warp around a frame's normal, with their
+/// cosines.
 #[inline(always)]
 fn directions(
     frame: &Frame,
@@ -444,7 +560,14 @@ fn directions(
     [x, y, z, cosine, facing]: [&mut [f32]; 5],
 ) {
     let n = u.len();
-    let (v, x, y, z, cosine, facing) = (&v[..n], &mut x[..n], &mut y[..n], &mut z[..n], &mut cosine[..n], &mut facing[..n]);
+    let (v, x, y, z, cosine, facing) = (
+        &v[..n],
+        &mut x[..n],
+        &mut y[..n],
+        &mut z[..n],
+        &mut cosine[..n],
+        &mut facing[..n],
+    );
     for k in 0..n {
         let local = warp([u[k], v[k]]);
         let d = frame.world_from_local(local);

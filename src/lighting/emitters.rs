@@ -1,11 +1,13 @@
 //! Emitters: which texels emit, and how to sample them from any point of the scene.
 //!
-//! Light from outside enters through openings. Where rays leave the scene, the patches of its bounding box they cross become portals:
-//! area lights through which the environment is seen (Bitterli et al. 2015, "Portal-Masked Environment Map Sampling", in spirit).
+//! Light from outside enters through openings. Where rays leave the scene, the patches of its
+//! bounding box they cross become portals: area lights through which the environment is seen
+//! (Bitterli et al. 2015, "Portal-Masked Environment Map Sampling", in spirit).
 //!
-//! Emissive triangles are gathered into lamps; space into cells. Every point chooses lamps with probability proportional to the
-//! irradiance they are expected to send there ([`LampChoice`]), times what rays found of their visibility from the point's cell, so
-//! that lamps in other rooms and behind the surface cost no samples.
+//! Emissive triangles are gathered into lamps; space into cells. Every point chooses lamps with
+//! probability proportional to the irradiance they are expected to send there ([`LampChoice`]),
+//! times what rays found of their visibility from the point's cell, so that lamps in other rooms
+//! and behind the surface cost no samples.
 
 use super::LightField;
 use super::hull::Hull;
@@ -42,9 +44,11 @@ const NEIGHBOURS: f32 = 0.2;
 const ALIKE: f32 = 0.1;
 const ALIKE_NORMALS: f32 = 0.95;
 
-/// A texel emits if its least bright clean view exceeds this multiple of what a white surface could reflect there.
+/// A texel emits if its least bright clean view exceeds this multiple of what a white surface could
+/// reflect there.
 const MIN_EXCESS: f32 = 2.0;
-/// How much brighter than the brightest reflecting surfaces (99 % quantile of E/π) an unlabelled emitter must be.
+/// How much brighter than the brightest reflecting surfaces (99 % quantile of E/π) an unlabelled
+/// emitter must be.
 const BRIGHTER: f32 = 3.0;
 
 /// A direction towards an emitter.
@@ -73,14 +77,19 @@ pub struct EmissionEvidence {
     pub observed: bool,
 }
 
-/// Finds emissive triangles: those of `known` emitters, and those that send out more than a white surface could reflect
-/// (method §12.3 point 3; scale-free, unlike the paper's absolute threshold). Because irradiance in dark corners is uncertain, the
-/// excess alone does not suffice: the surface must also be brighter than the brightest reflecting surfaces of the scene, by far where
-/// no label says that most of its class is.
+/// Finds emissive triangles: those of `known` emitters, and those that send out more than a white
+/// surface could reflect (method §12.3 point 3; scale-free, unlike the paper's absolute threshold).
+/// Because irradiance in dark corners is uncertain, the excess alone does not suffice: the surface
+/// must also be brighter than the brightest reflecting surfaces of the scene, by far where no label
+/// says that most of its class is.
 #[must_use]
 pub fn detect_emissive(triangles: usize, texels: &[EmissionEvidence], known: &[bool]) -> Vec<bool> {
     let exceeds = |e: &EmissionEvidence| e.observed && e.floor > MIN_EXCESS * e.white;
-    let mut white: Vec<f32> = texels.iter().filter(|e| e.observed).map(|e| e.white).collect();
+    let mut white: Vec<f32> = texels
+        .iter()
+        .filter(|e| e.observed)
+        .map(|e| e.white)
+        .collect();
     white.sort_by(f32::total_cmp);
     let brightest_reflection = white.get(white.len() * 99 / 100).copied().unwrap_or(0.0);
     let mut classes: BTreeMap<u16, (u64, u64)> = BTreeMap::new();
@@ -94,7 +103,10 @@ pub fn detect_emissive(triangles: usize, texels: &[EmissionEvidence], known: &[b
         v.0 += u32::from(exceeds(e));
         v.1 += u32::from(exceeds(e) && e.floor > BRIGHTER * brightest_reflection);
     }
-    let emitting_class: BTreeMap<u16, bool> = classes.iter().map(|(k, c)| (*k, *k != 0 && 2 * c.0 > c.1)).collect();
+    let emitting_class: BTreeMap<u16, bool> = classes
+        .iter()
+        .map(|(k, c)| (*k, *k != 0 && 2 * c.0 > c.1))
+        .collect();
     let mut label = vec![0u16; triangles];
     for e in texels {
         label[e.triangle as usize] = e.label;
@@ -102,7 +114,8 @@ pub fn detect_emissive(triangles: usize, texels: &[EmissionEvidence], known: &[b
     (0..triangles)
         .map(|t| {
             let (excess, bright, seen) = votes[t];
-            let by_class = 2 * excess > seen && emitting_class.get(&label[t]).copied().unwrap_or(false);
+            let by_class =
+                2 * excess > seen && emitting_class.get(&label[t]).copied().unwrap_or(false);
             known[t] || (seen > 0 && (2 * bright > seen || by_class))
         })
         .collect()
@@ -139,7 +152,8 @@ pub struct Emitters {
     sources: Sources,
     /// The pieces again, lamp by lamp, each as often as it is likely.
     slots: Vec<u32>,
-    /// Per triangle, and once more for no triangle: lamp and density per m² within the lamp; density 0 where it is not sampled.
+    /// Per triangle, and once more for no triangle: lamp and density per m² within the lamp;
+    /// density 0 where it is not sampled.
     triangle_slot: Vec<(u32, f32)>,
     /// The same per cell of the hull; empty without portals.
     portal_slot: Vec<(u32, f32)>,
@@ -149,10 +163,15 @@ pub struct Emitters {
 }
 
 impl Emitters {
-    /// Gathers the emissive triangles of `field` and the openings to its environment into lamps, and learns which of them reach the
-    /// `receivers` (position, normal).
+    /// Gathers the emissive triangles of `field` and the openings to its environment into lamps,
+    /// and learns which of them reach the `receivers` (position, normal).
     #[must_use]
-    pub fn new(mesh: &Mesh, field: &LightField, tracer: &dyn Tracer, receivers: &[(Vec3, Vec3)]) -> Self {
+    pub fn new(
+        mesh: &Mesh,
+        field: &LightField,
+        tracer: &dyn Tracer,
+        receivers: &[(Vec3, Vec3)],
+    ) -> Self {
         let (lo, hi) = mesh.bounds();
         let cell_size = ((hi - lo).max_element() / CELLS_LONGEST).max(f32::MIN_POSITIVE);
         let mut out = Self {
@@ -168,14 +187,26 @@ impl Emitters {
         };
         let small = 0.02 * (hi - lo).length();
         let centre = |t: u32| mesh.position(t as usize, 1.0 / 3.0, 1.0 / 3.0);
-        let power: Vec<f64> = (0..mesh.triangles.len()).into_par_iter().map(|t| triangle_power(mesh, field, t)).collect();
+        let power: Vec<f64> = (0..mesh.triangles.len())
+            .into_par_iter()
+            .map(|t| triangle_power(mesh, field, t))
+            .collect();
         for set in bright_sets(mesh, field, &power) {
             let set = uncovered(mesh, field, tracer, set);
             for group in split_into_lamps(&centre, small, MAX_LAMPS, set) {
                 let out_of = |t: u32| field.outward_normal(t as usize);
                 let item = |t: u32| {
                     let (area, power) = (mesh.area(t as usize), power[t as usize]);
-                    (Piece { centre: centre(t), normal: out_of(t), area, power }, area, power)
+                    (
+                        Piece {
+                            centre: centre(t),
+                            normal: out_of(t),
+                            area,
+                            power,
+                        },
+                        area,
+                        power,
+                    )
                 };
                 let items = group.iter().map(|&t| item(t)).collect::<Vec<_>>();
                 out.add_lamp(mesh, field, LampKind::Triangles(group), &items);
@@ -192,9 +223,18 @@ impl Emitters {
     }
 
     /// Adds a lamp of pieces with their areas and the weights by which they are drawn.
-    fn add_lamp(&mut self, mesh: &Mesh, field: &LightField, kind: LampKind, items: &[(Piece, f32, f64)]) {
-        let Some(table) = SlotTable::new(&items.iter().map(|i| i.2).collect::<Vec<_>>()) else { return };
-        self.shapes.push(&items.iter().map(|i| i.0).collect::<Vec<_>>());
+    fn add_lamp(
+        &mut self,
+        mesh: &Mesh,
+        field: &LightField,
+        kind: LampKind,
+        items: &[(Piece, f32, f64)],
+    ) {
+        let Some(table) = SlotTable::new(&items.iter().map(|i| i.2).collect::<Vec<_>>()) else {
+            return;
+        };
+        self.shapes
+            .push(&items.iter().map(|i| i.0).collect::<Vec<_>>());
         let (lamp, base) = (self.lamps.len() as u32, self.sources.len() as u32);
         if matches!(kind, LampKind::Portal(_)) {
             self.portal_slot.resize(Hull::NUMBERS, (0, 0.0));
@@ -214,11 +254,21 @@ impl Emitters {
         }
         let first = self.slots.len() as u32;
         self.slots.extend(table.owners().iter().map(|i| base + i));
-        self.lamps.push(Lamp { first, slots: table.owners().len() as f32 });
+        self.lamps.push(Lamp {
+            first,
+            slots: table.owners().len() as f32,
+        });
     }
 
-    /// Finds where rays from the receivers leave the scene and groups those cells of the bounding box into portals.
-    fn add_portals(&mut self, mesh: &Mesh, field: &LightField, tracer: &dyn Tracer, receivers: &[(Vec3, Vec3)]) {
+    /// Finds where rays from the receivers leave the scene and groups those cells of the bounding
+    /// box into portals.
+    fn add_portals(
+        &mut self,
+        mesh: &Mesh,
+        field: &LightField,
+        tracer: &dyn Tracer,
+        receivers: &[(Vec3, Vec3)],
+    ) {
         let stride = (receivers.len() / PORTAL_PROBES).max(1);
         let probes: Vec<usize> = (0..receivers.len()).step_by(stride).collect();
         let found = crate::parallel::map_chunks(probes.len(), 64, |range| {
@@ -228,7 +278,9 @@ impl Emitters {
                 let frame = crate::math::Frame::from_normal(n);
                 let sequence = SobolSequence::new(0x907_7a1, k as u64);
                 for j in 0..PORTAL_RAYS {
-                    let d = frame.world_from_local(crate::sampling::square_to_cosine_hemisphere(sequence.point2(j)));
+                    let d = frame.world_from_local(crate::sampling::square_to_cosine_hemisphere(
+                        sequence.point2(j),
+                    ));
                     rays.push(Ray::new(p + n * (1e-4 * self.cell_size), d, f32::INFINITY));
                 }
             }
@@ -267,10 +319,16 @@ impl Emitters {
         let hull = self.hull.clone();
         let centre = |c: u32| hull.cell_centre(c);
         for group in split_into_lamps(&centre, small, MAX_PORTALS, cells) {
-            // a floor keeps cells that few probes crossed possible; unseen cells stay with the hemisphere rays
+            // a floor keeps cells that few probes crossed possible; unseen cells stay with the
+            // hemisphere rays
             let item = |c: u32| {
                 let area = hull.cell_area(c);
-                let piece = Piece { centre: centre(c), normal: hull.cell_frame(c)[3], area, power: radiance * f64::from(area) };
+                let piece = Piece {
+                    centre: centre(c),
+                    normal: hull.cell_frame(c)[3],
+                    area,
+                    power: radiance * f64::from(area),
+                };
                 (piece, area, light[&c].max(0.2 * mean))
             };
             let items: Vec<_> = group.iter().map(|&c| item(c)).collect();
@@ -294,20 +352,28 @@ impl Emitters {
                 let stride = (ids.len() / PROBES).max(1);
                 let sequence = SobolSequence::new(
                     0x1a3b,
-                    crate::sampling::hash_u64(cell[0] as u64, crate::sampling::hash_u64(cell[1] as u64, cell[2] as u64)),
+                    crate::sampling::hash_u64(
+                        cell[0] as u64,
+                        crate::sampling::hash_u64(cell[1] as u64, cell[2] as u64),
+                    ),
                 );
                 let (mut rays, mut owners, mut expected) = (Vec::new(), Vec::new(), Vec::new());
                 for (probe, &i) in ids.iter().step_by(stride).take(PROBES).enumerate() {
                     let (p, n) = receivers[i];
                     let origin = p + n * (1e-4 * self.cell_size);
-                    self.shapes.expected(p, n, &self.reach.everywhere, &mut expected);
+                    self.shapes
+                        .expected(p, n, &self.reach.everywhere, &mut expected);
                     found.iter_mut().zip(&expected).for_each(|(f, e)| f[1] += e);
                     for (k, lamp) in self.lamps.iter().enumerate() {
                         let u = sequence.point3((probe * lamps + k) as u32);
-                        let Some(sample) = self.aim(field, lamp.slot(u[0]), origin, [u[1], u[2]]) else { continue };
+                        let Some(sample) = self.aim(field, lamp.slot(u[0]), origin, [u[1], u[2]])
+                        else {
+                            continue;
+                        };
                         let cosine = n.dot(Vec3::from_array(sample.ray.direction));
                         if cosine > 0.0 {
-                            // at most what was expected: one sample of a lamp nearby says little of the others
+                            // at most what was expected: one sample of a lamp nearby says little of
+                            // the others
                             let light = (luminance(sample.radiance) * cosine / sample.pdf).max(0.0);
                             rays.push(sample.ray);
                             owners.push((k, light.min(expected[k])));
@@ -328,10 +394,24 @@ impl Emitters {
             .map(|(cell, own)| {
                 let mut sum = own.clone();
                 for near in neighbours(*cell).filter_map(|c| probed.get(&c)) {
-                    sum.iter_mut().zip(near).for_each(|(s, n)| (0..2).for_each(|j| s[j] += NEIGHBOURS * n[j]));
+                    sum.iter_mut()
+                        .zip(near)
+                        .for_each(|(s, n)| (0..2).for_each(|j| s[j] += NEIGHBOURS * n[j]));
                 }
-                // of equal light, what arrives in a few places only varies more: the least variance has the root of the share that arrives
-                (*cell, sum.iter().map(|[a, e]| if *e > 0.0 { DEFENSIVE + (a / e).sqrt() } else { 1.0 }).collect())
+                // of equal light, what arrives in a few places only varies more: the least variance
+                // has the root of the share that arrives
+                (
+                    *cell,
+                    sum.iter()
+                        .map(|[a, e]| {
+                            if *e > 0.0 {
+                                DEFENSIVE + (a / e).sqrt()
+                            } else {
+                                1.0
+                            }
+                        })
+                        .collect(),
+                )
             })
             .collect();
         self.reach.set(learned);
@@ -353,18 +433,21 @@ impl Emitters {
         self.lamps.len()
     }
 
-    /// Writes into `choice` which lamps suit a point with a unit normal; pass it to [`Self::sample`] and [`Self::pdf`]. They are combined
-    /// with `rays` cosine-distributed rays per sample, which meet large lamps anyway.
+    /// Writes into `choice` which lamps suit a point with a unit normal; pass it to
+    /// [`Self::sample`] and [`Self::pdf`]. They are combined with `rays` cosine-distributed rays
+    /// per sample, which meet large lamps anyway.
     pub fn choose(&self, p: Vec3, normal: Vec3, rays: f32, choice: &mut LampChoice) {
         choice.set(|weights| {
-            self.shapes.expected(p, normal, self.reach.at(self.cell(p)), weights);
+            self.shapes
+                .expected(p, normal, self.reach.at(self.cell(p)), weights);
             if rays > 0.0 {
                 self.shapes.rebalance(rays, weights);
             }
         });
     }
 
-    /// Whether two points (position, unit normal) lie so close together that one's choice of lamps serves the other as well.
+    /// Whether two points (position, unit normal) lie so close together that one's choice of lamps
+    /// serves the other as well.
     pub(super) fn alike(&self, [a, b]: [(Vec3, Vec3); 2]) -> bool {
         a.0.distance_squared(b.0) < (ALIKE * self.cell_size).powi(2) && a.1.dot(b.1) > ALIKE_NORMALS
     }
@@ -372,19 +455,43 @@ impl Emitters {
     /// Draws a direction from `origin` towards an emitter; `None` where the drawn point faces away.
     #[must_use]
     #[inline]
-    pub fn sample(&self, field: &LightField, choice: &LampChoice, origin: Vec3, u: [f32; 3]) -> Option<EmitterSample> {
+    pub fn sample(
+        &self,
+        field: &LightField,
+        choice: &LampChoice,
+        origin: Vec3,
+        u: [f32; 3],
+    ) -> Option<EmitterSample> {
         let (lamp, rest) = choice.sample(u[0]);
         let sample = self.aim(field, self.lamps[lamp].slot(rest), origin, [u[1], u[2]])?;
-        Some(EmitterSample { pdf: choice.pmf(lamp) * sample.pdf, ..sample })
+        Some(EmitterSample {
+            pdf: choice.pmf(lamp) * sample.pdf,
+            ..sample
+        })
     }
 
-    /// A direction to the point of a slot's source that `place` in [0, 1)² stands for, with the density within its lamp; `None` if the
-    /// source faces away.
+    /// A direction to the point of a slot's source that `place` in [0, 1)² stands for, with the
+    /// density within its lamp; `None` if the source faces away.
     #[inline]
-    fn aim(&self, field: &LightField, slot: u32, origin: Vec3, place: [f32; 2]) -> Option<EmitterSample> {
+    fn aim(
+        &self,
+        field: &LightField,
+        slot: u32,
+        origin: Vec3,
+        place: [f32; 2],
+    ) -> Option<EmitterSample> {
         let index = [self.slots[slot as usize]];
-        let aims = self.sources.aim(field, origin, &index, [&[place[0]], &[place[1]]], &mut Columns::default());
-        let (direction, facing) = (Vec3::from_array(aims.direction.map(|d| d[0])), aims.facing[0]);
+        let aims = self.sources.aim(
+            field,
+            origin,
+            &index,
+            [&[place[0]], &[place[1]]],
+            &mut Columns::default(),
+        );
+        let (direction, facing) = (
+            Vec3::from_array(aims.direction.map(|d| d[0])),
+            aims.facing[0],
+        );
         (facing > 0.0).then(|| EmitterSample {
             ray: Ray::new(origin, direction, aims.t_far[0]),
             radiance: match aims.address[0] {
@@ -395,10 +502,18 @@ impl Emitters {
         })
     }
 
-    /// Density per steradian with which [`Self::sample`] draws the direction of a ray from `origin` that ended in `hit`.
+    /// Density per steradian with which [`Self::sample`] draws the direction of a ray from `origin`
+    /// that ended in `hit`.
     #[must_use]
     #[inline]
-    pub fn pdf(&self, field: &LightField, choice: &LampChoice, origin: Vec3, direction: Vec3, hit: &Hit) -> f32 {
+    pub fn pdf(
+        &self,
+        field: &LightField,
+        choice: &LampChoice,
+        origin: Vec3,
+        direction: Vec3,
+        hit: &Hit,
+    ) -> f32 {
         if choice.is_empty() {
             0.0
         } else if hit.is_hit() {
@@ -414,8 +529,8 @@ impl Emitters {
         &self.sources
     }
 
-    /// The slot of a source that `u` in [0, 1) stands for, and the probability of its lamp; `first` is from [`LampChoice::guide`], if at
-    /// hand. The slot is on its way into the cache.
+    /// The slot of a source that `u` in [0, 1) stands for, and the probability of its lamp; `first`
+    /// is from [`LampChoice::guide`], if at hand. The slot is on its way into the cache.
     #[inline(always)]
     pub(super) fn pick(&self, choice: &LampChoice, first: Option<u32>, u: f32) -> (u32, f32) {
         let (lamp, rest) = match first {
@@ -443,9 +558,14 @@ impl Emitters {
     #[inline(always)]
     pub(super) fn hit_pdf(&self, choice: &LampChoice, hit: &Hit, cosine: f32) -> f32 {
         // the last slot is that of no triangle
-        let (lamp, density) = self.triangle_slot[(hit.triangle as usize).min(self.triangle_slot.len() - 1)];
+        let (lamp, density) =
+            self.triangle_slot[(hit.triangle as usize).min(self.triangle_slot.len() - 1)];
         let pdf = choice.pmf(lamp as usize) * density * hit.t * hit.t / cosine;
-        if density > 0.0 && cosine > GRAZING { pdf } else { 0.0 }
+        if density > 0.0 && cosine > GRAZING {
+            pdf
+        } else {
+            0.0
+        }
     }
 
     /// [`Self::pdf`] of a ray that leaves the scene.
@@ -454,13 +574,20 @@ impl Emitters {
         if self.portal_slot.is_empty() {
             return 0.0;
         }
-        let Some((cell, t, cosine)) = self.hull.exit(origin, direction) else { return 0.0 };
+        let Some((cell, t, cosine)) = self.hull.exit(origin, direction) else {
+            return 0.0;
+        };
         let (lamp, density) = self.portal_slot[cell as usize];
-        if density > 0.0 { choice.pmf(lamp as usize) * density * t * t / cosine } else { 0.0 }
+        if density > 0.0 {
+            choice.pmf(lamp as usize) * density * t * t / cosine
+        } else {
+            0.0
+        }
     }
 }
 
-/// Per cell of space and lamp: how much of the expected irradiance arrives; in a dense grid around the cells that hold receivers.
+/// Per cell of space and lamp: how much of the expected irradiance arrives; in a dense grid around
+/// the cells that hold receivers.
 #[derive(Default)]
 struct ReachTable {
     base: [i32; 3],
@@ -474,10 +601,14 @@ struct ReachTable {
 
 impl ReachTable {
     fn set(&mut self, learned: Vec<([i32; 3], Vec<f32>)>) {
-        let bound = |pick: fn(i32, i32) -> i32, a: usize| learned.iter().map(|(c, _)| c[a]).reduce(pick).unwrap_or(0);
+        let bound = |pick: fn(i32, i32) -> i32, a: usize| {
+            learned.iter().map(|(c, _)| c[a]).reduce(pick).unwrap_or(0)
+        };
         self.base = std::array::from_fn(|a| bound(i32::min, a));
         // receivers lie in the scene's box, which has about CELLS_LONGEST cells a side
-        self.size = std::array::from_fn(|a| (bound(i32::max, a).saturating_sub(self.base[a]) as usize + 1).min(256));
+        self.size = std::array::from_fn(|a| {
+            (bound(i32::max, a).saturating_sub(self.base[a]) as usize + 1).min(256)
+        });
         self.index = vec![0; self.size.iter().product()];
         for (cell, table) in learned {
             if let Some(i) = self.slot(cell) {
@@ -488,67 +619,133 @@ impl ReachTable {
     }
 
     fn slot(&self, cell: [i32; 3]) -> Option<usize> {
-        let at: [usize; 3] = std::array::from_fn(|a| i64::from(cell[a]).wrapping_sub(i64::from(self.base[a])) as usize);
-        (0..3).all(|a| at[a] < self.size[a]).then(|| (at[2] * self.size[1] + at[1]) * self.size[0] + at[0])
+        let at: [usize; 3] = std::array::from_fn(|a| {
+            i64::from(cell[a]).wrapping_sub(i64::from(self.base[a])) as usize
+        });
+        (0..3)
+            .all(|a| at[a] < self.size[a])
+            .then(|| (at[2] * self.size[1] + at[1]) * self.size[0] + at[0])
     }
 
     fn at(&self, cell: [i32; 3]) -> &[f32] {
-        let place = self.slot(cell).and_then(|s| self.index.get(s)).map_or(0, |i| *i as usize);
-        self.tables.get(place.wrapping_sub(1)).unwrap_or(&self.everywhere)
+        let place = self
+            .slot(cell)
+            .and_then(|s| self.index.get(s))
+            .map_or(0, |i| *i as usize);
+        self.tables
+            .get(place.wrapping_sub(1))
+            .unwrap_or(&self.everywhere)
     }
 }
 
 /// The 26 cells around one.
 fn neighbours(cell: [i32; 3]) -> impl Iterator<Item = [i32; 3]> {
-    (0..27).filter(|i| *i != 13).map(move |i| [cell[0] + i % 3 - 1, cell[1] + i / 3 % 3 - 1, cell[2] + i / 9 - 1])
+    (0..27).filter(|i| *i != 13).map(move |i| {
+        [
+            cell[0] + i % 3 - 1,
+            cell[1] + i / 3 % 3 - 1,
+            cell[2] + i / 9 - 1,
+        ]
+    })
 }
 
-/// Triangles worth sampling: the emissive ones, and those that reflect much more light than the average surface (a window sill in the
-/// sun). Sampling the latter changes no estimate, only its noise.
+/// Triangles worth sampling: the emissive ones, and those that reflect much more light than the
+/// average surface (a window sill in the sun). Sampling the latter changes no estimate, only its
+/// noise.
 fn bright_sets(mesh: &Mesh, field: &LightField, power: &[f64]) -> [Vec<u32>; 2] {
-    let area: Vec<f64> = (0..mesh.triangles.len()).map(|t| f64::from(mesh.area(t))).collect();
+    let area: Vec<f64> = (0..mesh.triangles.len())
+        .map(|t| f64::from(mesh.area(t)))
+        .collect();
     let reflecting = |t: usize| !field.is_emissive(t) && area[t] > 0.0;
-    let (sum, total) = (0..area.len()).filter(|&t| reflecting(t)).fold((0.0, 0.0), |s, t| (s.0 + power[t], s.1 + area[t]));
+    let (sum, total) = (0..area.len())
+        .filter(|&t| reflecting(t))
+        .fold((0.0, 0.0), |s, t| (s.0 + power[t], s.1 + area[t]));
     let threshold = BRIGHT * sum / f64::max(total, f64::MIN_POSITIVE);
-    let emissive = (0..area.len()).filter(|&t| field.is_emissive(t) && area[t] > 0.0).map(|t| t as u32).collect();
-    let bright = (0..area.len()).filter(|&t| reflecting(t) && power[t] > threshold * area[t]).map(|t| t as u32).collect();
+    let emissive = (0..area.len())
+        .filter(|&t| field.is_emissive(t) && area[t] > 0.0)
+        .map(|t| t as u32)
+        .collect();
+    let bright = (0..area.len())
+        .filter(|&t| reflecting(t) && power[t] > threshold * area[t])
+        .map(|t| t as u32)
+        .collect();
     [emissive, bright]
 }
 
-/// The triangles that can be seen from right above somewhere. A shadow ray ends so close to its source that it may overlook what
-/// covers that: a hidden twin of a lamp would shine through it. Hemisphere rays meet whatever is dropped here and visible after all.
-fn uncovered(mesh: &Mesh, field: &LightField, tracer: &dyn Tracer, triangles: Vec<u32>) -> Vec<u32> {
-    const PLACES: [(f32, f32); 4] = [(1.0 / 3.0, 1.0 / 3.0), (0.7, 0.15), (0.15, 0.7), (0.15, 0.15)];
+/// The triangles that can be seen from right above somewhere. A shadow ray ends so close to its
+/// source that it may overlook what covers that: a hidden twin of a lamp would shine through it.
+/// Hemisphere rays meet whatever is dropped here and visible after all.
+fn uncovered(
+    mesh: &Mesh,
+    field: &LightField,
+    tracer: &dyn Tracer,
+    triangles: Vec<u32>,
+) -> Vec<u32> {
+    const PLACES: [(f32, f32); 4] = [
+        (1.0 / 3.0, 1.0 / 3.0),
+        (0.7, 0.15),
+        (0.15, 0.7),
+        (0.15, 0.15),
+    ];
     let (lo, hi) = mesh.bounds();
     let above = 0.5 * SHORT * (hi - lo).length();
     let rays: Vec<Ray> = triangles
         .iter()
         .flat_map(|&t| {
             let normal = field.outward_normal(t as usize);
-            PLACES.map(|(u, v)| Ray::new(mesh.position(t as usize, u, v) + normal * above, -normal, 2.0 * above))
+            PLACES.map(|(u, v)| {
+                Ray::new(
+                    mesh.position(t as usize, u, v) + normal * above,
+                    -normal,
+                    2.0 * above,
+                )
+            })
         })
         .collect();
     let mut hits = vec![Hit::miss(); rays.len()];
     tracer.closest(&rays, &mut hits);
-    let seen = |i: usize| hits[PLACES.len() * i..][..PLACES.len()].iter().any(|h| h.triangle == triangles[i]);
-    (0..triangles.len()).filter(|&i| seen(i)).map(|i| triangles[i]).collect()
+    let seen = |i: usize| {
+        hits[PLACES.len() * i..][..PLACES.len()]
+            .iter()
+            .any(|h| h.triangle == triangles[i])
+    };
+    (0..triangles.len())
+        .filter(|&i| seen(i))
+        .map(|i| triangles[i])
+        .collect()
 }
 
 /// Luminance × area, from a few points; a floor keeps dim corners possible.
 fn triangle_power(mesh: &Mesh, field: &LightField, t: usize) -> f64 {
     const POINTS: [(f32, f32); 4] = [(1.0 / 3.0, 1.0 / 3.0), (0.6, 0.2), (0.2, 0.6), (0.2, 0.2)];
-    let lum: Vec<f32> = POINTS.iter().map(|&(u, v)| luminance(field.emitted(t, u, v)).max(0.0)).collect();
+    let lum: Vec<f32> = POINTS
+        .iter()
+        .map(|&(u, v)| luminance(field.emitted(t, u, v)).max(0.0))
+        .collect();
     let peak = lum.iter().copied().fold(0.0, f32::max);
     f64::from((lum.iter().sum::<f32>() / 4.0).max(0.1 * peak)) * f64::from(mesh.area(t))
 }
 
-/// Splits items into at most `most` compact groups by cutting the largest group at its widest gap until groups are smaller than
-/// `small`.
-fn split_into_lamps(centre: &dyn Fn(u32) -> Vec3, small: f32, most: usize, items: Vec<u32>) -> Vec<Vec<u32>> {
-    let mut groups = if items.is_empty() { vec![] } else { vec![items] };
+/// Splits items into at most `most` compact groups by cutting the largest group at its widest gap
+/// until groups are smaller than `small`.
+fn split_into_lamps(
+    centre: &dyn Fn(u32) -> Vec3,
+    small: f32,
+    most: usize,
+    items: Vec<u32>,
+) -> Vec<Vec<u32>> {
+    let mut groups = if items.is_empty() {
+        vec![]
+    } else {
+        vec![items]
+    };
     loop {
         let extent = |g: &Vec<u32>| {
-            let b = g.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |b, &t| (b.0.min(centre(t)), b.1.max(centre(t))));
+            let b = g
+                .iter()
+                .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |b, &t| {
+                    (b.0.min(centre(t)), b.1.max(centre(t)))
+                });
             b.1 - b.0
         };
         let largest = groups
@@ -574,7 +771,9 @@ fn split_into_lamps(centre: &dyn Fn(u32) -> Vec3, small: f32, most: usize, items
         let cut = (1..g.len())
             .max_by(|&a, &b| {
                 let gap = |k: usize| centre(g[k])[axis] - centre(g[k - 1])[axis];
-                gap(a).total_cmp(&gap(b)).then(b.abs_diff(g.len() / 2).cmp(&a.abs_diff(g.len() / 2)))
+                gap(a)
+                    .total_cmp(&gap(b))
+                    .then(b.abs_diff(g.len() / 2).cmp(&a.abs_diff(g.len() / 2)))
             })
             .unwrap_or(1);
         let tail = g.split_off(cut);

@@ -10,7 +10,8 @@ use crate::trace::Hit;
 use glam::{Mat3, Vec2, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
-/// Size of the environment map: 0.7° per pixel, finer than the parallax of a window seen from two places in a room.
+/// Size of the environment map: 0.7° per pixel, finer than the parallax of a window seen from two
+/// places in a room.
 const WIDTH: usize = 512;
 const HEIGHT: usize = 256;
 /// How many directions before its turn the memory is asked for what one needs.
@@ -21,7 +22,8 @@ const FRAC_1_TAU: f32 = 0.5 * FRAC_1_PI;
 #[derive(Clone, Debug)]
 pub struct Environment {
     map: RgbPlane,
-    /// The map with one more column and row on every side (wrapped and clamped), so that a lookup needs no case distinction.
+    /// The map with one more column and row on every side (wrapped and clamped), so that a lookup
+    /// needs no case distinction.
     padded: Vec<Vec3>,
     seen: f32,
 }
@@ -29,11 +31,18 @@ pub struct Environment {
 /// The camera whose image the map is.
 fn camera(width: usize, height: usize) -> Camera {
     let (world_from_camera, position) = (Mat3::IDENTITY, Vec3::ZERO);
-    Camera { projection: Projection::Equirectangular, width, height, world_from_camera, position }
+    Camera {
+        projection: Projection::Equirectangular,
+        width,
+        height,
+        world_from_camera,
+        position,
+    }
 }
 
 impl Environment {
-    /// An environment from an equirectangular map in world axes (design §1.1 with the identity pose).
+    /// An environment from an equirectangular map in world axes (design §1.1 with the identity
+    /// pose).
     #[must_use]
     pub fn from_map(map: RgbPlane) -> Self {
         let (w, h) = (map.width, map.height);
@@ -41,17 +50,25 @@ impl Environment {
             .flat_map(|y| (0..w + 2).map(move |x| ((x + w - 1) % w, y.clamp(1, h) - 1)))
             .map(|(x, y)| map[(x, y)])
             .collect();
-        Self { map, padded, seen: 1.0 }
+        Self {
+            map,
+            padded,
+            seen: 1.0,
+        }
     }
 
     /// Black in every direction.
     #[must_use]
     pub fn black() -> Self {
-        Self { seen: 0.0, ..Self::from_map(Plane::filled(2, 1, Vec3::ZERO)) }
+        Self {
+            seen: 0.0,
+            ..Self::from_map(Plane::filled(2, 1, Vec3::ZERO))
+        }
     }
 
-    /// Collects the pixels that see no geometry: the mean per direction over all views, unseen directions filled from the seen ones
-    /// around them. Pixels next to geometry are left out (they are mixtures). Black if every ray hits something.
+    /// Collects the pixels that see no geometry: the mean per direction over all views, unseen
+    /// directions filled from the seen ones around them. Pixels next to geometry are left out (they
+    /// are mixtures). Black if every ray hits something.
     #[must_use]
     pub fn observe(views: &[ObservedView]) -> Self {
         let camera = camera(WIDTH, HEIGHT);
@@ -62,13 +79,17 @@ impl Environment {
             let (w, h) = (b.triangle.width, b.triangle.height);
             for y in 1..h.saturating_sub(1) {
                 for x in 1..w.saturating_sub(1) {
-                    let open = (x - 1..=x + 1).all(|i| (y - 1..=y + 1).all(|j| b.triangle[(i, j)] == Hit::MISS));
+                    let open = (x - 1..=x + 1)
+                        .all(|i| (y - 1..=y + 1).all(|j| b.triangle[(i, j)] == Hit::MISS));
                     if !open || v.valid.as_ref().is_some_and(|m| !m[(x, y)]) {
                         continue;
                     }
-                    let d = b.camera.direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+                    let d = b
+                        .camera
+                        .direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
                     if let Some(p) = camera.project(d) {
-                        let i = (p.y as usize).min(HEIGHT - 1) * WIDTH + (p.x as usize).min(WIDTH - 1);
+                        let i =
+                            (p.y as usize).min(HEIGHT - 1) * WIDTH + (p.x as usize).min(WIDTH - 1);
                         sum[i] += v.radiance[(x, y)];
                         count[i] += 1;
                     }
@@ -82,10 +103,21 @@ impl Environment {
         for (s, &n) in sum.iter_mut().zip(&count) {
             *s /= n.max(1) as f32;
         }
-        let mean = Plane { width: WIDTH, height: HEIGHT, data: sum };
-        let covered = Plane { width: WIDTH, height: HEIGHT, data: count.iter().map(|c| *c > 0).collect() };
+        let mean = Plane {
+            width: WIDTH,
+            height: HEIGHT,
+            data: sum,
+        };
+        let covered = Plane {
+            width: WIDTH,
+            height: HEIGHT,
+            data: count.iter().map(|c| *c > 0).collect(),
+        };
         let map = fill_uncovered(&mean, &covered);
-        Self { seen: seen as f32 / (WIDTH * HEIGHT) as f32, ..Self::from_map(map) }
+        Self {
+            seen: seen as f32 / (WIDTH * HEIGHT) as f32,
+            ..Self::from_map(map)
+        }
     }
 
     /// Radiance from a unit world direction.
@@ -99,8 +131,9 @@ impl Environment {
         self.at(x, y)
     }
 
-    /// Radiance from a unit world direction each: `directions` holds their coordinates one after the other, which are overwritten.
-    /// Places are found in vector registers, then the map is read.
+    /// Radiance from a unit world direction each: `directions` holds their coordinates one after
+    /// the other, which are overwritten. Places are found in vector registers, then the map is
+    /// read.
     pub fn radiances(&self, directions: [&mut [f32]; 3], mut each: impl FnMut(usize, Vec3)) {
         let [x, y, z] = directions;
         let n = x.len();
@@ -120,22 +153,28 @@ impl Environment {
         }
     }
 
-    /// Column and row in the padded map, half a pixel to the upper left: where the first of four taps begins.
+    /// Column and row in the padded map, half a pixel to the upper left: where the first of four
+    /// taps begins.
     #[inline(always)]
     fn place(&self, d: Vec3) -> [f32; 2] {
         let longitude = atan2(d.x, -d.z);
         let colatitude = atan2((d.x * d.x + d.z * d.z).sqrt(), d.y);
-        [(longitude * FRAC_1_TAU + 0.5) * self.map.width as f32 + 0.5, colatitude * FRAC_1_PI * self.map.height as f32 + 0.5]
+        [
+            (longitude * FRAC_1_TAU + 0.5) * self.map.width as f32 + 0.5,
+            colatitude * FRAC_1_PI * self.map.height as f32 + 0.5,
+        ]
     }
 
     #[inline(always)]
     fn at(&self, x: f32, y: f32) -> Vec3 {
         let (at, next, [tx, ty]) = self.taps(x, y);
         let (upper, lower) = (&self.padded[at..at + 2], &self.padded[next..next + 2]);
-        (upper[0] * (1.0 - tx) + upper[1] * tx) * (1.0 - ty) + (lower[0] * (1.0 - tx) + lower[1] * tx) * ty
+        (upper[0] * (1.0 - tx) + upper[1] * tx) * (1.0 - ty)
+            + (lower[0] * (1.0 - tx) + lower[1] * tx) * ty
     }
 
-    /// Where the upper and the lower two of four taps begin, and the shares of the right and of the lower ones.
+    /// Where the upper and the lower two of four taps begin, and the shares of the right and of the
+    /// lower ones.
     #[inline(always)]
     fn taps(&self, x: f32, y: f32) -> (usize, usize, [f32; 2]) {
         let (w, h) = (self.map.width as u32, self.map.height as u32);
@@ -173,17 +212,34 @@ mod tests {
     fn lookups_equal_projection_and_interpolation() {
         let (w, h) = (37, 16);
         let value = |i: usize| Vec3::new((i * 7919 % 101) as f32, (i * 31 % 17) as f32, 1.0);
-        let map = Plane { width: w, height: h, data: (0..w * h).map(value).collect() };
+        let map = Plane {
+            width: w,
+            height: h,
+            data: (0..w * h).map(value).collect(),
+        };
         let (environment, camera) = (Environment::from_map(map.clone()), camera(w, h));
         for i in 0..4000 {
             let (z, phi) = (1.0 - 2.0 * (i as f32 + 0.5) / 4000.0, i as f32 * 2.399_963);
             let s = (1.0 - z * z).sqrt();
-            for d in [Vec3::new(s * phi.cos(), z, s * phi.sin()), Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::new(1e-9, 0.0, 1.0)] {
+            for d in [
+                Vec3::new(s * phi.cos(), z, s * phi.sin()),
+                Vec3::Y,
+                Vec3::NEG_Y,
+                Vec3::Z,
+                Vec3::new(1e-9, 0.0, 1.0),
+            ] {
                 let expected = map.bilinear(camera.project(d).expect("a direction"), Wrap::Repeat);
-                assert!((environment.radiance(d) - expected).abs().max_element() < 2e-2, "{d}");
+                assert!(
+                    (environment.radiance(d) - expected).abs().max_element() < 2e-2,
+                    "{d}"
+                );
             }
         }
-        let d = [Vec3::new(0.6, 0.0, -0.8), Vec3::new(0.0, 0.6, 0.8), Vec3::NEG_Y];
+        let d = [
+            Vec3::new(0.6, 0.0, -0.8),
+            Vec3::new(0.0, 0.6, 0.8),
+            Vec3::NEG_Y,
+        ];
         let mut columns = [0, 1, 2].map(|a| d.map(|v| v[a]));
         let [x, y, z] = &mut columns;
         let mut seen = 0;

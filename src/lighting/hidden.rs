@@ -23,8 +23,13 @@ impl Hidden {
         for next in &next {
             sum += next.swap(sum, Ordering::Relaxed);
         }
-        let ids: Vec<AtomicU32> = (0..sum).into_par_iter().map(|_| AtomicU32::new(0)).collect();
-        each_way(found, |i, j| ids[next[i].fetch_add(1, Ordering::Relaxed)].store(j, Ordering::Relaxed));
+        let ids: Vec<AtomicU32> = (0..sum)
+            .into_par_iter()
+            .map(|_| AtomicU32::new(0))
+            .collect();
+        each_way(found, |i, j| {
+            ids[next[i].fetch_add(1, Ordering::Relaxed)].store(j, Ordering::Relaxed)
+        });
         // (where each list begins has moved to where it ends)
         let end: Vec<usize> = next.into_iter().map(AtomicUsize::into_inner).collect();
         let mut ids: Vec<u32> = ids.into_iter().map(AtomicU32::into_inner).collect();
@@ -41,11 +46,14 @@ impl Hidden {
 
     /// The texels hidden from texel `i`, ascending.
     pub(super) fn of(&self, i: usize) -> &[u32] {
-        let Some(&end) = self.end.get(i) else { return &[] };
+        let Some(&end) = self.end.get(i) else {
+            return &[];
+        };
         &self.ids[if i == 0 { 0 } else { self.end[i - 1] }..end]
     }
 
-    /// Takes away those of the texels around texel `i` that are hidden from it; `id` tells their numbers.
+    /// Takes away those of the texels around texel `i` that are hidden from it; `id` tells their
+    /// numbers.
     pub(super) fn part<T>(&self, i: usize, near: &mut Vec<T>, id: impl Fn(&T) -> u32) {
         let hidden = self.of(i);
         if !hidden.is_empty() {

@@ -21,7 +21,10 @@ impl Hull {
         let margin = Vec3::splat((hi - lo).max_element().max(f32::MIN_POSITIVE) * 1e-3);
         let (lo, hi) = (lo - margin, hi + margin);
         let size = hi - lo;
-        let count = (size / size.max_element() * CELLS).ceil().to_array().map(|c| (c as u32).max(1));
+        let count = (size / size.max_element() * CELLS)
+            .ceil()
+            .to_array()
+            .map(|c| (c as u32).max(1));
         Self { lo, hi, count }
     }
 
@@ -31,7 +34,8 @@ impl Hull {
         (self.hi - self.lo).length()
     }
 
-    /// Where a ray from inside leaves: (cell, distance, cosine to the face's outward normal); `None` from outside.
+    /// Where a ray from inside leaves: (cell, distance, cosine to the face's outward normal);
+    /// `None` from outside.
     #[must_use]
     #[inline]
     pub fn exit(&self, origin: Vec3, direction: Vec3) -> Option<(u32, f32, f32)> {
@@ -43,10 +47,18 @@ impl Hull {
         let distance = |a: usize| {
             let d = direction[a];
             let to = if d > 0.0 { hi[a] } else { lo[a] };
-            if d.abs() > 1e-9 { (to - from[a]) / d } else { f32::INFINITY }
+            if d.abs() > 1e-9 {
+                (to - from[a]) / d
+            } else {
+                f32::INFINITY
+            }
         };
         let all = [distance(0), distance(1), distance(2)];
-        let axis = if all[0] <= all[1] && all[0] <= all[2] { 0 } else { 2 - usize::from(all[1] <= all[2]) };
+        let axis = if all[0] <= all[1] && all[0] <= all[2] {
+            0
+        } else {
+            2 - usize::from(all[1] <= all[2])
+        };
         let t = all[axis];
         if !t.is_finite() {
             return None;
@@ -57,7 +69,11 @@ impl Hull {
             (x.max(0.0) as u32).min(self.count[a] - 1)
         };
         let face = 2 * axis as u32 + u32::from(direction[axis] > 0.0);
-        Some((self.number(face, index(b), index(c)), t.max(f32::MIN_POSITIVE), direction[axis].abs()))
+        Some((
+            self.number(face, index(b), index(c)),
+            t.max(f32::MIN_POSITIVE),
+            direction[axis].abs(),
+        ))
     }
 
     /// Whether a point lies inside the box.
@@ -77,7 +93,11 @@ impl Hull {
     fn parts(&self, cell: u32) -> (usize, f32, usize, usize, u32, u32) {
         let (face, i, j) = (cell / (128 * 128), cell / 128 % 128, cell % 128);
         let axis = (face / 2) as usize;
-        let at = if face % 2 == 1 { self.hi[axis] } else { self.lo[axis] };
+        let at = if face % 2 == 1 {
+            self.hi[axis]
+        } else {
+            self.lo[axis]
+        };
         (axis, at, (axis + 1) % 3, (axis + 2) % 3, i, j)
     }
 
@@ -97,7 +117,8 @@ impl Hull {
         let (_, _, b, c, i, j) = self.parts(cell);
         let (face, [rows, columns]) = (cell / (128 * 128), [self.count[b], self.count[c]]);
         let near = |x: u32, end: u32| x.saturating_sub(1)..(x + 2).min(end);
-        let all = near(i, rows).flat_map(move |i| near(j, columns).map(move |j| (face * 128 + i) * 128 + j));
+        let all = near(i, rows)
+            .flat_map(move |i| near(j, columns).map(move |j| (face * 128 + i) * 128 + j));
         all.filter(move |c| *c != cell)
     }
 
@@ -105,9 +126,16 @@ impl Hull {
     #[must_use]
     pub fn cell_frame(&self, cell: u32) -> [Vec3; 4] {
         let corner = self.cell_point(cell, [0.0, 0.0]);
-        let (edge1, edge2) = (self.cell_point(cell, [1.0, 0.0]) - corner, self.cell_point(cell, [0.0, 1.0]) - corner);
+        let (edge1, edge2) = (
+            self.cell_point(cell, [1.0, 0.0]) - corner,
+            self.cell_point(cell, [0.0, 1.0]) - corner,
+        );
         let mut inwards = Vec3::ZERO;
-        inwards[self.parts(cell).0] = if cell / (128 * 128) % 2 == 1 { -1.0 } else { 1.0 };
+        inwards[self.parts(cell).0] = if cell / (128 * 128) % 2 == 1 {
+            -1.0
+        } else {
+            1.0
+        };
         [corner, edge1, edge2, inwards]
     }
 
@@ -144,11 +172,19 @@ mod tests {
                 assert_eq!(found, cell);
                 assert!((origin + d * t - p).length() < 1e-4 && cosine > 0.0);
                 let [corner, edge1, edge2, inwards] = hull.cell_frame(cell);
-                assert!((corner + edge1 * 0.3 + edge2 * 0.8 - p).length() < 1e-5 && inwards.dot(d) < 0.0);
+                assert!(
+                    (corner + edge1 * 0.3 + edge2 * 0.8 - p).length() < 1e-5
+                        && inwards.dot(d) < 0.0
+                );
                 let side = hull.cell_area(cell).sqrt();
                 let around: Vec<u32> = hull.around_cell(cell).collect();
                 assert_eq!(around.len(), if (i, j) == (0, 0) { 3 } else { 8 });
-                assert!(around.iter().all(|c| (hull.cell_centre(*c) - hull.cell_centre(cell)).length() < 1.6 * side));
+                assert!(
+                    around
+                        .iter()
+                        .all(|c| (hull.cell_centre(*c) - hull.cell_centre(cell)).length()
+                            < 1.6 * side)
+                );
                 seen += 1;
             }
         }
@@ -173,6 +209,9 @@ mod tests {
                 }
             }
         }
-        assert!((sum / (4.0 * std::f64::consts::PI) - 1.0).abs() < 1e-3, "{sum}");
+        assert!(
+            (sum / (4.0 * std::f64::consts::PI) - 1.0).abs() < 1e-3,
+            "{sum}"
+        );
     }
 }

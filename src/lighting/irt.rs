@@ -1,8 +1,10 @@
-//! The irradiance texture (IrT): E(x) = ∫ L(x, ω) cosθ dω over the hemisphere of every texel, linear RGB, in the images' exposure.
+//! The irradiance texture (IrT): E(x) = ∫ L(x, ω) cosθ dω over the hemisphere of every texel,
+//! linear RGB, in the images' exposure.
 //!
-//! `Uniform` is the paper's estimator: Hammersley points, one random shift per texel (method §3.1). `Mis` combines
-//! cosine-distributed rays with samples on emitters by the balance heuristic (Veach & Guibas 1995), both from an Owen-scrambled
-//! Sobol' sequence per texel that a later bake continues where more samples are wanted.
+//! `Uniform` is the paper's estimator: Hammersley points, one random shift per texel (method §3.1).
+//! `Mis` combines cosine-distributed rays with samples on emitters by the balance heuristic (Veach
+//! & Guibas 1995), both from an Owen-scrambled Sobol' sequence per texel that a later bake
+//! continues where more samples are wanted.
 
 use super::bundle::{Bundle, Round};
 use super::{Emitters, LightField, SpecularBounce};
@@ -15,8 +17,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::{Mutex, PoisonError};
 
-/// Independent estimates that a bake keeps of every value: what the others say decides which neighbours one is filtered with, so more
-/// of them leave more to decide by.
+/// Independent estimates that a bake keeps of every value: what the others say decides which
+/// neighbours one is filtered with, so more of them leave more to decide by.
 pub const PARTS: usize = 8;
 
 /// How irradiance is estimated.
@@ -36,9 +38,10 @@ pub enum Estimator {
 pub struct IrtOptions {
     /// Estimator.
     pub estimator: Estimator,
-    /// Hemisphere rays and emitter samples per texel that earlier bakes have drawn: this one continues their sequences, and its values
-    /// are the new samples' share of the estimate from all ([`Irradiance::double`]). Not for `Uniform`: a Hammersley set cannot be
-    /// extended, for its points depend on their number.
+    /// Hemisphere rays and emitter samples per texel that earlier bakes have drawn: this one
+    /// continues their sequences, and its values are the new samples' share of the estimate from
+    /// all ([`Irradiance::double`]). Not for `Uniform`: a Hammersley set cannot be extended, for
+    /// its points depend on their number.
     pub drawn: [u32; 2],
     /// Hemisphere rays per texel.
     pub rays: u32,
@@ -50,7 +53,13 @@ pub struct IrtOptions {
 
 impl Default for IrtOptions {
     fn default() -> Self {
-        Self { estimator: Estimator::Mis, drawn: [0, 0], rays: 64, emitter_samples: 16, seed: 0 }
+        Self {
+            estimator: Estimator::Mis,
+            drawn: [0, 0],
+            rays: 64,
+            emitter_samples: 16,
+            seed: 0,
+        }
     }
 }
 
@@ -76,8 +85,8 @@ pub struct Receiver {
     pub normal: Vec3,
     /// Unit geometric normal on the lit side: rays start above it.
     pub face_normal: Vec3,
-    /// Key of its random numbers: equal keys give equal points whatever else is baked. The lamps asked may be those that suit the
-    /// receiver before it in the list, if that lies close.
+    /// Key of its random numbers: equal keys give equal points whatever else is baked. The lamps
+    /// asked may be those that suit the receiver before it in the list, if that lies close.
     pub key: u64,
 }
 
@@ -106,16 +115,32 @@ pub fn bake_irradiance(
     options: &IrtOptions,
     progress: &Progress,
 ) -> Irradiance {
-    let mut out =
-        Irradiance { value: vec![Vec3::ZERO; count], parts: vec![[Vec3::ZERO; PARTS]; count], error: vec![0.0; count], rays: 0 };
-    let lights = if options.estimator == Estimator::Mis { options.emitter_samples } else { 0 };
+    let mut out = Irradiance {
+        value: vec![Vec3::ZERO; count],
+        parts: vec![[Vec3::ZERO; PARTS]; count],
+        error: vec![0.0; count],
+        rays: 0,
+    };
+    let lights = if options.estimator == Estimator::Mis {
+        options.emitter_samples
+    } else {
+        0
+    };
     let [ray, light] = options.drawn;
-    let round = Round::new(options, [ray, ray + options.rays.max(PARTS as u32)], [light, light + lights]);
+    let round = Round::new(
+        options,
+        [ray, ray + options.rays.max(PARTS as u32)],
+        [light, light + lights],
+    );
     let group = round.group();
     // buffers that no thread uses
     let idle: Mutex<Vec<Bundle>> = Mutex::default();
     let idle = || idle.lock().unwrap_or_else(PoisonError::into_inner);
-    let groups = out.value.par_chunks_mut(group).zip(out.parts.par_chunks_mut(group)).zip(out.error.par_chunks_mut(group));
+    let groups = out
+        .value
+        .par_chunks_mut(group)
+        .zip(out.parts.par_chunks_mut(group))
+        .zip(out.error.par_chunks_mut(group));
     out.rays = groups
         .enumerate()
         .with_max_len(1)
@@ -143,29 +168,48 @@ impl Irradiance {
             let ids = if from.is_empty() { &[] } else { ids };
             ids.par_iter().map(|&i| from[i as usize]).collect()
         }
-        Self { value: at(ids, &self.value), parts: at(ids, &self.parts), error: at(ids, &self.error), rays: self.rays }
+        Self {
+            value: at(ids, &self.value),
+            parts: at(ids, &self.parts),
+            error: at(ids, &self.error),
+            rays: self.rays,
+        }
     }
 
     /// Sets the points `ids`, ascending, to what a bake of them found. `error` stays as it was.
     pub(super) fn put(&mut self, ids: &[u32], baked: &Self) {
         self.rays += baked.rays;
-        for_each_of(ids, &mut self.value, &baked.value, |value, new| *value = *new);
-        for_each_of(ids, &mut self.parts, &baked.parts, |parts, new| *parts = *new);
+        for_each_of(ids, &mut self.value, &baked.value, |value, new| {
+            *value = *new
+        });
+        for_each_of(ids, &mut self.parts, &baked.parts, |parts, new| {
+            *parts = *new
+        });
     }
 
-    /// Adds what a later bake drew at the points `ids`, ascending: as many samples again as they had before ([`IrtOptions::drawn`]).
-    /// `error` stays as it was.
+    /// Adds what a later bake drew at the points `ids`, ascending: as many samples again as they
+    /// had before ([`IrtOptions::drawn`]). `error` stays as it was.
     pub fn double(&mut self, ids: &[u32], more: &Self) {
         self.rays += more.rays;
-        for_each_of(ids, &mut self.value, &more.value, |value, more| *value = 0.5 * *value + *more);
+        for_each_of(ids, &mut self.value, &more.value, |value, more| {
+            *value = 0.5 * *value + *more
+        });
         for_each_of(ids, &mut self.parts, &more.parts, |parts, more| {
-            parts.iter_mut().zip(more).for_each(|(part, more)| *part = 0.5 * *part + *more);
+            parts
+                .iter_mut()
+                .zip(more)
+                .for_each(|(part, more)| *part = 0.5 * *part + *more);
         });
     }
 }
 
 /// `each(&mut to[ids[k]], &from[k])` for all `ids`, which ascend, in parallel.
-fn for_each_of<T: Send, U: Sync>(ids: &[u32], to: &mut [T], from: &[U], each: impl Fn(&mut T, &U) + Sync) {
+fn for_each_of<T: Send, U: Sync>(
+    ids: &[u32],
+    to: &mut [T],
+    from: &[U],
+    each: impl Fn(&mut T, &U) + Sync,
+) {
     const AT_ONCE: usize = 4096;
     let (mut rest, mut skipped, mut tasks) = (to, 0, Vec::new());
     for (ids, from) in ids.chunks(AT_ONCE).zip(from.chunks(AT_ONCE)) {
@@ -176,7 +220,9 @@ fn for_each_of<T: Send, U: Sync>(ids: &[u32], to: &mut [T], from: &[U], each: im
         tasks.push((first, ids, own, from));
     }
     tasks.into_par_iter().for_each(|(first, ids, own, from)| {
-        ids.iter().zip(from).for_each(|(i, from)| each(&mut own[*i as usize - first], from));
+        ids.iter()
+            .zip(from)
+            .for_each(|(i, from)| each(&mut own[*i as usize - first], from));
     });
 }
 
@@ -187,7 +233,10 @@ pub(crate) fn spread(parts: &[f32; PARTS]) -> (f32, f32) {
     let mean = parts.iter().sum::<f32>() / PARTS as f32;
     if mean > 0.0 {
         // relative before it is squared: however dim, nothing underflows
-        (mean, parts.iter().map(|p| (p / mean - 1.0).powi(2)).sum::<f32>() / (PARTS - 1) as f32)
+        (
+            mean,
+            parts.iter().map(|p| (p / mean - 1.0).powi(2)).sum::<f32>() / (PARTS - 1) as f32,
+        )
     } else {
         (mean, 0.0)
     }
@@ -205,7 +254,11 @@ mod tests {
         let mut to = vec![1u32; 50_000];
         for_each_of(&ids, &mut to, &from, |to, from| *to += from);
         for (i, to) in (0u32..).zip(&to) {
-            let expected = if ids.binary_search(&i).is_ok() { 1 + 10 * i } else { 1 };
+            let expected = if ids.binary_search(&i).is_ok() {
+                1 + 10 * i
+            } else {
+                1
+            };
             assert_eq!(*to, expected, "{i}");
         }
         for_each_of(&[], &mut to, &from, |to, _| *to = 0);

@@ -1,5 +1,6 @@
-//! Which lamp a surface point asks for light: every lamp with a probability proportional to the irradiance it is expected to send
-//! there, by its shape and by what was learned about its visibility in that part of space.
+//! Which lamp a surface point asks for light: every lamp with a probability proportional to the
+//! irradiance it is expected to send there, by its shape and by what was learned about its
+//! visibility in that part of space.
 
 use crate::ffi::simd::{Kernel, run_widest};
 use glam::Vec3;
@@ -19,7 +20,8 @@ pub(super) struct LampShapes {
     axis: [Vec<f32>; 3],
     /// Share of the power that a lamp sends to all sides alike.
     round: Vec<f32>,
-    /// 1/(π · luminance): of a lamp's irradiance times this, a share of the hemisphere rays meets it.
+    /// 1/(π · luminance): of a lamp's irradiance times this, a share of the hemisphere rays meets
+    /// it.
     dimness: Vec<f32>,
 }
 
@@ -42,7 +44,8 @@ const LEVEL_STEPS: u32 = 2;
 /// Least factor on a lamp's probability, however well hemisphere rays meet it.
 const LEAST: f32 = 0.03;
 
-/// Flat pieces of a lamp seen under a grazing angle still shine as much as this share of its angular size.
+/// Flat pieces of a lamp seen under a grazing angle still shine as much as this share of its
+/// angular size.
 const SLACK: f32 = 0.3;
 
 impl LampShapes {
@@ -52,13 +55,20 @@ impl LampShapes {
         let share = |p: &Piece| (p.power / power) as f32;
         let centre = pieces.iter().map(|p| p.centre * share(p)).sum::<Vec3>();
         let axis = pieces.iter().map(|p| p.normal * share(p)).sum::<Vec3>();
-        let radius = pieces.iter().map(|p| p.centre.distance_squared(centre) * share(p)).sum::<f32>().sqrt();
+        let radius = pieces
+            .iter()
+            .map(|p| p.centre.distance_squared(centre) * share(p))
+            .sum::<f32>()
+            .sqrt();
         self.x.push(centre.x);
         self.y.push(centre.y);
         self.z.push(centre.z);
         self.radius.push(radius);
         self.power.push(power as f32);
-        self.axis.iter_mut().zip(axis.to_array()).for_each(|(column, a)| column.push(a));
+        self.axis
+            .iter_mut()
+            .zip(axis.to_array())
+            .for_each(|(column, a)| column.push(a));
         let area = pieces.iter().map(|p| p.area).sum::<f32>();
         self.dimness.push(area * FRAC_1_PI / power as f32);
         // what a convex body shows to one side is a quarter of its surface
@@ -70,22 +80,39 @@ impl LampShapes {
     }
 
     pub(super) fn centres_and_powers(&self) -> impl Iterator<Item = (Vec3, f64)> + '_ {
-        (0..self.len()).map(|k| (Vec3::new(self.x[k], self.y[k], self.z[k]), f64::from(self.power[k])))
+        (0..self.len()).map(|k| {
+            (
+                Vec3::new(self.x[k], self.y[k], self.z[k]),
+                f64::from(self.power[k]),
+            )
+        })
     }
 
-    /// Turns expected irradiance into the probabilities, up to a factor, that suit samples combined with `rays` cosine-distributed rays
-    /// each. Rays meet large lamps anyway: under the balance heuristic a lamp of irradiance E and luminance L adds to the variance as
-    /// E²/(q + h E/(πL)), for samples of probability q and h rays per sample. The least sum has q ∝ E·(1 − h/(πL·level)) where that is
-    /// positive, and 0 elsewhere, the level being such that Σ q = 1.
+    /// Turns expected irradiance into the probabilities, up to a factor, that suit samples combined
+    /// with `rays` cosine-distributed rays each. Rays meet large lamps anyway: under the balance
+    /// heuristic a lamp of irradiance E and luminance L adds to the variance as E²/(q + h E/(πL)),
+    /// for samples of probability q and h rays per sample. The least sum has q ∝ E·(1 −
+    /// h/(πL·level)) where that is positive, and 0 elsewhere, the level being such that Σ q = 1.
     pub(super) fn rebalance(&self, rays: f32, weights: &mut [f32]) {
-        run_widest(Rebalance { rays, dimness: &self.dimness[..weights.len()], weights });
+        run_widest(Rebalance {
+            rays,
+            dimness: &self.dimness[..weights.len()],
+            weights,
+        });
     }
 
-    /// Writes the unoccluded irradiance that each lamp is expected to send to a point, times `reach`.
+    /// Writes the unoccluded irradiance that each lamp is expected to send to a point, times
+    /// `reach`.
     pub(super) fn expected(&self, p: Vec3, normal: Vec3, reach: &[f32], out: &mut Vec<f32>) {
         out.clear();
         out.resize(self.len(), 0.0);
-        run_widest(Expected { lamps: self, p, normal, reach, out });
+        run_widest(Expected {
+            lamps: self,
+            p,
+            normal,
+            reach,
+            out,
+        });
     }
 }
 
@@ -103,9 +130,16 @@ impl Kernel for Expected<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { lamps: l, p, normal, reach, out } = self;
+        let Self {
+            lamps: l,
+            p,
+            normal,
+            reach,
+            out,
+        } = self;
         let n = out.len();
-        let [x, y, z, radius, power, round] = [&l.x, &l.y, &l.z, &l.radius, &l.power, &l.round].map(|c| &c[..n]);
+        let [x, y, z, radius, power, round] =
+            [&l.x, &l.y, &l.z, &l.radius, &l.power, &l.round].map(|c| &c[..n]);
         let ([ax, ay, az], reach) = (l.axis.each_ref().map(|c| &c[..n]), &reach[..n]);
         for k in 0..n {
             let d = Vec3::new(x[k], y[k], z[k]) - p;
@@ -113,7 +147,9 @@ impl Kernel for Expected<'_> {
             let inverse = 1.0 / d2.sqrt();
             let size = radius[k] * inverse;
             let cosine = ((normal.dot(d) * inverse + size) / (1.0 + size)).max(0.0);
-            let facing = (-(ax[k] * d.x + ay[k] * d.y + az[k] * d.z) * inverse).max(0.0) + round[k] + SLACK * size;
+            let facing = (-(ax[k] * d.x + ay[k] * d.y + az[k] * d.z) * inverse).max(0.0)
+                + round[k]
+                + SLACK * size;
             out[k] = power[k] * reach[k] * cosine * facing * (inverse * inverse);
         }
     }
@@ -131,7 +167,11 @@ impl Kernel for Rebalance<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { rays, dimness, weights } = self;
+        let Self {
+            rays,
+            dimness,
+            weights,
+        } = self;
         let mut level = f32::INFINITY;
         // what lies above the level is left out, which lowers it
         for _ in 0..LEVEL_STEPS {
@@ -149,7 +189,8 @@ impl Kernel for Rebalance<'_> {
     }
 }
 
-/// Σ w and Σ w·d over those whose d is below `limit`, in lanes whose order is the same on every processor.
+/// Σ w and Σ w·d over those whose d is below `limit`, in lanes whose order is the same on every
+/// processor.
 #[inline(always)]
 fn sums_below(limit: f32, weights: &[f32], dimness: &[f32]) -> [f32; 2] {
     let (mut sum, mut met) = ([0.0f32; LANES], [0.0f32; LANES]);
@@ -170,8 +211,8 @@ fn sums_below(limit: f32, weights: &[f32], dimness: &[f32]) -> [f32; 2] {
     [sum.iter().sum(), met.iter().sum()]
 }
 
-/// The sums of the weights up to and with each, found in as many stretches as there are lanes; weights become what is left of them there
-/// after rounding.
+/// The sums of the weights up to and with each, found in as many stretches as there are lanes;
+/// weights become what is left of them there after rounding.
 struct Sums<'a> {
     weights: &'a mut [f32],
     ends: &'a mut [f32],
@@ -209,8 +250,8 @@ impl Kernel for Sums<'_> {
     }
 }
 
-/// The probability of each lamp at one point. What is sampled is exactly what [`Self::pmf`] says; lamps keep the order of the numbers
-/// they are drawn by, hence their stratification.
+/// The probability of each lamp at one point. What is sampled is exactly what [`Self::pmf`] says;
+/// lamps keep the order of the numbers they are drawn by, hence their stratification.
 #[derive(Clone, Debug, Default)]
 pub struct LampChoice {
     /// Sums of the weights up to and with each lamp.
@@ -224,9 +265,16 @@ impl LampChoice {
     pub(super) fn set(&mut self, fill: impl FnOnce(&mut Vec<f32>)) {
         fill(&mut self.weights);
         self.ends.resize(self.weights.len(), 0.0);
-        run_widest(Sums { weights: &mut self.weights, ends: &mut self.ends });
+        run_widest(Sums {
+            weights: &mut self.weights,
+            ends: &mut self.ends,
+        });
         let sum = self.ends.last().copied().unwrap_or(0.0);
-        self.inverse = if sum > 0.0 && sum.is_finite() { 1.0 / sum } else { 0.0 };
+        self.inverse = if sum > 0.0 && sum.is_finite() {
+            1.0 / sum
+        } else {
+            0.0
+        };
     }
 
     /// Whether no lamp can send light to the point.
@@ -235,16 +283,21 @@ impl LampChoice {
         self.inverse == 0.0
     }
 
-    /// Draws a lamp from `u` in [0, 1); also the rest of `u`, again uniform in [0, 1) and in the same order.
+    /// Draws a lamp from `u` in [0, 1); also the rest of `u`, again uniform in [0, 1) and in the
+    /// same order.
     #[inline(always)]
     pub(super) fn sample(&self, u: f32) -> (usize, f32) {
         let x = u * self.sum();
         // the first that ends behind x has a positive weight
-        let k = self.ends.partition_point(|end| *end <= x).min(self.ends.len() - 1);
+        let k = self
+            .ends
+            .partition_point(|end| *end <= x)
+            .min(self.ends.len() - 1);
         (k, rest(self.start(k), x))
     }
 
-    /// Writes for each of `cells` equal parts of [0, 1) the first lamp that [`Self::sample_in`] can draw there: it pays where many are drawn.
+    /// Writes for each of `cells` equal parts of [0, 1) the first lamp that [`Self::sample_in`] can
+    /// draw there: it pays where many are drawn.
     pub(super) fn guide(&self, cells: usize, first: &mut Vec<u32>) {
         first.clear();
         first.resize(cells + 1, 0);
@@ -276,7 +329,8 @@ impl LampChoice {
         self.ends[self.ends.len() - 1]
     }
 
-    /// Where lamp `k` starts among the numbers below the sum of the weights, and one over its weight.
+    /// Where lamp `k` starts among the numbers below the sum of the weights, and one over its
+    /// weight.
     fn start(&self, k: usize) -> [f32; 2] {
         [self.ends[k] - self.weights[k], 1.0 / self.weights[k]]
     }
@@ -317,7 +371,10 @@ mod tests {
             let (k, rest) = choice.sample(u);
             assert!(k >= last && (0.0..1.0).contains(&rest));
             for (cells, first) in &guides {
-                assert_eq!(choice.sample_in(first[(u * *cells as f32) as usize], u), (k, rest));
+                assert_eq!(
+                    choice.sample_in(first[(u * *cells as f32) as usize], u),
+                    (k, rest)
+                );
             }
             last = k;
             count[k] += 1;
@@ -325,7 +382,11 @@ mod tests {
         }
         for (k, w) in weights.iter().enumerate() {
             assert!((choice.pmf(k) - w / 8.25).abs() < 1e-6, "lamp {k}");
-            assert!((f64::from(count[k]) / f64::from(n) - f64::from(choice.pmf(k))).abs() < 2.0 / f64::from(n), "lamp {k}");
+            assert!(
+                (f64::from(count[k]) / f64::from(n) - f64::from(choice.pmf(k))).abs()
+                    < 2.0 / f64::from(n),
+                "lamp {k}"
+            );
         }
         assert!((rest_sum / f64::from(n) - 0.5).abs() < 1e-3);
         choice.set(|w| w.fill(0.0));
@@ -340,7 +401,12 @@ mod tests {
         let expected = [0.5f64, 0.8, 0.3, 0.6, 0.1];
         let mut shapes = LampShapes::default();
         for (area, power) in lamps {
-            shapes.push(&[Piece { centre: Vec3::Z, normal: Vec3::NEG_Z, area, power }]);
+            shapes.push(&[Piece {
+                centre: Vec3::Z,
+                normal: Vec3::NEG_Z,
+                area,
+                power,
+            }]);
         }
         let rays = 4.0;
         let mut weights = expected.map(|e| e as f32);
@@ -348,13 +414,23 @@ mod tests {
         let sum: f64 = weights.iter().map(|w| f64::from(*w)).sum();
         let q = weights.map(|w| f64::from(w) / sum);
         let variance = |q: &[f64; 5]| -> f64 {
-            let met = |k: usize| f64::from(rays) * f64::from(lamps[k].0) / (std::f64::consts::PI * lamps[k].1);
-            (0..5).map(|k| expected[k].powi(2) / (q[k] + expected[k] * met(k))).sum()
+            let met = |k: usize| {
+                f64::from(rays) * f64::from(lamps[k].0) / (std::f64::consts::PI * lamps[k].1)
+            };
+            (0..5)
+                .map(|k| expected[k].powi(2) / (q[k] + expected[k] * met(k)))
+                .sum()
         };
         let by_expectation = expected.map(|e| e / expected.iter().sum::<f64>());
-        assert!(variance(&q) < 0.98 * variance(&by_expectation), "{} {}", variance(&q), variance(&by_expectation));
+        assert!(
+            variance(&q) < 0.98 * variance(&by_expectation),
+            "{} {}",
+            variance(&q),
+            variance(&by_expectation)
+        );
         // what the floor gives is not the optimum's
-        let above_floor = |k: &usize| f64::from(weights[*k]) > 1.01 * f64::from(LEAST) * expected[*k];
+        let above_floor =
+            |k: &usize| f64::from(weights[*k]) > 1.01 * f64::from(LEAST) * expected[*k];
         assert_eq!((0..5).filter(above_floor).collect::<Vec<_>>(), [0, 1, 4]);
         for from in (0..5).filter(above_floor) {
             for to in 0..5 {
@@ -362,7 +438,10 @@ mod tests {
                 let step = 0.02f64.min(q[from]);
                 other[from] -= step;
                 other[to] += step;
-                assert!(variance(&other) > 0.999 * variance(&q), "{from} to {to}: {q:?}");
+                assert!(
+                    variance(&other) > 0.999 * variance(&q),
+                    "{from} to {to}: {q:?}"
+                );
             }
         }
         let mut none = [0.0f32; 5];
@@ -373,7 +452,12 @@ mod tests {
     #[test]
     fn what_is_expected_of_a_small_flat_lamp_is_its_irradiance() {
         let mut shapes = LampShapes::default();
-        shapes.push(&[Piece { centre: Vec3::new(0.0, 0.0, 2.0), normal: Vec3::NEG_Z, area: 1.0, power: 3.0 }]);
+        shapes.push(&[Piece {
+            centre: Vec3::new(0.0, 0.0, 2.0),
+            normal: Vec3::NEG_Z,
+            area: 1.0,
+            power: 3.0,
+        }]);
         let mut expected = Vec::new();
         let mut of = |p: Vec3, n: Vec3| {
             shapes.expected(p, n, &[1.0], &mut expected);
@@ -392,8 +476,16 @@ mod tests {
     fn a_round_lamp_shines_to_all_sides_and_a_large_one_around_the_horizon() {
         let mut shapes = LampShapes::default();
         let axes = [Vec3::X, Vec3::Y, Vec3::Z];
-        let ball: Vec<Piece> =
-            axes.iter().flat_map(|a| [*a, -*a]).map(|a| Piece { centre: 0.5 * a, normal: a, area: 1.0, power: 1.0 }).collect();
+        let ball: Vec<Piece> = axes
+            .iter()
+            .flat_map(|a| [*a, -*a])
+            .map(|a| Piece {
+                centre: 0.5 * a,
+                normal: a,
+                area: 1.0,
+                power: 1.0,
+            })
+            .collect();
         shapes.push(&ball);
         let mut expected = Vec::new();
         let mut of = |p: Vec3, n: Vec3| {

@@ -1,7 +1,9 @@
-//! What radiance arrives along a ray: the TBL on the surface it hits, or the environment if it hits none.
+//! What radiance arrives along a ray: the TBL on the surface it hits, or the environment if it hits
+//! none.
 //!
-//! All levels lie in one array of packed texels, so that finding a texel and reading it are two steps: a batch of rays computes its
-//! addresses first, and the memory then answers many of them at once.
+//! All levels lie in one array of packed texels, so that finding a texel and reading it are two
+//! steps: a batch of rays computes its addresses first, and the memory then answers many of them at
+//! once.
 
 use super::Environment;
 use super::packed::{PackedTexels, Tiles};
@@ -12,7 +14,8 @@ use crate::image::{Plane, RgbPlane};
 use crate::trace::Hit;
 use glam::{Vec2, Vec3};
 
-/// Prefiltered copies of the TBL beyond the full resolution: footprints up to 8 texels; coarser ones would mix charts.
+/// Prefiltered copies of the TBL beyond the full resolution: footprints up to 8 texels; coarser
+/// ones would mix charts.
 const MIP_LEVELS: usize = 4;
 
 /// The level that holds the radiance of emissive texels, unfiltered, for emissive triangles.
@@ -47,7 +50,10 @@ impl Level {
     #[inline(always)]
     fn address(&self, uv: Vec2) -> u32 {
         let p = uv * self.size;
-        self.tiles.address(whole_within(p.x, self.last.x), whole_within(p.y, self.last.y))
+        self.tiles.address(
+            whole_within(p.x, self.last.x),
+            whole_within(p.y, self.last.y),
+        )
     }
 }
 
@@ -56,11 +62,12 @@ impl Level {
 pub struct LightField {
     /// One per triangle, and a last one for rays that hit none.
     lookups: Vec<Lookup>,
-    /// Black; reflected radiance with emissive texels filled from their surroundings, level by level; emitted radiance with all others
-    /// filled; the far sides.
+    /// Black; reflected radiance with emissive texels filled from their surroundings, level by
+    /// level; emitted radiance with all others filled; the far sides.
     texels: PackedTexels,
     levels: [Level; MIP_LEVELS + 1],
-    /// Where the mean radiance of each triangle's side away from the cameras' main side begins; zero where nobody saw it.
+    /// Where the mean radiance of each triangle's side away from the cameras' main side begins;
+    /// zero where nobody saw it.
     back: u32,
     /// Directions without geometry.
     pub environment: Environment,
@@ -69,8 +76,8 @@ pub struct LightField {
 }
 
 impl LightField {
-    /// Assembles the field. `radiance` is filled outside charts; `emissive` marks emitting texels; `back` holds the radiance of
-    /// each triangle's far side (empty = black).
+    /// Assembles the field. `radiance` is filled outside charts; `emissive` marks emitting texels;
+    /// `back` holds the radiance of each triangle's far side (empty = black).
     #[must_use]
     pub fn new(
         mesh: &Mesh,
@@ -92,8 +99,16 @@ impl LightField {
                     uv_edge1: b - a,
                     uv_edge2: c - a,
                     normal: mesh.face_normal(t) * orientation.sign(t),
-                    density: if area > 0.0 { (texels / area).sqrt() } else { 0.0 },
-                    least_level: if emissive_triangles.get(t).copied().unwrap_or(false) { FULL as u32 } else { 0 },
+                    density: if area > 0.0 {
+                        (texels / area).sqrt()
+                    } else {
+                        0.0
+                    },
+                    least_level: if emissive_triangles.get(t).copied().unwrap_or(false) {
+                        FULL as u32
+                    } else {
+                        0
+                    },
                 }
             })
             .collect();
@@ -107,41 +122,77 @@ impl LightField {
                 tiles: texels.push_plane(plane),
             };
         };
-        // a triangle also covers parts of texels that belong to its neighbours: a lamp must not darken there, nor a wall shine
+        // a triangle also covers parts of texels that belong to its neighbours: a lamp must not
+        // darken there, nor a wall shine
         let any = emissive.data.iter().any(|e| *e);
-        let of = |keep: Plane<bool>| if any { crate::texture::fill_uncovered(&radiance, &keep) } else { radiance.clone() };
+        let of = |keep: Plane<bool>| {
+            if any {
+                crate::texture::fill_uncovered(&radiance, &keep)
+            } else {
+                radiance.clone()
+            }
+        };
         store(&of(emissive.clone()), &mut levels[FULL]);
         let mut plane = of(emissive.map(|e| !e));
         for level in &mut levels[..MIP_LEVELS] {
             store(&plane, level);
             plane = plane.half();
         }
-        let back: Vec<Vec3> = (0..mesh.triangles.len()).map(|t| back.get(t).copied().unwrap_or(Vec3::ZERO)).collect();
+        let back: Vec<Vec3> = (0..mesh.triangles.len())
+            .map(|t| back.get(t).copied().unwrap_or(Vec3::ZERO))
+            .collect();
         let back = texels.push_list(&back);
-        Self { lookups, texels, levels, back, environment, prefilter: true }
+        Self {
+            lookups,
+            texels,
+            levels,
+            back,
+            environment,
+            prefilter: true,
+        }
     }
 
-    /// Radiance arriving along `direction` from `hit`, averaged over a cone whose diameter at the hit is
-    /// `spread · t` metres (0 = a point lookup). Emissive surfaces are never blurred.
+    /// Radiance arriving along `direction` from `hit`, averaged over a cone whose diameter at the
+    /// hit is `spread · t` metres (0 = a point lookup). Emissive surfaces are never blurred.
     #[must_use]
     #[inline]
     pub fn arriving(&self, hit: &Hit, direction: Vec3, spread: f32) -> Vec3 {
-        if hit.is_hit() { self.texel(self.address(hit, direction, spread).0) } else { self.environment.radiance(direction) }
+        if hit.is_hit() {
+            self.texel(self.address(hit, direction, spread).0)
+        } else {
+            self.environment.radiance(direction)
+        }
     }
 
-    /// Where the radiance of [`Self::arriving`] is stored, for [`Self::texel`], and the cosine between the ray and the surface's
-    /// normal, negative from behind. A miss has the address of black.
+    /// Where the radiance of [`Self::arriving`] is stored, for [`Self::texel`], and the cosine
+    /// between the ray and the surface's normal, negative from behind. A miss has the address of
+    /// black.
     #[inline(always)]
     pub(super) fn address(&self, hit: &Hit, direction: Vec3, spread: f32) -> (u32, f32) {
         let l = &self.lookups[(hit.triangle as usize).min(self.lookups.len() - 1)];
         let cosine = -l.normal.dot(direction);
         // the whole part of a logarithm is the exponent of the number
-        let footprint = if self.prefilter { spread * hit.t * l.density } else { 0.0 };
+        let footprint = if self.prefilter {
+            spread * hit.t * l.density
+        } else {
+            0.0
+        };
         let blur = (footprint.max(1.0).to_bits() >> 23) as usize - 127;
         let level = blur.min(MIP_LEVELS - 1).max(l.least_level as usize);
         let front = self.at(l, level, hit.u, hit.v);
-        let address = if cosine < 0.0 { self.back.wrapping_add(hit.triangle) } else { front };
-        (if hit.is_hit() { address } else { PackedTexels::BLACK }, cosine)
+        let address = if cosine < 0.0 {
+            self.back.wrapping_add(hit.triangle)
+        } else {
+            front
+        };
+        (
+            if hit.is_hit() {
+                address
+            } else {
+                PackedTexels::BLACK
+            },
+            cosine,
+        )
     }
 
     #[inline(always)]
@@ -168,13 +219,17 @@ impl LightField {
         self.texels.get(address)
     }
 
-    /// Where the radiance is stored that an emitting or reflecting triangle sends out at a place of the texture: where a ray that hits it
-    /// there finds it.
+    /// Where the radiance is stored that an emitting or reflecting triangle sends out at a place of
+    /// the texture: where a ray that hits it there finds it.
     #[inline(always)]
     pub(super) fn sent_address(&self, uv: Vec2, emitting: bool) -> u32 {
         // both have the same size
         let (level, full) = (&self.levels[0], &self.levels[FULL]);
-        level.address(uv).wrapping_add(if emitting { full.tiles.since(&level.tiles) } else { 0 })
+        level.address(uv).wrapping_add(if emitting {
+            full.tiles.since(&level.tiles)
+        } else {
+            0
+        })
     }
 
     /// Radiance that a triangle sends out at barycentrics (u, v).

@@ -1,4 +1,5 @@
-//! The light of the scene as textures: observed radiance (TBL), emitters, environment and irradiance (IrT).
+//! The light of the scene as textures: observed radiance (TBL), emitters, environment and
+//! irradiance (IrT).
 
 mod adaptive;
 mod aiming;

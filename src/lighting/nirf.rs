@@ -1,11 +1,14 @@
-//! The neural irradiance field (NIrF), the paper's alternative to the irradiance texture (method §3.2), for comparison.
+//! The neural irradiance field (NIrF), the paper's alternative to the irradiance texture (method
+//! §3.2), for comparison.
 //!
-//! A perceptron maps a position (metres; NeRF's encoding with 10 octaves and the identity, 63 numbers) through four hidden layers of
-//! 512 with leaky rectifiers to log(1 + E). Every epoch draws 1024 points uniformly by area, 1 cm above the surface, estimates
-//! their irradiance with 2048 uniform rays each, and takes 64 steps of Adam over batches of 16 with an L1 loss in log(1 + E).
+//! A perceptron maps a position (metres; NeRF's encoding with 10 octaves and the identity, 63
+//! numbers) through four hidden layers of 512 with leaky rectifiers to log(1 + E). Every epoch
+//! draws 1024 points uniformly by area, 1 cm above the surface, estimates their irradiance with
+//! 2048 uniform rays each, and takes 64 steps of Adam over batches of 16 with an L1 loss in log(1 +
+//! E).
 //!
-//! Activations are stored feature by feature with the batch as the vector lane, weights as `outputs × inputs`. Every sum has a
-//! fixed order, so that the number of threads does not change a bit.
+//! Activations are stored feature by feature with the batch as the vector lane, weights as `outputs
+//! × inputs`. Every sum has a fixed order, so that the number of threads does not change a bit.
 
 use super::{Bake, Estimator, IrtOptions, Receiver, bake_irradiance};
 use crate::ffi::simd::with_widest;
@@ -50,7 +53,14 @@ pub struct NirfOptions {
 
 impl Default for NirfOptions {
     fn default() -> Self {
-        Self { epochs: 2000, points: 1024, rays: 2048, learning_rate: 1e-4, hidden: vec![512; 4], seed: 666 }
+        Self {
+            epochs: 2000,
+            points: 1024,
+            rays: 2048,
+            learning_rate: 1e-4,
+            hidden: vec![512; 4],
+            seed: 666,
+        }
     }
 }
 
@@ -59,7 +69,11 @@ impl NirfOptions {
     #[must_use]
     pub fn of_run(epochs: u32, seed: u64) -> Self {
         let paper = Self::default();
-        Self { epochs, seed: paper.seed ^ seed, ..paper }
+        Self {
+            epochs,
+            seed: paper.seed ^ seed,
+            ..paper
+        }
     }
 }
 
@@ -128,15 +142,24 @@ impl Nirf {
     /// A field with random weights (He et al. 2015, uniform, for the leaky rectifier) and no bias.
     #[must_use]
     pub fn new(hidden: &[usize], seed: u64) -> Self {
-        let sizes: Vec<usize> = std::iter::once(ENCODED).chain(hidden.iter().copied()).chain([3]).collect();
+        let sizes: Vec<usize> = std::iter::once(ENCODED)
+            .chain(hidden.iter().copied())
+            .chain([3])
+            .collect();
         let layers = sizes
             .windows(2)
             .enumerate()
             .map(|(k, s)| {
                 let bound = (2.0 / (1.0 + LEAK * LEAK) * 3.0 / s[0] as f32).sqrt();
                 let mut rng = KeyedRng::new(seed, k as u64);
-                let weight = (0..s[0] * s[1]).map(|_| bound * (2.0 * rng.next_f32() - 1.0)).collect();
-                Layer { inputs: s[0], weight, bias: vec![0.0; s[1]] }
+                let weight = (0..s[0] * s[1])
+                    .map(|_| bound * (2.0 * rng.next_f32() - 1.0))
+                    .collect();
+                Layer {
+                    inputs: s[0],
+                    weight,
+                    bias: vec![0.0; s[1]],
+                }
             })
             .collect();
         Self { layers }
@@ -145,7 +168,10 @@ impl Nirf {
     /// Number of weights and biases.
     #[must_use]
     pub fn parameters(&self) -> usize {
-        self.layers.iter().map(|l| l.weight.len() + l.bias.len()).sum()
+        self.layers
+            .iter()
+            .map(|l| l.weight.len() + l.bias.len())
+            .sum()
     }
 
     /// Irradiance at surface points with unit normals on the lit side.
@@ -156,7 +182,9 @@ impl Nirf {
             .map(|chunk| {
                 let positions: Vec<Vec3> = chunk.iter().map(|(p, n)| *p + *n * HEIGHT).collect();
                 let y = self.forward(&positions, false).pop().unwrap_or_default();
-                (0..chunk.len()).map(|b| Vec3::new(y[0][b], y[1][b], y[2][b]).exp() - Vec3::ONE).collect()
+                (0..chunk.len())
+                    .map(|b| Vec3::new(y[0][b], y[1][b], y[2][b]).exp() - Vec3::ONE)
+                    .collect()
             })
             .collect();
         parts.concat()
@@ -196,7 +224,11 @@ impl Nirf {
                 for c in 0..3 {
                     let d = y[c][b] - target[c].ln_1p();
                     loss += f64::from(d.abs());
-                    delta[c][b] = if d == 0.0 { 0.0 } else { d.signum() / (3.0 * n) };
+                    delta[c][b] = if d == 0.0 {
+                        0.0
+                    } else {
+                        d.signum() / (3.0 * n)
+                    };
                 }
             }
         }
@@ -243,25 +275,34 @@ impl Layer {
         }
     }
 
-    /// Slopes by this layer's parameters, given its inputs and the slopes by its (unrectified) outputs.
+    /// Slopes by this layer's parameters, given its inputs and the slopes by its (unrectified)
+    /// outputs.
     fn slope(&self, x: &[Lanes], delta: &[Lanes]) -> Slope {
-        let transposed: Vec<Vec<f32>> = (0..BATCH).map(|b| x.iter().map(|row| row[b]).collect()).collect();
+        let transposed: Vec<Vec<f32>> = (0..BATCH)
+            .map(|b| x.iter().map(|row| row[b]).collect())
+            .collect();
         let mut weight = vec![0.0f32; self.weight.len()];
-        weight.par_chunks_mut(self.inputs * 4).zip(delta.par_chunks(4)).for_each(|(rows, deltas)| {
-            with_widest(
-                #[inline(always)]
-                || {
-                    for (row, d) in rows.chunks_mut(self.inputs).zip(deltas) {
-                        for (b, xb) in transposed.iter().enumerate() {
-                            for (w, v) in row.iter_mut().zip(xb) {
-                                *w += d[b] * v;
+        weight
+            .par_chunks_mut(self.inputs * 4)
+            .zip(delta.par_chunks(4))
+            .for_each(|(rows, deltas)| {
+                with_widest(
+                    #[inline(always)]
+                    || {
+                        for (row, d) in rows.chunks_mut(self.inputs).zip(deltas) {
+                            for (b, xb) in transposed.iter().enumerate() {
+                                for (w, v) in row.iter_mut().zip(xb) {
+                                    *w += d[b] * v;
+                                }
                             }
                         }
-                    }
-                },
-            );
-        });
-        Slope { weight, bias: delta.iter().map(|d| d.iter().sum()).collect() }
+                    },
+                );
+            });
+        Slope {
+            weight,
+            bias: delta.iter().map(|d| d.iter().sum()).collect(),
+        }
     }
 
     /// Slopes by the unrectified outputs of the layer before, whose rectified outputs are `x`.
@@ -281,7 +322,8 @@ impl Layer {
                     }
                     for (row, xi) in rows.iter_mut().zip(&x[c * ROWS..]) {
                         for b in 0..BATCH {
-                            // the rectifier keeps the sign, so its output tells which side it was on
+                            // the rectifier keeps the sign, so its output tells which side it was
+                            // on
                             if xi[b] < 0.0 {
                                 row[b] *= LEAK;
                             }
@@ -304,31 +346,41 @@ impl Adam {
     const BETA: [f32; 2] = [0.9, 0.999];
 
     fn new(n: usize) -> Self {
-        Self { mean: vec![0.0; n], square: vec![0.0; n] }
+        Self {
+            mean: vec![0.0; n],
+            square: vec![0.0; n],
+        }
     }
 
     fn step(&mut self, values: &mut [f32], slopes: &[f32], rate: f32, t: i32) {
         let [b1, b2] = Self::BETA;
         let (c1, c2) = (1.0 / (1.0 - b1.powi(t)), 1.0 / (1.0 - b2.powi(t)));
         let chunk = 1 << 14;
-        let moments = self.mean.par_chunks_mut(chunk).zip(self.square.par_chunks_mut(chunk));
-        values.par_chunks_mut(chunk).zip(slopes.par_chunks(chunk)).zip(moments).for_each(|((v, g), (m, s))| {
-            with_widest(
-                #[inline(always)]
-                || {
-                    for i in 0..v.len() {
-                        m[i] = b1 * m[i] + (1.0 - b1) * g[i];
-                        s[i] = b2 * s[i] + (1.0 - b2) * g[i] * g[i];
-                        v[i] -= rate * (m[i] * c1) / ((s[i] * c2).sqrt() + 1e-8);
-                    }
-                },
-            );
-        });
+        let moments = self
+            .mean
+            .par_chunks_mut(chunk)
+            .zip(self.square.par_chunks_mut(chunk));
+        values
+            .par_chunks_mut(chunk)
+            .zip(slopes.par_chunks(chunk))
+            .zip(moments)
+            .for_each(|((v, g), (m, s))| {
+                with_widest(
+                    #[inline(always)]
+                    || {
+                        for i in 0..v.len() {
+                            m[i] = b1 * m[i] + (1.0 - b1) * g[i];
+                            s[i] = b2 * s[i] + (1.0 - b2) * g[i] * g[i];
+                            v[i] -= rate * (m[i] * c1) / ((s[i] * c2).sqrt() + 1e-8);
+                        }
+                    },
+                );
+            });
     }
 }
 
-/// Trains a field on a scene. `normals(t, u, v)` gives shading and geometric normal on the lit side; `each` sees the field and its
-/// cost after every epoch.
+/// Trains a field on a scene. `normals(t, u, v)` gives shading and geometric normal on the lit
+/// side; `each` sees the field and its cost after every epoch.
 #[must_use]
 pub fn train_nirf(
     bake: &Bake,
@@ -339,12 +391,28 @@ pub fn train_nirf(
 ) -> (Nirf, NirfCost) {
     let mut field = Nirf::new(&options.hidden, options.seed);
     let mut cost = NirfCost::default();
-    let areas: Vec<f64> = (0..bake.mesh.triangles.len()).map(|t| f64::from(bake.mesh.area(t))).collect();
-    let Some(table) = Discrete::new(&areas) else { return (field, cost) };
-    let mut adam: Vec<[Adam; 2]> = field.layers.iter().map(|l| [Adam::new(l.weight.len()), Adam::new(l.bias.len())]).collect();
-    let raised = Bake { offset: 0.0, ..*bake };
-    let estimate =
-        IrtOptions { estimator: Estimator::Uniform, rays: options.rays, emitter_samples: 0, seed: options.seed, drawn: [0, 0] };
+    let areas: Vec<f64> = (0..bake.mesh.triangles.len())
+        .map(|t| f64::from(bake.mesh.area(t)))
+        .collect();
+    let Some(table) = Discrete::new(&areas) else {
+        return (field, cost);
+    };
+    let mut adam: Vec<[Adam; 2]> = field
+        .layers
+        .iter()
+        .map(|l| [Adam::new(l.weight.len()), Adam::new(l.bias.len())])
+        .collect();
+    let raised = Bake {
+        offset: 0.0,
+        ..*bake
+    };
+    let estimate = IrtOptions {
+        estimator: Estimator::Uniform,
+        rays: options.rays,
+        emitter_samples: 0,
+        seed: options.seed,
+        drawn: [0, 0],
+    };
     let mut t = 0;
     for epoch in 0..options.epochs {
         let start = Instant::now();
@@ -355,10 +423,21 @@ pub fn train_nirf(
                 let (triangle, _) = table.sample(rng.next_f32());
                 let [u, v] = square_to_triangle([rng.next_f32(), rng.next_f32()]);
                 let (normal, face_normal) = normals(triangle, u, v);
-                Receiver { position: bake.mesh.position(triangle, u, v) + normal * HEIGHT, normal, face_normal, key }
+                Receiver {
+                    position: bake.mesh.position(triangle, u, v) + normal * HEIGHT,
+                    normal,
+                    face_normal,
+                    key,
+                }
             })
             .collect();
-        let targets = bake_irradiance(&raised, receivers.len(), |i| receivers[i], &estimate, &Progress::silent());
+        let targets = bake_irradiance(
+            &raised,
+            receivers.len(),
+            |i| receivers[i],
+            &estimate,
+            &Progress::silent(),
+        );
         cost.rays += targets.rays;
         cost.ray_seconds += start.elapsed().as_secs_f64();
         let start = Instant::now();
@@ -372,7 +451,9 @@ pub fn train_nirf(
             t += 1;
             let (l, slopes) = field.slopes(p, e);
             loss += l;
-            for ((layer, slope), [weight, bias]) in field.layers.iter_mut().zip(&slopes).zip(&mut adam) {
+            for ((layer, slope), [weight, bias]) in
+                field.layers.iter_mut().zip(&slopes).zip(&mut adam)
+            {
                 weight.step(&mut layer.weight, &slope.weight, rate, t);
                 bias.step(&mut layer.bias, &slope.bias, rate, t);
             }
@@ -392,17 +473,28 @@ mod tests {
 
     fn positions(n: usize) -> Vec<Vec3> {
         let mut rng = KeyedRng::new(3, 1);
-        (0..n).map(|_| Vec3::from_array(std::array::from_fn(|_| 2.0 * rng.next_f32() - 1.0))).collect()
+        (0..n)
+            .map(|_| Vec3::from_array(std::array::from_fn(|_| 2.0 * rng.next_f32() - 1.0)))
+            .collect()
     }
 
     /// The loss in double precision, loop by loop.
-    fn plain_loss(field: &Nirf, positions: &[Vec3], targets: &[Vec3], change: (usize, bool, usize, f64)) -> f64 {
+    fn plain_loss(
+        field: &Nirf,
+        positions: &[Vec3],
+        targets: &[Vec3],
+        change: (usize, bool, usize, f64),
+    ) -> f64 {
         let mut loss = 0.0;
         for (p, e) in positions.iter().zip(targets) {
             let mut x: Vec<f64> = encode(*p).iter().map(|v| f64::from(*v)).collect();
             for (k, layer) in field.layers.iter().enumerate() {
                 let nudge = |is_weight: bool, i: usize| {
-                    if change.0 == k && change.1 == is_weight && change.2 == i { change.3 } else { 0.0 }
+                    if change.0 == k && change.1 == is_weight && change.2 == i {
+                        change.3
+                    } else {
+                        0.0
+                    }
                 };
                 x = (0..layer.bias.len())
                     .map(|o| {
@@ -413,11 +505,17 @@ mod tests {
                             })
                             .sum();
                         let v = sum + f64::from(layer.bias[o]) + nudge(false, o);
-                        if k + 1 < field.layers.len() && v < 0.0 { f64::from(LEAK) * v } else { v }
+                        if k + 1 < field.layers.len() && v < 0.0 {
+                            f64::from(LEAK) * v
+                        } else {
+                            v
+                        }
                     })
                     .collect();
             }
-            loss += (0..3).map(|c| (x[c] - f64::from(e[c]).ln_1p()).abs()).sum::<f64>();
+            loss += (0..3)
+                .map(|c| (x[c] - f64::from(e[c]).ln_1p()).abs())
+                .sum::<f64>();
         }
         loss / (3.0 * positions.len() as f64)
     }
@@ -428,14 +526,27 @@ mod tests {
         // a bias that is not zero, so that its place matters
         for layer in &mut field.layers {
             let mut rng = KeyedRng::new(8, layer.inputs as u64);
-            layer.bias.iter_mut().for_each(|b| *b = 0.2 * rng.next_f32() - 0.1);
+            layer
+                .bias
+                .iter_mut()
+                .for_each(|b| *b = 0.2 * rng.next_f32() - 0.1);
         }
         for n in [BATCH, 5] {
             let p = positions(n);
             // far from the outputs, where the L1 loss has a kink
-            let targets: Vec<Vec3> = (0..n).map(|i| if i % 2 == 0 { Vec3::splat(500.0) } else { Vec3::splat(-0.999) }).collect();
+            let targets: Vec<Vec3> = (0..n)
+                .map(|i| {
+                    if i % 2 == 0 {
+                        Vec3::splat(500.0)
+                    } else {
+                        Vec3::splat(-0.999)
+                    }
+                })
+                .collect();
             let (loss, slopes) = field.slopes(&p, &targets);
-            assert!((loss - plain_loss(&field, &p, &targets, (9, true, 0, 0.0))).abs() < 1e-5 * loss);
+            assert!(
+                (loss - plain_loss(&field, &p, &targets, (9, true, 0, 0.0))).abs() < 1e-5 * loss
+            );
             for (k, slope) in slopes.iter().enumerate() {
                 for (is_weight, values) in [(true, &slope.weight), (false, &slope.bias)] {
                     let largest = values.iter().fold(0.0f32, |a, v| a.max(v.abs()));
@@ -461,30 +572,48 @@ mod tests {
         assert!((e[3] - 0.5f32.sin()).abs() < 1e-7 && (e[7] - (-1.0f32).cos()).abs() < 1e-7);
         assert!((e[3 + 6 * 9 + 2] - (2.0f32 * 512.0).sin()).abs() < 1e-6);
         assert_eq!(e.len(), 63);
-        assert_eq!(Nirf::new(&[512; 4], 0).parameters(), 63 * 512 + 3 * 512 * 512 + 512 * 3 + 4 * 512 + 3);
+        assert_eq!(
+            Nirf::new(&[512; 4], 0).parameters(),
+            63 * 512 + 3 * 512 * 512 + 512 * 3 + 4 * 512 + 3
+        );
     }
 
     #[test]
     fn adam_fits_a_smooth_field_and_the_thread_count_changes_nothing() {
         let p = positions(16 * BATCH);
-        let truth: Vec<Vec3> = p.iter().map(|p| Vec3::new(2.0 + p.x, 1.0 + p.y * p.y, 0.5)).collect();
+        let truth: Vec<Vec3> = p
+            .iter()
+            .map(|p| Vec3::new(2.0 + p.x, 1.0 + p.y * p.y, 0.5))
+            .collect();
         let fit = |threads: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .expect("pool");
             pool.install(|| {
                 let mut field = Nirf::new(&[32, 32], 1);
-                let mut adam: Vec<_> =
-                    field.layers.iter().map(|l| [Adam::new(l.weight.len()), Adam::new(l.bias.len())]).collect();
+                let mut adam: Vec<_> = field
+                    .layers
+                    .iter()
+                    .map(|l| [Adam::new(l.weight.len()), Adam::new(l.bias.len())])
+                    .collect();
                 let mut losses = Vec::new();
                 for t in 1..=320 {
                     let batch = (t as usize % 16) * BATCH..(t as usize % 16 + 1) * BATCH;
                     let (loss, slopes) = field.slopes(&p[batch.clone()], &truth[batch]);
                     losses.push(loss);
-                    for ((layer, slope), [weight, bias]) in field.layers.iter_mut().zip(&slopes).zip(&mut adam) {
+                    for ((layer, slope), [weight, bias]) in
+                        field.layers.iter_mut().zip(&slopes).zip(&mut adam)
+                    {
                         weight.step(&mut layer.weight, &slope.weight, 3e-3, t);
                         bias.step(&mut layer.bias, &slope.bias, 3e-3, t);
                     }
                 }
-                (losses[0], losses[300..].iter().sum::<f64>() / 20.0, field.layers[0].weight[7].to_bits())
+                (
+                    losses[0],
+                    losses[300..].iter().sum::<f64>() / 20.0,
+                    field.layers[0].weight[7].to_bits(),
+                )
             })
         };
         let (first, last, bits) = fit(1);

@@ -1,7 +1,9 @@
-//! Radiance in eight bytes a texel, in tiles of a cache line per row: what rays from one place meet lies close together in memory.
+//! Radiance in eight bytes a texel, in tiles of a cache line per row: what rays from one place meet
+//! lies close together in memory.
 //!
-//! Three mantissas of 17 bits and a sign share an exponent: a brightest channel keeps all but 8·10⁻⁶ of its value, where half floats of
-//! the same size would lose 5·10⁻⁴ and end at 65,504. Signs are for differences of light.
+//! Three mantissas of 17 bits and a sign share an exponent: a brightest channel keeps all but
+//! 8·10⁻⁶ of its value, where half floats of the same size would lose 5·10⁻⁴ and end at 65,504.
+//! Signs are for differences of light.
 
 use crate::ffi::simd::prefetch;
 use crate::image::RgbPlane;
@@ -45,7 +47,8 @@ impl Tiles {
 }
 
 impl Tiles {
-    /// What an address here exceeds that of the same texel of `other`, a plane as large, by (wrapping around).
+    /// What an address here exceeds that of the same texel of `other`, a plane as large, by
+    /// (wrapping around).
     #[inline(always)]
     pub(super) fn since(&self, other: &Self) -> u32 {
         self.first.wrapping_sub(other.first)
@@ -58,7 +61,9 @@ impl PackedTexels {
 
     /// Nothing but [`Self::BLACK`].
     pub(super) fn new() -> Self {
-        Self { lines: vec![Line::default()] }
+        Self {
+            lines: vec![Line::default()],
+        }
     }
 
     /// Adds a plane, tile by tile.
@@ -68,18 +73,35 @@ impl PackedTexels {
             // line, tile, row of tiles
             let (tile, y) = (i / ROWS, i / ROWS / columns * ROWS + i % ROWS);
             let x = tile % columns * LINE;
-            let texel = |k: usize| if x + k < plane.width && y < plane.height { pack(plane[(x + k, y)]) } else { 0 };
+            let texel = |k: usize| {
+                if x + k < plane.width && y < plane.height {
+                    pack(plane[(x + k, y)])
+                } else {
+                    0
+                }
+            };
             Line(std::array::from_fn(texel))
         };
-        let tiles = Tiles { first: self.end(), row: (columns * LINE * ROWS) as u32 };
-        self.lines.par_extend((0..columns * plane.height.next_multiple_of(ROWS)).into_par_iter().map(line));
+        let tiles = Tiles {
+            first: self.end(),
+            row: (columns * LINE * ROWS) as u32,
+        };
+        self.lines.par_extend(
+            (0..columns * plane.height.next_multiple_of(ROWS))
+                .into_par_iter()
+                .map(line),
+        );
         tiles
     }
 
     /// Adds texels one after the other; returns the first one's address.
     pub(super) fn push_list(&mut self, texels: &[Vec3]) -> u32 {
         let first = self.end();
-        self.lines.extend(texels.chunks(LINE).map(|t| Line(std::array::from_fn(|k| t.get(k).map_or(0, |v| pack(*v))))));
+        self.lines.extend(
+            texels
+                .chunks(LINE)
+                .map(|t| Line(std::array::from_fn(|k| t.get(k).map_or(0, |v| pack(*v))))),
+        );
         first
     }
 
@@ -100,10 +122,16 @@ impl PackedTexels {
     }
 }
 
-/// Red, green and blue from the lowest bits on, then the exponent of the last bit's worth, as a float's. What is not a number counts as
-/// zero.
+/// Red, green and blue from the lowest bits on, then the exponent of the last bit's worth, as a
+/// float's. What is not a number counts as zero.
 fn pack(radiance: Vec3) -> u64 {
-    let v = radiance.to_array().map(|x| if x.is_nan() { 0.0 } else { x.clamp(-f32::MAX, f32::MAX) });
+    let v = radiance.to_array().map(|x| {
+        if x.is_nan() {
+            0.0
+        } else {
+            x.clamp(-f32::MAX, f32::MAX)
+        }
+    });
     let most = v.iter().fold(0.0f32, |most, x| most.max(x.abs()));
     let exponent = (most.to_bits() >> 23) as i32 - (BITS as i32 - 2);
     // below: too dim to be told from black (10⁻³³)
@@ -129,7 +157,8 @@ fn pack(radiance: Vec3) -> u64 {
 fn unpack(texel: u64) -> Vec3 {
     // to the upper end and back: the sign comes along
     let channel = |c: u32| ((texel << (64 - (c + 1) * BITS)) as i64 >> (64 - BITS)) as i32 as f32;
-    Vec3::new(channel(0), channel(1), channel(2)) * f32::from_bits((texel >> (3 * BITS)) as u32 * (1 << 23))
+    Vec3::new(channel(0), channel(1), channel(2))
+        * f32::from_bits((texel >> (3 * BITS)) as u32 * (1 << 23))
 }
 
 #[cfg(test)]
@@ -143,7 +172,8 @@ mod tests {
         let mut rng = KeyedRng::new(3, 1);
         for exponent in -90..127 {
             for _ in 0..100 {
-                let v = Vec3::from_array(std::array::from_fn(|_| 2.0 * rng.next_f32() - 1.0)) * 2f32.powi(exponent);
+                let v = Vec3::from_array(std::array::from_fn(|_| 2.0 * rng.next_f32() - 1.0))
+                    * 2f32.powi(exponent);
                 let error = (unpack(pack(v)) - v).abs().max_element();
                 assert!(error <= v.abs().max_element() * 2f32.powi(-17), "{v}");
             }
@@ -152,7 +182,13 @@ mod tests {
 
     #[test]
     fn round_numbers_are_exact_and_extremes_stay_in_range() {
-        for v in [Vec3::ONE, Vec3::new(1.0, 0.5, 0.25), Vec3::splat(1e5), Vec3::ZERO, Vec3::new(65_536.0, 0.0, -3.0)] {
+        for v in [
+            Vec3::ONE,
+            Vec3::new(1.0, 0.5, 0.25),
+            Vec3::splat(1e5),
+            Vec3::ZERO,
+            Vec3::new(65_536.0, 0.0, -3.0),
+        ] {
             assert_eq!(unpack(pack(v)), v);
         }
         // rounds up to a mantissa of one bit more
@@ -169,8 +205,14 @@ mod tests {
         let mut texels = PackedTexels::new();
         let list = texels.push_list(&(0..11).map(|i| Vec3::splat(i as f32)).collect::<Vec<_>>());
         let planes = [(13, 21), (8, 8), (1, 1), (64, 3)].map(|(width, height)| {
-            let data = (0..width * height).map(|i| Vec3::new(i as f32, 1.0, width as f32)).collect();
-            let plane = Plane { width, height, data };
+            let data = (0..width * height)
+                .map(|i| Vec3::new(i as f32, 1.0, width as f32))
+                .collect();
+            let plane = Plane {
+                width,
+                height,
+                data,
+            };
             (texels.push_plane(&plane), plane)
         });
         assert_eq!(texels.get(PackedTexels::BLACK), Vec3::ZERO);

@@ -1,8 +1,9 @@
-//! Specular reflection of the light field: L_s(R) = ∫ L(l) f_s(v, l; R) (n·l) dl at surface points seen from given directions.
+//! Specular reflection of the light field: L_s(R) = ∫ L(l) f_s(v, l; R) (n·l) dl at surface points
+//! seen from given directions.
 //!
-//! Directions come from a mixture of visible-normal GGX lobes and emitter samples (balance heuristic), so that one set of traced
-//! rays serves any number of roughness levels R (method §12.3 point 6); the radiance along a ray is averaged over the cone the
-//! ray stands for.
+//! Directions come from a mixture of visible-normal GGX lobes and emitter samples (balance
+//! heuristic), so that one set of traced rays serves any number of roughness levels R (method §12.3
+//! point 6); the radiance along a ray is averaged over the cone the ray stands for.
 
 use super::irt::Bake;
 use super::lamp_choice::LampChoice;
@@ -78,17 +79,27 @@ struct Scratch {
 }
 
 impl Reflector<'_> {
-    /// Adds to `out[i · K + k]` the specular radiance of gaze i at its k-th evaluated level (K levels). Returns the rays traced.
+    /// Adds to `out[i · K + k]` the specular radiance of gaze i at its k-th evaluated level (K
+    /// levels). Returns the rays traced.
     pub fn reflect(&self, gazes: &[Gaze], levels: Levels, out: &mut [Vec3]) -> u64 {
         self.reflect_and_spread(gazes, levels, out, &mut [])
     }
 
-    /// As [`Self::reflect`]; also writes for every gaze how Burley's diffuse radiance towards it compares with a Lambertian surface's
-    /// in the same light, as a polynomial in the roughness ([`Reflectance::diffuse_by_roughness`], averaged over the arriving light).
-    /// `diffuse` holds one entry per gaze, or none if nobody asks.
-    pub fn reflect_and_spread(&self, gazes: &[Gaze], levels: Levels, out: &mut [Vec3], diffuse: &mut [[f32; 3]]) -> u64 {
+    /// As [`Self::reflect`]; also writes for every gaze how Burley's diffuse radiance towards it
+    /// compares with a Lambertian surface's in the same light, as a polynomial in the roughness
+    /// ([`Reflectance::diffuse_by_roughness`], averaged over the arriving light). `diffuse` holds
+    /// one entry per gaze, or none if nobody asks.
+    pub fn reflect_and_spread(
+        &self,
+        gazes: &[Gaze],
+        levels: Levels,
+        out: &mut [Vec3],
+        diffuse: &mut [[f32; 3]],
+    ) -> u64 {
         let k = match levels {
-            Levels::Shared { evaluate, models, .. } => evaluate.len() * models.len(),
+            Levels::Shared {
+                evaluate, models, ..
+            } => evaluate.len() * models.len(),
             Levels::Own(_) => 1,
         };
         let mut scratch = Scratch::default();
@@ -99,21 +110,45 @@ impl Reflector<'_> {
                 Levels::Own(values) => Levels::Own(&values[first..first + group.len()]),
                 shared @ Levels::Shared { .. } => shared,
             };
-            let spread = if diffuse.is_empty() { &mut [][..] } else { &mut diffuse[first..first + group.len()] };
-            rays += self.batch(group, own, &mut scratch, &mut out[first * k..(first + group.len()) * k], spread);
+            let spread = if diffuse.is_empty() {
+                &mut [][..]
+            } else {
+                &mut diffuse[first..first + group.len()]
+            };
+            rays += self.batch(
+                group,
+                own,
+                &mut scratch,
+                &mut out[first * k..(first + group.len()) * k],
+                spread,
+            );
         }
         rays
     }
 
-    fn batch(&self, gazes: &[Gaze], levels: Levels, s: &mut Scratch, out: &mut [Vec3], diffuse: &mut [[f32; 3]]) -> u64 {
+    fn batch(
+        &self,
+        gazes: &[Gaze],
+        levels: Levels,
+        s: &mut Scratch,
+        out: &mut [Vec3],
+        diffuse: &mut [[f32; 3]],
+    ) -> u64 {
         s.rays.clear();
         s.gaze_of_ray.clear();
         s.shadow.clear();
         s.light.clear();
-        let (mut choices, mut choice_of) = (std::mem::take(&mut s.choices), std::mem::take(&mut s.choice_of));
+        let (mut choices, mut choice_of) = (
+            std::mem::take(&mut s.choices),
+            std::mem::take(&mut s.choice_of),
+        );
         choices.clear();
         choice_of.clear();
-        choice_of.extend(gazes.iter().map(|g| choices.choose(self.bake.emitters, g.position, g.normal, 0.0)));
+        choice_of.extend(
+            gazes
+                .iter()
+                .map(|g| choices.choose(self.bake.emitters, g.position, g.normal, 0.0)),
+        );
         for (i, g) in gazes.iter().enumerate() {
             self.lobe_rays(i, g, lobes(&levels, i), s);
             let choice = &choices[choice_of[i]];
@@ -131,13 +166,19 @@ impl Reflector<'_> {
             let g = &gazes[i];
             let l = Vec3::from_array(s.rays[r].direction);
             let origin = Vec3::from_array(s.rays[r].origin);
-            let emitter_pdf = self.bake.emitters.pdf(self.bake.field, &choices[choice_of[i]], origin, l, hit);
+            let emitter_pdf =
+                self.bake
+                    .emitters
+                    .pdf(self.bake.field, &choices[choice_of[i]], origin, l, hit);
             let half = HalfVector::new(g, l);
             let density = self.density(&half, lobes(&levels, i), emitter_pdf);
             let spread = 2.0 * (FRAC_1_PI / density.max(0.3)).sqrt();
             let radiance = self.bake.field.arriving(hit, l, spread);
             accumulate(self.model, &half, radiance / density, &levels, i, out);
-            shading.get_mut(i).into_iter().for_each(|s| s.add(&half, radiance / density));
+            shading
+                .get_mut(i)
+                .into_iter()
+                .for_each(|s| s.add(&half, radiance / density));
         }
         for (k, &(i, radiance, pdf)) in s.light.iter().enumerate() {
             if s.hidden[k] == 0 {
@@ -145,17 +186,26 @@ impl Reflector<'_> {
                 let half = HalfVector::new(&gazes[i], Vec3::from_array(s.shadow[k].direction));
                 let density = self.density(&half, lobes(&levels, i), pdf);
                 accumulate(self.model, &half, radiance / density, &levels, i, out);
-                shading.get_mut(i).into_iter().for_each(|s| s.add(&half, radiance / density));
+                shading
+                    .get_mut(i)
+                    .into_iter()
+                    .for_each(|s| s.add(&half, radiance / density));
             }
         }
-        diffuse.iter_mut().zip(&shading).for_each(|(d, s)| *d = s.mean());
+        diffuse
+            .iter_mut()
+            .zip(&shading)
+            .for_each(|(d, s)| *d = s.mean());
         (s.choices, s.choice_of) = (choices, choice_of);
         (s.rays.len() + s.shadow.len()) as u64
     }
 
     /// Expected number of samples per steradian of the whole mixture.
     fn density(&self, half: &HalfVector, lobes: &[f32], emitter_pdf: f32) -> f32 {
-        let lobe_sum: f32 = lobes.iter().map(|r| vndf_reflection_pdf(half.n_v, half.sin2_nh, alpha(*r))).sum();
+        let lobe_sum: f32 = lobes
+            .iter()
+            .map(|r| vndf_reflection_pdf(half.n_v, half.sin2_nh, alpha(*r)))
+            .sum();
         self.rays_per_lobe as f32 * lobe_sum + self.emitter_samples as f32 * emitter_pdf
     }
 
@@ -183,7 +233,11 @@ impl Reflector<'_> {
         let origin = g.position + g.face_normal * self.bake.offset;
         let sequence = SobolSequence::new(self.seed ^ 0x11_9474, g.key);
         for j in g.turn * self.emitter_samples..(g.turn + 1) * self.emitter_samples {
-            let Some(e) = self.bake.emitters.sample(self.bake.field, choice, origin, sequence.point3(j)) else {
+            let Some(e) =
+                self.bake
+                    .emitters
+                    .sample(self.bake.field, choice, origin, sequence.point3(j))
+            else {
                 continue;
             };
             let l = Vec3::from_array(e.ray.direction);
@@ -234,14 +288,22 @@ impl Spread {
     fn add(&mut self, half: &HalfVector, weighted: Vec3) {
         let light = luminance(weighted) * half.n_l;
         // v·l = 2 (v·h)² − 1
-        let terms = Reflectance::diffuse_by_roughness(half.n_l, half.n_v, 2.0 * half.v_h * half.v_h - 1.0);
+        let terms =
+            Reflectance::diffuse_by_roughness(half.n_l, half.n_v, 2.0 * half.v_h * half.v_h - 1.0);
         self.light += light;
-        self.sums.iter_mut().zip(terms).for_each(|(s, t)| *s += light * t);
+        self.sums
+            .iter_mut()
+            .zip(terms)
+            .for_each(|(s, t)| *s += light * t);
     }
 
     /// The mean factor's polynomial; Lambert's where no light arrives.
     fn mean(&self) -> [f32; 3] {
-        if self.light > 0.0 { self.sums.map(|s| s / self.light) } else { [1.0, 0.0, 0.0] }
+        if self.light > 0.0 {
+            self.sums.map(|s| s / self.light)
+        } else {
+            [1.0, 0.0, 0.0]
+        }
     }
 }
 
@@ -252,15 +314,31 @@ fn lobes<'a>(levels: &Levels<'a>, i: usize) -> &'a [f32] {
     }
 }
 
-fn accumulate(model: Reflectance, half: &HalfVector, weighted: Vec3, levels: &Levels, i: usize, out: &mut [Vec3]) {
+fn accumulate(
+    model: Reflectance,
+    half: &HalfVector,
+    weighted: Vec3,
+    levels: &Levels,
+    i: usize,
+    out: &mut [Vec3],
+) {
     if half.n_l <= 0.0 || weighted == Vec3::ZERO {
         return;
     }
     let term = |m: Reflectance, r: f32| {
-        weighted * (m.specular(half.n_l, half.n_v, half.sin2_nh, half.v_h, r.max(MIN_ROUGHNESS)) * half.n_l)
+        weighted
+            * (m.specular(
+                half.n_l,
+                half.n_v,
+                half.sin2_nh,
+                half.v_h,
+                r.max(MIN_ROUGHNESS),
+            ) * half.n_l)
     };
     match levels {
-        Levels::Shared { evaluate, models, .. } => {
+        Levels::Shared {
+            evaluate, models, ..
+        } => {
             let k = evaluate.len();
             let row = &mut out[i * k * models.len()..(i + 1) * k * models.len()];
             for (part, &m) in row.chunks_mut(k).zip(*models) {

@@ -1,4 +1,5 @@
-//! Choices of lamps that points share which lie close together: finding one costs as much as a few samples of it.
+//! Choices of lamps that points share which lie close together: finding one costs as much as a few
+//! samples of it.
 
 use super::{Emitters, LampChoice};
 use glam::Vec3;
@@ -25,12 +26,19 @@ impl SharedChoices {
         self.count
     }
 
-    /// The number of the choice that suits the next point of the list ([`Emitters::choose`]): the last one if it was made close by, else a
-    /// new one.
-    pub(super) fn choose(&mut self, emitters: &Emitters, p: Vec3, normal: Vec3, rays: f32) -> usize {
+    /// The number of the choice that suits the next point of the list ([`Emitters::choose`]): the
+    /// last one if it was made close by, else a new one.
+    pub(super) fn choose(
+        &mut self,
+        emitters: &Emitters,
+        p: Vec3,
+        normal: Vec3,
+        rays: f32,
+    ) -> usize {
         let place = (p, normal);
         if self.last.is_none_or(|last| !emitters.alike([last, place])) {
-            self.choices.resize_with(self.choices.len().max(self.count + 1), LampChoice::default);
+            self.choices
+                .resize_with(self.choices.len().max(self.count + 1), LampChoice::default);
             emitters.choose(p, normal, rays, &mut self.choices[self.count]);
             (self.count, self.last) = (self.count + 1, Some(place));
         }

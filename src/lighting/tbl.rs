@@ -1,8 +1,10 @@
-//! Texture-based lighting (TBL): the radiance every texel sends out, fused from all views that see it.
+//! Texture-based lighting (TBL): the radiance every texel sends out, fused from all views that see
+//! it.
 //!
-//! The paper copies one pixel of one view per texel (method §2.1, W6), so that a highlight seen from that view becomes light.
-//! Here every view contributes with a weight from its footprint; a weighted median finds the view-independent level and a
-//! one-step Huber mean around it uses all consistent views.
+//! The paper copies one pixel of one view per texel (method §2.1, W6), so that a highlight seen
+//! from that view becomes light. Here every view contributes with a weight from its footprint; a
+//! weighted median finds the view-independent level and a one-step Huber mean around it uses all
+//! consistent views.
 
 use crate::gbuffer::{Observation, Observer, Orientation};
 use crate::math::luminance;
@@ -26,14 +28,15 @@ pub const UNSEEN: u32 = u32::MAX;
 pub struct Fusion {
     /// Radiance sent out, zero where unobserved.
     pub radiance: Vec<Vec3>,
-    /// Whether a view sees the texel in pixels free of edges. Without one, `radiance` is a mixture with a neighbouring surface, which
-    /// beside a lamp is a false light.
+    /// Whether a view sees the texel in pixels free of edges. Without one, `radiance` is a mixture
+    /// with a neighbouring surface, which beside a lamp is a false light.
     pub clean: Vec<bool>,
     /// Radiance of the brightest view: for lamps smaller than a pixel, which mixing only darkens.
     pub peak: Vec<Vec3>,
     /// Number of views used.
     pub views: Vec<u8>,
-    /// Class id by vote of the observing views, 0 = unlabelled, [`UNSEEN`] where no view sees the texel.
+    /// Class id by vote of the observing views, 0 = unlabelled, [`UNSEEN`] where no view sees the
+    /// texel.
     pub label: Vec<u32>,
     /// Smallest luminance over the clean views: light that cannot be a highlight.
     pub floor: Vec<f32>,
@@ -41,7 +44,12 @@ pub struct Fusion {
 
 /// Fuses the observations of every texel.
 #[must_use]
-pub fn fuse_radiance(observer: &Observer, orientation: &Orientation, texels: &Texels, progress: &Progress) -> Fusion {
+pub fn fuse_radiance(
+    observer: &Observer,
+    orientation: &Orientation,
+    texels: &Texels,
+    progress: &Progress,
+) -> Fusion {
     let parts = parallel::map_chunks(texels.len(), CHUNK, |range| {
         let mut out = Fusion::default();
         let mut seen = Vec::new();
@@ -50,13 +58,20 @@ pub fn fuse_radiance(observer: &Observer, orientation: &Orientation, texels: &Te
             let n = observer.mesh.face_normal(t) * orientation.sign(t);
             observer.observe(texels.position(observer.mesh, i), n, &mut seen);
             out.label.push(vote_label(&seen));
-            let peak = seen.iter().map(|o| o.radiance).max_by(|a, b| luminance(*a).total_cmp(&luminance(*b)));
+            let peak = seen
+                .iter()
+                .map(|o| o.radiance)
+                .max_by(|a, b| luminance(*a).total_cmp(&luminance(*b)));
             out.peak.push(peak.unwrap_or(Vec3::ZERO));
             out.clean.push(seen.iter().any(|o| o.clean));
             prefer_clean(&mut seen);
             out.radiance.push(robust_mean(&seen));
             out.views.push(seen.len().min(255) as u8);
-            out.floor.push(seen.iter().map(|o| luminance(o.radiance)).fold(f32::INFINITY, f32::min));
+            out.floor.push(
+                seen.iter()
+                    .map(|o| luminance(o.radiance))
+                    .fold(f32::INFINITY, f32::min),
+            );
         }
         progress.advance(range.len() as u64);
         out
@@ -96,7 +111,13 @@ fn vote_label(seen: &[Observation]) -> u32 {
         }
     }
     ballot.sort_by_key(|b| b.0);
-    ballot.iter().fold((UNSEEN, 0.0f32), |best, b| if b.1 > best.1 { *b } else { best }).0
+    ballot
+        .iter()
+        .fold(
+            (UNSEEN, 0.0f32),
+            |best, b| if b.1 > best.1 { *b } else { best },
+        )
+        .0
 }
 
 /// The radiance that the looks agree on.
@@ -105,11 +126,14 @@ fn robust_mean(seen: &[Observation]) -> Vec3 {
         [] => Vec3::ZERO,
         [one] => one.radiance,
         [a, b] => {
-            // of two that disagree by more than noise the darker is nearer to the truth: reflections only add. No third speaks for the
-            // brighter: the farther off it is, the less it moves the mean at all
+            // of two that disagree by more than noise the darker is nearer to the truth:
+            // reflections only add. No third speaks for the brighter: the farther off it is, the
+            // less it moves the mean at all
             let [a, b] = [a, b].map(|o| luminance(o.radiance));
             let darker = a.min(b);
-            mean_around(seen, darker, (a - b).abs().min(ALIKE * darker), |far| far * far)
+            mean_around(seen, darker, (a - b).abs().min(ALIKE * darker), |far| {
+                far * far
+            })
         }
         _ => {
             let (median, spread) = median_and_spread(seen);
@@ -120,7 +144,10 @@ fn robust_mean(seen: &[Observation]) -> Vec3 {
 
 /// Weighted median by luminance, and the median distance from it.
 fn median_and_spread(seen: &[Observation]) -> (f32, f32) {
-    let mut order: Vec<(f32, f32)> = seen.iter().map(|o| (luminance(o.radiance), sharpness(o).sqrt())).collect();
+    let mut order: Vec<(f32, f32)> = seen
+        .iter()
+        .map(|o| (luminance(o.radiance), sharpness(o).sqrt()))
+        .collect();
     // no single view, however sharp, may outvote the others: a highlight is often seen from nearby
     let mut weights: Vec<f32> = order.iter().map(|o| o.1).collect();
     weights.sort_by(f32::total_cmp);
@@ -132,8 +159,14 @@ fn median_and_spread(seen: &[Observation]) -> (f32, f32) {
     (median, spread[spread.len() / 2])
 }
 
-/// Mean weighted by sharpness over `penalty(d)`, d being the distance from a luminance in units of what `spread` allows for, at least 1.
-fn mean_around(seen: &[Observation], centre: f32, spread: f32, penalty: impl Fn(f32) -> f32) -> Vec3 {
+/// Mean weighted by sharpness over `penalty(d)`, d being the distance from a luminance in units of
+/// what `spread` allows for, at least 1.
+fn mean_around(
+    seen: &[Observation],
+    centre: f32,
+    spread: f32,
+    penalty: impl Fn(f32) -> f32,
+) -> Vec3 {
     let scale = 1.5 * spread + 0.02 * centre + f32::MIN_POSITIVE;
     let (mut sum, mut total) = (Vec3::ZERO, 0.0);
     for o in seen {

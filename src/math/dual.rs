@@ -26,11 +26,17 @@ impl<const N: usize> Dual<N> {
     }
 
     fn chain(self, x: f64, slope: f64) -> Self {
-        Self { x, d: self.d.map(|d| d * slope) }
+        Self {
+            x,
+            d: self.d.map(|d| d * slope),
+        }
     }
 
     fn zip(self, other: Self, x: f64, f: impl Fn(f64, f64) -> f64) -> Self {
-        Self { x, d: std::array::from_fn(|i| f(self.d[i], other.d[i])) }
+        Self {
+            x,
+            d: std::array::from_fn(|i| f(self.d[i], other.d[i])),
+        }
     }
 }
 

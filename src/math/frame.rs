@@ -21,7 +21,11 @@ impl Frame {
         let sign = 1.0f32.copysign(n.z);
         let a = -1.0 / (sign + n.z);
         let b = n.x * n.y * a;
-        Self { t: Vec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), b: Vec3::new(b, sign + n.y * n.y * a, -n.y), n }
+        Self {
+            t: Vec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x),
+            b: Vec3::new(b, sign + n.y * n.y * a, -n.y),
+            n,
+        }
     }
 
     /// World direction of a direction given in this frame.
@@ -47,9 +51,17 @@ mod tests {
             let z = 1.0 - 2.0 * (i as f32 + 0.5) / 1000.0;
             let phi = i as f32 * 2.399_963;
             let s = (1.0 - z * z).sqrt();
-            for n in [Vec3::new(s * phi.cos(), s * phi.sin(), z).normalize(), Vec3::NEG_Z, Vec3::Z] {
+            for n in [
+                Vec3::new(s * phi.cos(), s * phi.sin(), z).normalize(),
+                Vec3::NEG_Z,
+                Vec3::Z,
+            ] {
                 let f = Frame::from_normal(n);
-                assert!(f.t.dot(f.b).abs() < 1e-5 && f.t.dot(f.n).abs() < 1e-5 && f.b.dot(f.n).abs() < 1e-5);
+                assert!(
+                    f.t.dot(f.b).abs() < 1e-5
+                        && f.t.dot(f.n).abs() < 1e-5
+                        && f.b.dot(f.n).abs() < 1e-5
+                );
                 assert!((f.t.length() - 1.0).abs() < 1e-5 && (f.b.length() - 1.0).abs() < 1e-5);
                 assert!((f.t.cross(f.b) - f.n).length() < 1e-5, "right-handed");
                 let d = Vec3::new(0.3, -0.2, 0.9);

@@ -22,12 +22,20 @@ pub fn luminance(rgb: Vec3) -> f32 {
 #[must_use]
 pub fn srgb_from_linear(x: f32) -> f32 {
     let x = x.clamp(0.0, 1.0);
-    if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
+    if x <= 0.003_130_8 {
+        12.92 * x
+    } else {
+        1.055 * x.powf(1.0 / 2.4) - 0.055
+    }
 }
 
 /// Inverse of [`srgb_from_linear`]; input clamped to [0, 1].
 #[must_use]
 pub fn linear_from_srgb(x: f32) -> f32 {
     let x = x.clamp(0.0, 1.0);
-    if x <= 0.040_45 { x / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
+    if x <= 0.040_45 {
+        x / 12.92
+    } else {
+        ((x + 0.055) / 1.055).powf(2.4)
+    }
 }

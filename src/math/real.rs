@@ -4,7 +4,13 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// A real scalar: f32, f64 or a [`super::Dual`] number.
 pub trait Real:
-    Copy + PartialOrd + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
+    Copy
+    + PartialOrd
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
 {
     /// A literal.
     fn lit(x: f64) -> Self;

@@ -1,8 +1,10 @@
-//! Structural similarity (Wang et al. 2004) in the form that `pytorch_msssim` computes, so that figures compare with TexIR's.
+//! Structural similarity (Wang et al. 2004) in the form that `pytorch_msssim` computes, so that
+//! figures compare with TexIR's.
 //!
-//! Gaussian window of 11×11 pixels with σ = 1.5, K₁ = 0.01, K₂ = 0.03, data range 1; windows lie wholly inside the image
-//! ("valid", no padding), so the map is smaller than the image by 10 in each direction; a side shorter than 11 pixels is not
-//! smoothed along that axis. The map is averaged per channel, a negative channel mean counts as 0, channels are averaged.
+//! Gaussian window of 11×11 pixels with σ = 1.5, K₁ = 0.01, K₂ = 0.03, data range 1; windows lie
+//! wholly inside the image ("valid", no padding), so the map is smaller than the image by 10 in
+//! each direction; a side shorter than 11 pixels is not smoothed along that axis. The map is
+//! averaged per channel, a negative channel mean counts as 0, channels are averaged.
 
 use super::{Channels, assert_same_size};
 use crate::image::Plane;
@@ -28,8 +30,8 @@ pub fn ssim<T: Channels>(a: &Plane<T>, b: &Plane<T>) -> f64 {
 
 /// SSIM over the windows whose centre `mask` holds; `None` if there is none.
 ///
-/// Inside such a window pixels outside the mask are taken as equal in both images (the value of `b`, the reference), so that
-/// what is left out cannot speak against the prediction.
+/// Inside such a window pixels outside the mask are taken as equal in both images (the value of
+/// `b`, the reference), so that what is left out cannot speak against the prediction.
 ///
 /// # Panics
 /// If the planes differ in size.
@@ -38,14 +40,25 @@ pub fn masked_ssim<T: Channels>(a: &Plane<T>, b: &Plane<T>, mask: &Plane<bool>) 
     assert_same_size(a, b);
     assert_same_size(a, mask);
     let (window_x, window_y) = (axis_window(a.width), axis_window(a.height));
-    let (out_w, out_h) = (a.width + 1 - window_x.len().min(a.width + 1), a.height + 1 - window_y.len().min(a.height + 1));
+    let (out_w, out_h) = (
+        a.width + 1 - window_x.len().min(a.width + 1),
+        a.height + 1 - window_y.len().min(a.height + 1),
+    );
     let centre = |x: usize, y: usize| mask[(x + window_x.len() / 2, y + window_y.len() / 2)];
-    let count = (0..out_h).map(|y| (0..out_w).filter(|&x| centre(x, y)).count()).sum::<usize>();
+    let count = (0..out_h)
+        .map(|y| (0..out_w).filter(|&x| centre(x, y)).count())
+        .sum::<usize>();
     if count == 0 {
         return None;
     }
     let per_channel = |c: usize| {
-        let clip = |v: f32| if v.is_finite() { f64::from(v.clamp(0.0, 1.0)) } else { 0.0 };
+        let clip = |v: f32| {
+            if v.is_finite() {
+                f64::from(v.clamp(0.0, 1.0))
+            } else {
+                0.0
+            }
+        };
         // rows of the five moments, smoothed along x; then smoothed along y row by row
         let rows: Vec<Vec<[f64; 5]>> = (0..a.height)
             .into_par_iter()
@@ -63,14 +76,21 @@ pub fn masked_ssim<T: Channels>(a: &Plane<T>, b: &Plane<T>, mask: &Plane<bool>) 
                         [p, r, p * p, r * r, p * r]
                     })
                     .collect();
-                (0..out_w).map(|x| weighted_sum(window_x.iter().zip(&moments[x..]))).collect()
+                (0..out_w)
+                    .map(|x| weighted_sum(window_x.iter().zip(&moments[x..])))
+                    .collect()
             })
             .collect();
         let sums: Vec<f64> = (0..out_h)
             .into_par_iter()
             .map(|y| {
-                let column = |x: usize| weighted_sum(window_y.iter().zip(rows[y..].iter().map(|row| &row[x])));
-                (0..out_w).filter(|&x| centre(x, y)).map(|x| similarity(column(x))).sum()
+                let column = |x: usize| {
+                    weighted_sum(window_y.iter().zip(rows[y..].iter().map(|row| &row[x])))
+                };
+                (0..out_w)
+                    .filter(|&x| centre(x, y))
+                    .map(|x| similarity(column(x)))
+                    .sum()
             })
             .collect();
         (sums.into_iter().sum::<f64>() / count as f64).max(0.0)
@@ -100,7 +120,9 @@ fn axis_window(side: usize) -> Vec<f64> {
         return vec![1.0];
     }
     let half = (WINDOW / 2) as f64;
-    let taps: Vec<f64> = (0..WINDOW).map(|i| (-(i as f64 - half).powi(2) / (2.0 * SIGMA * SIGMA)).exp()).collect();
+    let taps: Vec<f64> = (0..WINDOW)
+        .map(|i| (-(i as f64 - half).powi(2) / (2.0 * SIGMA * SIGMA)).exp())
+        .collect();
     let sum: f64 = taps.iter().sum();
     taps.into_iter().map(|t| t / sum).collect()
 }
@@ -111,7 +133,13 @@ mod tests {
     use glam::Vec3;
 
     fn pattern(w: usize, h: usize) -> Plane<f32> {
-        Plane { width: w, height: h, data: (0..w * h).map(|i| ((i * 37) % 101) as f32 / 100.0).collect() }
+        Plane {
+            width: w,
+            height: h,
+            data: (0..w * h)
+                .map(|i| ((i * 37) % 101) as f32 / 100.0)
+                .collect(),
+        }
     }
 
     /// Equation 13 of the article by four nested loops over every window.
@@ -140,7 +168,10 @@ mod tests {
     #[test]
     fn constants_have_a_closed_form() {
         // no variance: SSIM = (2pr + C1) / (p² + r² + C1)
-        let (a, b) = (Plane::filled(20, 16, Vec3::splat(0.25)), Plane::filled(20, 16, Vec3::splat(0.5)));
+        let (a, b) = (
+            Plane::filled(20, 16, Vec3::splat(0.25)),
+            Plane::filled(20, 16, Vec3::splat(0.5)),
+        );
         let expected = (2.0 * 0.125 + 1e-4) / (0.0625 + 0.25 + 1e-4);
         assert!((ssim(&a, &b) - expected).abs() < 1e-9);
         assert!((ssim(&a, &a) - 1.0).abs() < 1e-12);

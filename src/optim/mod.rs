@@ -1,7 +1,8 @@
 //! Robust statistics that several stages share.
 
-/// Index of the weighted median among (value, weight) pairs: the smallest value at which the weights up to it reach half of their sum.
-/// `None` for an empty list. Weights are ≥ 0; if all are 0, the smallest value is the median. NaN values count as largest.
+/// Index of the weighted median among (value, weight) pairs: the smallest value at which the
+/// weights up to it reach half of their sum. `None` for an empty list. Weights are ≥ 0; if all are
+/// 0, the smallest value is the median. NaN values count as largest.
 #[must_use]
 pub fn weighted_median(pairs: &[(f32, f32)]) -> Option<usize> {
     let mut order: Vec<usize> = (0..pairs.len()).collect();
@@ -18,7 +19,8 @@ pub fn weighted_median(pairs: &[(f32, f32)]) -> Option<usize> {
         .or(order.last().copied())
 }
 
-/// The middle one of some values in order (the upper of two); `None` for an empty list. NaN counts as largest.
+/// The middle one of some values in order (the upper of two); `None` for an empty list. NaN counts
+/// as largest.
 #[must_use]
 pub fn median(mut values: Vec<f32>) -> Option<f32> {
     values.sort_by(f32::total_cmp);
@@ -40,14 +42,25 @@ mod tests {
     fn median_splits_the_weight_in_halves() {
         assert_eq!(weighted_median(&[]), None);
         assert_eq!(weighted_median(&[(3.0, 1.0)]), Some(0));
-        assert_eq!(weighted_median(&[(3.0, 1.0), (1.0, 1.0), (2.0, 1.0)]), Some(2));
+        assert_eq!(
+            weighted_median(&[(3.0, 1.0), (1.0, 1.0), (2.0, 1.0)]),
+            Some(2)
+        );
         // one heavy value decides; two equal halves give the smaller one
-        assert_eq!(weighted_median(&[(3.0, 5.0), (1.0, 1.0), (2.0, 1.0)]), Some(0));
+        assert_eq!(
+            weighted_median(&[(3.0, 5.0), (1.0, 1.0), (2.0, 1.0)]),
+            Some(0)
+        );
         assert_eq!(weighted_median(&[(2.0, 1.0), (1.0, 1.0)]), Some(1));
         assert_eq!(weighted_median(&[(2.0, 0.0), (1.0, 0.0)]), Some(1));
-        assert_eq!(weighted_median(&[(f32::NAN, 1.0), (1.0, 1.0), (0.0, 1.0)]), Some(1));
+        assert_eq!(
+            weighted_median(&[(f32::NAN, 1.0), (1.0, 1.0), (0.0, 1.0)]),
+            Some(1)
+        );
         // against the definition, on values in no order
-        let pairs: Vec<(f32, f32)> = (0..57).map(|i| (((i * 37) % 57) as f32, ((i * 11) % 7) as f32)).collect();
+        let pairs: Vec<(f32, f32)> = (0..57)
+            .map(|i| (((i * 37) % 57) as f32, ((i * 11) % 7) as f32))
+            .collect();
         let m = pairs[weighted_median(&pairs).expect("not empty")].0;
         let total: f32 = pairs.iter().map(|p| p.1).sum();
         let below: f32 = pairs.iter().filter(|p| p.0 < m).map(|p| p.1).sum();

@@ -3,19 +3,31 @@
 
 use rayon::prelude::*;
 
-/// Elements per chunk of a deterministic reduction: a constant of the algorithm, not of the machine.
+/// Elements per chunk of a deterministic reduction: a constant of the algorithm, not of the
+/// machine.
 pub const CHUNK: usize = 4096;
 
-/// Maps fixed-size index ranges `[begin, end)` covering `0..len` in parallel and returns the results in order.
-pub fn map_chunks<T: Send>(len: usize, chunk: usize, f: impl Fn(std::ops::Range<usize>) -> T + Sync + Send) -> Vec<T> {
+/// Maps fixed-size index ranges `[begin, end)` covering `0..len` in parallel and returns the
+/// results in order.
+pub fn map_chunks<T: Send>(
+    len: usize,
+    chunk: usize,
+    f: impl Fn(std::ops::Range<usize>) -> T + Sync + Send,
+) -> Vec<T> {
     let chunk = chunk.max(1);
     // every chunk may go to another thread: longer runs would leave threads idle at the end
-    (0..len.div_ceil(chunk)).into_par_iter().with_max_len(1).map(|i| f(i * chunk..((i + 1) * chunk).min(len))).collect()
+    (0..len.div_ceil(chunk))
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|i| f(i * chunk..((i + 1) * chunk).min(len)))
+        .collect()
 }
 
 /// Sums `f(i)` over `0..len` in f64 with the same bits for any number of threads.
 pub fn sum_f64(len: usize, f: impl Fn(usize) -> f64 + Sync + Send) -> f64 {
-    map_chunks(len, CHUNK, |r| r.map(&f).sum::<f64>()).into_iter().sum()
+    map_chunks(len, CHUNK, |r| r.map(&f).sum::<f64>())
+        .into_iter()
+        .sum()
 }
 
 #[cfg(test)]

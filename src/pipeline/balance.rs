@@ -1,4 +1,5 @@
-//! What is wrong with photographs as photographs: exposure and white balance that drift from view to view, and clipped skies.
+//! What is wrong with photographs as photographs: exposure and white balance that drift from view
+//! to view, and clipped skies.
 
 use super::Switch;
 use crate::gbuffer::{ObservedView, Observer, Orientation, estimate_gains};
@@ -8,17 +9,25 @@ use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::trace::Hit;
 
-/// Where a view's sky is clipped below what another view shows of the sky, its pixels tell nothing; if all are clipped alike, the
-/// ceiling stays as the best lower bound there is.
+/// Where a view's sky is clipped below what another view shows of the sky, its pixels tell nothing;
+/// if all are clipped alike, the ceiling stays as the best lower bound there is.
 pub(super) fn leave_out_clipped_sky(views: &mut [ObservedView], clipped: &[Option<Plane<bool>>]) {
     let sky = |v: &ObservedView| -> f32 {
-        let seen = v.buffer.triangle.data.iter().zip(&v.radiance.data).filter(|(t, _)| **t == Hit::MISS);
+        let seen = v
+            .buffer
+            .triangle
+            .data
+            .iter()
+            .zip(&v.radiance.data)
+            .filter(|(t, _)| **t == Hit::MISS);
         seen.map(|(_, l)| luminance(*l)).fold(0.0, f32::max)
     };
     let brightest: Vec<f32> = views.iter().map(sky).collect();
     let top = brightest.iter().copied().fold(0.0, f32::max);
     for ((view, clipped), own) in views.iter_mut().zip(clipped).zip(brightest) {
-        let Some(clipped) = clipped.as_ref().filter(|_| own < 0.9 * top) else { continue };
+        let Some(clipped) = clipped.as_ref().filter(|_| own < 0.9 * top) else {
+            continue;
+        };
         let misses = &view.buffer.triangle.data;
         let valid = view.valid.get_or_insert_with(|| clipped.map(|_| true));
         for (i, valid) in valid.data.iter_mut().enumerate() {
@@ -27,7 +36,8 @@ pub(super) fn leave_out_clipped_sky(views: &mut [ObservedView], clipped: &[Optio
     }
 }
 
-/// Solves for exposure and white balance of every view and takes them out of the images if the views ask for it.
+/// Solves for exposure and white balance of every view and takes them out of the images if the
+/// views ask for it.
 pub(super) fn balance_views(
     scene: &Scene,
     views: &mut [ObservedView],
@@ -40,8 +50,15 @@ pub(super) fn balance_views(
         progress.decide(WHAT, "as photographed", "--exposure off", true);
         return;
     }
-    let gains =
-        progress.stage("exposure of the views", 1, |_| estimate_gains(&Observer { mesh: &scene.mesh, views }, orientation));
+    let gains = progress.stage("exposure of the views", 1, |_| {
+        estimate_gains(
+            &Observer {
+                mesh: &scene.mesh,
+                views,
+            },
+            orientation,
+        )
+    });
     let apply = switch == Switch::On || gains.is_needed();
     let why = format!(
         "views differ by {:.1} % (RMS) at {} shared points; they disagree by {:.1} % as photographed, by {:.1} % balanced",
@@ -50,7 +67,12 @@ pub(super) fn balance_views(
         100.0 * gains.before,
         100.0 * gains.after
     );
-    progress.decide(WHAT, if apply { "balanced" } else { "as photographed" }, why, switch == Switch::On);
+    progress.decide(
+        WHAT,
+        if apply { "balanced" } else { "as photographed" },
+        why,
+        switch == Switch::On,
+    );
     if apply {
         for (v, view) in views.iter_mut().enumerate() {
             let correction = gains.correction(v);

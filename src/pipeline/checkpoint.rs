@@ -1,7 +1,8 @@
 //! Resuming: what long stages computed lies in `OUT/.partial` until the run is complete.
 //!
-//! A run with the same inputs, options, seed and program finds it there and gives the same bits as one that never stopped. A file is
-//! used only if its hash fits; anything else is computed again. Nothing here can make a run fail: a disk without room is only noted.
+//! A run with the same inputs, options, seed and program finds it there and gives the same bits as
+//! one that never stopped. A file is used only if its hash fits; anything else is computed again.
+//! Nothing here can make a run fail: a disk without room is only noted.
 
 use crate::formats::atomic_write;
 use crate::lighting::{Fusion, Irradiance};
@@ -27,7 +28,8 @@ pub trait Kept: Sized {
 }
 
 impl Checkpoints {
-    /// Results of the run `key` (a hash of everything it depends on) into the output folder `out`; those of other runs are removed.
+    /// Results of the run `key` (a hash of everything it depends on) into the output folder `out`;
+    /// those of other runs are removed.
     #[must_use]
     pub fn new(out: &Path, key: &str) -> Self {
         let all = out.join(FOLDER);
@@ -36,14 +38,26 @@ impl Checkpoints {
             // of another run: no use to this one, and no harm if it stays
             let _ = std::fs::remove_dir_all(&all);
         }
-        Self { folder: Some(folder) }
+        Self {
+            folder: Some(folder),
+        }
     }
 
     /// The kept result called `name`, or that of `compute`, which is then kept.
-    pub fn reuse<T: Kept>(&self, name: &str, progress: &Progress, compute: impl FnOnce() -> T) -> T {
-        let Some(folder) = &self.folder else { return compute() };
+    pub fn reuse<T: Kept>(
+        &self,
+        name: &str,
+        progress: &Progress,
+        compute: impl FnOnce() -> T,
+    ) -> T {
+        let Some(folder) = &self.folder else {
+            return compute();
+        };
         let path = folder.join(name);
-        if let Some(kept) = std::fs::read(&path).ok().and_then(|bytes| T::restored(&unpacked(&bytes)?)) {
+        if let Some(kept) = std::fs::read(&path)
+            .ok()
+            .and_then(|bytes| T::restored(&unpacked(&bytes)?))
+        {
             progress.note(format!("{name}: taken over from the run that stopped"));
             return kept;
         }
@@ -106,18 +120,39 @@ fn column<T: NoUninit>(values: &[T]) -> Vec<u8> {
 
 fn values<T: Pod>(column: &[u8]) -> Option<Vec<T>> {
     let size = size_of::<T>();
-    column.len().is_multiple_of(size).then(|| column.chunks_exact(size).map(bytemuck::pod_read_unaligned).collect())
+    column.len().is_multiple_of(size).then(|| {
+        column
+            .chunks_exact(size)
+            .map(bytemuck::pod_read_unaligned)
+            .collect()
+    })
 }
 
 impl Kept for Fusion {
     fn columns(&self) -> Vec<Vec<u8>> {
-        let Self { radiance, clean, peak, views, label, floor } = self;
+        let Self {
+            radiance,
+            clean,
+            peak,
+            views,
+            label,
+            floor,
+        } = self;
         let clean: Vec<u8> = clean.iter().map(|c| u8::from(*c)).collect();
-        vec![column(radiance), clean, column(peak), views.clone(), column(label), column(floor)]
+        vec![
+            column(radiance),
+            clean,
+            column(peak),
+            views.clone(),
+            column(label),
+            column(floor),
+        ]
     }
 
     fn restored(columns: &[Vec<u8>]) -> Option<Self> {
-        let [radiance, clean, peak, views, label, floor] = columns else { return None };
+        let [radiance, clean, peak, views, label, floor] = columns else {
+            return None;
+        };
         Some(Self {
             radiance: values(radiance)?,
             clean: clean.iter().map(|c| *c != 0).collect(),
@@ -131,14 +166,31 @@ impl Kept for Fusion {
 
 impl Kept for Irradiance {
     fn columns(&self) -> Vec<Vec<u8>> {
-        let Self { value, parts, error, rays } = self;
-        vec![column(value), column(parts), column(error), column(&[*rays])]
+        let Self {
+            value,
+            parts,
+            error,
+            rays,
+        } = self;
+        vec![
+            column(value),
+            column(parts),
+            column(error),
+            column(&[*rays]),
+        ]
     }
 
     fn restored(columns: &[Vec<u8>]) -> Option<Self> {
-        let [value, parts, error, rays] = columns else { return None };
+        let [value, parts, error, rays] = columns else {
+            return None;
+        };
         let rays = values(rays)?.first().copied()?;
-        Some(Self { value: values(value)?, parts: values(parts)?, error: values(error)?, rays })
+        Some(Self {
+            value: values(value)?,
+            parts: values(parts)?,
+            error: values(error)?,
+            rays,
+        })
     }
 }
 
@@ -166,12 +218,21 @@ mod tests {
         let dir = tempfile::tempdir().expect("temp");
         let p = Progress::silent();
         let run = Checkpoints::new(dir.path(), "key");
-        assert!(same(&run.reuse("irradiance", &p, || irradiance(1.0)), &irradiance(1.0)));
+        assert!(same(
+            &run.reuse("irradiance", &p, || irradiance(1.0)),
+            &irradiance(1.0)
+        ));
         let again = Checkpoints::new(dir.path(), "key");
-        assert!(same(&again.reuse("irradiance", &p, || panic!("kept")), &irradiance(1.0)));
+        assert!(same(
+            &again.reuse("irradiance", &p, || panic!("kept")),
+            &irradiance(1.0)
+        ));
         // another run finds nothing, and removes what it cannot use
         let other = Checkpoints::new(dir.path(), "other");
-        assert!(same(&other.reuse("irradiance", &p, || irradiance(5.0)), &irradiance(5.0)));
+        assert!(same(
+            &other.reuse("irradiance", &p, || irradiance(5.0)),
+            &irradiance(5.0)
+        ));
         other.finish();
         assert_eq!(std::fs::read_dir(dir.path()).expect("lists").count(), 0);
     }
@@ -184,14 +245,27 @@ mod tests {
         run.reuse("irradiance", &p, || irradiance(1.0));
         let path = dir.path().join(FOLDER).join("key/irradiance");
         let whole = std::fs::read(&path).expect("kept");
-        for (i, damaged) in [whole[..40].to_vec(), whole[..whole.len() - 1].to_vec(), Vec::new()].into_iter().enumerate() {
+        for (i, damaged) in [
+            whole[..40].to_vec(),
+            whole[..whole.len() - 1].to_vec(),
+            Vec::new(),
+        ]
+        .into_iter()
+        .enumerate()
+        {
             std::fs::write(&path, damaged).expect("damage");
-            assert!(same(&run.reuse("irradiance", &p, || irradiance(i as f32)), &irradiance(i as f32)));
+            assert!(same(
+                &run.reuse("irradiance", &p, || irradiance(i as f32)),
+                &irradiance(i as f32)
+            ));
         }
         let mut bit = whole.clone();
         bit[100] ^= 1;
         std::fs::write(&path, bit).expect("damage");
-        assert!(same(&run.reuse("irradiance", &p, || irradiance(7.0)), &irradiance(7.0)));
+        assert!(same(
+            &run.reuse("irradiance", &p, || irradiance(7.0)),
+            &irradiance(7.0)
+        ));
         // of another kind
         assert!(Fusion::restored(&unpacked(&whole).expect("whole")).is_none());
     }
@@ -201,6 +275,9 @@ mod tests {
         let dir = tempfile::tempdir().expect("temp");
         std::fs::write(dir.path().join(FOLDER), b"in the way").expect("file");
         let run = Checkpoints::new(dir.path(), "key");
-        assert!(same(&run.reuse("irradiance", &Progress::silent(), || irradiance(1.0)), &irradiance(1.0)));
+        assert!(same(
+            &run.reuse("irradiance", &Progress::silent(), || irradiance(1.0)),
+            &irradiance(1.0)
+        ));
     }
 }

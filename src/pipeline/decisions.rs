@@ -1,4 +1,5 @@
-//! Model only what a scene requires: each choice is made from evidence, says why, and can be forced.
+//! Model only what a scene requires: each choice is made from evidence, says why, and can be
+//! forced.
 
 use super::budget::Workload;
 use super::{Quality, SolveOptions, Switch};
@@ -27,25 +28,52 @@ pub struct Sizes {
 
 /// Surface points that are asked how sharply the photographs see them.
 const POINTS: usize = 20_000;
-/// Share of the seen surface on which a texel is no larger than the sharpest pixel: the half that is seen best needs no finer ones
-/// (measured on a synthetic room: at twice the side, held-out albedo −0.1 dB and views +0.1 dB; at half of it −0.3 and −0.7 dB).
+/// Share of the seen surface on which a texel is no larger than the sharpest pixel: the half that
+/// is seen best needs no finer ones (measured on a synthetic room: at twice the side, held-out
+/// albedo −0.1 dB and views +0.1 dB; at half of it −0.3 and −0.7 dB).
 const RESOLVED: f64 = 0.5;
 const RESOLVED_HIGH: f64 = 0.9;
 /// Sizes are multiples of this.
 const STEP: usize = 64;
 
 /// Texture sizes: as given, or as sharp as the photographs and no sharper.
-pub(super) fn choose_sizes(observer: &Observer, orientation: &Orientation, options: &SolveOptions, progress: &Progress) -> Sizes {
-    let given = [options.albedo_size, options.roughness_size, options.irradiance_size];
-    let fit = [options.fit.albedo, options.fit.roughness, options.fit.irradiance];
+pub(super) fn choose_sizes(
+    observer: &Observer,
+    orientation: &Orientation,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Sizes {
+    let given = [
+        options.albedo_size,
+        options.roughness_size,
+        options.irradiance_size,
+    ];
+    let fit = [
+        options.fit.albedo,
+        options.fit.roughness,
+        options.fit.irradiance,
+    ];
     let begin = Instant::now();
     let asked = fit.contains(&true) || options.budget.is_some();
-    let resolved = if options.quality == Quality::High { RESOLVED_HIGH } else { RESOLVED };
-    let supported = if asked { supported_side(observer, orientation, resolved, options.seed) } else { None };
+    let resolved = if options.quality == Quality::High {
+        RESOLVED_HIGH
+    } else {
+        RESOLVED
+    };
+    let supported = if asked {
+        supported_side(observer, orientation, resolved, options.seed)
+    } else {
+        None
+    };
     let lookup = begin.elapsed().as_secs_f64() / POINTS as f64;
     let mut sides = given;
-    for (i, (name, flag)) in
-        [("albedo", "albedo-size"), ("roughness", "roughness-size"), ("irradiance", "irradiance-size")].into_iter().enumerate()
+    for (i, (name, flag)) in [
+        ("albedo", "albedo-size"),
+        ("roughness", "roughness-size"),
+        ("irradiance", "irradiance-size"),
+    ]
+    .into_iter()
+    .enumerate()
     {
         let what = format!("{name} texture");
         match supported {
@@ -58,24 +86,58 @@ pub(super) fn choose_sizes(observer: &Observer, orientation: &Orientation, optio
                 );
                 progress.decide(&what, format!("{0}²", sides[i]), why, false);
             }
-            None if fit[i] => progress.decide(&what, format!("{0}²", given[i]), "no view sees the surface clearly", false),
-            _ => progress.decide(&what, format!("{0}²", given[i]), format!("--{flag} or --fit-textures"), true),
+            None if fit[i] => progress.decide(
+                &what,
+                format!("{0}²", given[i]),
+                "no view sees the surface clearly",
+                false,
+            ),
+            _ => progress.decide(
+                &what,
+                format!("{0}²", given[i]),
+                format!("--{flag} or --fit-textures"),
+                true,
+            ),
         }
     }
-    let sizes = Sizes { albedo: sides[0], roughness: sides[1], irradiance: sides[2] };
-    let Some(budget) = &options.budget else { return sizes };
+    let sizes = Sizes {
+        albedo: sides[0],
+        roughness: sides[1],
+        irradiance: sides[2],
+    };
+    let Some(budget) = &options.budget else {
+        return sizes;
+    };
     let mesh = observer.mesh;
-    let covered: f64 = (0..mesh.triangles.len()).map(|t| atlas_area(mesh, t)).filter(|a| a.is_finite()).sum();
+    let covered: f64 = (0..mesh.triangles.len())
+        .map(|t| atlas_area(mesh, t))
+        .filter(|a| a.is_finite())
+        .sum();
     let edge_pixels: usize = observer
         .views
         .iter()
-        .map(|v| v.clean.data.iter().zip(&v.buffer.triangle.data).filter(|(clean, t)| !**clean && **t != Hit::MISS).count())
+        .map(|v| {
+            v.clean
+                .data
+                .iter()
+                .zip(&v.buffer.triangle.data)
+                .filter(|(clean, t)| !**clean && **t != Hit::MISS)
+                .count()
+        })
         .sum();
     let work = Workload {
         covered: covered.clamp(0.01, 1.0),
         lookup,
-        pixels: observer.views.iter().map(|v| v.radiance.data.len()).sum::<usize>() as f64,
-        edge_pixels: if options.edges == Switch::Off { 0.0 } else { edge_pixels as f64 },
+        pixels: observer
+            .views
+            .iter()
+            .map(|v| v.radiance.data.len())
+            .sum::<usize>() as f64,
+        edge_pixels: if options.edges == Switch::Off {
+            0.0
+        } else {
+            edge_pixels as f64
+        },
         report_pixels: report_pixels(observer),
     };
     let cheaper = budget.sizes(sizes, &work, progress);
@@ -101,17 +163,32 @@ fn atlas_area(mesh: &Mesh, t: usize) -> f64 {
     0.5 * f64::from((b - a).perp_dot(c - a).abs())
 }
 
-/// Side of a texture whose texels are as small as the sharpest clean look at them on a share `resolved` of the seen surface; `None` if
-/// nothing is seen.
-fn supported_side(observer: &Observer, orientation: &Orientation, resolved: f64, seed: u64) -> Option<usize> {
+/// Side of a texture whose texels are as small as the sharpest clean look at them on a share
+/// `resolved` of the seen surface; `None` if nothing is seen.
+fn supported_side(
+    observer: &Observer,
+    orientation: &Orientation,
+    resolved: f64,
+    seed: u64,
+) -> Option<usize> {
     let mesh: &Mesh = observer.mesh;
-    let areas: Vec<f64> =
-        (0..mesh.triangles.len()).map(|t| f64::from(mesh.area(t))).map(|a| if a.is_finite() { a } else { 0.0 }).collect();
+    let areas: Vec<f64> = (0..mesh.triangles.len())
+        .map(|t| f64::from(mesh.area(t)))
+        .map(|a| if a.is_finite() { a } else { 0.0 })
+        .collect();
     let table = Discrete::new(&areas)?;
     let mut needed: Vec<f64> = crate::parallel::map_chunks(POINTS, 500, |range| {
         let mut seen = Vec::new();
         range
-            .filter_map(|i| point_needs(observer, orientation, &table, KeyedRng::new(seed ^ 0xf007, i as u64), &mut seen))
+            .filter_map(|i| {
+                point_needs(
+                    observer,
+                    orientation,
+                    &table,
+                    KeyedRng::new(seed ^ 0xf007, i as u64),
+                    &mut seen,
+                )
+            })
             .collect::<Vec<f64>>()
     })
     .into_iter()
@@ -133,14 +210,27 @@ fn point_needs(
     let mesh = observer.mesh;
     let t = table.sample(rng.next_f32()).0;
     let [u, v] = crate::sampling::square_to_triangle([rng.next_f32(), rng.next_f32()]);
-    observer.observe(mesh.position(t, u, v), mesh.face_normal(t) * orientation.sign(t), seen);
-    let sharpest = seen.iter().filter(|o| o.clean).map(|o| o.footprint).fold(f32::INFINITY, f32::min);
+    observer.observe(
+        mesh.position(t, u, v),
+        mesh.face_normal(t) * orientation.sign(t),
+        seen,
+    );
+    let sharpest = seen
+        .iter()
+        .filter(|o| o.clean)
+        .map(|o| o.footprint)
+        .fold(f32::INFINITY, f32::min);
     let metres = (f64::from(mesh.area(t)) / atlas_area(mesh, t)).sqrt();
-    (sharpest.is_finite() && sharpest > 0.0 && metres.is_finite()).then(|| metres / f64::from(sharpest))
+    (sharpest.is_finite() && sharpest > 0.0 && metres.is_finite())
+        .then(|| metres / f64::from(sharpest))
 }
 
 /// The environment that the views see past all geometry, unless it is black or forbidden.
-pub(super) fn choose_environment(views: &[ObservedView], options: &SolveOptions, progress: &Progress) -> Environment {
+pub(super) fn choose_environment(
+    views: &[ObservedView],
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Environment {
     let what = "environment";
     if options.environment == Switch::Off {
         progress.decide(what, "none", "--environment off", true);
@@ -148,24 +238,47 @@ pub(super) fn choose_environment(views: &[ObservedView], options: &SolveOptions,
     }
     let environment = Environment::observe(views);
     if environment.is_black() {
-        progress.decide(what, "none", "no ray of any view escapes the geometry, or only into darkness", false);
+        progress.decide(
+            what,
+            "none",
+            "no ray of any view escapes the geometry, or only into darkness",
+            false,
+        );
     } else {
         let share = 100.0 * environment.seen_share();
-        progress.decide(what, "used", format!("views see past the geometry in {share:.1} % of directions"), false);
+        progress.decide(
+            what,
+            "used",
+            format!("views see past the geometry in {share:.1} % of directions"),
+            false,
+        );
     }
     environment
 }
 
 /// Says which surfaces emit.
-pub(super) fn report_emission(emissive: &[bool], known: &[bool], options: &SolveOptions, progress: &Progress) {
+pub(super) fn report_emission(
+    emissive: &[bool],
+    known: &[bool],
+    options: &SolveOptions,
+    progress: &Progress,
+) {
     let count = |marks: &[bool]| marks.iter().filter(|e| **e).count();
     let (all, declared) = (count(emissive), count(known));
     if options.emission == Switch::Off {
         progress.decide("emission", "none", "--emission off", true);
     } else if all == 0 {
-        progress.decide("emission", "none", "no surface sends out more light than white would reflect there", false);
+        progress.decide(
+            "emission",
+            "none",
+            "no surface sends out more light than white would reflect there",
+            false,
+        );
     } else {
-        let why = format!("{declared} of kind light, {} send out more than white would reflect there", all - declared.min(all));
+        let why = format!(
+            "{declared} of kind light, {} send out more than white would reflect there",
+            all - declared.min(all)
+        );
         progress.decide("emission", format!("{all} triangles"), why, false);
     }
 }
@@ -173,7 +286,8 @@ pub(super) fn report_emission(emissive: &[bool], known: &[bool], options: &Solve
 /// Standard errors of the roughness by which a class must lie above [`WIDE`] to count as matte.
 const CERTAIN: f32 = 3.0;
 
-/// Classes whose lobes a few points show to be too wide for highlights, under the model that suits those points.
+/// Classes whose lobes a few points show to be too wide for highlights, under the model that suits
+/// those points.
 pub(super) fn choose_matte(pilot: &Evidence, options: &SolveOptions) -> BTreeSet<u16> {
     if options.matte == Switch::Off {
         return BTreeSet::new();
@@ -182,55 +296,97 @@ pub(super) fn choose_matte(pilot: &Evidence, options: &SolveOptions) -> BTreeSet
         Some(model) => fit_groups(pilot, model),
         None => choose_model(pilot).1,
     };
-    fits.iter().filter(|f| f.points > 0 && f.roughness - CERTAIN * f.error > WIDE).map(|f| f.class).collect()
+    fits.iter()
+        .filter(|f| f.points > 0 && f.roughness - CERTAIN * f.error > WIDE)
+        .map(|f| f.class)
+        .collect()
 }
 
 /// Says which classes go without specular rays.
-pub(super) fn report_matte(scene: &Scene, matte: &BTreeSet<u16>, options: &SolveOptions, progress: &Progress) {
+pub(super) fn report_matte(
+    scene: &Scene,
+    matte: &BTreeSet<u16>,
+    options: &SolveOptions,
+    progress: &Progress,
+) {
     let what = "specular rays";
     match options.matte {
         Switch::Off => progress.decide(what, "for all classes", "--matte off", true),
         Switch::On => progress.decide(what, "for roughness below 0.5", "--matte on", true),
         Switch::Auto if matte.is_empty() => {
-            progress.decide(what, "for all classes", "no class is certain to have lobes too wide for highlights", false);
+            progress.decide(
+                what,
+                "for all classes",
+                "no class is certain to have lobes too wide for highlights",
+                false,
+            );
         }
         Switch::Auto => {
             let names: BTreeSet<String> = matte.iter().map(|c| class_name(scene, *c)).collect();
             let list = names.into_iter().collect::<Vec<_>>().join(", ");
-            let why = format!("their roughness exceeds {WIDE} by {CERTAIN} standard errors: no highlight can be observed");
+            let why = format!(
+                "their roughness exceeds {WIDE} by {CERTAIN} standard errors: no highlight can be observed"
+            );
             progress.decide(what, format!("for all classes but {list}"), why, false);
         }
     }
 }
 
 fn class_name(scene: &Scene, id: u16) -> String {
-    scene.class(id).map_or_else(|| format!("class {id}"), |c| c.name.clone())
+    scene
+        .class(id)
+        .map_or_else(|| format!("class {id}"), |c| c.name.clone())
 }
 
 /// Says which classes have more than one roughness.
-pub(super) fn report_materials(scene: &Scene, materials: &Materials, options: &SolveOptions, progress: &Progress) {
+pub(super) fn report_materials(
+    scene: &Scene,
+    materials: &Materials,
+    options: &SolveOptions,
+    progress: &Progress,
+) {
     if options.divide == Switch::Off {
         progress.decide("roughness", "one per class", "--divide-classes off", true);
         return;
     }
-    let by_colour = materials.by_colour().map(|(id, [a, b])| format!("{} by colour ({a:.2}, {b:.2})", class_name(scene, id)));
+    let by_colour = materials
+        .by_colour()
+        .map(|(id, [a, b])| format!("{} by colour ({a:.2}, {b:.2})", class_name(scene, id)));
     let by_room = materials.by_room().map(|(id, rooms)| {
-        let values: Vec<String> = rooms.iter().map(|(room, r)| format!("room {room}: {r:.2}")).collect();
+        let values: Vec<String> = rooms
+            .iter()
+            .map(|(room, r)| format!("room {room}: {r:.2}"))
+            .collect();
         format!("{} by room ({})", class_name(scene, id), values.join(", "))
     });
-    let by_place = materials.by_place().map(|(id, [a, b])| format!("{} by place ({a:.2} to {b:.2})", class_name(scene, id)));
+    let by_place = materials
+        .by_place()
+        .map(|(id, [a, b])| format!("{} by place ({a:.2} to {b:.2})", class_name(scene, id)));
     let list: Vec<String> = by_colour.chain(by_room).chain(by_place).collect();
     if list.is_empty() {
         let why = "neither by room nor by colour nor by place do several values explain held-out views better than one";
         progress.decide("roughness", "one per class", why, false);
     } else {
-        let why = format!("held-out views are explained better so: {}", list.join("; "));
-        progress.decide("roughness", format!("one per class, several in {}", list.len()), why, false);
+        let why = format!(
+            "held-out views are explained better so: {}",
+            list.join("; ")
+        );
+        progress.decide(
+            "roughness",
+            format!("one per class, several in {}", list.len()),
+            why,
+            false,
+        );
     }
 }
 
 /// Says which classes are painted.
-pub(super) fn report_paint(scene: &Scene, paints: &[Paint], options: &SolveOptions, progress: &Progress) {
+pub(super) fn report_paint(
+    scene: &Scene,
+    paints: &[Paint],
+    options: &SolveOptions,
+    progress: &Progress,
+) {
     let list: Vec<String> = paints
         .iter()
         .map(|p| match p.colours.len() {
@@ -239,22 +395,38 @@ pub(super) fn report_paint(scene: &Scene, paints: &[Paint], options: &SolveOptio
         })
         .collect();
     let forced = options.painted == Switch::On;
-    let why =
-        if forced { "--painted on" } else { "their flat surface shows no texture, and few colours explain nearly all of it" };
+    let why = if forced {
+        "--painted on"
+    } else {
+        "their flat surface shows no texture, and few colours explain nearly all of it"
+    };
     if list.is_empty() {
-        progress.decide("painted in few colours", "no class", "all show texture, or too many colours", forced);
+        progress.decide(
+            "painted in few colours",
+            "no class",
+            "all show texture, or too many colours",
+            forced,
+        );
     } else {
         progress.decide("painted in few colours", list.join(", "), why, forced);
     }
 }
 
 /// The rooms of the scene, or `None` if it counts as one.
-pub(super) fn choose_rooms(scene: &Scene, tracer: &dyn Tracer, options: &SolveOptions, progress: &Progress) -> Option<RoomGrid> {
+pub(super) fn choose_rooms(
+    scene: &Scene,
+    tracer: &dyn Tracer,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Option<RoomGrid> {
     if options.rooms == Switch::Off {
         progress.decide("rooms", "one", "--rooms off", true);
         return None;
     }
-    let grid = scene.rooms.clone().unwrap_or_else(|| crate::scene::find_rooms(scene, tracer));
+    let grid = scene
+        .rooms
+        .clone()
+        .unwrap_or_else(|| crate::scene::find_rooms(scene, tracer));
     let why = match (&scene.rooms, grid.count()) {
         (Some(_), _) => "rooms_path of the scene",
         (None, 0 | 1) => "walls enclose one free floor",

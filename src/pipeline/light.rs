@@ -1,7 +1,8 @@
 //! Lighting stages: TBL, environment, emitters, IrT.
 //!
-//! Irradiance is baked twice. A coarse bake tells which texels send out more than they can reflect (emitters) and what surfaces no
-//! camera sees send out (the class's albedo times their irradiance); the full bake then uses both.
+//! Irradiance is baked twice. A coarse bake tells which texels send out more than they can reflect
+//! (emitters) and what surfaces no camera sees send out (the class's albedo times their
+//! irradiance); the full bake then uses both.
 
 use super::budget::{samples_for, split_samples};
 use super::decisions::{choose_environment, report_emission};
@@ -9,8 +10,8 @@ use super::{SolveOptions, Surface, Switch, surface::coverage};
 use crate::geometry::{Mesh, clusters};
 use crate::image::{Plane, RgbPlane};
 use crate::lighting::{
-    Bake, Budget, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField, PARTS, Patch, Receiver,
-    bake_irradiance, bake_surface, detect_emissive, spread,
+    Bake, Budget, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField,
+    PARTS, Patch, Receiver, bake_irradiance, bake_surface, detect_emissive, spread,
 };
 use crate::math::luminance;
 use crate::optim::median;
@@ -25,10 +26,12 @@ use std::time::Instant;
 /// Side of the coarse irradiance texture relative to the full one.
 const COARSE: usize = 4;
 
-/// Emitting triangles are one lamp if they lie at most this far apart, as a share of the scene's diagonal: a few centimetres in a flat.
+/// Emitting triangles are one lamp if they lie at most this far apart, as a share of the scene's
+/// diagonal: a few centimetres in a flat.
 const LAMP_GAP: f32 = 0.002;
 
-/// How much brighter than expected a texel seen only at edges may be before its radiance counts as a mixture with a brighter surface.
+/// How much brighter than expected a texel seen only at edges may be before its radiance counts as
+/// a mixture with a brighter surface.
 const MIXTURE_LIMIT: f32 = 1.5;
 
 /// The reconstructed light of a scene.
@@ -51,8 +54,8 @@ pub struct Light {
     pub rays: u64,
 }
 
-/// Importance of a texel whose centre lies outside its chart by up to one texel: the share of its interpolation weight that lies
-/// inside is at most a half, a sixth on average.
+/// Importance of a texel whose centre lies outside its chart by up to one texel: the share of its
+/// interpolation weight that lies inside is at most a half, a sixth on average.
 const BORDER: f32 = 0.25;
 
 /// Reconstructs the light from the fused observations.
@@ -65,22 +68,37 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let first_look = trusted_radiance(surface, &known);
     let mut radiance = first_radiance(surface, &first_look, &known);
     let coarse = coarse_texels(surface);
-    let coarse_options = IrtOptions { rays: 64, emitter_samples: 16, seed: options.seed ^ 1, ..IrtOptions::default() };
+    let coarse_options = IrtOptions {
+        rays: 64,
+        emitter_samples: 16,
+        seed: options.seed ^ 1,
+        ..IrtOptions::default()
+    };
     let mut rays = 0;
 
     // light as observed, known lamps only
-    let (field, emitters) = light_field(surface, &radiance, &known, environment.clone(), &coarse, options);
+    let (field, emitters) = light_field(
+        surface,
+        &radiance,
+        &known,
+        environment.clone(),
+        &coarse,
+        options,
+    );
     let begin = Instant::now();
-    let first =
-        progress.stage("emitters", coarse.len() as u64, |p| bake(surface, &field, &emitters, &coarse, &coarse_options, p));
+    let first = progress.stage("emitters", coarse.len() as u64, |p| {
+        bake(surface, &field, &emitters, &coarse, &coarse_options, p)
+    });
     let coarse_seconds = begin.elapsed().as_secs_f64();
     rays += first.rays;
     let coarse_irradiance = texture_of(&coarse, &first.value);
     let emissive = match options.emission {
         Switch::Off => known.clone(),
-        Switch::Auto | Switch::On => {
-            with_slivers(&scene.mesh, &surface.texels, emitting_triangles(surface, &coarse_irradiance, &known))
-        }
+        Switch::Auto | Switch::On => with_slivers(
+            &scene.mesh,
+            &surface.texels,
+            emitting_triangles(surface, &coarse_irradiance, &known),
+        ),
     };
     report_emission(&emissive, &known, options, progress);
 
@@ -88,20 +106,34 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let unseen = observed.iter().filter(|o| !**o).count();
     let predicted = complete_radiance(surface, &coarse_irradiance, &emissive);
     radiance = filled_radiance(surface, &predicted, &vec![true; observed.len()]);
-    let (field, emitters) = light_field(surface, &radiance, &emissive, environment, &coarse, options);
+    let (field, emitters) =
+        light_field(surface, &radiance, &emissive, environment, &coarse, options);
     progress.note(format!(
         "{} lamps and portals to sample; {:.1} % of texels unseen by any view",
         emitters.lamp_count(),
         100.0 * unseen as f64 / observed.len().max(1) as f64
     ));
-    let texels = Texels::rasterize(&scene.mesh, surface.sizes.irradiance, surface.sizes.irradiance);
+    let texels = Texels::rasterize(
+        &scene.mesh,
+        surface.sizes.irradiance,
+        surface.sizes.irradiance,
+    );
     let mut options = options.clone();
-    let rounds = if options.irradiance_filter { options.irradiance_rounds } else { 0 };
+    let rounds = if options.irradiance_filter {
+        options.irradiance_rounds
+    } else {
+        0
+    };
     let chosen = match (&options.budget, options.target_error) {
-        (Some(b), _) => Some(b.irradiance_samples(texels.len(), first.rays, coarse_seconds, rounds, progress)),
+        (Some(b), _) => {
+            Some(b.irradiance_samples(texels.len(), first.rays, coarse_seconds, rounds, progress))
+        }
         (None, Some(target)) => {
             let coarse = coarse_options.rays + coarse_options.emitter_samples;
-            Some((samples_for(target, unfiltered_error(&first), coarse, progress), rounds))
+            Some((
+                samples_for(target, unfiltered_error(&first), coarse, progress),
+                rounds,
+            ))
         }
         (None, None) => None,
     };
@@ -109,12 +141,21 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
         [options.irradiance_rays, options.emitter_samples] = split_samples(samples);
         options.irradiance_rounds = rounds.max(1);
     }
-    let baked = options
-        .checkpoints
-        .reuse("irradiance", progress, || bake_irradiance_texels(surface, &field, &emitters, &texels, &options, progress));
+    let baked = options.checkpoints.reuse("irradiance", progress, || {
+        bake_irradiance_texels(surface, &field, &emitters, &texels, &options, progress)
+    });
     rays += baked.rays;
     let irradiance = texture_of(&texels, &baked.value);
-    Light { field, emitters, emissive, radiance, texels, irradiance, error: baked.error, rays }
+    Light {
+        field,
+        emitters,
+        emissive,
+        radiance,
+        texels,
+        irradiance,
+        error: baked.error,
+        rays,
+    }
 }
 
 /// Relative error of a bake by how its parts scatter: √(Σ variance of their mean/Σ mean²).
@@ -126,10 +167,15 @@ fn unfiltered_error(bake: &Irradiance) -> f32 {
         error += f64::from(variance) * square / PARTS as f64;
         energy += square;
     }
-    if energy > 0.0 { (error / energy).sqrt() as f32 } else { 0.0 }
+    if energy > 0.0 {
+        (error / energy).sqrt() as f32
+    } else {
+        0.0
+    }
 }
 
-/// The irradiance of `texels` as the options ask for it: the last and longest step of [`reconstruct_light`].
+/// The irradiance of `texels` as the options ask for it: the last and longest step of
+/// [`reconstruct_light`].
 #[must_use]
 pub fn bake_irradiance_texels(
     surface: &Surface,
@@ -140,7 +186,9 @@ pub fn bake_irradiance_texels(
     progress: &Progress,
 ) -> Irradiance {
     if let Some(epochs) = options.nirf {
-        return super::neural::field_at_texels(surface, field, emitters, texels, epochs, options, progress);
+        return super::neural::field_at_texels(
+            surface, field, emitters, texels, epochs, options, progress,
+        );
     }
     let budget = Budget {
         estimator: options.irradiance_estimator,
@@ -153,11 +201,13 @@ pub fn bake_irradiance_texels(
     let bake = surface.bake(field, emitters);
     let (patches, importance) = (patches(surface, texels), importance(surface, texels));
     let receiver = |i: usize| surface.receiver(texels, i);
-    progress.stage("irradiance", texels.len() as u64, |p| bake_surface(&bake, &patches, receiver, &importance, &budget, p))
+    progress.stage("irradiance", texels.len() as u64, |p| {
+        bake_surface(&bake, &patches, receiver, &importance, &budget, p)
+    })
 }
 
-/// What an error of each texel's irradiance counts: nothing where no view sees it, little where only interpolation within the chart
-/// reaches it.
+/// What an error of each texel's irradiance counts: nothing where no view sees it, little where
+/// only interpolation within the chart reaches it.
 fn importance(surface: &Surface, texels: &Texels) -> Vec<f32> {
     let seen = surface.seen(texels);
     let of = |(seen, interior): (&bool, &bool)| match (seen, interior) {
@@ -173,8 +223,16 @@ fn importance(surface: &Surface, texels: &Texels) -> Vec<f32> {
 pub fn patches(surface: &Surface, texels: &Texels) -> Vec<Patch> {
     let mesh = &surface.scene.mesh;
     let patch = |i: usize| {
-        let Receiver { position, normal, .. } = surface.receiver(texels, i);
-        Patch { position, normal, size: texels.texel_area(mesh, texels.point[i].triangle as usize).sqrt() }
+        let Receiver {
+            position, normal, ..
+        } = surface.receiver(texels, i);
+        Patch {
+            position,
+            normal,
+            size: texels
+                .texel_area(mesh, texels.point[i].triangle as usize)
+                .sqrt(),
+        }
     };
     (0..texels.len()).into_par_iter().map(patch).collect()
 }
@@ -183,7 +241,14 @@ impl Surface<'_> {
     /// What irradiance bakes take, in the light of `field` and `emitters`.
     #[must_use]
     pub fn bake<'b>(&'b self, field: &'b LightField, emitters: &'b Emitters) -> Bake<'b> {
-        Bake { mesh: &self.scene.mesh, tracer: &self.tracer, field, emitters, offset: self.offset, bounce: None }
+        Bake {
+            mesh: &self.scene.mesh,
+            tracer: &self.tracer,
+            field,
+            emitters,
+            offset: self.offset,
+            bounce: None,
+        }
     }
 
     /// Whether some view sees the place of each texel of `texels`.
@@ -194,18 +259,27 @@ impl Surface<'_> {
         let place = |c: u32| {
             let (x, y) = (c as usize % texels.width, c as usize / texels.width);
             let at = |k: usize, from: usize, to: usize| ((2 * k + 1) * to / (2 * from)).min(to - 1);
-            plane[(at(x, texels.width, plane.width), at(y, texels.height, plane.height))]
+            plane[(
+                at(x, texels.width, plane.width),
+                at(y, texels.height, plane.height),
+            )]
         };
         texels.cell.iter().map(|&c| place(c)).collect()
     }
 
-    /// Texel `i` as a receiver of light: its rays start at its ray point, its key is its place in the texture.
+    /// Texel `i` as a receiver of light: its rays start at its ray point, its key is its place in
+    /// the texture.
     #[must_use]
     pub fn receiver(&self, texels: &Texels, i: usize) -> Receiver {
         let t = texels.point[i].triangle as usize;
         let (u, v) = texels.ray_point(i);
         let (normal, face_normal) = self.normals(t, u, v);
-        Receiver { position: self.scene.mesh.position(t, u, v), normal, face_normal, key: u64::from(texels.cell[i]) }
+        Receiver {
+            position: self.scene.mesh.position(t, u, v),
+            normal,
+            face_normal,
+            key: u64::from(texels.cell[i]),
+        }
     }
 }
 
@@ -218,13 +292,19 @@ fn known_lights(surface: &Surface, options: &SolveOptions) -> Vec<bool> {
     for (p, &label) in surface.texels.point.iter().zip(&surface.labels) {
         let v = &mut votes[p.triangle as usize];
         v.1 += 1;
-        v.0 += u32::from(surface.scene.classes.iter().any(|c| c.is_light && c.id == label));
+        v.0 += u32::from(
+            surface
+                .scene
+                .classes
+                .iter()
+                .any(|c| c.is_light && c.id == label),
+        );
     }
     votes.iter().map(|v| v.0 > 0 && 2 * v.0 >= v.1).collect()
 }
 
-/// Adds to emitting triangles those too small for a texel of their own whose place in the atlas belongs to an emitting one: a lamp
-/// of many facets must not lose what falls between the texels.
+/// Adds to emitting triangles those too small for a texel of their own whose place in the atlas
+/// belongs to an emitting one: a lamp of many facets must not lose what falls between the texels.
 fn with_slivers(mesh: &Mesh, texels: &Texels, mut emissive: Vec<bool>) -> Vec<bool> {
     let owner: Vec<u32> = texels.point.iter().map(|p| p.triangle).collect();
     let mut has_texel = vec![false; emissive.len()];
@@ -236,7 +316,10 @@ fn with_slivers(mesh: &Mesh, texels: &Texels, mut emissive: Vec<bool>) -> Vec<bo
         .filter(|&t| {
             let corners = mesh.corner_uvs(t);
             let centre = corners.iter().sum::<Vec2>() / 3.0;
-            let near = std::iter::once(centre).chain(corners).map(|uv| *owner.nearest(uv * size)).find(|&o| o != u32::MAX);
+            let near = std::iter::once(centre)
+                .chain(corners)
+                .map(|uv| *owner.nearest(uv * size))
+                .find(|&o| o != u32::MAX);
             !has_texel[t] && near.is_some_and(|o| emissive[o as usize])
         })
         .collect();
@@ -249,13 +332,18 @@ fn filled_radiance(surface: &Surface, values: &[Vec3], observed: &[bool]) -> Rgb
     fill_uncovered(&plane, &surface.texels.scatter(observed, false))
 }
 
-/// A first look at the radiance: where no clean pixel shows it, that of texels nearby in the atlas. Lamps are no guide to those around
-/// them: unseen books beside a lamp's chart would shine like the lamp, and light their shelf.
+/// A first look at the radiance: where no clean pixel shows it, that of texels nearby in the atlas.
+/// Lamps are no guide to those around them: unseen books beside a lamp's chart would shine like the
+/// lamp, and light their shelf.
 fn first_radiance(surface: &Surface, values: &[Vec3], known: &[bool]) -> RgbPlane {
     let lamp = |i: usize| lit(surface, known, i);
-    let guides: Vec<bool> = (0..values.len()).map(|i| surface.fusion.clean[i] && !lamp(i)).collect();
+    let guides: Vec<bool> = (0..values.len())
+        .map(|i| surface.fusion.clean[i] && !lamp(i))
+        .collect();
     let mut plane = filled_radiance(surface, values, &guides);
-    (0..values.len()).filter(|&i| lamp(i)).for_each(|i| plane.data[surface.texels.cell[i] as usize] = values[i]);
+    (0..values.len())
+        .filter(|&i| lamp(i))
+        .for_each(|i| plane.data[surface.texels.cell[i] as usize] = values[i]);
     plane
 }
 
@@ -279,13 +367,27 @@ fn light_field(
     options: &SolveOptions,
 ) -> (LightField, Emitters) {
     let mesh = &surface.scene.mesh;
-    let emitting: Vec<bool> = surface.texels.point.iter().map(|p| emissive[p.triangle as usize]).collect();
+    let emitting: Vec<bool> = surface
+        .texels
+        .point
+        .iter()
+        .map(|p| emissive[p.triangle as usize])
+        .collect();
     let emitting: Plane<bool> = surface.texels.scatter(&emitting, false);
-    let mut field =
-        LightField::new(mesh, &surface.orientation, radiance.clone(), &emitting, emissive, surface.back.clone(), environment);
+    let mut field = LightField::new(
+        mesh,
+        &surface.orientation,
+        radiance.clone(),
+        &emitting,
+        emissive,
+        surface.back.clone(),
+        environment,
+    );
     field.prefilter = options.prefilter;
-    let probes: Vec<(Vec3, Vec3)> =
-        (0..receivers.len()).map(|i| surface.receiver(receivers, i)).map(|r| (r.position, r.normal)).collect();
+    let probes: Vec<(Vec3, Vec3)> = (0..receivers.len())
+        .map(|i| surface.receiver(receivers, i))
+        .map(|r| (r.position, r.normal))
+        .collect();
     let emitters = Emitters::new(mesh, &field, &surface.tracer, &probes);
     (field, emitters)
 }
@@ -298,16 +400,27 @@ fn bake(
     options: &IrtOptions,
     progress: &Progress,
 ) -> Irradiance {
-    bake_irradiance(&surface.bake(field, emitters), texels.len(), |i| surface.receiver(texels, i), options, progress)
+    bake_irradiance(
+        &surface.bake(field, emitters),
+        texels.len(),
+        |i| surface.receiver(texels, i),
+        options,
+        progress,
+    )
 }
 
-/// Emitting triangles by evidence: what they send out in every clean view is more than a white surface could reflect there.
+/// Emitting triangles by evidence: what they send out in every clean view is more than a white
+/// surface could reflect there.
 fn emitting_triangles(surface: &Surface, irradiance: &RgbPlane, known: &[bool]) -> Vec<bool> {
     let texels: Vec<EmissionEvidence> = (0..surface.texels.len())
         .map(|i| EmissionEvidence {
             triangle: surface.texels.point[i].triangle,
             label: surface.labels[i],
-            floor: if surface.fusion.floor[i].is_finite() { surface.fusion.floor[i] } else { 0.0 },
+            floor: if surface.fusion.floor[i].is_finite() {
+                surface.fusion.floor[i]
+            } else {
+                0.0
+            },
             white: luminance(surface.texels.lookup(&surface.scene.mesh, irradiance, i)) * FRAC_1_PI,
             observed: surface.fusion.views[i] > 0,
         })
@@ -321,13 +434,24 @@ fn emitting_triangles(surface: &Surface, irradiance: &RgbPlane, known: &[bool]) 
     without_halos(&surface.scene.mesh, emissive, &sure, &label)
 }
 
-/// Takes out triangles of another class than the lamp they lie at unless they are `sure`: what only pixels at edges see shows the lamp.
+/// Takes out triangles of another class than the lamp they lie at unless they are `sure`: what only
+/// pixels at edges see shows the lamp.
 fn without_halos(mesh: &Mesh, mut emissive: Vec<bool>, sure: &[bool], label: &[u16]) -> Vec<bool> {
-    let found: Vec<u32> = (0..emissive.len() as u32).filter(|&t| emissive[t as usize]).collect();
+    let found: Vec<u32> = (0..emissive.len() as u32)
+        .filter(|&t| emissive[t as usize])
+        .collect();
     for lamp in clusters(mesh, &found, lamp_gap(mesh)) {
-        let classes: BTreeSet<u16> = lamp.iter().filter(|&&t| sure[t as usize]).map(|&t| label[t as usize]).collect();
-        let halo = |t: &&u32| !sure[**t as usize] && !classes.is_empty() && !classes.contains(&label[**t as usize]);
-        lamp.iter().filter(halo).for_each(|&t| emissive[t as usize] = false);
+        let classes: BTreeSet<u16> = lamp
+            .iter()
+            .filter(|&&t| sure[t as usize])
+            .map(|&t| label[t as usize])
+            .collect();
+        let halo = |t: &&u32| {
+            !sure[**t as usize] && !classes.is_empty() && !classes.contains(&label[**t as usize])
+        };
+        lamp.iter()
+            .filter(halo)
+            .for_each(|&t| emissive[t as usize] = false);
     }
     emissive
 }
@@ -343,28 +467,58 @@ fn lit(surface: &Surface, emissive: &[bool], i: usize) -> bool {
     emissive[surface.texels.point[i].triangle as usize]
 }
 
-/// Observed radiance; on emitters without a clean pixel the brightest view, and where no view sees them the median of their lamp, or
-/// that of their class if the whole lamp is unseen: a lamp of few pixels must not count as dark, for all albedos hang on its light.
+/// Observed radiance; on emitters without a clean pixel the brightest view, and where no view sees
+/// them the median of their lamp, or that of their class if the whole lamp is unseen: a lamp of few
+/// pixels must not count as dark, for all albedos hang on its light.
 fn trusted_radiance(surface: &Surface, emissive: &[bool]) -> Vec<Vec3> {
     let f = &surface.fusion;
-    let look = |i: usize| if lit(surface, emissive, i) && !f.clean[i] { f.peak[i] } else { f.radiance[i] };
-    let emitting: Vec<u32> = (0..emissive.len() as u32).filter(|&t| emissive[t as usize]).collect();
+    let look = |i: usize| {
+        if lit(surface, emissive, i) && !f.clean[i] {
+            f.peak[i]
+        } else {
+            f.radiance[i]
+        }
+    };
+    let emitting: Vec<u32> = (0..emissive.len() as u32)
+        .filter(|&t| emissive[t as usize])
+        .collect();
     let mut lamp_of = vec![0usize; emissive.len()];
-    for (lamp, triangles) in clusters(&surface.scene.mesh, &emitting, lamp_gap(&surface.scene.mesh)).iter().enumerate() {
+    for (lamp, triangles) in clusters(
+        &surface.scene.mesh,
+        &emitting,
+        lamp_gap(&surface.scene.mesh),
+    )
+    .iter()
+    .enumerate()
+    {
         triangles.iter().for_each(|&t| lamp_of[t as usize] = lamp);
     }
     let lamp = |i: usize| lamp_of[surface.texels.point[i].triangle as usize];
-    let (mut of_lamp, mut of_class) = (BTreeMap::<usize, Vec<Vec3>>::new(), BTreeMap::<u16, Vec<Vec3>>::new());
+    let (mut of_lamp, mut of_class) = (
+        BTreeMap::<usize, Vec<Vec3>>::new(),
+        BTreeMap::<u16, Vec<Vec3>>::new(),
+    );
     for i in (0..f.radiance.len()).filter(|&i| lit(surface, emissive, i) && f.views[i] > 0) {
         of_lamp.entry(lamp(i)).or_default().push(look(i));
         of_class.entry(surface.labels[i]).or_default().push(look(i));
     }
-    let of_lamp: BTreeMap<usize, Vec3> = of_lamp.into_iter().map(|(k, v)| (k, median_light(v))).collect();
-    let of_class: BTreeMap<u16, Vec3> = of_class.into_iter().map(|(k, v)| (k, median_light(v))).collect();
+    let of_lamp: BTreeMap<usize, Vec3> = of_lamp
+        .into_iter()
+        .map(|(k, v)| (k, median_light(v)))
+        .collect();
+    let of_class: BTreeMap<u16, Vec3> = of_class
+        .into_iter()
+        .map(|(k, v)| (k, median_light(v)))
+        .collect();
     (0..f.radiance.len())
         .map(|i| {
             let unseen = f.views[i] == 0 && lit(surface, emissive, i);
-            let others = || of_lamp.get(&lamp(i)).or_else(|| of_class.get(&surface.labels[i])).copied();
+            let others = || {
+                of_lamp
+                    .get(&lamp(i))
+                    .or_else(|| of_class.get(&surface.labels[i]))
+                    .copied()
+            };
             unseen.then(others).flatten().unwrap_or_else(|| look(i))
         })
         .collect()
@@ -376,8 +530,8 @@ fn median_light(mut values: Vec<Vec3>) -> Vec3 {
     values[values.len() / 2]
 }
 
-/// Radiance of every texel: as observed; the median albedo of its class times its irradiance where nobody sees it; and where only
-/// pixels at edges see it, no more than a little above that.
+/// Radiance of every texel: as observed; the median albedo of its class times its irradiance where
+/// nobody sees it; and where only pixels at edges see it, no more than a little above that.
 fn complete_radiance(surface: &Surface, irradiance: &RgbPlane, emissive: &[bool]) -> Vec<Vec3> {
     let trusted = trusted_radiance(surface, emissive);
     let mut samples: BTreeMap<u16, [Vec<f32>; 3]> = BTreeMap::new();
@@ -392,17 +546,29 @@ fn complete_radiance(surface: &Surface, irradiance: &RgbPlane, emissive: &[bool]
             }
         }
     }
-    let albedo: BTreeMap<u16, Vec3> =
-        samples.into_iter().map(|(k, v)| (k, Vec3::from_array(v.map(|values| median(values).unwrap_or(0.5))))).collect();
+    let albedo: BTreeMap<u16, Vec3> = samples
+        .into_iter()
+        .map(|(k, v)| {
+            (
+                k,
+                Vec3::from_array(v.map(|values| median(values).unwrap_or(0.5))),
+            )
+        })
+        .collect();
     (0..surface.texels.len())
         .map(|i| {
             if surface.fusion.clean[i] || lit(surface, emissive, i) {
                 return trusted[i];
             }
-            let a = albedo.get(&surface.labels[i]).copied().unwrap_or(Vec3::splat(0.5));
-            let expected = a * surface.texels.lookup(&surface.scene.mesh, irradiance, i) * FRAC_1_PI;
+            let a = albedo
+                .get(&surface.labels[i])
+                .copied()
+                .unwrap_or(Vec3::splat(0.5));
+            let expected =
+                a * surface.texels.lookup(&surface.scene.mesh, irradiance, i) * FRAC_1_PI;
             let seen = surface.fusion.radiance[i];
-            let usable = surface.fusion.views[i] > 0 && luminance(seen) < MIXTURE_LIMIT * luminance(expected);
+            let usable = surface.fusion.views[i] > 0
+                && luminance(seen) < MIXTURE_LIMIT * luminance(expected);
             if usable { seen } else { expected }
         })
         .collect()
@@ -413,8 +579,8 @@ mod tests {
     use super::super::surface::tests::{box_scene, unseen};
     use super::*;
 
-    /// What nobody sees sends out its class's share of what it receives: all of it at most, whatever glints its class shows elsewhere, and
-    /// nothing in the dark.
+    /// What nobody sees sends out its class's share of what it receives: all of it at most,
+    /// whatever glints its class shows elsewhere, and nothing in the dark.
     #[test]
     fn unseen_texels_do_not_invent_light() {
         let scene = box_scene();
@@ -423,10 +589,17 @@ mod tests {
         let walls: Vec<usize> = (0..surface.texels.len()).map(wall).collect();
         // light that falls off across every wall, and next to none on the last
         let received: Vec<Vec3> = (0..walls.len())
-            .map(|i| Vec3::splat((1 + surface.texels.cell[i] % 96) as f32 * if walls[i] == 5 { 1e-6 } else { 1.0 }))
+            .map(|i| {
+                Vec3::splat(
+                    (1 + surface.texels.cell[i] % 96) as f32
+                        * if walls[i] == 5 { 1e-6 } else { 1.0 },
+                )
+            })
             .collect();
         let irradiance = texture_of(&surface.texels, &received);
-        let white: Vec<Vec3> = (0..walls.len()).map(|i| surface.texels.lookup(&scene.mesh, &irradiance, i) * FRAC_1_PI).collect();
+        let white: Vec<Vec3> = (0..walls.len())
+            .map(|i| surface.texels.lookup(&scene.mesh, &irradiance, i) * FRAC_1_PI)
+            .collect();
         let colour = Vec3::new(0.4, 0.2, 0.6);
         for (i, &w) in walls.iter().enumerate() {
             // every third texel is seen clean, another third at edges only
@@ -437,27 +610,45 @@ mod tests {
                 // a highlight on all of the class that is seen
                 1 => (9.0 * white[i], clean, u8::from(clean)),
                 // seen at edges, mixed with something brighter, or a little brighter itself
-                2 => (if clean { colour } else { 40.0 * colour } * white[i], clean, u8::from(clean || edge)),
-                3 => (if clean { colour } else { 1.2 * colour } * white[i], clean, u8::from(clean || edge)),
+                2 => (
+                    if clean { colour } else { 40.0 * colour } * white[i],
+                    clean,
+                    u8::from(clean || edge),
+                ),
+                3 => (
+                    if clean { colour } else { 1.2 * colour } * white[i],
+                    clean,
+                    u8::from(clean || edge),
+                ),
                 _ => (Vec3::ZERO, false, 0),
             };
             (surface.fusion.radiance[i], surface.fusion.peak[i]) = (radiance, radiance);
             (surface.fusion.clean[i], surface.fusion.views[i]) = (clean, views);
         }
-        surface.labels = walls.iter().map(|w| if *w == 5 { 1 } else { 1 + *w as u16 }).collect();
+        surface.labels = walls
+            .iter()
+            .map(|w| if *w == 5 { 1 } else { 1 + *w as u16 })
+            .collect();
         let filled = complete_radiance(&surface, &irradiance, &[false; 12]);
         let near = |a: Vec3, b: Vec3| (a - b).abs().max_element() <= 1e-4 * b.max_element();
         let mut checked = [0; 6];
         for (i, &w) in walls.iter().enumerate() {
             let (f, got) = (&surface.fusion, filled[i]);
-            assert!(f.clean[i] || got.cmple(white[i] * 1.0001).all(), "wall {w}, texel {i}: {got} of {}", white[i]);
+            assert!(
+                f.clean[i] || got.cmple(white[i] * 1.0001).all(),
+                "wall {w}, texel {i}: {got} of {}",
+                white[i]
+            );
             let expected = match w {
                 _ if f.clean[i] => f.radiance[i],
                 1 => white[i],
                 3 if f.views[i] > 0 => f.radiance[i],
                 _ => colour * white[i],
             };
-            assert!(near(got, expected), "wall {w}, texel {i}: {got} for {expected}");
+            assert!(
+                near(got, expected),
+                "wall {w}, texel {i}: {got} for {expected}"
+            );
             checked[w] += u32::from(!f.clean[i]);
         }
         assert!(checked.iter().all(|n| *n > 100), "{checked:?}");
@@ -471,8 +662,17 @@ mod tests {
     #[test]
     fn a_lamp_does_not_make_its_frame_shine() {
         // a lamp, its frame, another facet of the lamp, and a lamp of its own far away
-        let corners = |x: f32| [Vec3::new(x, 0.0, 0.0), Vec3::new(x + 0.1, 0.0, 0.0), Vec3::new(x, 0.1, 0.0)];
-        let positions: Vec<Vec3> = [0.0, 0.1, -0.1, 90.0].into_iter().flat_map(corners).collect();
+        let corners = |x: f32| {
+            [
+                Vec3::new(x, 0.0, 0.0),
+                Vec3::new(x + 0.1, 0.0, 0.0),
+                Vec3::new(x, 0.1, 0.0),
+            ]
+        };
+        let positions: Vec<Vec3> = [0.0, 0.1, -0.1, 90.0]
+            .into_iter()
+            .flat_map(corners)
+            .collect();
         let mesh = Mesh {
             normals: vec![Vec3::Z; positions.len()],
             uvs: vec![Vec2::ZERO; positions.len()],
@@ -480,32 +680,52 @@ mod tests {
             positions,
         };
         let sure = [true, false, false, false];
-        assert_eq!(without_halos(&mesh, vec![true; 4], &sure, &[30, 27, 30, 27]), [true, false, true, true]);
-        assert_eq!(without_halos(&mesh, vec![true; 4], &[true; 4], &[30, 27, 30, 27]), [true; 4], "seen clean");
+        assert_eq!(
+            without_halos(&mesh, vec![true; 4], &sure, &[30, 27, 30, 27]),
+            [true, false, true, true]
+        );
+        assert_eq!(
+            without_halos(&mesh, vec![true; 4], &[true; 4], &[30, 27, 30, 27]),
+            [true; 4],
+            "seen clean"
+        );
     }
 
     #[test]
     fn facets_between_the_texels_of_a_lamp_emit_too() {
-        // two squares of 32 × 32 facets, a lamp and a wall, in an atlas of 8 × 8 texels: most facets have no texel of their own
+        // two squares of 32 × 32 facets, a lamp and a wall, in an atlas of 8 × 8 texels: most
+        // facets have no texel of their own
         const N: u32 = 32;
-        let mut mesh = Mesh { positions: vec![], normals: vec![], uvs: vec![], triangles: vec![] };
+        let mut mesh = Mesh {
+            positions: vec![],
+            normals: vec![],
+            uvs: vec![],
+            triangles: vec![],
+        };
         for left in [0.02f32, 0.52] {
             let first = mesh.positions.len() as u32;
             for (y, x) in (0..=N).flat_map(|y| (0..=N).map(move |x| (y, x))) {
                 let p = Vec2::new(x as f32, y as f32) / N as f32;
                 mesh.positions.push(p.extend(0.0));
                 mesh.normals.push(Vec3::Z);
-                mesh.uvs.push(Vec2::new(left, 0.02) + p * Vec2::new(0.46, 0.96));
+                mesh.uvs
+                    .push(Vec2::new(left, 0.02) + p * Vec2::new(0.46, 0.96));
             }
             for (y, x) in (0..N).flat_map(|y| (0..N).map(move |x| (y, x))) {
                 let a = first + y * (N + 1) + x;
-                mesh.triangles.extend([[a, a + 1, a + N + 2], [a, a + N + 2, a + N + 1]]);
+                mesh.triangles
+                    .extend([[a, a + 1, a + N + 2], [a, a + N + 2, a + N + 1]]);
             }
         }
         let texels = Texels::rasterize(&mesh, 8, 8);
         let lamp = mesh.triangles.len() / 2;
         let mut known = vec![false; mesh.triangles.len()];
-        texels.point.iter().map(|p| p.triangle as usize).filter(|&t| t < lamp).for_each(|t| known[t] = true);
+        texels
+            .point
+            .iter()
+            .map(|p| p.triangle as usize)
+            .filter(|&t| t < lamp)
+            .for_each(|t| known[t] = true);
         assert!(known.iter().filter(|k| **k).count() < lamp / 10);
         let emissive = with_slivers(&mesh, &texels, known);
         let marked = |range: std::ops::Range<usize>| emissive[range].iter().filter(|e| **e).count();

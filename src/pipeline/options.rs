@@ -1,4 +1,5 @@
-//! What a reconstruction computes with: every number in effect, after presets, measurements and the user's wishes are settled.
+//! What a reconstruction computes with: every number in effect, after presets, measurements and the
+//! user's wishes are settled.
 
 use super::{Budget, Checkpoints, Quality};
 use crate::brdf::Reflectance;
@@ -19,7 +20,8 @@ pub enum Switch {
     Off,
 }
 
-/// Textures whose size is a bound that the photographs' resolution may lower; otherwise the size is exact.
+/// Textures whose size is a bound that the photographs' resolution may lower; otherwise the size is
+/// exact.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Fit {
     /// Albedo, radiance, emission, labels.
@@ -30,7 +32,8 @@ pub struct Fit {
     pub irradiance: bool,
 }
 
-/// Numbers of a reconstruction. [`super::SolveRequest`] makes them from a preset and the user's flags of the same names.
+/// Numbers of a reconstruction. [`super::SolveRequest`] makes them from a preset and the user's
+/// flags of the same names.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub struct SolveOptions {
@@ -49,21 +52,25 @@ pub struct SolveOptions {
     pub photo_reduction: usize,
     /// How irradiance is estimated.
     pub irradiance_estimator: Estimator,
-    /// Epochs for which the paper's neural irradiance field is trained, which then takes the place of the rays of irradiance texels.
+    /// Epochs for which the paper's neural irradiance field is trained, which then takes the place
+    /// of the rays of irradiance texels.
     pub nirf: Option<u32>,
     /// Hemisphere rays per irradiance texel, on average.
     pub irradiance_rays: u32,
     /// Emitter samples per irradiance texel, on average.
     pub emitter_samples: u32,
-    /// Rounds in which they are spent; after each, the texels with the largest errors are chosen. 1 = all texels alike.
+    /// Rounds in which they are spent; after each, the texels with the largest errors are chosen. 1
+    /// = all texels alike.
     pub irradiance_rounds: u32,
     /// Relative error of irradiance at which a texel is done.
     pub irradiance_error: f32,
     /// Whether irradiance noise is filtered over the surface.
     pub irradiance_filter: bool,
-    /// Whether a rough reflection's ray looks up the mean radiance of the cone it stands for instead of one texel.
+    /// Whether a rough reflection's ray looks up the mean radiance of the cone it stands for
+    /// instead of one texel.
     pub prefilter: bool,
-    /// Points per class that are searched for roughness: as many evenly spread, as many on virtual highlights.
+    /// Points per class that are searched for roughness: as many evenly spread, as many on virtual
+    /// highlights.
     pub evidence_points: usize,
     /// Rays per lobe and look at those points; a multiple of 16, or the next one is taken.
     pub evidence_rays: u32,
@@ -71,11 +78,14 @@ pub struct SolveOptions {
     pub roughness_levels: usize,
     /// Rays per pixel along the specular lobe of its roughness.
     pub specular_rays: u32,
-    /// Whether lobes too wide to show anything are replaced by the mean light around: `Auto` = where the evidence says so.
+    /// Whether lobes too wide to show anything are replaced by the mean light around: `Auto` =
+    /// where the evidence says so.
     pub matte: Switch,
-    /// Whether a class may have several roughness values, by room, by colour or by place: `Auto` = where held-out views ask for them.
+    /// Whether a class may have several roughness values, by room, by colour or by place: `Auto` =
+    /// where held-out views ask for them.
     pub divide: Switch,
-    /// Whether texels that no view sees clean are solved for from how much of each pixel they cover.
+    /// Whether texels that no view sees clean are solved for from how much of each pixel they
+    /// cover.
     pub edges: Switch,
     /// Whether light that no camera looks along is added once materials are known.
     pub missing_light: Switch,
@@ -118,9 +128,11 @@ impl SolveOptions {
     /// An option out of its range, named with the range.
     pub fn validate(&self) -> Result<()> {
         let wrong = |message: String| Err(Error::Usage(format!("solve: {message}")));
-        for (name, side) in
-            [("albedo", self.albedo_size), ("roughness", self.roughness_size), ("irradiance", self.irradiance_size)]
-        {
+        for (name, side) in [
+            ("albedo", self.albedo_size),
+            ("roughness", self.roughness_size),
+            ("irradiance", self.irradiance_size),
+        ] {
             if !(1..=16_384).contains(&side) {
                 return wrong(format!("--{name}-size {side}: must be from 1 to 16384"));
             }
@@ -136,22 +148,38 @@ impl SolveOptions {
             }
         }
         if let Some(epochs) = self.nirf.filter(|e| !(1..=1_000_000).contains(e)) {
-            return wrong(format!("--nirf {epochs}: must be from 1 to 1000000 epochs (the paper: 2000)"));
+            return wrong(format!(
+                "--nirf {epochs}: must be from 1 to 1000000 epochs (the paper: 2000)"
+            ));
         }
         if !(1..=16).contains(&self.irradiance_rounds) {
-            return wrong(format!("--irradiance-rounds {}: must be from 1 to 16", self.irradiance_rounds));
+            return wrong(format!(
+                "--irradiance-rounds {}: must be from 1 to 16",
+                self.irradiance_rounds
+            ));
         }
         if !(3..=1024).contains(&self.roughness_levels) {
-            return wrong(format!("--roughness-levels {}: must be from 3 to 1024", self.roughness_levels));
+            return wrong(format!(
+                "--roughness-levels {}: must be from 3 to 1024",
+                self.roughness_levels
+            ));
         }
         if !(1..=64).contains(&self.photo_reduction) {
-            return wrong(format!("--photo-reduction {}: must be from 1 to 64", self.photo_reduction));
+            return wrong(format!(
+                "--photo-reduction {}: must be from 1 to 64",
+                self.photo_reduction
+            ));
         }
         if let Some(target) = self.target_error.filter(|t| !(1e-4..=1.0).contains(t)) {
-            return wrong(format!("--target-error {target}: must be from 0.0001 to 1 (0.02 = 2 %)"));
+            return wrong(format!(
+                "--target-error {target}: must be from 0.0001 to 1 (0.02 = 2 %)"
+            ));
         }
         if self.irradiance_error.is_nan() || self.irradiance_error < 0.0 {
-            return wrong(format!("--irradiance-error {}: must be 0 or more", self.irradiance_error));
+            return wrong(format!(
+                "--irradiance-error {}: must be 0 or more",
+                self.irradiance_error
+            ));
         }
         Ok(())
     }

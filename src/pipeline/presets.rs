@@ -88,42 +88,47 @@ impl SolveOptions {
     }
 }
 
-/// What the user asks for: a preset and whatever differs from it. Every field is a flag of `unbake solve` and a key of the TOML
-/// configuration; absent = as the preset says.
+/// What the user asks for: a preset and whatever differs from it. Every field is a flag of `unbake
+/// solve` and a key of the TOML configuration; absent = as the preset says.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, clap::Args)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct SolveRequest {
     /// Preset of samples, resolutions and refinement; every other option overrides it.
     #[arg(long, value_enum, default_value = "standard")]
     pub quality: Quality,
-    /// Time for the whole run, such as 60s or 2min: texture sizes and samples are chosen to take it, up to the preset's sizes.
+    /// Time for the whole run, such as 60s or 2min: texture sizes and samples are chosen to take
+    /// it, up to the preset's sizes.
     #[arg(long, value_name = "TIME", value_parser = parse_seconds,
           conflicts_with_all = ["irradiance_rays", "emitter_samples", "evidence_points", "specular_rays", "target_error"])]
     pub budget: Option<f64>,
     /// Relative error of irradiance to reach (0.02 = 2 %): decides the samples per texel.
     #[arg(long, value_name = "RATIO", conflicts_with_all = ["irradiance_rays", "emitter_samples"])]
     pub target_error: Option<f32>,
-    /// Side of the albedo, radiance and label textures, texels [default: what the photographs support, 2048 at most].
+    /// Side of the albedo, radiance and label textures, texels [default: what the photographs
+    /// support, 2048 at most].
     #[arg(long, value_name = "TEXELS")]
     pub albedo_size: Option<usize>,
     /// Side of the roughness texture, texels [default: what the photographs support, 4096 at most].
     #[arg(long, value_name = "TEXELS")]
     pub roughness_size: Option<usize>,
-    /// Side of the irradiance texture, texels [default: what the photographs support, 1024 at most].
+    /// Side of the irradiance texture, texels [default: what the photographs support, 1024 at
+    /// most].
     #[arg(long, value_name = "TEXELS")]
     pub irradiance_size: Option<usize>,
-    /// Lower texture sizes to what the photographs resolve: auto = those not given, on = all, off = none.
+    /// Lower texture sizes to what the photographs resolve: auto = those not given, on = all, off =
+    /// none.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub fit_textures: Switch,
     /// Reduce photographs by this factor before anything else [default: 1].
     #[arg(long, value_name = "FACTOR")]
     pub photo_reduction: Option<usize>,
-    /// How irradiance is estimated: mis = hemisphere rays and emitter samples; the others take hemisphere rays for both, cosine in rounds,
-    /// uniform (the paper's) all at once [default: mis].
+    /// How irradiance is estimated: mis = hemisphere rays and emitter samples; the others take
+    /// hemisphere rays for both, cosine in rounds, uniform (the paper's) all at once [default:
+    /// mis].
     #[arg(long, value_enum, value_name = "ESTIMATOR")]
     pub irradiance_estimator: Option<Estimator>,
-    /// Take irradiance from the paper's neural field instead, trained for so many epochs (the paper: 2000): its lighting ablation, less exact
-    /// and slower.
+    /// Take irradiance from the paper's neural field instead, trained for so many epochs (the
+    /// paper: 2000): its lighting ablation, less exact and slower.
     #[arg(long, value_name = "EPOCHS", conflicts_with_all = ["target_error", "budget"])]
     pub nirf: Option<u32>,
     /// Hemisphere rays per irradiance texel, on average [default: 136].
@@ -132,8 +137,8 @@ pub struct SolveRequest {
     /// Emitter samples per irradiance texel, on average [default: 68].
     #[arg(long, value_name = "N")]
     pub emitter_samples: Option<u32>,
-    /// Rounds in which they are spent: after each, more go to those texels seen by some view whose errors are largest; 1 = all texels
-    /// alike [default: 4].
+    /// Rounds in which they are spent: after each, more go to those texels seen by some view whose
+    /// errors are largest; 1 = all texels alike [default: 4].
     #[arg(long, value_name = "N")]
     pub irradiance_rounds: Option<u32>,
     /// Relative error of irradiance at which a texel is done [default: 0.01].
@@ -142,13 +147,16 @@ pub struct SolveRequest {
     /// Filter irradiance noise over the surface.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub irradiance_filter: Switch,
-    /// Let a rough reflection's ray look up the mean radiance of the cone it stands for instead of one texel.
+    /// Let a rough reflection's ray look up the mean radiance of the cone it stands for instead of
+    /// one texel.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub prefilter: Switch,
-    /// Points per class searched for roughness, evenly spread and as many again on virtual highlights [default: 1200].
+    /// Points per class searched for roughness, evenly spread and as many again on virtual
+    /// highlights [default: 1200].
     #[arg(long, value_name = "N")]
     pub evidence_points: Option<usize>,
-    /// Rays per lobe and look at those points, over 16 places of the pixel: rounded up to a multiple of that [default: 32].
+    /// Rays per lobe and look at those points, over 16 places of the pixel: rounded up to a
+    /// multiple of that [default: 32].
     #[arg(long, value_name = "N")]
     pub evidence_rays: Option<u32>,
     /// Roughness values at which the specular response of those points is tabulated [default: 18].
@@ -157,27 +165,32 @@ pub struct SolveRequest {
     /// Rays per pixel along the specular lobe of its roughness [default: 4].
     #[arg(long, value_name = "N")]
     pub specular_rays: Option<u32>,
-    /// Replace specular lobes too wide to show anything by the mean light around: on = all from R = 0.5, off = none.
+    /// Replace specular lobes too wide to show anything by the mean light around: on = all from R =
+    /// 0.5, off = none.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub matte: Switch,
-    /// Give a class several roughness values, by room, by colour or by place, where held-out views are explained better so: on = wherever they
-    /// differ, off = one per class.
+    /// Give a class several roughness values, by room, by colour or by place, where held-out views
+    /// are explained better so: on = wherever they differ, off = one per class.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub divide_classes: Switch,
-    /// Solve for the albedo of texels that no view sees clean from how much of each pixel they cover: off = what those pixels show.
+    /// Solve for the albedo of texels that no view sees clean from how much of each pixel they
+    /// cover: off = what those pixels show.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub edges: Switch,
-    /// Add light that no camera looks along (specular reflections, far sides) once materials are known: off = as observed.
+    /// Add light that no camera looks along (specular reflections, far sides) once materials are
+    /// known: off = as observed.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub missing_light: Switch,
-    /// Give classes the few colours they are painted in: auto = where flat surface shows no texture, on = whatever it shows, off = every
-    /// texel has what its own pixels show.
+    /// Give classes the few colours they are painted in: auto = where flat surface shows no
+    /// texture, on = whatever it shows, off = every texel has what its own pixels show.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub painted: Switch,
-    /// Take exposure and white balance that drift from view to view out of the photographs: auto = if the views ask for it, off = never.
+    /// Take exposure and white balance that drift from view to view out of the photographs: auto =
+    /// if the views ask for it, off = never.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub exposure: Switch,
-    /// Let surfaces emit: auto = where more light leaves than can be reflected and classes of kind light, off = none.
+    /// Let surfaces emit: auto = where more light leaves than can be reflected and classes of kind
+    /// light, off = none.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub emission: Switch,
     /// Let light come from directions without geometry: auto = if any view looks out, off = never.
@@ -186,7 +199,8 @@ pub struct SolveRequest {
     /// Divide the scene into rooms: auto = if there are several, off = one room.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub rooms: Switch,
-    /// Reflection model: the paper's, or one of the common alternatives; chosen from the evidence if not given.
+    /// Reflection model: the paper's, or one of the common alternatives; chosen from the evidence
+    /// if not given.
     #[arg(long, value_enum, value_name = "MODEL")]
     pub reflectance: Option<Reflectance>,
 }
@@ -217,7 +231,9 @@ impl SolveRequest {
                 irradiance: fit(self.irradiance_size.is_some()),
             },
             photo_reduction: self.photo_reduction.unwrap_or(preset.photo_reduction),
-            irradiance_estimator: self.irradiance_estimator.unwrap_or(preset.irradiance_estimator),
+            irradiance_estimator: self
+                .irradiance_estimator
+                .unwrap_or(preset.irradiance_estimator),
             nirf: self.nirf,
             irradiance_rays: self.irradiance_rays.unwrap_or(preset.irradiance_rays),
             emitter_samples: self.emitter_samples.unwrap_or(preset.emitter_samples),
@@ -254,9 +270,24 @@ mod tests {
     #[test]
     fn flags_override_the_preset_and_nothing_else_does() {
         for quality in [Quality::Draft, Quality::Standard, Quality::High] {
-            let plain = SolveRequest { quality, ..SolveRequest::default() }.options(7, Instant::now());
-            let all = Fit { albedo: true, roughness: true, irradiance: true };
-            assert_eq!(plain, SolveOptions { seed: 7, fit: all, ..SolveOptions::preset(quality) });
+            let plain = SolveRequest {
+                quality,
+                ..SolveRequest::default()
+            }
+            .options(7, Instant::now());
+            let all = Fit {
+                albedo: true,
+                roughness: true,
+                irradiance: true,
+            };
+            assert_eq!(
+                plain,
+                SolveOptions {
+                    seed: 7,
+                    fit: all,
+                    ..SolveOptions::preset(quality)
+                }
+            );
             plain.validate().expect("a preset is valid");
             let asked = SolveRequest {
                 quality,
@@ -266,8 +297,18 @@ mod tests {
                 ..SolveRequest::default()
             };
             let o = asked.options(7, Instant::now());
-            assert_eq!((o.albedo_size, o.irradiance_rays, o.irradiance_filter), (77, 5, false));
-            assert_eq!(o.fit, Fit { albedo: false, ..all }, "a given size is exact");
+            assert_eq!(
+                (o.albedo_size, o.irradiance_rays, o.irradiance_filter),
+                (77, 5, false)
+            );
+            assert_eq!(
+                o.fit,
+                Fit {
+                    albedo: false,
+                    ..all
+                },
+                "a given size is exact"
+            );
             assert_eq!(o.specular_rays, plain.specular_rays);
         }
     }
@@ -282,7 +323,11 @@ mod tests {
                 o.evidence_points as u64,
             ]
         };
-        let (draft, standard, high) = (cost(Quality::Draft), cost(Quality::Standard), cost(Quality::High));
+        let (draft, standard, high) = (
+            cost(Quality::Draft),
+            cost(Quality::Standard),
+            cost(Quality::High),
+        );
         assert!((0..3).all(|i| draft[i] < standard[i] && standard[i] < high[i]));
     }
 }

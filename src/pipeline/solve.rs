@@ -7,11 +7,13 @@ use super::surface::coverage;
 use super::{Light, SolveOptions, Surface, Switch, reconstruct_light};
 use crate::Result;
 use crate::brdf::{F0, Reflectance};
-use crate::highlight::{Candidate, SelectOptions, Tabulation, gather_evidence, roughness_levels, select_points};
+use crate::highlight::{
+    Candidate, SelectOptions, Tabulation, gather_evidence, roughness_levels, select_points,
+};
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::inverse::{
-    AlbedoEstimate, DIVISION_GAIN, DiffuseShading, GroupFit, Materials, Places, Unmixing, WIDE, WideLobes, choose_model,
-    estimate_albedo, fit_groups, specular_image,
+    AlbedoEstimate, DIVISION_GAIN, DiffuseShading, GroupFit, Materials, Places, Unmixing, WIDE,
+    WideLobes, choose_model, estimate_albedo, fit_groups, specular_image,
 };
 use crate::lighting::Reflector;
 use crate::progress::Progress;
@@ -25,7 +27,8 @@ use std::collections::BTreeMap;
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::time::Instant;
 
-/// Roughness of a class without evidence anywhere: matte, as most indoor surfaces without visible highlights are.
+/// Roughness of a class without evidence anywhere: matte, as most indoor surfaces without visible
+/// highlights are.
 const ROUGHNESS_PRIOR: f32 = 0.8;
 
 /// Points per class that tell whether its highlights can be observed.
@@ -56,26 +59,50 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     let class = |t: u32, p: Vec3| (!light.emissive[t as usize]).then(|| label_at(t, p));
 
     let evidence = progress.stage("highlights", 0, |_| {
-        let select =
-            SelectOptions { stride: 3, even: options.evidence_points, highlights: options.evidence_points, seed: options.seed };
+        let select = SelectOptions {
+            stride: 3,
+            even: options.evidence_points,
+            highlights: options.evidence_points,
+            seed: options.seed,
+        };
         select_points(&bake, &surface.views, &normals, &class, &select)
     });
     let (evidence, matte) = progress.stage("specular samples", evidence.len() as u64, |p| {
         let levels = roughness_levels(options.roughness_levels);
-        let tabulation = Tabulation { levels: &levels, rays_per_lobe: options.evidence_rays };
-        let gather =
-            |some: &[Candidate]| gather_evidence(&bake, &surface.observer(), some, &normals, tabulation, options.seed, p);
+        let tabulation = Tabulation {
+            levels: &levels,
+            rays_per_lobe: options.evidence_rays,
+        };
+        let gather = |some: &[Candidate]| {
+            gather_evidence(
+                &bake,
+                &surface.observer(),
+                some,
+                &normals,
+                tabulation,
+                options.seed,
+                p,
+            )
+        };
         // a few points per class tell whether the others can add anything
         let (pilot, rest) = divided(&evidence, PILOT);
         let begin = Instant::now();
         let mut all = gather(&pilot);
         let seconds = begin.elapsed().as_secs_f64();
         let matte = choose_matte(&all, options);
-        let mut rest: Vec<Candidate> = rest.into_iter().filter(|c| !matte.contains(&c.class)).collect();
+        let mut rest: Vec<Candidate> = rest
+            .into_iter()
+            .filter(|c| !matte.contains(&c.class))
+            .collect();
         if let Some(budget) = &options.budget {
             let keep = budget.evidence(pilot.len(), seconds, all.rays, rest.len(), progress);
             let all = rest.len().max(1);
-            rest = rest.into_iter().enumerate().filter(|(i, _)| (i + 1) * keep / all > i * keep / all).map(|(_, c)| c).collect();
+            rest = rest
+                .into_iter()
+                .enumerate()
+                .filter(|(i, _)| (i + 1) * keep / all > i * keep / all)
+                .map(|(_, c)| c)
+                .collect();
         }
         all.append(gather(&rest));
         (all, matte)
@@ -85,18 +112,37 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         Some(model) => (model, fit_groups(&evidence, model), Vec::new()),
         None => choose_model(&evidence),
     });
-    let list: Vec<String> = scores.iter().map(|(m, s)| format!("{m:?} {:.3} %", 100.0 * s)).collect();
+    let list: Vec<String> = scores
+        .iter()
+        .map(|(m, s)| format!("{m:?} {:.3} %", 100.0 * s))
+        .collect();
     let why = match options.reflectance {
         Some(_) => "--reflectance".to_owned(),
-        None => format!("the simplest of those that explain the views; disagreement {}", list.join(", ")),
+        None => format!(
+            "the simplest of those that explain the views; disagreement {}",
+            list.join(", ")
+        ),
     };
-    progress.decide("reflection model", format!("{model:?}"), why, options.reflectance.is_some());
+    progress.decide(
+        "reflection model",
+        format!("{model:?}"),
+        why,
+        options.reflectance.is_some(),
+    );
     let irradiance_at = |t: u32, p: Vec3| {
-        let size = Vec2::new(light.irradiance.width as f32, light.irradiance.height as f32);
-        light.irradiance.bilinear(surface.uv_at(t, p) * size, Wrap::Clamp)
+        let size = Vec2::new(
+            light.irradiance.width as f32,
+            light.irradiance.height as f32,
+        );
+        light
+            .irradiance
+            .bilinear(surface.uv_at(t, p) * size, Wrap::Clamp)
     };
     let rooms = rooms_of(&surface, options, progress);
-    let places = Places { irradiance: &irradiance_at, room: &|t, p| surface.nearest(&rooms, t, p) };
+    let places = Places {
+        irradiance: &irradiance_at,
+        room: &|t, p| surface.nearest(&rooms, t, p),
+    };
     let materials = progress.stage("materials", 1, |_| match options.divide {
         Switch::Off => Materials::undivided(fits),
         Switch::Auto => Materials::find(&evidence, fits, model, &places, DIVISION_GAIN),
@@ -110,7 +156,12 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
             let colour = (surface.fusion.views[i] > 0).then_some(colour);
             let room = rooms.data[surface.texels.cell[i] as usize];
             materials
-                .roughness(surface.labels[i], room, colour, surface.texels.position(&surface.scene.mesh, i))
+                .roughness(
+                    surface.labels[i],
+                    room,
+                    colour,
+                    surface.texels.position(&surface.scene.mesh, i),
+                )
                 .map_or(ROUGHNESS_PRIOR, |r| r.0)
         })
         .collect();
@@ -129,7 +180,9 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         wide.then(|| irradiance_at(t, p) * (FRAC_1_PI * lobes.response(n_v, roughness)))
     };
     let specular_rays = match &options.budget {
-        Some(budget) => budget.specular_rays(traced_pixels(&surface, &normals, &even_light), progress),
+        Some(budget) => {
+            budget.specular_rays(traced_pixels(&surface, &normals, &even_light), progress)
+        }
         None => options.specular_rays,
     };
     let reflector = Reflector {
@@ -145,7 +198,8 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
             .iter()
             .enumerate()
             .map(|(i, v)| {
-                let (image, traced) = specular_image(&reflector, v, i, &normals, &roughness_at, &even_light);
+                let (image, traced) =
+                    specular_image(&reflector, v, i, &normals, &roughness_at, &even_light);
                 rays += traced;
                 p.advance(1);
                 image
@@ -154,16 +208,46 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     });
     let roughness = |i: usize| roughness_of_texel[i];
     let mut albedo = progress.stage("albedo", surface.texels.len() as u64, |p| {
-        let shading = DiffuseShading { model, roughness: &roughness };
+        let shading = DiffuseShading {
+            model,
+            roughness: &roughness,
+        };
         let (observer, orientation) = (surface.observer(), &surface.orientation);
-        estimate_albedo(&observer, &specular, orientation, &surface.texels, &light.irradiance, &shading, p)
+        estimate_albedo(
+            &observer,
+            &specular,
+            orientation,
+            &surface.texels,
+            &light.irradiance,
+            &shading,
+            p,
+        )
     });
-    if options.edges != Switch::Off && options.budget.as_ref().is_none_or(|b| b.allows_edges(progress)) {
-        rays += solve_edges(&surface, &light, &specular, (model, &lobes, &roughness), &mut albedo, progress);
+    if options.edges != Switch::Off
+        && options
+            .budget
+            .as_ref()
+            .is_none_or(|b| b.allows_edges(progress))
+    {
+        rays += solve_edges(
+            &surface,
+            &light,
+            &specular,
+            (model, &lobes, &roughness),
+            &mut albedo,
+            progress,
+        );
     }
     if options.missing_light != Switch::Off {
         let (change, traced) = progress.stage("missing light", 0, |p| {
-            add_missing_light(&surface, &mut light, &mut albedo, (model, &lobes, &roughness), options.seed, p)
+            add_missing_light(
+                &surface,
+                &mut light,
+                &mut albedo,
+                (model, &lobes, &roughness),
+                options.seed,
+                p,
+            )
         });
         rays += traced;
         progress.note(format!(
@@ -173,10 +257,24 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     }
     let mut errors = albedo_errors(&surface, &light, &albedo);
     if options.painted != Switch::Off {
-        progress.stage("paint", 0, |p| settle_paint(&surface, &mut light, &mut albedo, &mut errors, options, p));
+        progress.stage("paint", 0, |p| {
+            settle_paint(&surface, &mut light, &mut albedo, &mut errors, options, p)
+        });
     }
-    let solution = assemble(&surface, &light, (&albedo, &errors), &materials, model, labels, rooms);
-    Ok(Solved { solution, fits: materials.fits().cloned().collect(), rays })
+    let solution = assemble(
+        &surface,
+        &light,
+        (&albedo, &errors),
+        &materials,
+        model,
+        labels,
+        rooms,
+    );
+    Ok(Solved {
+        solution,
+        fits: materials.fits().cloned().collect(),
+        rays,
+    })
 }
 
 /// Solves for the albedo of texels without a clean look; returns the rays traced.
@@ -188,8 +286,13 @@ fn solve_edges(
     albedo: &mut AlbedoEstimate,
     progress: &Progress,
 ) -> u64 {
-    let irradiance = |i: usize| surface.texels.lookup(&surface.scene.mesh, &light.irradiance, i);
-    let specular_guess = |i: usize, n_v: f32| irradiance(i) * (FRAC_1_PI * lobes.response(n_v, roughness(i)));
+    let irradiance = |i: usize| {
+        surface
+            .texels
+            .lookup(&surface.scene.mesh, &light.irradiance, i)
+    };
+    let specular_guess =
+        |i: usize, n_v: f32| irradiance(i) * (FRAC_1_PI * lobes.response(n_v, roughness(i)));
     let unmixing = Unmixing {
         observer: surface.observer(),
         orientation: &surface.orientation,
@@ -226,7 +329,9 @@ fn traced_pixels(
                     continue;
                 }
                 let position = b.position(x, y);
-                let n_v = normals(t, position).0.dot((b.camera.position - position).normalize_or_zero());
+                let n_v = normals(t, position)
+                    .0
+                    .dot((b.camera.position - position).normalize_or_zero());
                 count += usize::from(known(t, position, n_v).is_none());
             }
         }
@@ -237,7 +342,9 @@ fn traced_pixels(
 /// About `few` candidates of every class, evenly drawn, and the others.
 fn divided(candidates: &[Candidate], few: usize) -> (Vec<Candidate>, Vec<Candidate>) {
     let mut size: BTreeMap<u16, usize> = BTreeMap::new();
-    candidates.iter().for_each(|c| *size.entry(c.class).or_default() += 1);
+    candidates
+        .iter()
+        .for_each(|c| *size.entry(c.class).or_default() += 1);
     let mut at: BTreeMap<u16, usize> = BTreeMap::new();
     candidates.iter().copied().partition(|c| {
         let k = at.entry(c.class).or_default();
@@ -271,10 +378,26 @@ fn assemble(
         })
         .collect();
     // unseen texels have a value where their class says what to expect
-    let observed: Vec<bool> = albedo.error.iter().zip(&albedo.value).map(|(e, a)| e.is_finite() || *a != Vec3::ZERO).collect();
-    let value: Vec<Vec3> = albedo.value.iter().map(|a| a.clamp(Vec3::ZERO, Vec3::ONE)).collect();
-    let albedo_plane = fill_uncovered(&texels.scatter(&value, Vec3::ZERO), &texels.scatter(&observed, false));
-    let confidence: Vec<Vec2> = errors.iter().zip(&roughness).map(|(e, r)| Vec2::new(e.min(1e4), r.1)).collect();
+    let observed: Vec<bool> = albedo
+        .error
+        .iter()
+        .zip(&albedo.value)
+        .map(|(e, a)| e.is_finite() || *a != Vec3::ZERO)
+        .collect();
+    let value: Vec<Vec3> = albedo
+        .value
+        .iter()
+        .map(|a| a.clamp(Vec3::ZERO, Vec3::ONE))
+        .collect();
+    let albedo_plane = fill_uncovered(
+        &texels.scatter(&value, Vec3::ZERO),
+        &texels.scatter(&observed, false),
+    );
+    let confidence: Vec<Vec2> = errors
+        .iter()
+        .zip(&roughness)
+        .map(|(e, r)| Vec2::new(e.min(1e4), r.1))
+        .collect();
     let emission: Vec<Vec3> = (0..texels.len())
         .map(|i| {
             if light.emissive[texels.point[i].triangle as usize] {
@@ -288,8 +411,15 @@ fn assemble(
     let r = filled(texels, &roughness.iter().map(|r| r.0).collect::<Vec<f32>>());
     let scale = Vec2::new(r.width as f32, r.height as f32) / size as f32;
     let at = |i: usize| Vec2::new((i % size) as f32 + 0.5, (i / size) as f32 + 0.5) * scale;
-    let data = (0..size * size).into_par_iter().map(|i| r.bilinear(at(i), Wrap::Clamp)).collect();
-    let roughness = Plane { width: size, height: size, data };
+    let data = (0..size * size)
+        .into_par_iter()
+        .map(|i| r.bilinear(at(i), Wrap::Clamp))
+        .collect();
+    let roughness = Plane {
+        width: size,
+        height: size,
+        data,
+    };
     Solution {
         mesh: surface.oriented_mesh(),
         origin: surface.scene.origin,
@@ -312,13 +442,19 @@ fn filled(texels: &Texels, values: &[f32]) -> Plane<f32> {
     fill_uncovered(&texels.scatter(values, 0.0), &coverage(texels))
 }
 
-/// A first guess of the albedo of every covered texel: of what it reflects, a dielectric's share at normal incidence is specular.
+/// A first guess of the albedo of every covered texel: of what it reflects, a dielectric's share at
+/// normal incidence is specular.
 fn first_albedo(surface: &Surface, light: &Light) -> Vec<Vec3> {
     let albedo = |i: usize| {
-        let e = surface.texels.lookup(&surface.scene.mesh, &light.irradiance, i);
+        let e = surface
+            .texels
+            .lookup(&surface.scene.mesh, &light.irradiance, i);
         surface.fusion.radiance[i] * PI / e.max(Vec3::splat(1e-12)) - F0 as f32
     };
-    (0..surface.texels.len()).into_par_iter().map(albedo).collect()
+    (0..surface.texels.len())
+        .into_par_iter()
+        .map(albedo)
+        .collect()
 }
 
 /// Standard error of the albedo per covered texel, with what irradiance and geometry contribute.
@@ -329,14 +465,25 @@ fn albedo_errors(surface: &Surface, light: &Light, albedo: &AlbedoEstimate) -> V
     let size = Vec2::new(noise.width as f32, noise.height as f32);
     let irradiance_error = |i: usize| {
         let p = texels.point[i];
-        noise.nearest(mesh.uv(p.triangle as usize, p.u, p.v) * size).clamp(0.0, 1.0)
+        noise
+            .nearest(mesh.uv(p.triangle as usize, p.u, p.v) * size)
+            .clamp(0.0, 1.0)
     };
     let footprint = |i: usize| {
-        let side = texels.texel_area(mesh, texels.point[i].triangle as usize).sqrt();
+        let side = texels
+            .texel_area(mesh, texels.point[i].triangle as usize)
+            .sqrt();
         albedo.footprint[i] / side.max(f32::MIN_POSITIVE)
     };
     let reflects = |i: usize| !light.emissive[texels.point[i].triangle as usize];
-    crate::inverse::albedo_error(albedo, texels, &surface.labels, irradiance_error, footprint, reflects)
+    crate::inverse::albedo_error(
+        albedo,
+        texels,
+        &surface.labels,
+        irradiance_error,
+        footprint,
+        reflects,
+    )
 }
 
 /// Room ids per texel: the scene's own grid, or the rooms found in the mesh.

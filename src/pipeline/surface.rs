@@ -47,32 +47,60 @@ impl<'a> Surface<'a> {
     /// Unreadable or unusable images and labels.
     pub fn observe(scene: &'a Scene, options: &SolveOptions, progress: &Progress) -> Result<Self> {
         let tracer = EmbreeTracer::new(&scene.mesh)?;
-        let train: Vec<_> = scene.views.iter().filter(|v| v.split == Split::Train).collect();
+        let train: Vec<_> = scene
+            .views
+            .iter()
+            .filter(|v| v.split == Split::Train)
+            .collect();
         let mut clipped = Vec::with_capacity(train.len());
         let mut views = progress.stage("views", train.len() as u64, |p| {
             train
                 .iter()
                 .map(|view| {
                     let full = scene.load_radiance(view)?;
-                    let ceiling = clipped_pixels(&full).map(|c| any_of(&c, options.photo_reduction));
+                    let ceiling =
+                        clipped_pixels(&full).map(|c| any_of(&c, options.photo_reduction));
                     let radiance = reduced(full, options.photo_reduction);
                     let labels = scene.load_labels(view)?;
-                    let valid = scene.load_mask(view)?.map(|m| all_valid(&m, options.photo_reduction));
-                    let buffer = ViewBuffer::trace(&view.camera.resized(radiance.width, radiance.height), &tracer);
+                    let valid = scene
+                        .load_mask(view)?
+                        .map(|m| all_valid(&m, options.photo_reduction));
+                    let buffer = ViewBuffer::trace(
+                        &view.camera.resized(radiance.width, radiance.height),
+                        &tracer,
+                    );
                     let mut clean = buffer.clean_pixels(&scene.mesh, labels.as_ref());
                     if let Some(at) = &ceiling {
                         // a lower bound: used only where no other look is at hand
-                        clean.data.iter_mut().zip(&at.data).for_each(|(clean, clipped)| *clean &= !clipped);
-                        let share = at.data.iter().filter(|c| **c).count() as f64 / at.data.len() as f64;
-                        p.note(format!("{}: {:.2} % of the pixels are clipped", view.stem, 100.0 * share));
+                        clean
+                            .data
+                            .iter_mut()
+                            .zip(&at.data)
+                            .for_each(|(clean, clipped)| *clean &= !clipped);
+                        let share =
+                            at.data.iter().filter(|c| **c).count() as f64 / at.data.len() as f64;
+                        p.note(format!(
+                            "{}: {:.2} % of the pixels are clipped",
+                            view.stem,
+                            100.0 * share
+                        ));
                     }
                     clipped.push(ceiling);
                     p.advance(1);
-                    Ok(ObservedView { buffer, radiance, clean, labels, valid })
+                    Ok(ObservedView {
+                        buffer,
+                        radiance,
+                        clean,
+                        labels,
+                        valid,
+                    })
                 })
                 .collect::<Result<Vec<_>>>()
         })?;
-        let orientation = Orientation::vote(&scene.mesh, &views.iter().map(|v| &v.buffer).collect::<Vec<_>>());
+        let orientation = Orientation::vote(
+            &scene.mesh,
+            &views.iter().map(|v| &v.buffer).collect::<Vec<_>>(),
+        );
         if orientation.flipped() > 0 {
             progress.note(format!(
                 "{} of {} triangles are seen from behind their winding; their normals are turned",
@@ -83,12 +111,28 @@ impl<'a> Surface<'a> {
         leave_out_clipped_sky(&mut views, &clipped);
         drop(clipped);
         balance_views(scene, &mut views, &orientation, options.exposure, progress);
-        let sizes = choose_sizes(&Observer { mesh: &scene.mesh, views: &views }, &orientation, options, progress);
+        let sizes = choose_sizes(
+            &Observer {
+                mesh: &scene.mesh,
+                views: &views,
+            },
+            &orientation,
+            options,
+            progress,
+        );
         let texels = Texels::rasterize(&scene.mesh, sizes.albedo, sizes.albedo);
         let begin = Instant::now();
         let fusion = options.checkpoints.reuse("radiance", progress, || {
             progress.stage("radiance", texels.len() as u64, |p| {
-                crate::lighting::fuse_radiance(&Observer { mesh: &scene.mesh, views: &views }, &orientation, &texels, p)
+                crate::lighting::fuse_radiance(
+                    &Observer {
+                        mesh: &scene.mesh,
+                        views: &views,
+                    },
+                    &orientation,
+                    &texels,
+                    p,
+                )
             })
         });
         if let Some(budget) = &options.budget {
@@ -99,17 +143,32 @@ impl<'a> Surface<'a> {
         let (lo, hi) = scene.mesh.bounds();
         // a tenth of a millimetre in a ten-metre room, well above the rounding of positions
         let offset = (hi - lo).length() * 1e-5;
-        Ok(Self { scene, tracer, views, orientation, sizes, texels, fusion, labels, back, offset })
+        Ok(Self {
+            scene,
+            tracer,
+            views,
+            orientation,
+            sizes,
+            texels,
+            fusion,
+            labels,
+            back,
+            offset,
+        })
     }
 
     /// Finds the observations of surface points.
     #[must_use]
     pub fn observer(&self) -> Observer<'_> {
-        Observer { mesh: &self.scene.mesh, views: &self.views }
+        Observer {
+            mesh: &self.scene.mesh,
+            views: &self.views,
+        }
     }
 
-    /// The mesh with every triangle wound so that its front is the side the cameras see. Vertices between turned and unturned
-    /// triangles are doubled, so that vertex normals agree with their faces.
+    /// The mesh with every triangle wound so that its front is the side the cameras see. Vertices
+    /// between turned and unturned triangles are doubled, so that vertex normals agree with their
+    /// faces.
     #[must_use]
     pub fn oriented_mesh(&self) -> Mesh {
         let mut mesh = self.scene.mesh.clone();
@@ -132,7 +191,8 @@ impl<'a> Surface<'a> {
         mesh
     }
 
-    /// Shading and geometric normal at the point of a triangle nearest to `position`, on the side the cameras see.
+    /// Shading and geometric normal at the point of a triangle nearest to `position`, on the side
+    /// the cameras see.
     #[must_use]
     pub fn normals_at(&self, triangle: u32, position: Vec3) -> (Vec3, Vec3) {
         let (u, v) = self.scene.mesh.barycentrics(triangle as usize, position);
@@ -149,14 +209,20 @@ impl<'a> Surface<'a> {
     /// The texel of an atlas texture of any size at the point of a triangle nearest to `position`.
     #[must_use]
     pub fn nearest<T: Copy>(&self, plane: &Plane<T>, triangle: u32, position: Vec3) -> T {
-        *plane.nearest(self.uv_at(triangle, position) * glam::Vec2::new(plane.width as f32, plane.height as f32))
+        *plane.nearest(
+            self.uv_at(triangle, position)
+                * glam::Vec2::new(plane.width as f32, plane.height as f32),
+        )
     }
 
     /// Shading and geometric normal at a surface point, on the side the cameras see.
     #[must_use]
     pub fn normals(&self, triangle: usize, u: f32, v: f32) -> (Vec3, Vec3) {
         let sign = self.orientation.sign(triangle);
-        (self.scene.mesh.shading_normal(triangle, u, v) * sign, self.scene.mesh.face_normal(triangle) * sign)
+        (
+            self.scene.mesh.shading_normal(triangle, u, v) * sign,
+            self.scene.mesh.face_normal(triangle) * sign,
+        )
     }
 }
 
@@ -191,9 +257,15 @@ fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) ->
     let (width, height) = (image.width / factor, image.height / factor);
     let block = |i: usize| {
         let (x, y) = (i % width * factor, i / width * factor);
-        (1..factor * factor).fold(image[(x, y)], |sum, k| join(sum, image[(x + k % factor, y + k / factor)]))
+        (1..factor * factor).fold(image[(x, y)], |sum, k| {
+            join(sum, image[(x + k % factor, y + k / factor)])
+        })
     };
-    Plane { width, height, data: (0..width * height).map(block).collect() }
+    Plane {
+        width,
+        height,
+        data: (0..width * height).map(block).collect(),
+    }
 }
 
 /// Mean radiance per triangle of pixels that see it from the side away from its orientation.
@@ -211,7 +283,9 @@ fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientatio
                     continue;
                 }
                 let t = t as usize;
-                let d = b.camera.direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+                let d = b
+                    .camera
+                    .direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
                 if scene.mesh.face_normal(t).dot(d) * orientation.sign(t) > 0.0 {
                     sum[t] += v.radiance[(x, y)];
                     count[t] += 1;
@@ -219,7 +293,10 @@ fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientatio
             }
         }
     }
-    sum.iter().zip(&count).map(|(s, c)| if *c > 0 { *s / *c as f32 } else { Vec3::ZERO }).collect()
+    sum.iter()
+        .zip(&count)
+        .map(|(s, c)| if *c > 0 { *s / *c as f32 } else { Vec3::ZERO })
+        .collect()
 }
 
 /// A plane of texel validity for the covered texels of `texels`.
@@ -232,23 +309,39 @@ pub(crate) mod tests {
     use super::*;
     use glam::{DVec3, Vec2};
 
-    /// A box of 4 × 3 × 5 m seen from inside: floor, ceiling and four walls, two triangles and a cell of the atlas each.
+    /// A box of 4 × 3 × 5 m seen from inside: floor, ceiling and four walls, two triangles and a
+    /// cell of the atlas each.
     pub fn box_scene() -> Scene {
         let size = Vec3::new(4.0, 3.0, 5.0);
         let [x, y, z] = [Vec3::X * size.x, Vec3::Y * size.y, Vec3::Z * size.z];
-        let walls = [(Vec3::ZERO, z, x), (y, x, z), (Vec3::ZERO, y, z), (x, z, y), (Vec3::ZERO, x, y), (z, y, x)];
+        let walls = [
+            (Vec3::ZERO, z, x),
+            (y, x, z),
+            (Vec3::ZERO, y, z),
+            (x, z, y),
+            (Vec3::ZERO, x, y),
+            (z, y, x),
+        ];
         let mut mesh = Mesh::default();
         for (i, (corner, u, v)) in walls.into_iter().enumerate() {
             let first = mesh.positions.len() as u32;
             let cell = Vec2::new((i % 3) as f32, (i / 3) as f32);
             for (a, b) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
                 mesh.positions.push(corner + u * a + v * b);
-                mesh.uvs.push((cell + Vec2::new(0.1 + 0.8 * a, 0.1 + 0.8 * b)) / 3.0);
+                mesh.uvs
+                    .push((cell + Vec2::new(0.1 + 0.8 * a, 0.1 + 0.8 * b)) / 3.0);
                 mesh.normals.push(u.cross(v).normalize());
             }
-            mesh.triangles.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+            mesh.triangles
+                .extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
         }
-        Scene::from_parts(std::path::PathBuf::new(), DVec3::ZERO, mesh, Vec::new(), Vec::new())
+        Scene::from_parts(
+            std::path::PathBuf::new(),
+            DVec3::ZERO,
+            mesh,
+            Vec::new(),
+            Vec::new(),
+        )
     }
 
     /// The surface of a scene of which no view sees anything: what is seen is up to the test.
@@ -268,8 +361,16 @@ pub(crate) mod tests {
             tracer: EmbreeTracer::new(&scene.mesh).expect("Embree"),
             views: Vec::new(),
             orientation: Orientation::of_winding(triangles),
-            sizes: Sizes { albedo: side, roughness: side, irradiance: side },
-            labels: texels.point.iter().map(|p| 1 + p.triangle as u16 / 2).collect(),
+            sizes: Sizes {
+                albedo: side,
+                roughness: side,
+                irradiance: side,
+            },
+            labels: texels
+                .point
+                .iter()
+                .map(|p| 1 + p.triangle as u16 / 2)
+                .collect(),
             texels,
             fusion,
             back: vec![Vec3::ZERO; triangles],
@@ -283,7 +384,11 @@ pub(crate) mod tests {
         for (factor, size) in [(0, (4, 2)), (1, (4, 2)), (2, (2, 1)), (100, (2, 1))] {
             let small = reduced(image.clone(), factor);
             assert_eq!((small.width, small.height), size, "factor {factor}");
-            assert!(small.data.iter().all(|v| *v == image.data[0]), "factor {factor}: {:?}", small.data[0]);
+            assert!(
+                small.data.iter().all(|v| *v == image.data[0]),
+                "factor {factor}: {:?}",
+                small.data[0]
+            );
         }
     }
 }

@@ -1,11 +1,12 @@
-//! Variance-guided filtering of a rendered frame: the edge-avoiding à-trous wavelet of Dammertz et al. 2010 with the
-//! luminance weight of SVGF (Schied et al. 2017).
+//! Variance-guided filtering of a rendered frame: the edge-avoiding à-trous wavelet of Dammertz et
+//! al. 2010 with the luminance weight of SVGF (Schied et al. 2017).
 //!
-//! The diffuse part is divided by the pixel's albedo first and multiplied afterwards, so that textures stay as sharp as they
-//! were; the specular part is filtered among pixels of like class and roughness; emission is not touched. Weights fall with the
-//! distance from the pixel's tangent plane, with the angle of the normals, and with differences of luminance beyond what the
-//! noise explains. The result is biased, by less than the noise it removes; how much of that is allowed depends on the
-//! [`Purpose`].
+//! The diffuse part is divided by the pixel's albedo first and multiplied afterwards, so that
+//! textures stay as sharp as they were; the specular part is filtered among pixels of like class
+//! and roughness; emission is not touched. Weights fall with the distance from the pixel's tangent
+//! plane, with the angle of the normals, and with differences of luminance beyond what the noise
+//! explains. The result is biased, by less than the noise it removes; how much of that is allowed
+//! depends on the [`Purpose`].
 
 use super::Frame;
 use crate::geometry::{Camera, Projection};
@@ -20,7 +21,8 @@ const LEVELS: u32 = 5;
 const KERNEL: [f32; 3] = [0.375, 0.25, 0.0625];
 /// Width of the luminance weight in standard deviations of the difference.
 const LUMINANCE_SIGMAS: f32 = 4.0;
-/// Standard deviations by which a pixel may exceed the brightest of its neighbours before it is taken for a stray.
+/// Standard deviations by which a pixel may exceed the brightest of its neighbours before it is
+/// taken for a stray.
 const OUTLIER_SIGMAS: f32 = 2.0;
 /// Albedo below which the diffuse part is not divided further.
 const ALBEDO_FLOOR: f32 = 0.02;
@@ -32,12 +34,13 @@ const ROUGHNESS_WIDTH: f32 = 0.04;
 pub enum Purpose {
     /// To be looked at: smooth from few samples, though small highlights are flattened.
     Viewing,
-    /// To measure materials from: reflections are filtered by as much as the surface's roughness blurs them anyway. What is left of
-    /// their noise must be sampled away.
+    /// To measure materials from: reflections are filtered by as much as the surface's roughness
+    /// blurs them anyway. What is left of their noise must be sampled away.
     Measuring,
 }
 
-/// Roughness up to which reflections to measure stay as traced, and from which on they are filtered fully.
+/// Roughness up to which reflections to measure stay as traced, and from which on they are filtered
+/// fully.
 const MEASURED_SHARP: f32 = 0.15;
 const MEASURED_ROUGH: f32 = 0.6;
 
@@ -79,20 +82,39 @@ impl Grid {
 #[must_use]
 pub fn denoise(frame: &Frame, camera: &Camera, purpose: Purpose) -> RgbPlane {
     let (w, h) = (frame.emission.width, frame.emission.height);
-    let grid = Grid { width: w, height: h, wraps: matches!(camera.projection, Projection::Equirectangular) };
+    let grid = Grid {
+        width: w,
+        height: h,
+        wraps: matches!(camera.projection, Projection::Equirectangular),
+    };
     let guides: Vec<Guide> = (0..w * h).map(|i| guide(frame, camera, i, w)).collect();
-    let albedo: Vec<Vec3> = frame.albedo.data.iter().map(|a| a.max(Vec3::splat(ALBEDO_FLOOR))).collect();
+    let albedo: Vec<Vec3> = frame
+        .albedo
+        .data
+        .iter()
+        .map(|a| a.max(Vec3::splat(ALBEDO_FLOOR)))
+        .collect();
     let diffuse = (0..w * h).map(|i| {
         let scale = luminance(albedo[i]).recip();
-        Signal { value: frame.diffuse.data[i] / albedo[i], variance: frame.variance.data[i][0] * scale * scale }
+        Signal {
+            value: frame.diffuse.data[i] / albedo[i],
+            variance: frame.variance.data[i][0] * scale * scale,
+        }
     });
     let mut diffuse: Vec<Signal> = diffuse.collect();
     // known irradiance comes without variance
     if diffuse.iter().any(|s| s.variance > 0.0) {
         diffuse = filter(&grid, &guides, diffuse, false, LEVELS);
     }
-    let specular = (0..w * h).map(|i| Signal { value: frame.specular.data[i], variance: frame.variance.data[i][1] });
-    let levels = if purpose == Purpose::Measuring { SPECULAR_LEVELS } else { LEVELS };
+    let specular = (0..w * h).map(|i| Signal {
+        value: frame.specular.data[i],
+        variance: frame.variance.data[i][1],
+    });
+    let levels = if purpose == Purpose::Measuring {
+        SPECULAR_LEVELS
+    } else {
+        LEVELS
+    };
     let specular = filter(&grid, &guides, specular.collect(), true, levels);
     let share = |i: usize| match purpose {
         Purpose::Viewing => 1.0,
@@ -100,7 +122,8 @@ pub fn denoise(frame: &Frame, camera: &Camera, purpose: Purpose) -> RgbPlane {
     };
     let mut out = frame.emission.clone();
     for (i, p) in out.data.iter_mut().enumerate() {
-        *p += diffuse[i].value * albedo[i] + frame.specular.data[i].lerp(specular[i].value, share(i));
+        *p +=
+            diffuse[i].value * albedo[i] + frame.specular.data[i].lerp(specular[i].value, share(i));
     }
     out
 }
@@ -130,7 +153,11 @@ fn same_surface(a: &Guide, b: &Guide, specular: bool) -> f32 {
     if specular {
         exponent += (a.roughness - b.roughness).abs() / ROUGHNESS_WIDTH;
     }
-    if exponent > 12.0 { 0.0 } else { (-exponent).exp() }
+    if exponent > 12.0 {
+        0.0
+    } else {
+        (-exponent).exp()
+    }
 }
 
 /// First hit of a pixel, for [`filter_specular`].
@@ -146,11 +173,16 @@ pub struct SpecularFeature {
     pub roughness: f32,
 }
 
-/// Filters specular reflection of few samples per pixel, whose noise is known only from the neighbourhood. Rough surfaces blur what
-/// they reflect, so pixels of one surface may share; up to [`SHARP`] nothing is shared, from [`ROUGH`] on everything.
+/// Filters specular reflection of few samples per pixel, whose noise is known only from the
+/// neighbourhood. Rough surfaces blur what they reflect, so pixels of one surface may share; up to
+/// [`SHARP`] nothing is shared, from [`ROUGH`] on everything.
 pub fn filter_specular(specular: &mut RgbPlane, features: &[SpecularFeature], camera: &Camera) {
     let (w, h) = (specular.width, specular.height);
-    let grid = Grid { width: w, height: h, wraps: matches!(camera.projection, Projection::Equirectangular) };
+    let grid = Grid {
+        width: w,
+        height: h,
+        wraps: matches!(camera.projection, Projection::Equirectangular),
+    };
     let guides: Vec<Guide> = features
         .iter()
         .enumerate()
@@ -166,13 +198,20 @@ pub fn filter_specular(specular: &mut RgbPlane, features: &[SpecularFeature], ca
         })
         .collect();
     let share = |i: usize| {
-        if guides[i].normal == Vec3::ZERO { 0.0 } else { ramp(guides[i].roughness, SHARP, ROUGH) }
+        if guides[i].normal == Vec3::ZERO {
+            0.0
+        } else {
+            ramp(guides[i].roughness, SHARP, ROUGH)
+        }
     };
     let parts = map_chunks(w * h, 4096, |range| {
         range
             .map(|i| match share(i) > 0.0 {
                 true => local_signal(&grid, &guides, specular, i),
-                false => Signal { value: specular.data[i], variance: 0.0 },
+                false => Signal {
+                    value: specular.data[i],
+                    variance: 0.0,
+                },
             })
             .collect::<Vec<Signal>>()
     });
@@ -188,16 +227,20 @@ const SHARP: f32 = 0.15;
 const ROUGH: f32 = 0.35;
 /// Wavelet levels of [`filter_specular`] and of reflections to measure.
 const SPECULAR_LEVELS: u32 = 3;
-/// How far a pixel may exceed the mean of its neighbours (their two brightest left out) before it counts as a stray.
+/// How far a pixel may exceed the mean of its neighbours (their two brightest left out) before it
+/// counts as a stray.
 const STRAY: f32 = 2.5;
 
-/// A pixel's reflection, strays pulled down, with the variance over its 5 × 5 neighbours on the same surface.
+/// A pixel's reflection, strays pulled down, with the variance over its 5 × 5 neighbours on the
+/// same surface.
 fn local_signal(grid: &Grid, guides: &[Guide], specular: &RgbPlane, i: usize) -> Signal {
     let (x, y) = (i % grid.width, i / grid.width);
     let (mut sum, mut squares, mut count, mut brightest) = (0.0f32, 0.0f32, 0.0f32, [0.0f32; 2]);
     for dy in -2isize..=2 {
         for dx in -2isize..=2 {
-            let Some(j) = grid.neighbour(x, y, dx, dy).filter(|&j| j != i) else { continue };
+            let Some(j) = grid.neighbour(x, y, dx, dy).filter(|&j| j != i) else {
+                continue;
+            };
             if same_surface(&guides[i], &guides[j], true) < 0.05 {
                 continue;
             }
@@ -212,13 +255,22 @@ fn local_signal(grid: &Grid, guides: &[Guide], specular: &RgbPlane, i: usize) ->
     }
     let here = specular.data[i];
     if count < 6.0 {
-        return Signal { value: here, variance: 0.0 };
+        return Signal {
+            value: here,
+            variance: 0.0,
+        };
     }
     let n = count - 2.0;
     let mean = (sum - brightest[0] - brightest[1]).max(0.0) / n;
-    let variance = ((squares - brightest[0] * brightest[0] - brightest[1] * brightest[1]) / n - mean * mean).max(0.0);
+    let variance = ((squares - brightest[0] * brightest[0] - brightest[1] * brightest[1]) / n
+        - mean * mean)
+        .max(0.0);
     let limit = STRAY * mean + 2.0 * variance.sqrt();
-    let value = if luminance(here) > limit { here * (limit / luminance(here)) } else { here };
+    let value = if luminance(here) > limit {
+        here * (limit / luminance(here))
+    } else {
+        here
+    };
     Signal { value, variance }
 }
 
@@ -227,12 +279,29 @@ fn ramp(x: f32, low: f32, high: f32) -> f32 {
     ((x - low) / (high - low)).clamp(0.0, 1.0)
 }
 
-fn filter(grid: &Grid, guides: &[Guide], signal: Vec<Signal>, specular: bool, levels: u32) -> Vec<Signal> {
-    let signal = smooth_variance(grid, guides, &tame_outliers(grid, guides, &signal, specular), specular);
+fn filter(
+    grid: &Grid,
+    guides: &[Guide],
+    signal: Vec<Signal>,
+    specular: bool,
+    levels: u32,
+) -> Vec<Signal> {
+    let signal = smooth_variance(
+        grid,
+        guides,
+        &tame_outliers(grid, guides, &signal, specular),
+        specular,
+    );
     wavelets(grid, guides, signal, specular, levels)
 }
 
-fn wavelets(grid: &Grid, guides: &[Guide], mut signal: Vec<Signal>, specular: bool, levels: u32) -> Vec<Signal> {
+fn wavelets(
+    grid: &Grid,
+    guides: &[Guide],
+    mut signal: Vec<Signal>,
+    specular: bool,
+    levels: u32,
+) -> Vec<Signal> {
     for level in 0..levels {
         let step = 1isize << level;
         let steer = steering(grid, guides, &signal, specular);
@@ -240,7 +309,15 @@ fn wavelets(grid: &Grid, guides: &[Guide], mut signal: Vec<Signal>, specular: bo
             let mut out = Vec::with_capacity(range.len() * grid.width);
             for y in range {
                 for x in 0..grid.width {
-                    out.push(wavelet(grid, guides, &signal, &steer, (x, y), step, specular));
+                    out.push(wavelet(
+                        grid,
+                        guides,
+                        &signal,
+                        &steer,
+                        (x, y),
+                        step,
+                        specular,
+                    ));
                 }
             }
             out
@@ -250,16 +327,23 @@ fn wavelets(grid: &Grid, guides: &[Guide], mut signal: Vec<Signal>, specular: bo
     signal
 }
 
-/// Luminance and its variance, averaged over 3×3 pixels of a surface: what luminance weights are taken from. A pixel's own
-/// noise in its own weights would prefer neighbours that err the same way, and skewed noise would darken the image.
+/// Luminance and its variance, averaged over 3×3 pixels of a surface: what luminance weights are
+/// taken from. A pixel's own noise in its own weights would prefer neighbours that err the same
+/// way, and skewed noise would darken the image.
 fn steering(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: bool) -> Vec<[f32; 2]> {
     let average = |i: usize| {
         let (x, y) = (i % grid.width, i / grid.width);
         let (mut sum, mut variance, mut total) = (0.0f32, 0.0f32, 0.0f32);
         for dy in -1isize..=1 {
             for dx in -1isize..=1 {
-                let Some(j) = grid.neighbour(x, y, dx, dy) else { continue };
-                let weight = if j == i { 1.0 } else { same_surface(&guides[i], &guides[j], specular) };
+                let Some(j) = grid.neighbour(x, y, dx, dy) else {
+                    continue;
+                };
+                let weight = if j == i {
+                    1.0
+                } else {
+                    same_surface(&guides[i], &guides[j], specular)
+                };
                 sum += weight * luminance(signal[j].value);
                 variance += weight * weight * signal[j].variance;
                 total += weight;
@@ -267,7 +351,9 @@ fn steering(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: bool) ->
         }
         [sum / total, variance / (total * total)]
     };
-    let parts = map_chunks(signal.len(), 4096, |range| range.map(average).collect::<Vec<[f32; 2]>>());
+    let parts = map_chunks(signal.len(), 4096, |range| {
+        range.map(average).collect::<Vec<[f32; 2]>>()
+    });
     parts.into_iter().flatten().collect()
 }
 
@@ -289,7 +375,9 @@ fn wavelet(
     let (mut value, mut variance, mut total) = (Vec3::ZERO, 0.0f32, 0.0f32);
     for dy in -2isize..=2 {
         for dx in -2isize..=2 {
-            let Some(j) = grid.neighbour(x, y, dx * step, dy * step) else { continue };
+            let Some(j) = grid.neighbour(x, y, dx * step, dy * step) else {
+                continue;
+            };
             let there = signal[j];
             let mut weight = KERNEL[dx.unsigned_abs()] * KERNEL[dy.unsigned_abs()];
             if j != i {
@@ -297,7 +385,9 @@ fn wavelet(
                 if surface == 0.0 {
                     continue;
                 }
-                let sigma = LUMINANCE_SIGMAS * (uncertainty + steer[j][1]).sqrt() + 1e-5 * brightness + 1e-12;
+                let sigma = LUMINANCE_SIGMAS * (uncertainty + steer[j][1]).sqrt()
+                    + 1e-5 * brightness
+                    + 1e-12;
                 weight *= surface * (-(steer[j][0] - brightness).abs() / sigma).exp();
             }
             value += there.value * weight;
@@ -305,11 +395,19 @@ fn wavelet(
             total += weight;
         }
     }
-    Signal { value: value / total, variance: variance / (total * total) }
+    Signal {
+        value: value / total,
+        variance: variance / (total * total),
+    }
 }
 
 /// Few samples misjudge their own variance: takes the mean over the same surface nearby.
-fn smooth_variance(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: bool) -> Vec<Signal> {
+fn smooth_variance(
+    grid: &Grid,
+    guides: &[Guide],
+    signal: &[Signal],
+    specular: bool,
+) -> Vec<Signal> {
     let rows = map_chunks(grid.height, 4, |range| {
         let mut out = Vec::with_capacity(range.len() * grid.width);
         for y in range {
@@ -318,13 +416,18 @@ fn smooth_variance(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: b
                 let (mut sum, mut total) = (signal[i].variance, 1.0f32);
                 for dy in -2isize..=2 {
                     for dx in -2isize..=2 {
-                        let Some(j) = grid.neighbour(x, y, dx, dy).filter(|&j| j != i) else { continue };
+                        let Some(j) = grid.neighbour(x, y, dx, dy).filter(|&j| j != i) else {
+                            continue;
+                        };
                         let weight = same_surface(&guides[i], &guides[j], specular);
                         sum += weight * signal[j].variance;
                         total += weight;
                     }
                 }
-                out.push(Signal { value: signal[i].value, variance: sum / total });
+                out.push(Signal {
+                    value: signal[i].value,
+                    variance: sum / total,
+                });
             }
         }
         out
@@ -332,8 +435,9 @@ fn smooth_variance(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: b
     rows.into_iter().flatten().collect()
 }
 
-/// Pulls pixels that stand out of all their neighbours on the same surface, and are uncertain themselves, down to what the
-/// brightest of these and their noise allow: one lucky path would otherwise become a disc.
+/// Pulls pixels that stand out of all their neighbours on the same surface, and are uncertain
+/// themselves, down to what the brightest of these and their noise allow: one lucky path would
+/// otherwise become a disc.
 fn tame_outliers(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: bool) -> Vec<Signal> {
     let tame = |i: usize| {
         let (x, y) = (i % grid.width, i / grid.width);
@@ -342,16 +446,23 @@ fn tame_outliers(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: boo
         if here.variance.sqrt() < 0.3 * brightness {
             return here;
         }
-        // (brightest, summed variance, count) over the neighbours on the same surface, and over all of them: a pixel across
-        // an edge has few of the former
+        // (brightest, summed variance, count) over the neighbours on the same surface, and over all
+        // of them: a pixel across an edge has few of the former
         let (mut same, mut all) = ((0.0f32, 0.0f32, 0), (0.0f32, 0.0f32, 0));
         for dy in -1isize..=1 {
             for dx in -1isize..=1 {
-                let Some(j) = grid.neighbour(x, y, dx, dy).filter(|&j| j != i && guides[j].normal != Vec3::ZERO) else {
+                let Some(j) = grid
+                    .neighbour(x, y, dx, dy)
+                    .filter(|&j| j != i && guides[j].normal != Vec3::ZERO)
+                else {
                     continue;
                 };
                 let count = |c: &mut (f32, f32, i32)| {
-                    *c = (c.0.max(luminance(signal[j].value)), c.1 + signal[j].variance, c.2 + 1);
+                    *c = (
+                        c.0.max(luminance(signal[j].value)),
+                        c.1 + signal[j].variance,
+                        c.2 + 1,
+                    );
                 };
                 count(&mut all);
                 if same_surface(&guides[i], &guides[j], specular) > 0.05 {
@@ -360,15 +471,21 @@ fn tame_outliers(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: boo
             }
         }
         let (brightest, variance, count) = if same.2 < 4 { all } else { same };
-        // one pixel in nine is the brightest of its neighbourhood: only what their noise does not explain is taken away
+        // one pixel in nine is the brightest of its neighbourhood: only what their noise does not
+        // explain is taken away
         let mean_variance = variance / count.max(1) as f32;
         let limit = brightest + OUTLIER_SIGMAS * mean_variance.sqrt();
         if count < 4 || brightness <= limit {
             return here;
         }
-        Signal { value: here.value * (limit / brightness), variance: here.variance.min(mean_variance) }
+        Signal {
+            value: here.value * (limit / brightness),
+            variance: here.variance.min(mean_variance),
+        }
     };
-    let parts = map_chunks(signal.len(), 4096, |range| range.map(tame).collect::<Vec<Signal>>());
+    let parts = map_chunks(signal.len(), 4096, |range| {
+        range.map(tame).collect::<Vec<Signal>>()
+    });
     parts.into_iter().flatten().collect()
 }
 
@@ -399,11 +516,20 @@ mod tests {
             })
             .collect();
         for (roughness, gain) in [(0.6, 8.0), (0.1, 1.0)] {
-            let mut plane = RgbPlane { width: w, height: h, data: noisy.clone() };
+            let mut plane = RgbPlane {
+                width: w,
+                height: h,
+                data: noisy.clone(),
+            };
             let features: Vec<SpecularFeature> = (0..w * h)
                 .map(|i| {
                     let d = camera.direction(Vec2::new((i % w) as f32 + 0.5, (i / w) as f32 + 0.5));
-                    SpecularFeature { normal: Vec3::Z, depth: -2.0 / d.z, label: 1, roughness }
+                    SpecularFeature {
+                        normal: Vec3::Z,
+                        depth: -2.0 / d.z,
+                        label: 1,
+                        roughness,
+                    }
                 })
                 .collect();
             filter_specular(&mut plane, &features, &camera);
@@ -411,9 +537,20 @@ mod tests {
                 assert_eq!(plane.data, noisy);
                 continue;
             }
-            let error =
-                |p: &[Vec3]| (p.iter().enumerate().map(|(i, v)| (v.x - truth(i)).powi(2)).sum::<f32>() / (w * h) as f32).sqrt();
-            assert!(error(&plane.data) * gain < error(&noisy), "{} {}", error(&plane.data), error(&noisy));
+            let error = |p: &[Vec3]| {
+                (p.iter()
+                    .enumerate()
+                    .map(|(i, v)| (v.x - truth(i)).powi(2))
+                    .sum::<f32>()
+                    / (w * h) as f32)
+                    .sqrt()
+            };
+            assert!(
+                error(&plane.data) * gain < error(&noisy),
+                "{} {}",
+                error(&plane.data),
+                error(&noisy)
+            );
             assert!(error(&plane.data) < 0.12, "{}", error(&plane.data));
         }
     }
@@ -421,17 +558,33 @@ mod tests {
     /// A wall and a floor with a textured albedo, a shadow edge, and noise of known variance.
     fn noisy_frame(sigma: f32) -> (Frame, Camera, RgbPlane) {
         let (w, h) = (96, 64);
-        let lens = crate::geometry::Lens { fl_x: 80.0, fl_y: 80.0, cx: 48.0, cy: 32.0, ..Default::default() };
+        let lens = crate::geometry::Lens {
+            fl_x: 80.0,
+            fl_y: 80.0,
+            cx: 48.0,
+            cy: 32.0,
+            ..Default::default()
+        };
         let projection = Projection::Pinhole(lens);
-        let camera = Camera { projection, width: w, height: h, world_from_camera: Mat3::IDENTITY, position: Vec3::ZERO };
+        let camera = Camera {
+            projection,
+            width: w,
+            height: h,
+            world_from_camera: Mat3::IDENTITY,
+            position: Vec3::ZERO,
+        };
         let mut rng = KeyedRng::new(1, 2);
         let zero = Plane::filled(w, h, Vec3::ZERO);
-        let (mut diffuse, mut truth, mut albedo, mut normal) = (zero.clone(), zero.clone(), zero.clone(), zero.clone());
+        let (mut diffuse, mut truth, mut albedo, mut normal) =
+            (zero.clone(), zero.clone(), zero.clone(), zero.clone());
         let mut depth = Plane::filled(w, h, 0.0);
         for y in 0..h {
             for x in 0..w {
                 let d = camera.direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
-                let (to_wall, to_floor) = (3.0 / -d.z, if d.y < 0.0 { 1.0 / -d.y } else { f32::INFINITY });
+                let (to_wall, to_floor) = (
+                    3.0 / -d.z,
+                    if d.y < 0.0 { 1.0 / -d.y } else { f32::INFINITY },
+                );
                 let floor = to_floor < to_wall;
                 depth[(x, y)] = to_wall.min(to_floor);
                 normal[(x, y)] = if floor { Vec3::Y } else { Vec3::Z };
@@ -460,7 +613,12 @@ mod tests {
     }
 
     fn rmse(a: &RgbPlane, b: &RgbPlane) -> f64 {
-        let sum: f64 = a.data.iter().zip(&b.data).map(|(p, q)| f64::from((*p - *q).length_squared())).sum();
+        let sum: f64 = a
+            .data
+            .iter()
+            .zip(&b.data)
+            .map(|(p, q)| f64::from((*p - *q).length_squared()))
+            .sum();
         (sum / (3 * a.data.len()) as f64).sqrt()
     }
 
@@ -489,17 +647,25 @@ mod tests {
         let mut rng = KeyedRng::new(3, 4);
         for i in 0..frame.specular.data.len() {
             let sigma = 0.3 * reflection(i).x;
-            frame.specular.data[i] = reflection(i) + Vec3::splat(sigma * (rng.next_f32() - 0.5) * 12f32.sqrt());
+            frame.specular.data[i] =
+                reflection(i) + Vec3::splat(sigma * (rng.next_f32() - 0.5) * 12f32.sqrt());
             frame.variance.data[i][1] = sigma * sigma;
         }
         let mut truth = diffuse;
-        truth.data.iter_mut().enumerate().for_each(|(i, t)| *t += reflection(i));
+        truth
+            .data
+            .iter_mut()
+            .enumerate()
+            .for_each(|(i, t)| *t += reflection(i));
         let traced = frame.radiance();
         for (roughness, least, most) in [(0.1, 0.0, 1e-4), (0.8, 0.7, 1.0)] {
             frame.class_roughness = Plane::filled(96, 64, roughness);
             let measured = denoise(&frame, &camera, Purpose::Measuring);
             let change = rmse(&measured, &traced) / rmse(&traced, &truth);
-            assert!((least..most).contains(&change), "roughness {roughness}: noise removed {change}");
+            assert!(
+                (least..most).contains(&change),
+                "roughness {roughness}: noise removed {change}"
+            );
             assert!(roughness < 0.5 || rmse(&measured, &truth) < 0.5 * rmse(&traced, &truth));
         }
     }

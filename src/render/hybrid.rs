@@ -1,6 +1,6 @@
-//! The hybrid renderer: L = A·E/π + L_s(R), with irradiance from its texture and specular reflection traced against the observed
-//! radiance (method §5). Fast, because all bounces are in the textures; edits do not change the light. For changed light use the
-//! path tracer.
+//! The hybrid renderer: L = A·E/π + L_s(R), with irradiance from its texture and specular
+//! reflection traced against the observed radiance (method §5). Fast, because all bounces are in
+//! the textures; edits do not change the light. For changed light use the path tracer.
 
 use super::denoise::{SpecularFeature, filter_specular};
 use super::edges::pixels_at_edges;
@@ -30,11 +30,13 @@ pub struct RenderedView {
     pub labels: Plane<u16>,
     /// Emitted part of the radiance, 0 where nothing emits.
     pub emission: RgbPlane,
-    /// Stated standard error of albedo and roughness, 1e4 where unobserved, 0 where there is no surface.
+    /// Stated standard error of albedo and roughness, 1e4 where unobserved, 0 where there is no
+    /// surface.
     pub confidence: Plane<Vec2>,
 }
 
-/// Renders a solution from a camera. Implementations hold what they need prepared (ray structure, textures).
+/// Renders a solution from a camera. Implementations hold what they need prepared (ray structure,
+/// textures).
 pub trait ViewRenderer {
     /// The view from `camera`, at its image size.
     ///
@@ -42,8 +44,9 @@ pub trait ViewRenderer {
     /// Whatever the implementation needs and cannot get.
     fn render(&self, camera: &Camera) -> Result<RenderedView>;
 
-    /// The same, each pixel's materials being those of the surfaces of its class in `classes` (of the camera's image size) where it shows
-    /// any: at an edge a pixel shows several, and a photograph's labels say which one it counts for.
+    /// The same, each pixel's materials being those of the surfaces of its class in `classes` (of
+    /// the camera's image size) where it shows any: at an edge a pixel shows several, and a
+    /// photograph's labels say which one it counts for.
     ///
     /// # Errors
     /// As [`Self::render`].
@@ -55,7 +58,8 @@ pub trait ViewRenderer {
 /// Samples of the hybrid renderer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HybridOptions {
-    /// Primary rays per pixel along each axis; three times as many at edges if there are two or more.
+    /// Primary rays per pixel along each axis; three times as many at edges if there are two or
+    /// more.
     pub supersampling: u32,
     /// Specular rays per primary ray.
     pub specular_rays: u32,
@@ -69,7 +73,13 @@ pub struct HybridOptions {
 
 impl Default for HybridOptions {
     fn default() -> Self {
-        Self { supersampling: 2, specular_rays: 4, emitter_samples: 2, denoise: true, seed: 0 }
+        Self {
+            supersampling: 2,
+            specular_rays: 4,
+            emitter_samples: 2,
+            denoise: true,
+            seed: 0,
+        }
     }
 }
 
@@ -101,7 +111,9 @@ impl<'a> HybridRenderer<'a> {
                     .any(|&(u, v)| *emission.nearest(mesh.uv(t, u, v) * size) != Vec3::ZERO)
             })
             .collect();
-        let emissive = if (emission.width, emission.height) == (solution.radiance.width, solution.radiance.height) {
+        let emissive = if (emission.width, emission.height)
+            == (solution.radiance.width, solution.radiance.height)
+        {
             emission.map(|e| *e != Vec3::ZERO)
         } else {
             solution.radiance.map(|_| false)
@@ -122,7 +134,14 @@ impl<'a> HybridRenderer<'a> {
             .collect();
         let emitters = Emitters::new(mesh, &field, &tracer, &probes);
         let (lo, hi) = mesh.bounds();
-        Ok(Self { solution, tracer, field, emitters, offset: (hi - lo).length() * 1e-5, options })
+        Ok(Self {
+            solution,
+            tracer,
+            field,
+            emitters,
+            offset: (hi - lo).length() * 1e-5,
+            options,
+        })
     }
 
     fn render_row(&self, camera: &Camera, known: &Known, y: usize) -> Row {
@@ -130,16 +149,29 @@ impl<'a> HybridRenderer<'a> {
         let columns: Vec<usize> = (0..camera.width).collect();
         let points = self.points(camera, y, &columns, n);
         let pixel = |x: usize| &points[x * n * n..(x + 1) * n * n];
-        let (edges, smooth): (Vec<usize>, Vec<usize>) =
-            columns.iter().partition(|&&x| known.at_edges.as_ref().is_some_and(|e| e[(x, y)]) || shows_edge(pixel(x)));
-        let mut even: Vec<Point> = smooth.iter().flat_map(|&x| pixel(x).iter().copied()).collect();
+        let (edges, smooth): (Vec<usize>, Vec<usize>) = columns.iter().partition(|&&x| {
+            known.at_edges.as_ref().is_some_and(|e| e[(x, y)]) || shows_edge(pixel(x))
+        });
+        let mut even: Vec<Point> = smooth
+            .iter()
+            .flat_map(|&x| pixel(x).iter().copied())
+            .collect();
         let mut fine = self.points(camera, y, &edges, n * EDGE_FACTOR);
         let rays = [self.options.specular_rays, self.options.emitter_samples];
         self.add_specular(&mut even, rays);
-        self.add_specular(&mut fine, rays.map(|r| r.div_ceil((EDGE_FACTOR * EDGE_FACTOR) as u32)));
+        self.add_specular(
+            &mut fine,
+            rays.map(|r| r.div_ceil((EDGE_FACTOR * EDGE_FACTOR) as u32)),
+        );
         let mut even = even.chunks_exact(n * n);
         let mut fine = fine.chunks_exact(n * n * EDGE_FACTOR * EDGE_FACTOR);
-        let pixels = columns.iter().filter_map(|x| if edges.binary_search(x).is_ok() { fine.next() } else { even.next() });
+        let pixels = columns.iter().filter_map(|x| {
+            if edges.binary_search(x).is_ok() {
+                fine.next()
+            } else {
+                even.next()
+            }
+        });
         Row::resolve(pixels, |x| known.classes.map(|c| c[(x, y)]))
     }
 
@@ -151,14 +183,22 @@ impl<'a> HybridRenderer<'a> {
         self.tracer.closest(&rays, &mut hits);
         let point = |(i, (ray, hit)): (usize, (&Ray, &Hit))| {
             let sample = (y * camera.width + columns[i / samples]) * samples + i % samples;
-            self.shade_point(ray, hit, hash_u64(sample as u64, camera.position.x.to_bits().into()))
+            self.shade_point(
+                ray,
+                hit,
+                hash_u64(sample as u64, camera.position.x.to_bits().into()),
+            )
         };
         rays.iter().zip(&hits).enumerate().map(point).collect()
     }
 
-    /// Traces the specular part of some points with that many rays along the lobe and emitter samples each.
+    /// Traces the specular part of some points with that many rays along the lobe and emitter
+    /// samples each.
     fn add_specular(&self, points: &mut [Point], [rays_per_lobe, emitter_samples]: [u32; 2]) {
-        let (gazes, levels): (Vec<Gaze>, Vec<f32>) = points.iter().filter_map(|p| Some((p.gaze?, p.roughness))).unzip();
+        let (gazes, levels): (Vec<Gaze>, Vec<f32>) = points
+            .iter()
+            .filter_map(|p| Some((p.gaze?, p.roughness)))
+            .unzip();
         let mut specular = vec![Vec3::ZERO; gazes.len()];
         let bake = Bake {
             mesh: &self.solution.mesh,
@@ -169,12 +209,19 @@ impl<'a> HybridRenderer<'a> {
             bounce: None,
         };
         let (model, seed) = (self.solution.reflectance, self.options.seed);
-        Reflector { bake: &bake, rays_per_lobe, emitter_samples, model, seed }.reflect(
-            &gazes,
-            Levels::Own(&levels),
-            &mut specular,
-        );
-        points.iter_mut().filter(|p| p.gaze.is_some()).zip(specular).for_each(|(p, s)| p.specular = s);
+        Reflector {
+            bake: &bake,
+            rays_per_lobe,
+            emitter_samples,
+            model,
+            seed,
+        }
+        .reflect(&gazes, Levels::Own(&levels), &mut specular);
+        points
+            .iter_mut()
+            .filter(|p| p.gaze.is_some())
+            .zip(specular)
+            .for_each(|(p, s)| p.specular = s);
     }
 
     /// What a ray meets, without its specular part; `key` is that of its random numbers.
@@ -182,33 +229,70 @@ impl<'a> HybridRenderer<'a> {
         let s = self.solution;
         let (direction, depth) = (Vec3::from_array(ray.direction), hit.t);
         if !hit.is_hit() {
-            return Point { radiance: self.field.environment.radiance(direction), depth, ..Point::default() };
+            return Point {
+                radiance: self.field.environment.radiance(direction),
+                depth,
+                ..Point::default()
+            };
         }
         let t = hit.triangle as usize;
         let uv = s.mesh.uv(t, hit.u, hit.v);
         let at = |w: usize, h: usize| uv * Vec2::new(w as f32, h as f32);
         let label = *s.labels.nearest(at(s.labels.width, s.labels.height));
-        let albedo = s.albedo.bilinear(at(s.albedo.width, s.albedo.height), Wrap::Clamp);
-        let roughness = s.roughness.bilinear(at(s.roughness.width, s.roughness.height), Wrap::Clamp);
-        let confidence = *s.confidence.nearest(at(s.confidence.width, s.confidence.height));
-        if self.field.is_emissive(t) && *s.emission.nearest(at(s.emission.width, s.emission.height)) != Vec3::ZERO {
+        let albedo = s
+            .albedo
+            .bilinear(at(s.albedo.width, s.albedo.height), Wrap::Clamp);
+        let roughness = s
+            .roughness
+            .bilinear(at(s.roughness.width, s.roughness.height), Wrap::Clamp);
+        let confidence = *s
+            .confidence
+            .nearest(at(s.confidence.width, s.confidence.height));
+        if self.field.is_emissive(t)
+            && *s.emission.nearest(at(s.emission.width, s.emission.height)) != Vec3::ZERO
+        {
             let radiance = self.field.emitted(t, hit.u, hit.v);
-            return Point { radiance, depth, albedo, roughness, label, emission: radiance, confidence, ..Point::default() };
+            return Point {
+                radiance,
+                depth,
+                albedo,
+                roughness,
+                label,
+                emission: radiance,
+                confidence,
+                ..Point::default()
+            };
         }
-        let irradiance = s.irradiance.bilinear(at(s.irradiance.width, s.irradiance.height), Wrap::Clamp);
-        let (mut normal, mut face_normal) = (s.mesh.shading_normal(t, hit.u, hit.v), s.mesh.face_normal(t));
+        let irradiance = s
+            .irradiance
+            .bilinear(at(s.irradiance.width, s.irradiance.height), Wrap::Clamp);
+        let (mut normal, mut face_normal) = (
+            s.mesh.shading_normal(t, hit.u, hit.v),
+            s.mesh.face_normal(t),
+        );
         if face_normal.dot(direction) > 0.0 {
             (normal, face_normal) = (-normal, -face_normal);
         }
         let position = Vec3::from_array(ray.origin) + direction * depth;
         Point {
-            radiance: albedo * irradiance * (FRAC_1_PI * s.reflectance.diffuse_factor(-normal.dot(direction), roughness)),
+            radiance: albedo
+                * irradiance
+                * (FRAC_1_PI
+                    * s.reflectance
+                        .diffuse_factor(-normal.dot(direction), roughness)),
             depth,
             albedo,
             roughness,
             label,
             confidence,
-            gaze: Some(Gaze { position, normal, face_normal, view: -direction, key, turn: 0 }),
+            gaze: Some(Gaze {
+                position,
+                normal,
+                face_normal,
+                view: -direction,
+                key,
+                turn: 0,
+            }),
             ..Point::default()
         }
     }
@@ -233,19 +317,56 @@ impl ViewRenderer for HybridRenderer<'_> {
 impl HybridRenderer<'_> {
     fn render_rows(&self, camera: &Camera, classes: Option<&Plane<u16>>) -> RenderedView {
         let (w, h) = (camera.width, camera.height);
-        let at_edges = (self.options.supersampling > 1)
-            .then(|| pixels_at_edges(camera, &self.tracer, &self.solution.mesh, &self.solution.labels));
+        let at_edges = (self.options.supersampling > 1).then(|| {
+            pixels_at_edges(
+                camera,
+                &self.tracer,
+                &self.solution.mesh,
+                &self.solution.labels,
+            )
+        });
         let known = Known { classes, at_edges };
-        let rows: Vec<Row> = (0..h).into_par_iter().map(|y| self.render_row(camera, &known, y)).collect();
+        let rows: Vec<Row> = (0..h)
+            .into_par_iter()
+            .map(|y| self.render_row(camera, &known, y))
+            .collect();
         let mut out = RenderedView {
-            radiance: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
-            albedo: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
-            roughness: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
-            labels: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
-            emission: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
-            confidence: Plane { width: w, height: h, data: Vec::with_capacity(w * h) },
+            radiance: Plane {
+                width: w,
+                height: h,
+                data: Vec::with_capacity(w * h),
+            },
+            albedo: Plane {
+                width: w,
+                height: h,
+                data: Vec::with_capacity(w * h),
+            },
+            roughness: Plane {
+                width: w,
+                height: h,
+                data: Vec::with_capacity(w * h),
+            },
+            labels: Plane {
+                width: w,
+                height: h,
+                data: Vec::with_capacity(w * h),
+            },
+            emission: Plane {
+                width: w,
+                height: h,
+                data: Vec::with_capacity(w * h),
+            },
+            confidence: Plane {
+                width: w,
+                height: h,
+                data: Vec::with_capacity(w * h),
+            },
         };
-        let mut specular = Plane { width: w, height: h, data: Vec::with_capacity(w * h) };
+        let mut specular = Plane {
+            width: w,
+            height: h,
+            data: Vec::with_capacity(w * h),
+        };
         let mut features = Vec::with_capacity(w * h);
         for r in rows {
             specular.data.extend(r.specular);
@@ -292,18 +413,27 @@ struct Known<'a> {
 
 /// Samples of a pixel at an edge, along each axis, for every one of a pixel within a surface.
 const EDGE_FACTOR: usize = 3;
-/// Normals whose cosine is lower belong to two surfaces, and so do depths further apart than this share of the nearer one.
+/// Normals whose cosine is lower belong to two surfaces, and so do depths further apart than this
+/// share of the nearer one.
 const SMOOTH: f32 = 0.9;
 const DEPTH_STEP: f32 = 0.05;
-/// Ratio of the darkest to the brightest sample below which a pixel's mean hangs on where the samples lie.
+/// Ratio of the darkest to the brightest sample below which a pixel's mean hangs on where the
+/// samples lie.
 const EVEN: f32 = 0.7;
 
-/// Whether samples of one pixel show more than one even, smooth surface. Beyond two samples along each axis they find what the four of
-/// [`pixels_at_edges`] miss.
+/// Whether samples of one pixel show more than one even, smooth surface. Beyond two samples along
+/// each axis they find what the four of [`pixels_at_edges`] miss.
 fn shows_edge(pixel: &[Point]) -> bool {
     let first = &pixel[0];
-    let depths = pixel.iter().fold([f32::INFINITY, 0.0], |d, p| [d[0].min(p.depth), f32::max(d[1], p.depth)]);
-    let lights = pixel.iter().map(|p| luminance(p.radiance)).fold([f32::INFINITY, 0.0], |l, x| [l[0].min(x), f32::max(l[1], x)]);
+    let depths = pixel.iter().fold([f32::INFINITY, 0.0], |d, p| {
+        [d[0].min(p.depth), f32::max(d[1], p.depth)]
+    });
+    let lights = pixel
+        .iter()
+        .map(|p| luminance(p.radiance))
+        .fold([f32::INFINITY, 0.0], |l, x| {
+            [l[0].min(x), f32::max(l[1], x)]
+        });
     let apart = |p: &Point| match (first.gaze, p.gaze) {
         (Some(a), Some(b)) => a.normal.dot(b.normal) < SMOOTH,
         (None, None) => false,
@@ -327,24 +457,38 @@ struct Row {
 }
 
 impl Row {
-    /// Averages the samples of each pixel; materials only over the samples of the `wanted` class of its column, or of the most frequent
-    /// class if there is none.
-    fn resolve<'p>(pixels: impl Iterator<Item = &'p [Point]>, wanted: impl Fn(usize) -> Option<u16>) -> Self {
+    /// Averages the samples of each pixel; materials only over the samples of the `wanted` class of
+    /// its column, or of the most frequent class if there is none.
+    fn resolve<'p>(
+        pixels: impl Iterator<Item = &'p [Point]>,
+        wanted: impl Fn(usize) -> Option<u16>,
+    ) -> Self {
         let mut row = Self::default();
         for (x, pixel) in pixels.enumerate() {
             let samples = pixel.len();
-            let counts = pixel.iter().map(|p| (pixel.iter().filter(|q| q.label == p.label).count(), p.label));
+            let counts = pixel
+                .iter()
+                .map(|p| (pixel.iter().filter(|q| q.label == p.label).count(), p.label));
             let frequent = counts.max().map_or(0, |best| best.1);
-            let label = wanted(x).filter(|w| pixel.iter().any(|p| p.label == *w)).unwrap_or(frequent);
+            let label = wanted(x)
+                .filter(|w| pixel.iter().any(|p| p.label == *w))
+                .unwrap_or(frequent);
             let same: Vec<&Point> = pixel.iter().filter(|p| p.label == label).collect();
             let share = 1.0 / same.len().max(1) as f32;
-            row.radiance.push(pixel.iter().map(|p| p.radiance).sum::<Vec3>() / samples as f32);
-            row.albedo.push(same.iter().map(|p| p.albedo).sum::<Vec3>() * share);
-            row.roughness.push(same.iter().map(|p| p.roughness).sum::<f32>() * share);
+            row.radiance
+                .push(pixel.iter().map(|p| p.radiance).sum::<Vec3>() / samples as f32);
+            row.albedo
+                .push(same.iter().map(|p| p.albedo).sum::<Vec3>() * share);
+            row.roughness
+                .push(same.iter().map(|p| p.roughness).sum::<f32>() * share);
             row.labels.push(label);
-            row.specular.push(pixel.iter().map(|p| p.specular).sum::<Vec3>() / samples as f32);
+            row.specular
+                .push(pixel.iter().map(|p| p.specular).sum::<Vec3>() / samples as f32);
             // only what reflects counts: a sample beside the geometry has no distance
-            let seen: Vec<(Vec3, f32)> = same.iter().filter_map(|p| p.gaze.map(|g| (g.normal, p.depth))).collect();
+            let seen: Vec<(Vec3, f32)> = same
+                .iter()
+                .filter_map(|p| p.gaze.map(|g| (g.normal, p.depth)))
+                .collect();
             row.features.push(SpecularFeature {
                 normal: seen.iter().map(|s| s.0).sum::<Vec3>().normalize_or_zero(),
                 depth: seen.iter().map(|s| s.1).sum::<f32>() / seen.len().max(1) as f32,
@@ -352,11 +496,22 @@ impl Row {
                 roughness: same.iter().map(|p| p.roughness).sum::<f32>() * share,
             });
             // a label must not tell which pixels emit
-            let most: Vec<Vec3> = pixel.iter().filter(|p| p.label == frequent).map(|p| p.emission).collect();
-            row.emission.push(most.iter().sum::<Vec3>() / most.len().max(1) as f32);
-            // errors of neighbouring texels go together: their root mean square, not that of independent ones
-            let square = same.iter().map(|p| p.confidence * p.confidence).sum::<Vec2>() * share;
-            row.confidence.push(Vec2::new(square.x.sqrt(), square.y.sqrt()));
+            let most: Vec<Vec3> = pixel
+                .iter()
+                .filter(|p| p.label == frequent)
+                .map(|p| p.emission)
+                .collect();
+            row.emission
+                .push(most.iter().sum::<Vec3>() / most.len().max(1) as f32);
+            // errors of neighbouring texels go together: their root mean square, not that of
+            // independent ones
+            let square = same
+                .iter()
+                .map(|p| p.confidence * p.confidence)
+                .sum::<Vec2>()
+                * share;
+            row.confidence
+                .push(Vec2::new(square.x.sqrt(), square.y.sqrt()));
         }
         row
     }
@@ -368,15 +523,39 @@ mod tests {
 
     #[test]
     fn edges_are_what_shows_two_surfaces_or_uneven_light() {
-        let gaze = |n: Vec3| Some(Gaze { position: Vec3::ZERO, normal: n, face_normal: n, view: n, key: 0, turn: 0 });
-        let wall = Point { label: 1, depth: 2.0, radiance: Vec3::ONE, gaze: gaze(Vec3::Z), ..Point::default() };
-        let sky = Point { depth: f32::INFINITY, ..Point::default() };
+        let gaze = |n: Vec3| {
+            Some(Gaze {
+                position: Vec3::ZERO,
+                normal: n,
+                face_normal: n,
+                view: n,
+                key: 0,
+                turn: 0,
+            })
+        };
+        let wall = Point {
+            label: 1,
+            depth: 2.0,
+            radiance: Vec3::ONE,
+            gaze: gaze(Vec3::Z),
+            ..Point::default()
+        };
+        let sky = Point {
+            depth: f32::INFINITY,
+            ..Point::default()
+        };
         assert!(!shows_edge(&[wall; 4]) && !shows_edge(&[sky; 4]));
         let others = [
             Point { label: 2, ..wall },
             Point { depth: 2.2, ..wall },
-            Point { radiance: Vec3::splat(0.5), ..wall },
-            Point { gaze: gaze(Vec3::X), ..wall },
+            Point {
+                radiance: Vec3::splat(0.5),
+                ..wall
+            },
+            Point {
+                gaze: gaze(Vec3::X),
+                ..wall
+            },
             sky,
         ];
         assert!(others.iter().all(|o| shows_edge(&[wall, wall, *o, wall])));
@@ -384,9 +563,19 @@ mod tests {
 
     #[test]
     fn a_pixel_shows_the_material_of_its_class_where_it_shows_any() {
-        let point = |label, albedo: f32| Point { label, albedo: Vec3::splat(albedo), roughness: albedo, ..Point::default() };
-        let lamp = Point { label: 3, emission: Vec3::ONE, ..Point::default() };
-        // two samples of each class, a pixel of which a lamp has a quarter, and one without the class asked for
+        let point = |label, albedo: f32| Point {
+            label,
+            albedo: Vec3::splat(albedo),
+            roughness: albedo,
+            ..Point::default()
+        };
+        let lamp = Point {
+            label: 3,
+            emission: Vec3::ONE,
+            ..Point::default()
+        };
+        // two samples of each class, a pixel of which a lamp has a quarter, and one without the
+        // class asked for
         let pixels = [
             [point(1, 0.2), point(1, 0.4), point(2, 0.8), point(2, 0.9)],
             [point(1, 0.2), point(1, 0.4), point(1, 0.6), lamp],
@@ -398,7 +587,11 @@ mod tests {
         for (got, want) in row.roughness.iter().zip([0.3, 0.0, 0.8]) {
             assert!((got - want).abs() < 1e-6, "{got} {want}");
         }
-        assert_eq!(row.emission, [Vec3::ZERO; 3], "its label must not make a pixel emit");
+        assert_eq!(
+            row.emission,
+            [Vec3::ZERO; 3],
+            "its label must not make a pixel emit"
+        );
         let row = Row::resolve(points.chunks(4), |_| None);
         assert_eq!(row.labels[1..], [1, 2]);
         assert!((row.albedo[1].x - 0.4).abs() < 1e-6);

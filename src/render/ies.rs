@@ -1,7 +1,9 @@
-//! Luminaires measured with a goniophotometer: IESNA LM-63 files (1986 to 2019), photometric type C.
+//! Luminaires measured with a goniophotometer: IESNA LM-63 files (1986 to 2019), photometric type
+//! C.
 //!
-//! Angles: vertical from 0 (along the lamp's axis, straight down as mounted) to 180 degrees; horizontal around the axis. A file may
-//! state a quarter (0 to 90) or a half (0 to 180) of a symmetric distribution, or one plane of a rotationally symmetric one.
+//! Angles: vertical from 0 (along the lamp's axis, straight down as mounted) to 180 degrees;
+//! horizontal around the axis. A file may state a quarter (0 to 90) or a half (0 to 180) of a
+//! symmetric distribution, or one plane of a rotationally symmetric one.
 
 use crate::error::{Error, Result};
 use std::path::Path;
@@ -26,60 +28,115 @@ impl IesProfile {
     /// # Errors
     /// It cannot be read, or is no LM-63 file of type C; the message names what was expected.
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path)
-            .map_err(|e| Error::input(path, format!("cannot be read ({e}); expected a luminaire's IES file (LM-63)")))?;
+        let bytes = std::fs::read(path).map_err(|e| {
+            Error::input(
+                path,
+                format!("cannot be read ({e}); expected a luminaire's IES file (LM-63)"),
+            )
+        })?;
         Self::parse(&String::from_utf8_lossy(&bytes)).map_err(|m| Error::input(path, m))
     }
 
     /// Parses the text of a file.
     fn parse(text: &str) -> std::result::Result<Self, String> {
-        let body = text.find("TILT=").map(|at| &text[at + 5..]).ok_or("no line TILT=: expected an IES file (LM-63)")?;
+        let body = text
+            .find("TILT=")
+            .map(|at| &text[at + 5..])
+            .ok_or("no line TILT=: expected an IES file (LM-63)")?;
         let (tilt, rest) = body.split_once('\n').ok_or("ends after TILT=")?;
         if !tilt.trim().eq_ignore_ascii_case("NONE") {
-            return Err(format!("TILT={}: only TILT=NONE is read; export the luminaire without tilt", tilt.trim()));
+            return Err(format!(
+                "TILT={}: only TILT=NONE is read; export the luminaire without tilt",
+                tilt.trim()
+            ));
         }
-        let mut numbers = rest.split(|c: char| c.is_whitespace() || c == ',').filter(|w| !w.is_empty());
+        let mut numbers = rest
+            .split(|c: char| c.is_whitespace() || c == ',')
+            .filter(|w| !w.is_empty());
         let mut next = |what: &str| -> std::result::Result<f32, String> {
             let word = numbers.next().ok_or(format!("ends before {what}"))?;
-            let value: f32 = word.parse().map_err(|_| format!("{what}: {word:?} is no number"))?;
-            if value.is_finite() { Ok(value) } else { Err(format!("{what}: {word} is not finite")) }
+            let value: f32 = word
+                .parse()
+                .map_err(|_| format!("{what}: {word:?} is no number"))?;
+            if value.is_finite() {
+                Ok(value)
+            } else {
+                Err(format!("{what}: {word} is not finite"))
+            }
         };
-        for what in ["the number of lamps", "the lumens per lamp", "the candela multiplier"] {
+        for what in [
+            "the number of lamps",
+            "the lumens per lamp",
+            "the candela multiplier",
+        ] {
             next(what)?;
         }
         let mut count = |what: &str| match next(what)? {
             n if n >= 1.0 && n <= MOST_ANGLES as f32 && n.fract() == 0.0 => Ok(n as usize),
-            n => Err(format!("{what}: {n}; expected a whole number from 1 to {MOST_ANGLES}")),
+            n => Err(format!(
+                "{what}: {n}; expected a whole number from 1 to {MOST_ANGLES}"
+            )),
         };
-        let (rows, columns) = (count("the number of vertical angles")?, count("the number of horizontal angles")?);
+        let (rows, columns) = (
+            count("the number of vertical angles")?,
+            count("the number of horizontal angles")?,
+        );
         match count("the photometric type")? {
             1 => {}
             t => return Err(format!("photometric type {t}: only type C (1) is read")),
         }
-        for what in ["units", "width", "length", "height", "the ballast factor", "the ballast-lamp factor", "the input watts"] {
+        for what in [
+            "units",
+            "width",
+            "length",
+            "height",
+            "the ballast factor",
+            "the ballast-lamp factor",
+            "the input watts",
+        ] {
             next(what)?;
         }
-        let vertical: Vec<f32> = (0..rows).map(|_| next("a vertical angle")).collect::<std::result::Result<_, _>>()?;
-        let horizontal: Vec<f32> = (0..columns).map(|_| next("a horizontal angle")).collect::<std::result::Result<_, _>>()?;
-        let candela: Vec<f32> = (0..rows * columns).map(|_| next("a candela value")).collect::<std::result::Result<_, _>>()?;
-        for (name, angles, end) in [("vertical", &vertical, 180.0), ("horizontal", &horizontal, 360.0)] {
-            if angles.windows(2).any(|w| w[0] >= w[1]) || angles[0] < 0.0 || angles[angles.len() - 1] > end {
-                return Err(format!("the {name} angles must ascend within 0 to {end} degrees"));
+        let vertical: Vec<f32> = (0..rows)
+            .map(|_| next("a vertical angle"))
+            .collect::<std::result::Result<_, _>>()?;
+        let horizontal: Vec<f32> = (0..columns)
+            .map(|_| next("a horizontal angle"))
+            .collect::<std::result::Result<_, _>>()?;
+        let candela: Vec<f32> = (0..rows * columns)
+            .map(|_| next("a candela value"))
+            .collect::<std::result::Result<_, _>>()?;
+        for (name, angles, end) in [
+            ("vertical", &vertical, 180.0),
+            ("horizontal", &horizontal, 360.0),
+        ] {
+            if angles.windows(2).any(|w| w[0] >= w[1])
+                || angles[0] < 0.0
+                || angles[angles.len() - 1] > end
+            {
+                return Err(format!(
+                    "the {name} angles must ascend within 0 to {end} degrees"
+                ));
             }
         }
         let most = candela.iter().copied().fold(0.0, f32::max);
         if most <= 0.0 || candela.iter().any(|c| *c < 0.0) {
             return Err("candela values must not be negative, and one must be positive".into());
         }
-        Ok(Self { vertical, horizontal, share: candela.into_iter().map(|c| c / most).collect() })
+        Ok(Self {
+            vertical,
+            horizontal,
+            share: candela.into_iter().map(|c| c / most).collect(),
+        })
     }
 
-    /// Share of the largest intensity in a direction: `cosine` to the lamp's axis, `around` the axis in radians; 0 where the
-    /// file states nothing.
+    /// Share of the largest intensity in a direction: `cosine` to the lamp's axis, `around` the
+    /// axis in radians; 0 where the file states nothing.
     #[must_use]
     pub fn share(&self, cosine: f32, around: f32) -> f32 {
         let theta = cosine.clamp(-1.0, 1.0).acos().to_degrees();
-        let Some((row, t)) = place(&self.vertical, theta) else { return 0.0 };
+        let Some((row, t)) = place(&self.vertical, theta) else {
+            return 0.0;
+        };
         let last = self.horizontal[self.horizontal.len() - 1];
         let phi = around.to_degrees().rem_euclid(360.0);
         let phi = match last {
@@ -87,9 +144,13 @@ impl IesProfile {
             l if l <= 180.0 => phi.min(360.0 - phi),
             _ => phi,
         };
-        let (column, s) = place(&self.horizontal, phi.clamp(self.horizontal[0], last)).unwrap_or((0, 0.0));
+        let (column, s) =
+            place(&self.horizontal, phi.clamp(self.horizontal[0], last)).unwrap_or((0, 0.0));
         let at = |i: usize, j: usize| {
-            let (i, j) = (i.min(self.horizontal.len() - 1), j.min(self.vertical.len() - 1));
+            let (i, j) = (
+                i.min(self.horizontal.len() - 1),
+                j.min(self.vertical.len() - 1),
+            );
             self.share[i * self.vertical.len() + j]
         };
         let along = |i: usize| at(i, row) + t * (at(i, row + 1) - at(i, row));
@@ -112,14 +173,20 @@ mod tests {
     use super::*;
 
     fn file(angles: &str, candela: &str, counts: &str) -> String {
-        format!("IESNA:LM-63-2002\n[TEST] x\nTILT=NONE\n1 1000 1 {counts} 1 2 0 0 0\n1 1 20\n{angles}\n{candela}\n")
+        format!(
+            "IESNA:LM-63-2002\n[TEST] x\nTILT=NONE\n1 1000 1 {counts} 1 2 0 0 0\n1 1 20\n{angles}\n{candela}\n"
+        )
     }
 
     #[test]
     fn one_plane_is_rotationally_symmetric_and_ends_at_its_last_angle() {
         let p = IesProfile::parse(&file("0 45 90\n0", "200 100,0", "3 1")).expect("parses");
         let at = |degrees: f32, around: f32| p.share(degrees.to_radians().cos(), around);
-        assert!((at(0.0, 0.3) - 1.0).abs() < 1e-3 && (at(22.5, 2.0) - 0.75).abs() < 1e-3 && (at(45.0, 5.0) - 0.5).abs() < 1e-3);
+        assert!(
+            (at(0.0, 0.3) - 1.0).abs() < 1e-3
+                && (at(22.5, 2.0) - 0.75).abs() < 1e-3
+                && (at(45.0, 5.0) - 0.5).abs() < 1e-3
+        );
         assert_eq!(at(120.0, 0.0), 0.0);
     }
 
@@ -127,7 +194,15 @@ mod tests {
     fn a_quarter_and_a_half_are_mirrored() {
         let degrees = |p: &IesProfile, phi: f32| p.share(0.0, phi.to_radians());
         let quarter = IesProfile::parse(&file("0 90\n0 90", "10 10 10 5", "2 2")).expect("parses");
-        for (phi, expected) in [(0.0, 1.0), (90.0, 0.5), (45.0, 0.75), (135.0, 0.75), (180.0, 1.0), (270.0, 0.5), (315.0, 0.75)] {
+        for (phi, expected) in [
+            (0.0, 1.0),
+            (90.0, 0.5),
+            (45.0, 0.75),
+            (135.0, 0.75),
+            (180.0, 1.0),
+            (270.0, 0.5),
+            (315.0, 0.75),
+        ] {
             assert!((degrees(&quarter, phi) - expected).abs() < 1e-3, "{phi}");
         }
         let half = IesProfile::parse(&file("0 90\n0 180", "10 10 10 5", "2 2")).expect("parses");
@@ -142,7 +217,10 @@ mod tests {
         for (text, words) in [
             ("hello".to_owned(), "TILT="),
             (good.replace("NONE", "INCLUDE"), "without tilt"),
-            (good.replace("200 100 0", "200 100"), "ends before a candela value"),
+            (
+                good.replace("200 100 0", "200 100"),
+                "ends before a candela value",
+            ),
             (good.replace("200 100 0", "200 x 0"), "is no number"),
             (good.replace("0 45 90", "0 95 90"), "must ascend"),
             (good.replace("3 1 1 2", "3 1 2 2"), "only type C"),

@@ -34,10 +34,19 @@ pub struct LampGroup {
 #[must_use]
 pub fn lamp_groups(world: &World<'_>, origin: glam::DVec3) -> Vec<LampGroup> {
     let mesh = world.mesh();
-    let emitting: Vec<u32> =
-        (0..mesh.triangles.len()).filter(|&t| world.emits(t) && mesh.area(t) > 0.0).map(|t| t as u32).collect();
-    let mut out: Vec<LampGroup> = clusters(mesh, &emitting, GAP).into_iter().map(|t| describe(world, t, origin)).collect();
-    out.sort_by(|a, b| b.power.total_cmp(&a.power).then(a.triangles.first().cmp(&b.triangles.first())));
+    let emitting: Vec<u32> = (0..mesh.triangles.len())
+        .filter(|&t| world.emits(t) && mesh.area(t) > 0.0)
+        .map(|t| t as u32)
+        .collect();
+    let mut out: Vec<LampGroup> = clusters(mesh, &emitting, GAP)
+        .into_iter()
+        .map(|t| describe(world, t, origin))
+        .collect();
+    out.sort_by(|a, b| {
+        b.power
+            .total_cmp(&a.power)
+            .then(a.triangles.first().cmp(&b.triangles.first()))
+    });
     for (i, g) in out.iter_mut().enumerate() {
         g.id = i + 1;
     }
@@ -84,17 +93,28 @@ mod tests {
         let base = solution.mesh.positions.len() as u32;
         for i in 0..4 {
             let p = solution.mesh.positions[i];
-            solution.mesh.positions.push(Vec3::new(0.5 * p.x, p.y + 2.0, 0.5 * p.z));
+            solution
+                .mesh
+                .positions
+                .push(Vec3::new(0.5 * p.x, p.y + 2.0, 0.5 * p.z));
             solution.mesh.normals.push(Vec3::Y);
             solution.mesh.uvs.push(solution.mesh.uvs[i]);
         }
-        let more: Vec<[u32; 3]> = solution.mesh.triangles.iter().map(|t| t.map(|i| i + base)).collect();
+        let more: Vec<[u32; 3]> = solution
+            .mesh
+            .triangles
+            .iter()
+            .map(|t| t.map(|i| i + base))
+            .collect();
         solution.mesh.triangles.extend(more);
         let world = World::new(&solution);
         let lamps = lamp_groups(&world, DVec3::ZERO);
         assert_eq!(lamps.len(), 2);
         assert_eq!((lamps[0].id, lamps[0].triangles.len()), (1, 2));
-        assert!((lamps[0].power / lamps[1].power - 4.0).abs() < 1e-3, "a quarter of the area");
+        assert!(
+            (lamps[0].power / lamps[1].power - 4.0).abs() < 1e-3,
+            "a quarter of the area"
+        );
         assert!((lamps[0].power - PI * 2.0 * lamps[0].area).abs() < 1e-3 * lamps[0].power);
         assert!((lamps[1].position[1] - 2.1).abs() < 1e-5);
     }

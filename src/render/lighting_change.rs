@@ -63,10 +63,21 @@ impl Lighting {
     /// # Errors
     /// The file cannot be read, or a key in it is unknown or out of range.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|e| Error::input(path, format!("cannot be read ({e}); give --lights an existing TOML file")))?;
-        let mut out: Self = toml::from_str(&text).map_err(|e| Error::input(path, format!("is no lighting file: {e}")))?;
-        let luminaires = out.add.iter_mut().filter_map(|a| if let Added::Ies { file, .. } = a { Some(file) } else { None });
+        let text = std::fs::read_to_string(path).map_err(|e| {
+            Error::input(
+                path,
+                format!("cannot be read ({e}); give --lights an existing TOML file"),
+            )
+        })?;
+        let mut out: Self = toml::from_str(&text)
+            .map_err(|e| Error::input(path, format!("is no lighting file: {e}")))?;
+        let luminaires = out.add.iter_mut().filter_map(|a| {
+            if let Added::Ies { file, .. } = a {
+                Some(file)
+            } else {
+                None
+            }
+        });
         for file in luminaires.chain(&mut out.environment.file) {
             *file = path.parent().unwrap_or(Path::new(".")).join(&file);
         }
@@ -77,14 +88,26 @@ impl Lighting {
     fn check(&self) -> std::result::Result<(), String> {
         let light = |values: &[f32], what: &str| {
             let fine = values.iter().all(|v| v.is_finite() && *v >= 0.0);
-            if fine { Ok(()) } else { Err(format!("{what}: {values:?}; light is finite and not negative")) }
+            if fine {
+                Ok(())
+            } else {
+                Err(format!(
+                    "{what}: {values:?}; light is finite and not negative"
+                ))
+            }
         };
         for (i, l) in self.lamps.iter().enumerate() {
             if l.group.is_some() && l.near.is_some() {
                 return Err(format!("lamp[{i}]: has both group and near; keep one"));
             }
-            light(&l.scale.map_or(vec![], |s| vec![s]), &format!("lamp[{i}].scale"))?;
-            light(&l.colour.map_or(vec![], |c| c.to_vec()), &format!("lamp[{i}].colour"))?;
+            light(
+                &l.scale.map_or(vec![], |s| vec![s]),
+                &format!("lamp[{i}].scale"),
+            )?;
+            light(
+                &l.colour.map_or(vec![], |c| c.to_vec()),
+                &format!("lamp[{i}].colour"),
+            )?;
         }
         for (i, a) in self.add.iter().enumerate() {
             let at = format!("add[{i}]");
@@ -93,24 +116,39 @@ impl Lighting {
                     light(radiance, &at)?;
                     light(size, &format!("{at}.size"))?;
                 }
-                Added::Sphere { radius, radiance, .. } => {
+                Added::Sphere {
+                    radius, radiance, ..
+                } => {
                     light(radiance, &at)?;
                     light(&[*radius], &format!("{at}.radius"))?;
                 }
-                Added::Point { intensity, .. } | Added::Spot { intensity, .. } | Added::Ies { intensity, .. } => {
-                    light(intensity, &at)?
-                }
+                Added::Point { intensity, .. }
+                | Added::Spot { intensity, .. }
+                | Added::Ies { intensity, .. } => light(intensity, &at)?,
             }
         }
-        light(&self.environment.scale.map_or(vec![], |s| vec![s]), "environment.scale")?;
-        light(&self.environment.constant.map_or(vec![], |s| s.to_vec()), "environment.constant")?;
-        light(&self.environment.colour.map_or(vec![], |s| s.to_vec()), "environment.colour")
+        light(
+            &self.environment.scale.map_or(vec![], |s| vec![s]),
+            "environment.scale",
+        )?;
+        light(
+            &self.environment.constant.map_or(vec![], |s| s.to_vec()),
+            "environment.constant",
+        )?;
+        light(
+            &self.environment.colour.map_or(vec![], |s| s.to_vec()),
+            "environment.colour",
+        )
     }
 
-    /// Names lamps by their places instead of their numbers, for another solution of the same scene.
+    /// Names lamps by their places instead of their numbers, for another solution of the same
+    /// scene.
     pub fn by_place(&mut self, groups: &[LampGroup]) {
         for change in &mut self.lamps {
-            if let Some(group) = change.group.and_then(|id| groups.iter().find(|g| g.id == id)) {
+            if let Some(group) = change
+                .group
+                .and_then(|id| groups.iter().find(|g| g.id == id))
+            {
                 change.near = Some(group.position);
                 change.group = None;
             }
@@ -129,16 +167,28 @@ impl Lighting {
                     Some(g) => vec![g],
                     None => {
                         let n = groups.len();
-                        return Err(Error::Usage(format!("lamp {id} does not exist: there are {n}; see --list-lamps")));
+                        return Err(Error::Usage(format!(
+                            "lamp {id} does not exist: there are {n}; see --list-lamps"
+                        )));
                     }
                 },
                 (None, Some(p)) => {
-                    let distance = |g: &&LampGroup| (DVec3::from_array(g.position) - DVec3::from_array(p)).length();
-                    groups.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).into_iter().collect()
+                    let distance = |g: &&LampGroup| {
+                        (DVec3::from_array(g.position) - DVec3::from_array(p)).length()
+                    };
+                    groups
+                        .iter()
+                        .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+                        .into_iter()
+                        .collect()
                 }
                 (None, None) => groups.iter().collect(),
             };
-            let factor = if change.off { 0.0 } else { change.scale.unwrap_or(1.0) };
+            let factor = if change.off {
+                0.0
+            } else {
+                change.scale.unwrap_or(1.0)
+            };
             let factor = Vec3::from_array(change.colour.unwrap_or([1.0; 3])) * factor;
             for g in chosen {
                 world.scale_emission(&g.triangles, factor);
@@ -165,22 +215,28 @@ impl Lighting {
     }
 }
 
-/// Radius of the sun's disc in radians: wider than the true one (0.0047), so that it can be sampled; its power is right.
+/// Radius of the sun's disc in radians: wider than the true one (0.0047), so that it can be
+/// sampled; its power is right.
 const SUN_RADIUS: f32 = 0.06;
 
-/// A clear sky at an hour of the day (0 to 24), and the factor for the lamps: on after dark. `level` is the mean luminance of
-/// the sky at noon.
+/// A clear sky at an hour of the day (0 to 24), and the factor for the lamps: on after dark.
+/// `level` is the mean luminance of the sky at noon.
 #[must_use]
 pub fn daylight(hour: f32, level: f32) -> (RgbPlane, f32) {
     let noon = 60f32.to_radians();
     let elevation = noon * (TAU * (hour - 6.0) / 24.0).sin();
     let azimuth = TAU * (hour - 12.0) / 24.0;
-    let sun = Vec3::new(elevation.cos() * azimuth.sin(), elevation.sin(), elevation.cos() * azimuth.cos());
+    let sun = Vec3::new(
+        elevation.cos() * azimuth.sin(),
+        elevation.sin(),
+        elevation.cos() * azimuth.cos(),
+    );
     // day, and the warm hour around sunrise and sunset
     let day = ((elevation.sin() + 0.1) / 0.5).clamp(0.0, 1.0);
     let warm = (1.0 - (elevation / 0.35).abs()).clamp(0.0, 1.0);
     let zenith = Vec3::new(0.45, 0.75, 1.45) * (day + 0.003);
-    let horizon = Vec3::new(0.9, 1.0, 1.15) * (day + 0.003) + Vec3::new(1.1, 0.45, 0.12) * (0.5 * warm);
+    let horizon =
+        Vec3::new(0.9, 1.0, 1.15) * (day + 0.003) + Vec3::new(1.1, 0.45, 0.12) * (0.5 * warm);
     let ground = Vec3::new(0.30, 0.28, 0.24) * (day + 0.002);
     // the direct sun sends about five times the sky's irradiance at noon, less through more air
     let path = (-0.12 / elevation.sin().max(0.02)).exp();
@@ -194,7 +250,11 @@ pub fn daylight(hour: f32, level: f32) -> (RgbPlane, f32) {
     let colour = |i: usize| {
         let lambda = TAU * ((i % w) as f32 + 0.5) / w as f32 - PI;
         let theta = PI * ((i / w) as f32 + 0.5) / h as f32;
-        let d = Vec3::new(lambda.sin() * theta.sin(), theta.cos(), -lambda.cos() * theta.sin());
+        let d = Vec3::new(
+            lambda.sin() * theta.sin(),
+            theta.cos(),
+            -lambda.cos() * theta.sin(),
+        );
         let sky = horizon.lerp(zenith, d.y.max(0.0).sqrt());
         let t = (d.y / 0.05 + 0.5).clamp(0.0, 1.0);
         let mut l = ground.lerp(sky, t * t * (3.0 - 2.0 * t));
@@ -206,7 +266,11 @@ pub fn daylight(hour: f32, level: f32) -> (RgbPlane, f32) {
         l * level
     };
     (
-        Plane { width: w, height: h, data: (0..w * h).map(colour).collect() },
+        Plane {
+            width: w,
+            height: h,
+            data: (0..w * h).map(colour).collect(),
+        },
         1.0 - ((elevation.sin() + 0.05) / 0.25).clamp(0.0, 1.0),
     )
 }
@@ -242,10 +306,19 @@ mod tests {
         .expect("writes");
         let mut world = World::new(&solution);
         let groups = lamp_groups(&world, solution.origin);
-        Lighting::read(&path).expect("valid").apply(&mut world, &groups).expect("applies");
-        assert_eq!(world.surface(0, 0.3, 0.3).emission, Vec3::new(1.0, 0.5, 0.0));
+        Lighting::read(&path)
+            .expect("valid")
+            .apply(&mut world, &groups)
+            .expect("applies");
+        assert_eq!(
+            world.surface(0, 0.3, 0.3).emission,
+            Vec3::new(1.0, 0.5, 0.0)
+        );
         assert!(world.mesh().triangles.len() > 100);
-        assert_eq!(crate::render::Environment::radiance(&world, Vec3::X), Vec3::new(2.0, 4.0, 6.0));
+        assert_eq!(
+            crate::render::Environment::radiance(&world, Vec3::X),
+            Vec3::new(2.0, 4.0, 6.0)
+        );
 
         for (text, expected) in [
             ("[[lamp]]\nbright = 2\n", "bright"),
@@ -255,10 +328,24 @@ mod tests {
         ] {
             std::fs::write(&path, text).expect("writes");
             let e = Lighting::read(&path).expect_err("wrong");
-            assert!(e.exit_code() == 2 && e.to_string().contains(expected), "{e}");
+            assert!(
+                e.exit_code() == 2 && e.to_string().contains(expected),
+                "{e}"
+            );
         }
-        let none = Lighting { lamps: vec![LampChange { group: Some(7), ..LampChange::default() }], ..Lighting::default() };
-        assert!(none.apply(&mut World::new(&solution), &groups).expect_err("no lamp 7").to_string().contains("--list-lamps"));
+        let none = Lighting {
+            lamps: vec![LampChange {
+                group: Some(7),
+                ..LampChange::default()
+            }],
+            ..Lighting::default()
+        };
+        assert!(
+            none.apply(&mut World::new(&solution), &groups)
+                .expect_err("no lamp 7")
+                .to_string()
+                .contains("--list-lamps")
+        );
     }
 
     #[test]
@@ -269,6 +356,11 @@ mod tests {
         assert!(lamps > 0.99 && mean_luminance(&night) < 0.02);
         let (evening, _) = daylight(17.8, 1.0);
         assert!(mean_luminance(&evening) < mean_luminance(&noon));
-        assert!(evening.data.iter().all(|c| c.is_finite() && c.min_element() >= 0.0));
+        assert!(
+            evening
+                .data
+                .iter()
+                .all(|c| c.is_finite() && c.min_element() >= 0.0)
+        );
     }
 }

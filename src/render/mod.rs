@@ -27,8 +27,8 @@ pub use lamps::{LampGroup, lamp_groups};
 pub use lighting_change::{EnvironmentChange, LampChange, Lighting, daylight, mean_luminance};
 pub use options::{FrameOptions, RenderOptions, Renderer, Show, Video, Views};
 pub use path_tracer::{
-    Adaptive, BlackEnvironment, Environment, Frame, IndirectCache, IrradiancePoint, KnownLight, Noise, PathTracer,
-    PathTracerOptions, Surface, SurfaceModel,
+    Adaptive, BlackEnvironment, Environment, Frame, IndirectCache, IrradiancePoint, KnownLight,
+    Noise, PathTracer, PathTracerOptions, Surface, SurfaceModel,
 };
 pub use point_light::{PointLight, Shape};
 pub use relight::{RelightOptions, Stage, TraceSettings};

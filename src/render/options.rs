@@ -89,13 +89,15 @@ pub struct FrameOptions {
     /// Height in pixels of pinhole frames made by --fov; 0 is 9/16 of the width.
     #[arg(long, value_name = "PIXELS", default_value_t = Self::default().height)]
     pub height: usize,
-    /// Horizontal angle of view: turns every camera into a pinhole camera that looks where it does; 0 keeps its projection.
+    /// Horizontal angle of view: turns every camera into a pinhole camera that looks where it does;
+    /// 0 keeps its projection.
     #[arg(long, value_name = "DEGREES", default_value_t = Self::default().fov)]
     pub fov: f32,
     /// Which of the scene's views, where --scene gives the cameras.
     #[arg(long, value_enum, default_value = "test")]
     pub split: Views,
-    /// Frames of a smooth path through the given cameras, in their order; 0 renders the cameras themselves.
+    /// Frames of a smooth path through the given cameras, in their order; 0 renders the cameras
+    /// themselves.
     #[arg(long, value_name = "FRAMES", default_value_t = Self::default().path)]
     pub path: usize,
     /// Brightness of the PNG pictures: "auto" (one value for all frames, from the first) or stops.
@@ -139,22 +141,43 @@ impl FrameOptions {
     pub fn frames(&self, given: Vec<NamedCamera>) -> crate::Result<Vec<NamedCamera>> {
         let usage = |m: String| Err(crate::Error::Usage(m));
         if self.width > MOST_PIXELS || self.height > MOST_PIXELS {
-            return usage(format!("--width {} --height {}: at most {MOST_PIXELS} pixels", self.width, self.height));
+            return usage(format!(
+                "--width {} --height {}: at most {MOST_PIXELS} pixels",
+                self.width, self.height
+            ));
         }
         if self.fov != 0.0 && !(1.0..=170.0).contains(&self.fov) {
-            return usage(format!("--fov {}: expected 1 to 170 degrees, or 0 to keep the cameras' projection", self.fov));
+            return usage(format!(
+                "--fov {}: expected 1 to 170 degrees, or 0 to keep the cameras' projection",
+                self.fov
+            ));
         }
         if self.fps == 0 || self.fps > 1000 {
             return usage(format!("--fps {}: expected 1 to 1000", self.fps));
         }
-        let cameras = if self.path > 0 { super::smooth_path(&given, self.path) } else { given };
+        let cameras = if self.path > 0 {
+            super::smooth_path(&given, self.path)
+        } else {
+            given
+        };
         if cameras.is_empty() {
-            return usage("there is no camera to render from: the file or the split of the scene is empty".into());
+            return usage(
+                "there is no camera to render from: the file or the split of the scene is empty"
+                    .into(),
+            );
         }
         let sized = |c: NamedCamera| match (self.fov > 0.0, self.width) {
             (true, w) => {
                 let w = if w > 0 { w } else { c.camera.width };
-                c.pinhole(w, if self.height > 0 { self.height } else { (w * 9 / 16).max(1) }, self.fov)
+                c.pinhole(
+                    w,
+                    if self.height > 0 {
+                        self.height
+                    } else {
+                        (w * 9 / 16).max(1)
+                    },
+                    self.fov,
+                )
             }
             (false, 0) => c,
             (false, w) => c.with_width(w),
@@ -173,13 +196,15 @@ pub struct RenderOptions {
     /// What the frames show (hybrid renderer).
     #[arg(long, value_enum, default_value = "light")]
     pub show: Show,
-    /// Primary rays per pixel along each axis, and four times as many specular rays (hybrid renderer); 1 is the fast setting.
+    /// Primary rays per pixel along each axis, and four times as many specular rays (hybrid
+    /// renderer); 1 is the fast setting.
     #[arg(long, value_name = "N", default_value_t = Self::default().supersampling)]
     pub supersampling: u32,
     /// Paths per pixel (path renderer).
     #[arg(long, value_name = "N", default_value_t = Self::default().samples)]
     pub samples: u32,
-    /// Leave the noise as it is: of every reflection (path renderer), of rough reflections (hybrid renderer).
+    /// Leave the noise as it is: of every reflection (path renderer), of rough reflections (hybrid
+    /// renderer).
     #[arg(long)]
     pub no_denoise: bool,
     /// Leave out specular reflection (path renderer).

@@ -22,7 +22,8 @@ pub struct PointLight {
 pub enum Shape {
     /// The same everywhere.
     Bulb,
-    /// A cone with a soft edge: cosines of the angles to the axis at which the light begins to fall and at which it has ended.
+    /// A cone with a soft edge: cosines of the angles to the axis at which the light begins to fall
+    /// and at which it has ended.
     Spot([f32; 2]),
     /// A measured luminaire, turned about its axis by an angle in radians.
     Measured(IesProfile, f32),

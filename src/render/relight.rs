@@ -35,7 +35,8 @@ pub struct RelightOptions {
     /// Light from outside: "keep", "off", a constant "R,G,B", or a panorama file (EXR, HDR).
     #[arg(long, value_name = "LIGHT", default_value_t = Self::default().environment)]
     pub environment: String,
-    /// Frames of a day from midnight to midnight, from the first camera: sun and sky outside, lamps after dark; 0 = no sweep.
+    /// Frames of a day from midnight to midnight, from the first camera: sun and sky outside, lamps
+    /// after dark; 0 = no sweep.
     #[arg(long, value_name = "FRAMES", default_value_t = Self::default().day)]
     pub day: usize,
     /// Frames.
@@ -87,7 +88,8 @@ impl<'w, 's> Stage<'w, 's> {
         Ok(Self { world, embree })
     }
 
-    /// Renders frames one after another. `refined(i, image)` sees each after every pass, `done(i, image)` when it is finished.
+    /// Renders frames one after another. `refined(i, image)` sees each after every pass, `done(i,
+    /// image)` when it is finished.
     ///
     /// # Errors
     /// What the callbacks return.
@@ -99,17 +101,38 @@ impl<'w, 's> Stage<'w, 's> {
         mut refined: impl FnMut(usize, &RgbPlane) -> Result<()>,
         mut done: impl FnMut(usize, &RgbPlane) -> Result<()>,
     ) -> Result<()> {
-        let renderer = PathTracer::new(self.world.mesh(), &self.embree, self.world, self.world, settings.tracer)
-            .with_points(self.world.points().to_vec());
+        let renderer = PathTracer::new(
+            self.world.mesh(),
+            &self.embree,
+            self.world,
+            self.world,
+            settings.tracer,
+        )
+        .with_points(self.world.points().to_vec());
         let finish = |frame: &Frame, camera: &Camera| {
-            if settings.denoise { denoise::denoise(frame, camera, Purpose::Viewing) } else { frame.radiance() }
+            if settings.denoise {
+                denoise::denoise(frame, camera, Purpose::Viewing)
+            } else {
+                frame.radiance()
+            }
         };
         for (i, (name, camera)) in cameras.iter().enumerate() {
             let pixels = (camera.width * camera.height) as u64;
             let frame = progress.stage(&format!("tracing {name}"), pixels, |p| {
-                renderer.render_adaptive(camera, i as u64, &settings.goal, KnownLight::default(), p, |pass, frame| {
-                    if pass > 0 { Ok(()) } else { refined(i, &finish(&frame(), camera)) }
-                })
+                renderer.render_adaptive(
+                    camera,
+                    i as u64,
+                    &settings.goal,
+                    KnownLight::default(),
+                    p,
+                    |pass, frame| {
+                        if pass > 0 {
+                            Ok(())
+                        } else {
+                            refined(i, &finish(&frame(), camera))
+                        }
+                    },
+                )
             })?;
             done(i, &finish(&frame, camera))?;
         }

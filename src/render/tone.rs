@@ -25,7 +25,9 @@ impl FromStr for Exposure {
         }
         match s.parse::<f32>() {
             Ok(ev) if ev.abs() <= 60.0 => Ok(Self::Stops(ev)),
-            _ => Err(format!("\"{s}\" is no exposure; expected \"auto\" or stops between -60 and 60, such as -1.5")),
+            _ => Err(format!(
+                "\"{s}\" is no exposure; expected \"auto\" or stops between -60 and 60, such as -1.5"
+            )),
         }
     }
 }
@@ -59,7 +61,12 @@ impl Exposure {
         match self {
             Self::Stops(ev) => ev.exp2(),
             Self::Auto => {
-                let mut l: Vec<f32> = image.data.iter().map(|&c| luminance(c)).filter(|l| l.is_finite()).collect();
+                let mut l: Vec<f32> = image
+                    .data
+                    .iter()
+                    .map(|&c| luminance(c))
+                    .filter(|l| l.is_finite())
+                    .collect();
                 l.sort_by(f32::total_cmp);
                 let bright = l.get(l.len() * 9 / 10).copied().unwrap_or(0.0);
                 if bright > 0.0 { 0.8 / bright } else { 1.0 }
@@ -71,7 +78,11 @@ impl Exposure {
 /// 8-bit sRGB of `image · factor`, row-major RGB.
 #[must_use]
 pub fn tone_map(image: &RgbPlane, factor: f32, encode: impl Fn(f32) -> u8) -> Vec<u8> {
-    image.data.iter().flat_map(|c| (*c * factor).to_array().map(&encode)).collect()
+    image
+        .data
+        .iter()
+        .flat_map(|c| (*c * factor).to_array().map(&encode))
+        .collect()
 }
 
 #[cfg(test)]
@@ -90,8 +101,15 @@ mod tests {
 
     #[test]
     fn automatic_exposure_is_scale_free() {
-        let image = |s: f32| Plane { width: 10, height: 10, data: (0..100).map(|i| Vec3::splat(s * i as f32)).collect() };
-        let (a, b) = (Exposure::Auto.factor(&image(1.0)), Exposure::Auto.factor(&image(1000.0)));
+        let image = |s: f32| Plane {
+            width: 10,
+            height: 10,
+            data: (0..100).map(|i| Vec3::splat(s * i as f32)).collect(),
+        };
+        let (a, b) = (
+            Exposure::Auto.factor(&image(1.0)),
+            Exposure::Auto.factor(&image(1000.0)),
+        );
         assert!((a / b - 1000.0).abs() < 0.1);
         assert_eq!(Exposure::Auto.factor(&image(0.0)), 1.0);
         assert_eq!(Exposure::Stops(1.0).factor(&image(3.0)), 2.0);

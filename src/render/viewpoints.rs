@@ -12,10 +12,17 @@ const CANDIDATES: u32 = 512;
 /// Rays per place.
 const RAYS: u32 = 128;
 
-/// Up to `count` pinhole cameras of `width` × `height`, far apart from one another, each looking along the widest view at eye
-/// level. Empty only if no place of the bounding box sees the front of a surface.
+/// Up to `count` pinhole cameras of `width` × `height`, far apart from one another, each looking
+/// along the widest view at eye level. Empty only if no place of the bounding box sees the front of
+/// a surface.
 #[must_use]
-pub fn viewpoints(mesh: &Mesh, tracer: &dyn Tracer, count: usize, width: usize, height: usize) -> Vec<NamedCamera> {
+pub fn viewpoints(
+    mesh: &Mesh,
+    tracer: &dyn Tracer,
+    count: usize,
+    width: usize,
+    height: usize,
+) -> Vec<NamedCamera> {
     let (lo, hi) = mesh.bounds();
     let sequence = SobolSequence::new(0x1e3, 7);
     let directions: Vec<Vec3> = (0..RAYS)
@@ -30,7 +37,10 @@ pub fn viewpoints(mesh: &Mesh, tracer: &dyn Tracer, count: usize, width: usize, 
         .filter_map(|i| {
             let u = sequence.point3(i);
             let p = lo + (hi - lo) * Vec3::new(u[0], 0.35 + 0.35 * u[1], u[2]);
-            let rays: Vec<Ray> = directions.iter().map(|&d| Ray::new(p, d, f32::INFINITY)).collect();
+            let rays: Vec<Ray> = directions
+                .iter()
+                .map(|&d| Ray::new(p, d, f32::INFINITY))
+                .collect();
             let mut hits = vec![Hit::miss(); rays.len()];
             tracer.closest(&rays, &mut hits);
             let (mut fronts, mut depth, mut nearest) = (0.0f32, 0.0f32, f32::INFINITY);
@@ -45,10 +55,19 @@ pub fn viewpoints(mesh: &Mesh, tracer: &dyn Tracer, count: usize, width: usize, 
                     }
                 }
             }
-            let sector = (0..8).max_by(|&a, &b| widest[a].total_cmp(&widest[b])).unwrap_or(0);
+            let sector = (0..8)
+                .max_by(|&a, &b| widest[a].total_cmp(&widest[b]))
+                .unwrap_or(0);
             let close = nearest / (0.03 * (hi - lo).length());
-            // inside means: fronts all around; the view should be deep and nothing should stand before the lens
-            (fronts > 0.3).then(|| (3.0 * fronts + depth + close.min(1.0), p, TAU * ((sector as f32 + 0.5) / 8.0 - 0.5)))
+            // inside means: fronts all around; the view should be deep and nothing should stand
+            // before the lens
+            (fronts > 0.3).then(|| {
+                (
+                    3.0 * fronts + depth + close.min(1.0),
+                    p,
+                    TAU * ((sector as f32 + 0.5) / 8.0 - 0.5),
+                )
+            })
         })
         .collect();
     scored.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -56,7 +75,12 @@ pub fn viewpoints(mesh: &Mesh, tracer: &dyn Tracer, count: usize, width: usize, 
     scored.truncate((scored.len() / 2).max(1));
     let mut chosen: Vec<(f32, Vec3, f32)> = scored.first().copied().into_iter().collect();
     while chosen.len() < count.min(scored.len()) {
-        let far = |c: &(f32, Vec3, f32)| chosen.iter().map(|o| (o.1 - c.1).length()).fold(f32::INFINITY, f32::min);
+        let far = |c: &(f32, Vec3, f32)| {
+            chosen
+                .iter()
+                .map(|o| (o.1 - c.1).length())
+                .fold(f32::INFINITY, f32::min)
+        };
         match scored.iter().max_by(|a, b| far(a).total_cmp(&far(b))) {
             Some(best) => chosen.push(*best),
             None => break,

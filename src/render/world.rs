@@ -1,4 +1,5 @@
-//! A solution as something the path tracer can light: its materials, its lamps, its environment, and changes to the latter two.
+//! A solution as something the path tracer can light: its materials, its lamps, its environment,
+//! and changes to the latter two.
 
 use super::path_tracer::{self, Surface, SurfaceModel};
 use super::portals::find_portals;
@@ -16,7 +17,15 @@ use std::f32::consts::{PI, TAU};
 use std::path::PathBuf;
 
 /// Points of a triangle at which its emission is looked up.
-const POINTS: [(f32, f32); 7] = [(0.34, 0.33), (0.6, 0.2), (0.2, 0.6), (0.2, 0.2), (0.46, 0.46), (0.46, 0.08), (0.08, 0.46)];
+const POINTS: [(f32, f32); 7] = [
+    (0.34, 0.33),
+    (0.6, 0.2),
+    (0.2, 0.6),
+    (0.2, 0.2),
+    (0.46, 0.46),
+    (0.46, 0.08),
+    (0.08, 0.46),
+];
 
 /// A lamp that the scene does not have. Positions in the coordinates of the scene's file, metres.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -92,7 +101,8 @@ pub struct World<'a> {
     gain: Vec<Vec3>,
     /// Per triangle: mean of the emission texture.
     mean: Vec<Vec3>,
-    /// Emission of triangles beyond the solution's own and its moved lamps: `constant[t - textured]`.
+    /// Emission of triangles beyond the solution's own and its moved lamps: `constant[t -
+    /// textured]`.
     constant: Vec<Vec3>,
     textured: usize,
     environment: Environment,
@@ -114,7 +124,16 @@ impl<'a> World<'a> {
                 POINTS.iter().map(at).sum::<Vec3>() / POINTS.len() as f32
             })
             .collect();
-        let gain = mean.iter().map(|m| if *m == Vec3::ZERO { Vec3::ZERO } else { Vec3::ONE }).collect();
+        let gain = mean
+            .iter()
+            .map(|m| {
+                if *m == Vec3::ZERO {
+                    Vec3::ZERO
+                } else {
+                    Vec3::ONE
+                }
+            })
+            .collect();
         Self {
             textured: mesh.triangles.len(),
             solution,
@@ -160,7 +179,8 @@ impl<'a> World<'a> {
         }
     }
 
-    /// Moves emitting triangles; what they were mounted on stays. To be called before any lamp is added.
+    /// Moves emitting triangles; what they were mounted on stays. To be called before any lamp is
+    /// added.
     pub fn move_emission(&mut self, triangles: &[u32], by: Vec3) {
         for &t in triangles {
             let t = t as usize;
@@ -197,30 +217,55 @@ impl<'a> World<'a> {
         let origin = self.solution.origin;
         let local = |p: &[f64; 3]| (DVec3::from_array(*p) - origin).as_vec3();
         match lamp {
-            Added::Quad { position, direction, size, radiance } => {
+            Added::Quad {
+                position,
+                direction,
+                size,
+                radiance,
+            } => {
                 let n = Vec3::from_array(*direction).normalize_or(Vec3::NEG_Y);
                 let frame = crate::math::Frame::from_normal(n);
-                let (du, dv) = (frame.world_from_local(Vec3::X) * size[0], frame.world_from_local(Vec3::Y) * size[1]);
+                let (du, dv) = (
+                    frame.world_from_local(Vec3::X) * size[0],
+                    frame.world_from_local(Vec3::Y) * size[1],
+                );
                 let corner = local(position) - 0.5 * (du + dv);
                 let corners = [corner, corner + du, corner + du + dv, corner + dv];
                 // the winding decides where it shines
                 let flip = du.cross(dv).dot(n) < 0.0;
-                let triangles = if flip { [[0, 2, 1], [0, 3, 2]] } else { [[0, 1, 2], [0, 2, 3]] };
+                let triangles = if flip {
+                    [[0, 2, 1], [0, 3, 2]]
+                } else {
+                    [[0, 1, 2], [0, 2, 3]]
+                };
                 self.push(&corners, &[n; 4], &triangles, Vec3::from_array(*radiance));
             }
-            Added::Sphere { position, radius, radiance } => {
+            Added::Sphere {
+                position,
+                radius,
+                radiance,
+            } => {
                 let (points, triangles) = unit_sphere(24, 12);
                 let centre = local(position);
                 let corners: Vec<Vec3> = points.iter().map(|p| centre + *p * *radius).collect();
                 self.push(&corners, &points, &triangles, Vec3::from_array(*radiance));
             }
-            Added::Point { position, intensity } => self.points.push(PointLight {
+            Added::Point {
+                position,
+                intensity,
+            } => self.points.push(PointLight {
                 position: local(position),
                 intensity: Vec3::from_array(*intensity),
                 axis: Vec3::NEG_Y,
                 shape: Shape::Bulb,
             }),
-            Added::Spot { position, direction, angle, blend, intensity } => {
+            Added::Spot {
+                position,
+                direction,
+                angle,
+                blend,
+                intensity,
+            } => {
                 let outer = angle.clamp(0.1, 179.0).to_radians();
                 let inner = outer * (1.0 - blend.clamp(0.0, 1.0));
                 self.points.push(PointLight {
@@ -230,7 +275,13 @@ impl<'a> World<'a> {
                     shape: Shape::Spot([inner.cos(), outer.cos()]),
                 });
             }
-            Added::Ies { position, direction, file, turn, intensity } => self.points.push(PointLight {
+            Added::Ies {
+                position,
+                direction,
+                file,
+                turn,
+                intensity,
+            } => self.points.push(PointLight {
                 position: local(position),
                 intensity: Vec3::from_array(*intensity),
                 axis: Vec3::from_array(*direction).normalize_or(Vec3::NEG_Y),
@@ -244,33 +295,59 @@ impl<'a> World<'a> {
         let base = self.mesh.positions.len() as u32;
         self.mesh.positions.extend_from_slice(corners);
         self.mesh.normals.extend_from_slice(normals);
-        self.mesh.uvs.extend(std::iter::repeat_n(Vec2::ZERO, corners.len()));
-        self.mesh.triangles.extend(triangles.iter().map(|t| t.map(|i| i + base)));
-        self.constant.extend(std::iter::repeat_n(radiance, triangles.len()));
+        self.mesh
+            .uvs
+            .extend(std::iter::repeat_n(Vec2::ZERO, corners.len()));
+        self.mesh
+            .triangles
+            .extend(triangles.iter().map(|t| t.map(|i| i + base)));
+        self.constant
+            .extend(std::iter::repeat_n(radiance, triangles.len()));
     }
 
-    /// Finds the openings through which the environment is seen; without this, windows are noisier and nothing else.
+    /// Finds the openings through which the environment is seen; without this, windows are noisier
+    /// and nothing else.
     pub fn open_portals(&mut self, tracer: &dyn Tracer) {
         let dark = self.environment.is_black() || self.environment_gain == Vec3::ZERO;
-        self.portals = if dark { Vec::new() } else { find_portals(&self.mesh, tracer) };
+        self.portals = if dark {
+            Vec::new()
+        } else {
+            find_portals(&self.mesh, tracer)
+        };
     }
 }
 
 impl SurfaceModel for World<'_> {
     fn surface(&self, triangle: usize, u: f32, v: f32) -> Surface {
         if triangle >= self.textured {
-            let material = Material { albedo: Vec3::ZERO, roughness: 1.0 };
-            return Surface { material, emission: self.constant[triangle - self.textured] };
+            let material = Material {
+                albedo: Vec3::ZERO,
+                roughness: 1.0,
+            };
+            return Surface {
+                material,
+                emission: self.constant[triangle - self.textured],
+            };
         }
         let s = self.solution;
         let uv = self.mesh.uv(triangle, u, v);
         let at = |w: usize, h: usize| uv * Vec2::new(w as f32, h as f32);
-        let albedo = s.albedo.bilinear(at(s.albedo.width, s.albedo.height), Wrap::Clamp);
-        let roughness = s.roughness.bilinear(at(s.roughness.width, s.roughness.height), Wrap::Clamp);
+        let albedo = s
+            .albedo
+            .bilinear(at(s.albedo.width, s.albedo.height), Wrap::Clamp);
+        let roughness = s
+            .roughness
+            .bilinear(at(s.roughness.width, s.roughness.height), Wrap::Clamp);
         let gain = self.gain[triangle];
-        let emission =
-            if gain == Vec3::ZERO { gain } else { gain * *s.emission.nearest(at(s.emission.width, s.emission.height)) };
-        Surface { material: Material { albedo, roughness }, emission }
+        let emission = if gain == Vec3::ZERO {
+            gain
+        } else {
+            gain * *s.emission.nearest(at(s.emission.width, s.emission.height))
+        };
+        Surface {
+            material: Material { albedo, roughness },
+            emission,
+        }
     }
 
     fn mean_emission(&self, triangle: usize) -> Vec3 {
@@ -286,7 +363,10 @@ impl SurfaceModel for World<'_> {
             return 0;
         }
         let labels = &self.solution.labels;
-        *labels.nearest(self.mesh.uv(triangle, 1.0 / 3.0, 1.0 / 3.0) * Vec2::new(labels.width as f32, labels.height as f32))
+        *labels.nearest(
+            self.mesh.uv(triangle, 1.0 / 3.0, 1.0 / 3.0)
+                * Vec2::new(labels.width as f32, labels.height as f32),
+        )
     }
 
     fn reflectance(&self) -> Reflectance {
@@ -315,7 +395,11 @@ fn unit_sphere(around: u32, rings: u32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
         let theta = PI * j as f32 / rings as f32;
         for i in 0..around {
             let phi = TAU * i as f32 / around as f32;
-            points.push(Vec3::new(theta.sin() * phi.cos(), theta.cos(), theta.sin() * phi.sin()));
+            points.push(Vec3::new(
+                theta.sin() * phi.cos(),
+                theta.cos(),
+                theta.sin() * phi.sin(),
+            ));
         }
     }
     let mut triangles = Vec::new();
@@ -340,15 +424,31 @@ mod tests {
         let mut world = World::new(&solution);
         let own = world.mesh().triangles.len();
         let p = (solution.origin + DVec3::new(0.0, 1.0, 0.0)).to_array();
-        world.add(&Added::Sphere { position: p, radius: 0.2, radiance: [1.0, 2.0, 3.0] }).expect("adds");
+        world
+            .add(&Added::Sphere {
+                position: p,
+                radius: 0.2,
+                radiance: [1.0, 2.0, 3.0],
+            })
+            .expect("adds");
         let sphere = world.mesh().triangles.len();
-        world.add(&Added::Quad { position: p, direction: [0.0, -1.0, 0.0], size: [0.4, 0.2], radiance: [4.0; 3] }).expect("adds");
+        world
+            .add(&Added::Quad {
+                position: p,
+                direction: [0.0, -1.0, 0.0],
+                size: [0.4, 0.2],
+                radiance: [4.0; 3],
+            })
+            .expect("adds");
         let centre = Vec3::new(0.0, 1.0, 0.0);
         let m = world.mesh();
         for t in own..sphere {
             let outward = m.position(t, 1.0 / 3.0, 1.0 / 3.0) - centre;
             assert!(m.area(t) < 1e-9 || m.face_normal(t).dot(outward) > 0.0);
-            assert_eq!(world.surface(t, 0.2, 0.2).emission, Vec3::new(1.0, 2.0, 3.0));
+            assert_eq!(
+                world.surface(t, 0.2, 0.2).emission,
+                Vec3::new(1.0, 2.0, 3.0)
+            );
         }
         let area: f32 = (sphere..m.triangles.len()).map(|t| m.area(t)).sum();
         assert!((area - 0.08).abs() < 1e-5);
@@ -363,12 +463,22 @@ mod tests {
         let mut world = World::new(&solution);
         assert!(world.emits(0));
         world.scale_emission(&[0], Vec3::new(0.5, 1.0, 0.0));
-        assert_eq!(world.surface(0, 0.2, 0.2).emission, Vec3::new(1.0, 2.0, 0.0));
+        assert_eq!(
+            world.surface(0, 0.2, 0.2).emission,
+            Vec3::new(1.0, 2.0, 0.0)
+        );
         world.move_emission(&[0], Vec3::Y);
         assert_eq!(world.surface(0, 0.2, 0.2).emission, Vec3::ZERO);
         let moved = world.mesh().triangles.len() - 1;
-        assert_eq!(world.surface(moved, 0.2, 0.2).emission, Vec3::new(1.0, 2.0, 0.0));
-        assert!((world.mesh().position(moved, 0.2, 0.3) - world.mesh().position(0, 0.2, 0.3) - Vec3::Y).length() < 1e-6);
+        assert_eq!(
+            world.surface(moved, 0.2, 0.2).emission,
+            Vec3::new(1.0, 2.0, 0.0)
+        );
+        assert!(
+            (world.mesh().position(moved, 0.2, 0.3) - world.mesh().position(0, 0.2, 0.3) - Vec3::Y)
+                .length()
+                < 1e-6
+        );
         assert_eq!(world.mean_emission(0), Vec3::ZERO);
     }
 
@@ -376,11 +486,28 @@ mod tests {
     fn a_spot_ends_at_its_angle() {
         let solution = small_solution();
         let mut world = World::new(&solution);
-        let spot = Added::Spot { position: [0.0; 3], direction: [0.0, -1.0, 0.0], angle: 30.0, blend: 0.5, intensity: [8.0; 3] };
+        let spot = Added::Spot {
+            position: [0.0; 3],
+            direction: [0.0, -1.0, 0.0],
+            angle: 30.0,
+            blend: 0.5,
+            intensity: [8.0; 3],
+        };
         world.add(&spot).expect("adds");
         let light = &world.points()[0];
-        let at = |degrees: f32| light.towards(Vec3::new(degrees.to_radians().sin(), -degrees.to_radians().cos(), 0.0)).x;
-        assert_eq!((at(0.0), at(14.0), at(31.0), at(120.0)), (8.0, 8.0, 0.0, 0.0));
+        let at = |degrees: f32| {
+            light
+                .towards(Vec3::new(
+                    degrees.to_radians().sin(),
+                    -degrees.to_radians().cos(),
+                    0.0,
+                ))
+                .x
+        };
+        assert_eq!(
+            (at(0.0), at(14.0), at(31.0), at(120.0)),
+            (8.0, 8.0, 0.0, 0.0)
+        );
         assert!(at(22.0) > 0.5 && at(22.0) < 7.5);
     }
 }

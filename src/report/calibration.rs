@@ -32,12 +32,32 @@ pub(super) fn plot(out: &mut String, name: &str, c: &Calibration) -> std::fmt::R
             y + 3.0
         )?;
     }
-    let points: Vec<(f64, f64, f64)> =
-        c.bins.iter().map(|b| (along(b.stated), SIDE - along(b.actual), b.pixels as f64 / c.all.pixels.max(1) as f64)).collect();
-    let line: Vec<String> = points.iter().map(|p| format!("{:.1} {:.1}", p.0, p.1)).collect();
-    write!(out, "<path d=\"M{}\" fill=\"none\" stroke=\"#0072b2\" stroke-width=\"1.5\"/>", line.join("L"))?;
+    let points: Vec<(f64, f64, f64)> = c
+        .bins
+        .iter()
+        .map(|b| {
+            (
+                along(b.stated),
+                SIDE - along(b.actual),
+                b.pixels as f64 / c.all.pixels.max(1) as f64,
+            )
+        })
+        .collect();
+    let line: Vec<String> = points
+        .iter()
+        .map(|p| format!("{:.1} {:.1}", p.0, p.1))
+        .collect();
+    write!(
+        out,
+        "<path d=\"M{}\" fill=\"none\" stroke=\"#0072b2\" stroke-width=\"1.5\"/>",
+        line.join("L")
+    )?;
     for (x, y, share) in points {
-        write!(out, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{:.1}\" fill=\"#0072b2\"/>", 2.0 + 12.0 * share.sqrt())?;
+        write!(
+            out,
+            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{:.1}\" fill=\"#0072b2\"/>",
+            2.0 + 12.0 * share.sqrt()
+        )?;
     }
     writeln!(
         out,

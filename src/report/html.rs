@@ -1,7 +1,8 @@
 //! `report.html`: one self-contained page with the figures, pictures and plots of a run.
 //!
-//! Style, script and pictures are embedded; nothing is fetched. The page follows the reader's light or dark preference and
-//! works without the script (the comparison slider then stands at the middle).
+//! Style, script and pictures are embedded; nothing is fetched. The page follows the reader's light
+//! or dark preference and works without the script (the comparison slider then stands at the
+//! middle).
 
 use super::jpeg::encode_jpeg;
 use super::pictures::{CONFIDENCE_RANGE, Captioned, ERROR_RANGE, ViewPictures, inferno};
@@ -64,7 +65,11 @@ fn duration(seconds: f64) -> String {
 
 fn bytes(n: u64) -> String {
     let mib = n as f64 / (1u64 << 20) as f64;
-    if mib < 1024.0 { format!("{mib:.0} MiB") } else { format!("{:.2} GiB", mib / 1024.0) }
+    if mib < 1024.0 {
+        format!("{mib:.0} MiB")
+    } else {
+        format!("{:.2} GiB", mib / 1024.0)
+    }
 }
 
 /// The page as HTML.
@@ -96,7 +101,11 @@ fn write_page(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
         ("evaluation", "Evaluation", p.evaluation.is_some()),
         ("views", "Views", !p.views.is_empty()),
         ("maps", "Maps", !p.atlas.is_empty()),
-        ("decisions", "Decisions", !r.notes.is_empty() || !r.decisions.is_empty()),
+        (
+            "decisions",
+            "Decisions",
+            !r.notes.is_empty() || !r.decisions.is_empty(),
+        ),
         ("stages", "Stages", !r.stages.is_empty()),
         ("run", "Run", true),
     ];
@@ -126,35 +135,81 @@ fn write_page(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
 }
 
 fn tile(out: &mut String, main: bool, value: &str, label: &str) -> std::fmt::Result {
-    writeln!(out, "<div class=\"tile{}\"><b>{value}</b><span>{label}</span></div>", if main { " main" } else { "" })
+    writeln!(
+        out,
+        "<div class=\"tile{}\"><b>{value}</b><span>{label}</span></div>",
+        if main { " main" } else { "" }
+    )
 }
 
 fn summary(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
     let r = p.record;
     out.push_str("<div class=\"tiles\">\n");
-    let scored =
-        p.evaluation.and_then(|e| e.test.as_ref().map(|t| ("novel views", t)).or(e.train.as_ref().map(|t| ("re-rendering", t))));
+    let scored = p.evaluation.and_then(|e| {
+        e.test
+            .as_ref()
+            .map(|t| ("novel views", t))
+            .or(e.train.as_ref().map(|t| ("re-rendering", t)))
+    });
     if let Some((label, split)) = scored {
-        tile(out, true, &format!("{:.2} dB", split.rendering.psnr_of_mean_mse), label)?;
+        tile(
+            out,
+            true,
+            &format!("{:.2} dB", split.rendering.psnr_of_mean_mse),
+            label,
+        )?;
         if let Some(m) = &split.materials {
-            tile(out, true, &format!("{:.2} dB", m.albedo.linear.psnr_of_mean_mse), "albedo, no alignment")?;
-            tile(out, true, &format!("{:.2} dB", m.roughness.fipt.psnr_of_mean_mse), "roughness, FIPT protocol")?;
+            tile(
+                out,
+                true,
+                &format!("{:.2} dB", m.albedo.linear.psnr_of_mean_mse),
+                "albedo, no alignment",
+            )?;
+            tile(
+                out,
+                true,
+                &format!("{:.2} dB", m.roughness.fipt.psnr_of_mean_mse),
+                "roughness, FIPT protocol",
+            )?;
         }
     } else {
-        for (split, label) in [(Split::Test, "novel views shown"), (Split::Train, "training views shown")] {
-            let shown: Vec<f64> = p.views.iter().filter(|v| v.split == split).map(|v| v.psnr).collect();
+        for (split, label) in [
+            (Split::Test, "novel views shown"),
+            (Split::Train, "training views shown"),
+        ] {
+            let shown: Vec<f64> = p
+                .views
+                .iter()
+                .filter(|v| v.split == split)
+                .map(|v| v.psnr)
+                .collect();
             if !shown.is_empty() {
-                tile(out, true, &format!("{:.2} dB", shown.iter().sum::<f64>() / shown.len() as f64), label)?;
+                tile(
+                    out,
+                    true,
+                    &format!("{:.2} dB", shown.iter().sum::<f64>() / shown.len() as f64),
+                    label,
+                )?;
             }
         }
     }
     tile(out, false, &duration(r.wall_seconds), "wall time")?;
-    tile(out, false, &duration(r.cpu_seconds), &format!("processor time, {} threads", r.machine.threads))?;
+    tile(
+        out,
+        false,
+        &duration(r.cpu_seconds),
+        &format!("processor time, {} threads", r.machine.threads),
+    )?;
     tile(out, false, &bytes(r.peak_bytes), "peak memory")?;
     if r.rays > 0 {
         tile(out, false, &short(r.rays), "rays traced")?;
     }
-    tile(out, false, &format!("{} + {}", r.scene.training_views, r.scene.held_out_views), "training + held-out views")?;
+    tile(
+        out,
+        false,
+        &format!("{} + {}", r.scene.training_views, r.scene.held_out_views),
+        "training + held-out views",
+    )?;
     out.push_str("</div>\n");
     Ok(())
 }
@@ -162,9 +217,10 @@ fn summary(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
 fn evaluation_section(out: &mut String, evaluation: &Evaluation) -> std::fmt::Result {
     out.push_str("<section id=\"evaluation\">\n<h2>Evaluation</h2>\n");
     command(out, "unbake eval OUT --scene SCENE")?;
-    for (title, kind, split) in
-        [("Held-out views", "novel views", &evaluation.test), ("Training views", "re-rendering", &evaluation.train)]
-    {
+    for (title, kind, split) in [
+        ("Held-out views", "novel views", &evaluation.test),
+        ("Training views", "re-rendering", &evaluation.train),
+    ] {
         if let Some(split) = split {
             split_tables(out, title, kind, split)?;
         }
@@ -179,10 +235,19 @@ fn evaluation_section(out: &mut String, evaluation: &Evaluation) -> std::fmt::Re
 
 /// The command whose result a section shows.
 fn command(out: &mut String, text: &str) -> std::fmt::Result {
-    writeln!(out, "<p class=\"command\">from <code>{}</code></p>", escaped(text))
+    writeln!(
+        out,
+        "<p class=\"command\">from <code>{}</code></p>",
+        escaped(text)
+    )
 }
 
-fn split_tables(out: &mut String, title: &str, kind: &str, split: &SplitScores) -> std::fmt::Result {
+fn split_tables(
+    out: &mut String,
+    title: &str,
+    kind: &str,
+    split: &SplitScores,
+) -> std::fmt::Result {
     writeln!(
         out,
         "<h3>{title} <small>{} images</small></h3>\n<div class=\"wrap\"><table><thead><tr><th></th><th>PSNR of mean MSE</th><th>mean \
@@ -195,7 +260,11 @@ fn split_tables(out: &mut String, title: &str, kind: &str, split: &SplitScores) 
         score_row(out, "albedo, FIPT", &m.albedo.fipt)?;
         score_row(out, "albedo, TexIR (one scale per view)", &m.albedo.texir)?;
         score_row(out, "roughness, linear", &m.roughness.linear)?;
-        score_row(out, "roughness, FIPT (clamped to [0.2, 1])", &m.roughness.fipt)?;
+        score_row(
+            out,
+            "roughness, FIPT (clamped to [0.2, 1])",
+            &m.roughness.fipt,
+        )?;
     }
     out.push_str("</tbody></table></div>\n");
     if let Some(e) = &split.emission {
@@ -225,7 +294,8 @@ fn split_tables(out: &mut String, title: &str, kind: &str, split: &SplitScores) 
             v.ssim,
             optional(v.albedo_psnr),
             optional(v.albedo_psnr_texir),
-            v.albedo_scale.map_or_else(|| "–".to_owned(), |s| format!("{s:.3}")),
+            v.albedo_scale
+                .map_or_else(|| "–".to_owned(), |s| format!("{s:.3}")),
             optional(v.roughness_psnr),
             optional(v.roughness_psnr_fipt),
         )?;
@@ -270,12 +340,20 @@ fn class_table(out: &mut String, m: &MaterialScores) -> std::fmt::Result {
 
 /// Does the stated standard error explain the actual one?
 fn calibration_section(out: &mut String, m: &MaterialScores) -> std::fmt::Result {
-    out.push_str("<details open><summary>Stated against actual error</summary><div class=\"wrap\">");
-    for (name, c) in [("albedo", &m.calibration.albedo), ("roughness", &m.calibration.roughness)] {
+    out.push_str(
+        "<details open><summary>Stated against actual error</summary><div class=\"wrap\">",
+    );
+    for (name, c) in [
+        ("albedo", &m.calibration.albedo),
+        ("roughness", &m.calibration.roughness),
+    ] {
         super::calibration::plot(out, name, c)?;
     }
     out.push_str("</div>");
-    for (name, c) in [("albedo", &m.calibration.albedo), ("roughness", &m.calibration.roughness)] {
+    for (name, c) in [
+        ("albedo", &m.calibration.albedo),
+        ("roughness", &m.calibration.roughness),
+    ] {
         writeln!(
             out,
             "<p class=\"remark\">{name}: stated {:.4}, actual {:.4}; {:.0} % of the pixels within one stated standard error (68 % if \
@@ -292,7 +370,10 @@ fn calibration_section(out: &mut String, m: &MaterialScores) -> std::fmt::Result
 }
 
 fn data_url(picture: &super::jpeg::Picture) -> String {
-    format!("data:image/jpeg;base64,{}", base64(&encode_jpeg(picture, QUALITY)))
+    format!(
+        "data:image/jpeg;base64,{}",
+        base64(&encode_jpeg(picture, QUALITY))
+    )
 }
 
 fn figure(out: &mut String, captioned: &Captioned) -> std::fmt::Result {
@@ -329,7 +410,11 @@ fn views_section(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
 }
 
 fn view_section(out: &mut String, view: &ViewPictures) -> std::fmt::Result {
-    let kind = if view.split == Split::Test { "held out" } else { "training" };
+    let kind = if view.split == Split::Test {
+        "held out"
+    } else {
+        "training"
+    };
     writeln!(
         out,
         "<section><h3>View {} <small>{kind} · {:.2} dB · SSIM {:.4}</small></h3>",
@@ -384,7 +469,10 @@ fn scale_bar() -> String {
             format!("rgb({r} {g} {b})")
         })
         .collect();
-    format!("<span class=\"scale\" style=\"background:linear-gradient(90deg,{})\"></span>", stops.join(","))
+    format!(
+        "<span class=\"scale\" style=\"background:linear-gradient(90deg,{})\"></span>",
+        stops.join(",")
+    )
 }
 
 fn decisions_section(out: &mut String, r: &RunRecord) -> std::fmt::Result {
@@ -397,7 +485,10 @@ fn decisions_section(out: &mut String, r: &RunRecord) -> std::fmt::Result {
         for d in &r.decisions {
             let forced = if d.forced { "forced: " } else { "" };
             let [what, decided, why] = [&d.what, &d.decided, &d.why].map(|s| escaped(s));
-            writeln!(out, "<tr><td>{what}</td><td>{decided}</td><td>{forced}{why}</td></tr>")?;
+            writeln!(
+                out,
+                "<tr><td>{what}</td><td>{decided}</td><td>{forced}{why}</td></tr>"
+            )?;
         }
         out.push_str("</tbody></table></div>\n");
     }
@@ -419,9 +510,16 @@ fn stages_section(out: &mut String, stages: &[StageRecord]) -> std::fmt::Result 
     out.push_str("<div class=\"wrap\"><table><thead><tr><th>stage</th><th>wall</th>");
     out.push_str("<th>processor</th><th>cores busy</th><th>rays</th><th>rays/s</th><th></th></tr></thead><tbody>\n");
     for s in stages {
-        let rays = if s.rays > 0 { short(s.rays) } else { "–".into() };
-        let speed =
-            if s.rays > 0 && s.wall_seconds > 0.0 { short((s.rays as f64 / s.wall_seconds) as u64) } else { "–".into() };
+        let rays = if s.rays > 0 {
+            short(s.rays)
+        } else {
+            "–".into()
+        };
+        let speed = if s.rays > 0 && s.wall_seconds > 0.0 {
+            short((s.rays as f64 / s.wall_seconds) as u64)
+        } else {
+            "–".into()
+        };
         writeln!(
             out,
             "<tr><td style=\"padding-left:{:.1}rem\">{}</td><td>{}</td><td>{}</td><td>{:.1}</td><td>{rays}</td><td>{speed}</td><td \
@@ -446,7 +544,13 @@ fn run_section(out: &mut String, r: &RunRecord) -> std::fmt::Result {
         let quoted: Vec<String> = r
             .command
             .iter()
-            .map(|a| if a.contains(char::is_whitespace) || a.is_empty() { format!("'{a}'") } else { a.clone() })
+            .map(|a| {
+                if a.contains(char::is_whitespace) || a.is_empty() {
+                    format!("'{a}'")
+                } else {
+                    a.clone()
+                }
+            })
             .collect();
         writeln!(out, "<pre>unbake {}</pre>", escaped(&quoted.join(" ")))?;
     }
@@ -466,10 +570,18 @@ fn run_section(out: &mut String, r: &RunRecord) -> std::fmt::Result {
     out.push_str("</tbody></table></div>\n");
     if !r.options.is_null() {
         let options = serde_json::to_string_pretty(&r.options).unwrap_or_default();
-        writeln!(out, "<details><summary>Options in effect</summary><pre>{}</pre></details>", escaped(&options))?;
+        writeln!(
+            out,
+            "<details><summary>Options in effect</summary><pre>{}</pre></details>",
+            escaped(&options)
+        )?;
     }
     if !r.inputs.is_empty() {
-        writeln!(out, "<details><summary>{} input files</summary><div class=\"wrap\"><table><tbody>", r.inputs.len())?;
+        writeln!(
+            out,
+            "<details><summary>{} input files</summary><div class=\"wrap\"><table><tbody>",
+            r.inputs.len()
+        )?;
         for i in &r.inputs {
             writeln!(
                 out,
@@ -496,7 +608,11 @@ fn base64(bytes: &[u8]) -> String {
             | u32::from(chunk.get(2).copied().unwrap_or(0));
         for i in 0..4 {
             let padded = i > chunk.len();
-            out.push(if padded { '=' } else { char::from(ALPHABET[(word >> (18 - 6 * i) & 63) as usize]) });
+            out.push(if padded {
+                '='
+            } else {
+                char::from(ALPHABET[(word >> (18 - 6 * i) & 63) as usize])
+            });
         }
     }
     out
@@ -508,9 +624,14 @@ mod tests {
 
     #[test]
     fn base64_follows_the_rfcs_test_vectors() {
-        for (plain, encoded) in
-            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("foobar", "Zm9vYmFy")]
-        {
+        for (plain, encoded) in [
+            ("", ""),
+            ("f", "Zg=="),
+            ("fo", "Zm8="),
+            ("foo", "Zm9v"),
+            ("foob", "Zm9vYg=="),
+            ("foobar", "Zm9vYmFy"),
+        ] {
             assert_eq!(base64(plain.as_bytes()), encoded);
         }
     }
@@ -521,11 +642,24 @@ mod tests {
         record.scene.name = "<script>alert(1)</script>".into();
         record.notes.push("a < b & \"c\"".into());
         let decided = |s: &str| s.to_owned();
-        record.decisions.push(crate::progress::Decision { what: decided("x<y"), why: decided("z<w"), ..Default::default() });
-        let html = page(&Page { record: &record, evaluation: None, views: &[], atlas: &[], exposure: 0.0 });
+        record.decisions.push(crate::progress::Decision {
+            what: decided("x<y"),
+            why: decided("z<w"),
+            ..Default::default()
+        });
+        let html = page(&Page {
+            record: &record,
+            evaluation: None,
+            views: &[],
+            atlas: &[],
+            exposure: 0.0,
+        });
         assert!(!html.contains("<script>alert") && html.contains("a &lt; b &amp; &quot;c&quot;"));
         assert!(html.contains("x&lt;y") && html.contains("z&lt;w"));
-        assert!(!html.contains("http://") && !html.contains("https://"), "nothing is fetched");
+        assert!(
+            !html.contains("http://") && !html.contains("https://"),
+            "nothing is fetched"
+        );
     }
 
     #[test]

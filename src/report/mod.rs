@@ -9,7 +9,8 @@ mod record;
 pub use jpeg::{Picture, encode_jpeg};
 pub use pictures::{Captioned, Photographer, ViewPictures, report_camera, spread};
 pub use record::{
-    InputFile, Machine, Recorder, RunRecord, SceneSummary, StageRecord, Versions, cpu_seconds, hash_inputs, machine, peak_bytes,
+    InputFile, Machine, Recorder, RunRecord, SceneSummary, StageRecord, Versions, cpu_seconds,
+    hash_inputs, machine, peak_bytes,
 };
 
 use crate::error::{Error, Result};
@@ -39,13 +40,16 @@ impl Versions {
 /// The views that a report shows: a few of each split, evenly spread.
 #[must_use]
 pub fn shown_views(scene: &Scene) -> Vec<&View> {
-    [Split::Test, Split::Train].into_iter().flat_map(|split| spread(scene, split, VIEWS_SHOWN)).collect()
+    [Split::Test, Split::Train]
+        .into_iter()
+        .flat_map(|split| spread(scene, split, VIEWS_SHOWN))
+        .collect()
 }
 
 /// Writes `report.json` and `report.html` into `folder`.
 ///
-/// `views` are pictures already taken (an evaluation takes them on its way, with ground truth); views that should be shown and
-/// are not among them are rendered here.
+/// `views` are pictures already taken (an evaluation takes them on its way, with ground truth);
+/// views that should be shown and are not among them are rendered here.
 pub fn write_report(
     folder: &Path,
     scene: &Scene,
@@ -67,9 +71,16 @@ pub fn write_report(
         .map(|v| json!({"stem": v.stem, "held_out": v.split == Split::Test, "psnr": v.psnr, "ssim": v.ssim}))
         .collect();
     let report = json!({"run": record, "evaluation": evaluation, "views": shown});
-    let bytes = serde_json::to_vec_pretty(&report).map_err(|e| Error::Failed(format!("report.json: {e}")))?;
+    let bytes = serde_json::to_vec_pretty(&report)
+        .map_err(|e| Error::Failed(format!("report.json: {e}")))?;
     atomic_write(folder.join("report.json"), &bytes)?;
     let atlas = photographer.atlas();
-    let page = html::Page { record, evaluation, views: &views, atlas: &atlas, exposure: photographer.exposure() };
+    let page = html::Page {
+        record,
+        evaluation,
+        views: &views,
+        atlas: &atlas,
+        exposure: photographer.exposure(),
+    };
     atomic_write(folder.join("report.html"), html::page(&page).as_bytes())
 }

@@ -53,7 +53,8 @@ pub struct ViewPictures {
     pub pictures: Vec<Captioned>,
 }
 
-/// Turns views into pictures: holds the ray structure with which textures are shown from the cameras.
+/// Turns views into pictures: holds the ray structure with which textures are shown from the
+/// cameras.
 pub struct Photographer<'a> {
     scene: &'a Scene,
     solution: &'a Solution,
@@ -63,7 +64,8 @@ pub struct Photographer<'a> {
 }
 
 impl<'a> Photographer<'a> {
-    /// Prepares for the views of `scene`; the exposure of all pictures is chosen from its first photograph.
+    /// Prepares for the views of `scene`; the exposure of all pictures is chosen from its first
+    /// photograph.
     pub fn new(scene: &'a Scene, solution: &'a Solution) -> Result<Self> {
         let gain = match scene.views.first() {
             Some(view) => display_gain(&scene.load_radiance(view)?),
@@ -71,7 +73,13 @@ impl<'a> Photographer<'a> {
         };
         // the texels of lamps and sills would leave the rooms dark
         let irradiance_gain = gain_at(&solution.irradiance, 0.7);
-        Ok(Self { scene, solution, tracer: EmbreeTracer::new(&solution.mesh)?, gain, irradiance_gain })
+        Ok(Self {
+            scene,
+            solution,
+            tracer: EmbreeTracer::new(&solution.mesh)?,
+            gain,
+            irradiance_gain,
+        })
     }
 
     /// The exposure of all radiance pictures, in stops.
@@ -81,7 +89,12 @@ impl<'a> Photographer<'a> {
     }
 
     /// The pictures of one view from its rendering (at any size of the view's aspect).
-    pub fn view(&self, view: &View, rendered: &RenderedView, truth: Option<&GroundTruth>) -> Result<ViewPictures> {
+    pub fn view(
+        &self,
+        view: &View,
+        rendered: &RenderedView,
+        truth: Option<&GroundTruth>,
+    ) -> Result<ViewPictures> {
         let (photograph, valid) = crate::evaluate::photograph(self.scene, view)?;
         let (w, h) = (rendered.radiance.width, rendered.radiance.height);
         let (photograph, valid) = crate::evaluate::protocol::box_average(&photograph, &valid, w, h);
@@ -91,27 +104,74 @@ impl<'a> Photographer<'a> {
             width: a.width,
             height: a.height,
             data: (0..a.data.len())
-                .map(|i| if counted.data[i] { (a.data[i] - b.data[i]).abs().element_sum() / 3.0 } else { 0.0 })
+                .map(|i| {
+                    if counted.data[i] {
+                        (a.data[i] - b.data[i]).abs().element_sum() / 3.0
+                    } else {
+                        0.0
+                    }
+                })
                 .collect(),
         };
         let mut pictures = Vec::new();
-        let mut add = |caption: &str, picture| pictures.push(Captioned { caption: caption.into(), picture });
-        add("photograph", exposed(&shrunk(&photograph, VIEW_WIDTH), self.gain));
-        add("re-rendering", exposed(&shrunk(&rendered.radiance, VIEW_WIDTH), self.gain));
+        let mut add = |caption: &str, picture| {
+            pictures.push(Captioned {
+                caption: caption.into(),
+                picture,
+            })
+        };
+        add(
+            "photograph",
+            exposed(&shrunk(&photograph, VIEW_WIDTH), self.gain),
+        );
+        add(
+            "re-rendering",
+            exposed(&shrunk(&rendered.radiance, VIEW_WIDTH), self.gain),
+        );
         add("error of the re-rendering", error_map(&error));
         add("albedo", colour(&shrunk(&rendered.albedo, DETAIL_WIDTH)));
-        add("roughness", grey(&shrunk(&rendered.roughness, DETAIL_WIDTH)));
-        add("irradiance", self.irradiance(&view.camera, w.min(DETAIL_WIDTH)));
+        add(
+            "roughness",
+            grey(&shrunk(&rendered.roughness, DETAIL_WIDTH)),
+        );
+        add(
+            "irradiance",
+            self.irradiance(&view.camera, w.min(DETAIL_WIDTH)),
+        );
         if let Some(truth) = truth.filter(|t| t.albedo.data.len() == w * h) {
             let difference = |at: &dyn Fn(usize) -> f32| {
-                let seen = |i: usize| if rendered.labels.data[i] == 0 { 0.0 } else { at(i) };
-                error_map(&shrunk(&Plane { width: w, height: h, data: (0..w * h).map(seen).collect() }, DETAIL_WIDTH))
+                let seen = |i: usize| {
+                    if rendered.labels.data[i] == 0 {
+                        0.0
+                    } else {
+                        at(i)
+                    }
+                };
+                error_map(&shrunk(
+                    &Plane {
+                        width: w,
+                        height: h,
+                        data: (0..w * h).map(seen).collect(),
+                    },
+                    DETAIL_WIDTH,
+                ))
             };
-            let albedo = |i: usize| (rendered.albedo.data[i] - truth.albedo.data[i]).abs().element_sum() / 3.0;
+            let albedo = |i: usize| {
+                (rendered.albedo.data[i] - truth.albedo.data[i])
+                    .abs()
+                    .element_sum()
+                    / 3.0
+            };
             add("error of albedo", difference(&albedo));
             add("true albedo", colour(&shrunk(&truth.albedo, DETAIL_WIDTH)));
-            add("true roughness", grey(&shrunk(&truth.roughness, DETAIL_WIDTH)));
-            add("error of roughness", difference(&|i| (rendered.roughness.data[i] - truth.roughness.data[i]).abs()));
+            add(
+                "true roughness",
+                grey(&shrunk(&truth.roughness, DETAIL_WIDTH)),
+            );
+            add(
+                "error of roughness",
+                difference(&|i| (rendered.roughness.data[i] - truth.roughness.data[i]).abs()),
+            );
         }
         Ok(ViewPictures {
             stem: view.stem.clone(),
@@ -127,9 +187,16 @@ impl<'a> Photographer<'a> {
     pub fn atlas(&self) -> Vec<Captioned> {
         let s = self.solution;
         let sized = |name: &str, w: usize, h: usize| format!("{name}, {w} × {h}");
-        let map = |name: &str, w: usize, h: usize, picture| Captioned { caption: sized(name, w, h), picture };
+        let map = |name: &str, w: usize, h: usize, picture| Captioned {
+            caption: sized(name, w, h),
+            picture,
+        };
         let light = |name: &str, plane: &RgbPlane, gain: f32| Captioned {
-            caption: format!("{}, at {:+.1} EV", sized(name, plane.width, plane.height), gain.log2()),
+            caption: format!(
+                "{}, at {:+.1} EV",
+                sized(name, plane.width, plane.height),
+                gain.log2()
+            ),
             picture: exposed(&shrunk(plane, MAP_SIDE), gain),
         };
         let (low, high) = CONFIDENCE_RANGE;
@@ -140,8 +207,18 @@ impl<'a> Photographer<'a> {
             inferno((v.max(low) / low).ln() / (high / low).ln())
         };
         vec![
-            map("albedo", s.albedo.width, s.albedo.height, colour(&shrunk(&s.albedo, MAP_SIDE))),
-            map("roughness", s.roughness.width, s.roughness.height, grey(&shrunk(&s.roughness, MAP_SIDE))),
+            map(
+                "albedo",
+                s.albedo.width,
+                s.albedo.height,
+                colour(&shrunk(&s.albedo, MAP_SIDE)),
+            ),
+            map(
+                "roughness",
+                s.roughness.width,
+                s.roughness.height,
+                grey(&shrunk(&s.roughness, MAP_SIDE)),
+            ),
             light("irradiance", &s.irradiance, self.irradiance_gain),
             light("radiance", &s.radiance, self.gain),
             light("emission", &s.emission, display_gain(&s.emission)),
@@ -157,9 +234,23 @@ impl<'a> Photographer<'a> {
                 s.confidence.height,
                 coloured(&picked(&s.confidence, MAP_SIDE), |c| error(c.y)),
             ),
-            map("classes", s.labels.width, s.labels.height, coloured(&picked(&s.labels, MAP_SIDE), |l| identity(*l))),
-            map("rooms", s.rooms.width, s.rooms.height, coloured(&picked(&s.rooms, MAP_SIDE), |l| identity(*l))),
-            light("environment (where no geometry is)", &s.environment, display_gain(&s.environment)),
+            map(
+                "classes",
+                s.labels.width,
+                s.labels.height,
+                coloured(&picked(&s.labels, MAP_SIDE), |l| identity(*l)),
+            ),
+            map(
+                "rooms",
+                s.rooms.width,
+                s.rooms.height,
+                coloured(&picked(&s.rooms, MAP_SIDE), |l| identity(*l)),
+            ),
+            light(
+                "environment (where no geometry is)",
+                &s.environment,
+                display_gain(&s.environment),
+            ),
         ]
     }
 
@@ -181,9 +272,19 @@ impl<'a> Photographer<'a> {
             if !hit.is_hit() {
                 return Vec3::ZERO;
             }
-            irradiance.bilinear(self.solution.mesh.uv(hit.triangle as usize, hit.u, hit.v) * size, Wrap::Clamp)
+            irradiance.bilinear(
+                self.solution.mesh.uv(hit.triangle as usize, hit.u, hit.v) * size,
+                Wrap::Clamp,
+            )
         };
-        exposed(&Plane { width, height, data: hits.iter().map(seen).collect() }, self.irradiance_gain)
+        exposed(
+            &Plane {
+                width,
+                height,
+                data: hits.iter().map(seen).collect(),
+            },
+            self.irradiance_gain,
+        )
     }
 }
 
@@ -200,7 +301,11 @@ pub fn spread(scene: &Scene, split: Split, count: usize) -> Vec<&View> {
 pub fn report_camera(view: &View) -> Camera {
     let (w, h) = (view.camera.width, view.camera.height);
     let width = w.min(RENDER_WIDTH);
-    if width == w { view.camera } else { view.camera.resized(width, (h * width / w).max(1)) }
+    if width == w {
+        view.camera
+    } else {
+        view.camera.resized(width, (h * width / w).max(1))
+    }
 }
 
 /// The exposure at which the brightest twentieth of what is not black clips.
@@ -210,7 +315,12 @@ fn display_gain(image: &RgbPlane) -> f32 {
 
 /// The exposure that brings a quantile of what is not black to white.
 fn gain_at(image: &RgbPlane, quantile: f64) -> f32 {
-    let mut peaks: Vec<f32> = image.data.iter().map(|v| v.max_element()).filter(|v| v.is_finite() && *v > 0.0).collect();
+    let mut peaks: Vec<f32> = image
+        .data
+        .iter()
+        .map(|v| v.max_element())
+        .filter(|v| v.is_finite() && *v > 0.0)
+        .collect();
     if peaks.is_empty() {
         return 1.0;
     }
@@ -231,15 +341,26 @@ where
     out
 }
 
-/// Every n-th texel, for values that have no mean (ids) or whose mean would mislead (1e4 = unobserved).
+/// Every n-th texel, for values that have no mean (ids) or whose mean would mislead (1e4 =
+/// unobserved).
 fn picked<T: Clone>(plane: &Plane<T>, side: usize) -> Plane<T> {
     let step = plane.width.max(plane.height).div_ceil(side).max(1);
     let (w, h) = ((plane.width / step).max(1), (plane.height / step).max(1));
-    Plane { width: w, height: h, data: (0..w * h).map(|i| plane[(i % w * step, i / w * step)].clone()).collect() }
+    Plane {
+        width: w,
+        height: h,
+        data: (0..w * h)
+            .map(|i| plane[(i % w * step, i / w * step)].clone())
+            .collect(),
+    }
 }
 
 fn coloured<T>(plane: &Plane<T>, f: impl Fn(&T) -> [u8; 3]) -> Picture {
-    Picture { width: plane.width, height: plane.height, rgb: plane.data.iter().flat_map(f).collect() }
+    Picture {
+        width: plane.width,
+        height: plane.height,
+        rgb: plane.data.iter().flat_map(f).collect(),
+    }
 }
 
 fn exposed(plane: &RgbPlane, gain: f32) -> Picture {
@@ -254,7 +375,8 @@ fn colour(plane: &RgbPlane) -> Picture {
     coloured(plane, |v| v.to_array().map(srgb8_from_linear))
 }
 
-/// Roughness as grey, 0 black and 1 white, without a transfer curve: the grey one sees is the number.
+/// Roughness as grey, 0 black and 1 white, without a transfer curve: the grey one sees is the
+/// number.
 fn grey(plane: &Plane<f32>) -> Picture {
     coloured(plane, |r| [(r.clamp(0.0, 1.0) * 255.0 + 0.5) as u8; 3])
 }
@@ -280,7 +402,8 @@ pub(super) fn inferno(t: f32) -> [u8; 3] {
     std::array::from_fn(|c| (INFERNO[i][c] * (1.0 - f) + INFERNO[i + 1][c] * f + 0.5) as u8)
 }
 
-/// A colour of its own for every id; 0 is dark grey. Hues step by the golden ratio, so that neighbours differ.
+/// A colour of its own for every id; 0 is dark grey. Hues step by the golden ratio, so that
+/// neighbours differ.
 fn identity(id: u16) -> [u8; 3] {
     if id == 0 {
         return [40, 40, 44];
@@ -309,16 +432,30 @@ mod tests {
 
     #[test]
     fn gain_brings_the_brightest_twentieth_to_white() {
-        let image = Plane { width: 100, height: 1, data: (1..=100).map(|i| Vec3::splat(i as f32)).collect() };
+        let image = Plane {
+            width: 100,
+            height: 1,
+            data: (1..=100).map(|i| Vec3::splat(i as f32)).collect(),
+        };
         assert!((display_gain(&image) - 1.0 / 95.0).abs() < 1e-6);
-        assert!((display_gain(&Plane::filled(3, 3, Vec3::ZERO)) - 1.0).abs() < 1e-9, "a black scene");
+        assert!(
+            (display_gain(&Plane::filled(3, 3, Vec3::ZERO)) - 1.0).abs() < 1e-9,
+            "a black scene"
+        );
     }
 
     #[test]
     fn neighbouring_ids_look_different() {
         for id in 1..200u16 {
             let (a, b) = (identity(id), identity(id + 1));
-            assert!(a.iter().zip(b).map(|(x, y)| x.abs_diff(y) as u32).sum::<u32>() > 30, "{id}");
+            assert!(
+                a.iter()
+                    .zip(b)
+                    .map(|(x, y)| x.abs_diff(y) as u32)
+                    .sum::<u32>()
+                    > 30,
+                "{id}"
+            );
         }
     }
 }

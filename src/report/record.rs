@@ -117,12 +117,21 @@ impl SceneSummary {
     #[must_use]
     pub fn of(scene: &Scene) -> Self {
         let count = |split| scene.views.iter().filter(|v| v.split == split).count();
-        let absolute = scene.folder.canonicalize().unwrap_or_else(|_| scene.folder.clone());
+        let absolute = scene
+            .folder
+            .canonicalize()
+            .unwrap_or_else(|_| scene.folder.clone());
         Self {
-            name: absolute.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default(),
+            name: absolute
+                .file_name()
+                .map(|n| n.to_string_lossy().into_owned())
+                .unwrap_or_default(),
             training_views: count(Split::Train),
             held_out_views: count(Split::Test),
-            image_size: scene.views.first().map_or([0, 0], |v| [v.camera.width, v.camera.height]),
+            image_size: scene
+                .views
+                .first()
+                .map_or([0, 0], |v| [v.camera.width, v.camera.height]),
             triangles: scene.mesh.triangles.len(),
             classes: scene.classes.len(),
         }
@@ -132,33 +141,56 @@ impl SceneSummary {
 impl RunRecord {
     /// Takes over what the recorder has measured by now.
     pub fn measure(&mut self, recorder: &Recorder) {
-        let RunRecord { stages, decisions, notes, wall_seconds, cpu_seconds, peak_bytes, rays, .. } = recorder.record();
+        let RunRecord {
+            stages,
+            decisions,
+            notes,
+            wall_seconds,
+            cpu_seconds,
+            peak_bytes,
+            rays,
+            ..
+        } = recorder.record();
         (self.stages, self.decisions, self.notes) = (stages, decisions, notes);
-        (self.wall_seconds, self.cpu_seconds, self.peak_bytes, self.rays) = (wall_seconds, cpu_seconds, peak_bytes, rays);
+        (
+            self.wall_seconds,
+            self.cpu_seconds,
+            self.peak_bytes,
+            self.rays,
+        ) = (wall_seconds, cpu_seconds, peak_bytes, rays);
     }
 
     /// Writes `manifest.json` into `folder`.
     pub fn write_manifest(&self, folder: &Path) -> Result<()> {
         let path = folder.join("manifest.json");
-        let json = serde_json::to_vec_pretty(self).map_err(|e| Error::Failed(format!("manifest.json: {e}")))?;
+        let json = serde_json::to_vec_pretty(self)
+            .map_err(|e| Error::Failed(format!("manifest.json: {e}")))?;
         atomic_write(&path, &json)
     }
 
-    /// Reads the `manifest.json` of an output folder; `None` where there is none that this version understands.
+    /// Reads the `manifest.json` of an output folder; `None` where there is none that this version
+    /// understands.
     #[must_use]
     pub fn read_manifest(folder: &Path) -> Option<Self> {
         serde_json::from_slice(&std::fs::read(folder.join("manifest.json")).ok()?).ok()
     }
 }
 
-/// Hashes every file a scene consists of: `transforms.json`, the mesh, images, labels and masks; never anything under `gt/`.
+/// Hashes every file a scene consists of: `transforms.json`, the mesh, images, labels and masks;
+/// never anything under `gt/`.
 pub fn hash_inputs(scene: &Scene) -> Result<Vec<InputFile>> {
     use rayon::prelude::*;
     let transforms = scene.folder.join("transforms.json");
     let mut paths = vec![transforms.clone()];
-    let json: serde_json::Value =
-        std::fs::read(&transforms).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
-    paths.extend(["mesh_path", "rooms_path"].iter().filter_map(|key| Some(scene.folder.join(json.get(key)?.as_str()?))));
+    let json: serde_json::Value = std::fs::read(&transforms)
+        .ok()
+        .and_then(|bytes| serde_json::from_slice(&bytes).ok())
+        .unwrap_or_default();
+    paths.extend(
+        ["mesh_path", "rooms_path"]
+            .iter()
+            .filter_map(|key| Some(scene.folder.join(json.get(key)?.as_str()?))),
+    );
     for view in &scene.views {
         paths.push(view.image_path.clone());
         paths.extend(view.label_path.clone());
@@ -170,9 +202,14 @@ pub fn hash_inputs(scene: &Scene) -> Result<Vec<InputFile>> {
     paths
         .par_iter()
         .map(|path| {
-            let bytes = std::fs::read(path).map_err(|e| Error::input(path, format!("cannot be read ({e})")))?;
+            let bytes = std::fs::read(path)
+                .map_err(|e| Error::input(path, format!("cannot be read ({e})")))?;
             Ok(InputFile {
-                path: path.strip_prefix(&scene.folder).unwrap_or(path).to_string_lossy().into_owned(),
+                path: path
+                    .strip_prefix(&scene.folder)
+                    .unwrap_or(path)
+                    .to_string_lossy()
+                    .into_owned(),
                 bytes: bytes.len() as u64,
                 blake3: blake3::hash(&bytes).to_hex().to_string(),
             })
@@ -200,7 +237,12 @@ impl Recorder {
     /// Starts the clock; `rays` returns the number of rays the process has traced so far.
     #[must_use]
     pub fn new(rays: fn() -> u64) -> Self {
-        Self { start: Instant::now(), cpu_start: cpu_seconds(), rays, state: Mutex::default() }
+        Self {
+            start: Instant::now(),
+            cpu_start: cpu_seconds(),
+            rays,
+            state: Mutex::default(),
+        }
     }
 
     /// When the clock was started.
@@ -237,7 +279,11 @@ impl Observer for Recorder {
         let mut state = self.state();
         let index = state.stages.len();
         let depth = state.running.len();
-        state.stages.push(StageRecord { name: name.into(), depth, ..StageRecord::default() });
+        state.stages.push(StageRecord {
+            name: name.into(),
+            depth,
+            ..StageRecord::default()
+        });
         state.running.push((index, Instant::now(), cpu, rays));
     }
 
@@ -271,7 +317,8 @@ const TICKS_PER_SECOND: f64 = 100.0;
 pub fn cpu_seconds() -> f64 {
     let read = || {
         let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-        // the command's name may contain anything, so fields are counted after its closing parenthesis
+        // the command's name may contain anything, so fields are counted after its closing
+        // parenthesis
         let mut fields = stat.rsplit_once(')')?.1.split_ascii_whitespace().skip(11);
         let user: f64 = fields.next()?.parse().ok()?;
         let system: f64 = fields.next()?.parse().ok()?;
@@ -295,10 +342,12 @@ fn kibibytes(path: &str, key: &str) -> Option<u64> {
 /// The processor, the threads in use and the memory.
 #[must_use]
 pub fn machine() -> Machine {
-    let cpu = std::fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
-        let line = text.lines().find(|l| l.starts_with("model name"))?;
-        Some(line.split_once(':')?.1.trim().to_owned())
-    });
+    let cpu = std::fs::read_to_string("/proc/cpuinfo")
+        .ok()
+        .and_then(|text| {
+            let line = text.lines().find(|l| l.starts_with("model name"))?;
+            Some(line.split_once(':')?.1.trim().to_owned())
+        });
     Machine {
         cpu: cpu.unwrap_or_else(|| std::env::consts::ARCH.into()),
         threads: rayon::current_num_threads(),
@@ -329,9 +378,17 @@ mod tests {
             p.decide("light", "lamps", "they shine", false);
         });
         let record = recorder.record();
-        let [outer, inner] = &record.stages[..] else { panic!("two stages") };
-        assert_eq!((outer.name.as_str(), outer.depth, outer.rays), ("outer", 0, 12));
-        assert_eq!((inner.name.as_str(), inner.depth, inner.rays), ("inner", 1, 7));
+        let [outer, inner] = &record.stages[..] else {
+            panic!("two stages")
+        };
+        assert_eq!(
+            (outer.name.as_str(), outer.depth, outer.rays),
+            ("outer", 0, 12)
+        );
+        assert_eq!(
+            (inner.name.as_str(), inner.depth, inner.rays),
+            ("inner", 1, 7)
+        );
         assert!(inner.wall_seconds >= 0.02 && outer.wall_seconds >= inner.wall_seconds);
         assert_eq!(record.notes, ["because"]);
         assert_eq!(record.decisions[0].to_string(), "light: lamps (they shine)");
@@ -352,7 +409,11 @@ mod tests {
     #[test]
     fn the_manifest_reads_back() {
         let folder = tempfile::tempdir().expect("temp");
-        let record = RunRecord { seed: 7, notes: vec!["a \"quoted\" note".into()], ..RunRecord::default() };
+        let record = RunRecord {
+            seed: 7,
+            notes: vec!["a \"quoted\" note".into()],
+            ..RunRecord::default()
+        };
         record.write_manifest(folder.path()).expect("writes");
         assert_eq!(RunRecord::read_manifest(folder.path()), Some(record));
         assert_eq!(RunRecord::read_manifest(&folder.path().join("none")), None);

@@ -18,7 +18,8 @@ impl AliasTable {
         }
         let n = weights.len();
         let mut scaled: Vec<f64> = weights.iter().map(|w| w / total * n as f64).collect();
-        let (mut small, mut large): (Vec<usize>, Vec<usize>) = (0..n).partition(|&i| scaled[i] < 1.0);
+        let (mut small, mut large): (Vec<usize>, Vec<usize>) =
+            (0..n).partition(|&i| scaled[i] < 1.0);
         let mut threshold = vec![1.0f32; n];
         let mut alias: Vec<u32> = (0..n as u32).collect();
         while let (Some(&s), Some(&l)) = (small.last(), large.last()) {
@@ -32,7 +33,11 @@ impl AliasTable {
             }
         }
         let pmf = weights.iter().map(|w| (w / total) as f32).collect();
-        Some(Self { threshold, alias, pmf })
+        Some(Self {
+            threshold,
+            alias,
+            pmf,
+        })
     }
 
     /// Draws an index; also returns the rest of `u`, again uniform in [0, 1).
@@ -46,7 +51,10 @@ impl AliasTable {
         if rest < t {
             (i, (rest / t).min(1.0 - f32::EPSILON))
         } else {
-            (self.alias[i] as usize, ((rest - t) / (1.0 - t)).clamp(0.0, 1.0 - f32::EPSILON))
+            (
+                self.alias[i] as usize,
+                ((rest - t) / (1.0 - t)).clamp(0.0, 1.0 - f32::EPSILON),
+            )
         }
     }
 
@@ -87,7 +95,10 @@ mod tests {
         }
         for k in 0..5 {
             let p = w[k] / 10.5;
-            assert!((count[k] as f64 / f64::from(n) - p).abs() < 1e-3, "index {k}");
+            assert!(
+                (count[k] as f64 / f64::from(n) - p).abs() < 1e-3,
+                "index {k}"
+            );
             assert!((f64::from(t.pmf(k)) - p).abs() < 1e-6);
         }
         assert!((rest_sum / f64::from(n) - 0.5).abs() < 5e-3);

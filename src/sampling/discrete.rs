@@ -1,6 +1,7 @@
 //! Sampling of a discrete distribution by inversion.
 //!
-//! Inversion keeps the order of the numbers it is fed, so that low-discrepancy points stay stratified; an alias table would not.
+//! Inversion keeps the order of the numbers it is fed, so that low-discrepancy points stay
+//! stratified; an alias table would not.
 
 /// A discrete distribution over non-negative weights.
 #[derive(Clone, Debug)]
@@ -8,7 +9,8 @@ pub struct Discrete {
     /// Cumulative probability up to and including each entry; the last is 1.
     cumulative: Vec<f32>,
     pmf: Vec<f32>,
-    /// Per k: about the first entry whose cumulative probability exceeds k/n, where the search of a u near k/n starts (Chen & Asau
+    /// Per k: about the first entry whose cumulative probability exceeds k/n, where the search of a
+    /// u near k/n starts (Chen & Asau
     /// 1974); on average it ends after less than two steps.
     guide: Vec<u32>,
 }
@@ -44,10 +46,15 @@ impl Discrete {
                 at as u32
             })
             .collect();
-        Some(Self { cumulative, pmf: weights.iter().map(|w| (w / total) as f32).collect(), guide })
+        Some(Self {
+            cumulative,
+            pmf: weights.iter().map(|w| (w / total) as f32).collect(),
+            guide,
+        })
     }
 
-    /// Draws an index from `u` in [0, 1); also returns the rest of `u`, again uniform in [0, 1) and in the same order.
+    /// Draws an index from `u` in [0, 1); also returns the rest of `u`, again uniform in [0, 1) and
+    /// in the same order.
     #[must_use]
     #[inline]
     pub fn sample(&self, u: f32) -> (usize, f32) {
@@ -93,7 +100,10 @@ mod tests {
         }
         for k in 0..6 {
             let p = w[k] / 10.5;
-            assert!((count[k] as f64 / f64::from(n) - p).abs() < 1e-3, "index {k}");
+            assert!(
+                (count[k] as f64 / f64::from(n) - p).abs() < 1e-3,
+                "index {k}"
+            );
             assert!((f64::from(d.pmf(k)) - p).abs() < 1e-6);
         }
         assert!((rest_sum / f64::from(n) - 0.5).abs() < 5e-3);
@@ -104,11 +114,20 @@ mod tests {
         for weights in [
             vec![1.0],
             vec![0.0, 0.0, 1e-9, 5.0, 0.0],
-            (0..999).map(|i| f64::from(i % 7) * 1e-3 + f64::from(i / 990) * 50.0).collect(),
+            (0..999)
+                .map(|i| f64::from(i % 7) * 1e-3 + f64::from(i / 990) * 50.0)
+                .collect(),
         ] {
             let d = Discrete::new(&weights).expect("positive weights");
-            let edges = d.cumulative.iter().flat_map(|c| [c.next_down(), *c, c.next_up()]);
-            for u in (0..4096).map(|i| i as f32 / 4096.0).chain(edges).filter(|u| (0.0..1.0).contains(u)) {
+            let edges = d
+                .cumulative
+                .iter()
+                .flat_map(|c| [c.next_down(), *c, c.next_up()]);
+            for u in (0..4096)
+                .map(|i| i as f32 / 4096.0)
+                .chain(edges)
+                .filter(|u| (0.0..1.0).contains(u))
+            {
                 let expected = d.cumulative.partition_point(|c| *c <= u);
                 assert_eq!(d.sample(u).0, expected, "u = {u}");
                 assert!(d.pmf(expected) > 0.0);
@@ -118,7 +137,13 @@ mod tests {
 
     #[test]
     fn hopeless_weights_are_refused() {
-        for weights in [&[][..], &[0.0, 0.0], &[1.0, f64::NAN], &[1.0, -1.0], &[f64::INFINITY]] {
+        for weights in [
+            &[][..],
+            &[0.0, 0.0],
+            &[1.0, f64::NAN],
+            &[1.0, -1.0],
+            &[f64::INFINITY],
+        ] {
             assert!(Discrete::new(weights).is_none());
         }
     }

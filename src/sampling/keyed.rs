@@ -3,7 +3,10 @@
 /// Mixes two 64-bit words (SplitMix64 finaliser; Steele et al. 2014).
 #[must_use]
 pub fn hash_u64(a: u64, b: u64) -> u64 {
-    let mut z = a.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(b).wrapping_add(0x9E37_79B9_7F4A_7C15);
+    let mut z = a
+        .wrapping_mul(0x9E37_79B9_7F4A_7C15)
+        .wrapping_add(b)
+        .wrapping_add(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
     z ^ (z >> 31)
@@ -21,13 +24,18 @@ impl KeyedRng {
     #[must_use]
     pub fn new(seed: u64, key: u64) -> Self {
         let h = hash_u64(seed, key);
-        Self { state: hash_u64(h, 1), stream: hash_u64(h, 2) | 1 }
+        Self {
+            state: hash_u64(h, 1),
+            stream: hash_u64(h, 2) | 1,
+        }
     }
 
     /// The next 32 random bits.
     pub fn next_u32(&mut self) -> u32 {
         let old = self.state;
-        self.state = old.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(self.stream);
+        self.state = old
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(self.stream);
         let xorshifted = (((old >> 18) ^ old) >> 27) as u32;
         xorshifted.rotate_right((old >> 59) as u32)
     }

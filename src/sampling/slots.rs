@@ -1,7 +1,9 @@
-//! Sampling of a discrete distribution by inversion in constant time, without a search: one lookup, no branch.
+//! Sampling of a discrete distribution by inversion in constant time, without a search: one lookup,
+//! no branch.
 
-/// A discrete distribution over non-negative weights, rounded to multiples of 1/N. What is sampled is exactly what [`Self::pmf`] says,
-/// so estimates stay unbiased; like any inversion it keeps the order of the numbers it is fed, hence their stratification.
+/// A discrete distribution over non-negative weights, rounded to multiples of 1/N. What is sampled
+/// is exactly what [`Self::pmf`] says, so estimates stay unbiased; like any inversion it keeps the
+/// order of the numbers it is fed, hence their stratification.
 #[derive(Clone, Debug)]
 pub struct SlotTable {
     /// The entry that owns each of the N equal parts of [0, 1).
@@ -16,7 +18,8 @@ pub struct SlotTable {
 const SLOTS: usize = 4;
 
 impl SlotTable {
-    /// Builds the table; `None` if no weight is positive or the sum is not finite. Every positive weight gets at least one slot.
+    /// Builds the table; `None` if no weight is positive or the sum is not finite. Every positive
+    /// weight gets at least one slot.
     #[must_use]
     pub fn new(weights: &[f64]) -> Option<Self> {
         let total: f64 = weights.iter().sum();
@@ -25,7 +28,11 @@ impl SlotTable {
         }
         let n = (SLOTS * weights.iter().filter(|w| **w > 0.0).count()).next_power_of_two();
         let ideal: Vec<f64> = weights.iter().map(|w| w / total * n as f64).collect();
-        let mut count: Vec<usize> = ideal.iter().zip(weights).map(|(x, w)| (*x as usize).max(usize::from(*w > 0.0))).collect();
+        let mut count: Vec<usize> = ideal
+            .iter()
+            .zip(weights)
+            .map(|(x, w)| (*x as usize).max(usize::from(*w > 0.0)))
+            .collect();
         let mut given: usize = count.iter().sum();
         let mut order: Vec<usize> = (0..weights.len()).filter(|&i| weights[i] > 0.0).collect();
         // those that rounding robbed most come first
@@ -56,10 +63,15 @@ impl SlotTable {
                 [first as f32, c as f32]
             })
             .collect();
-        Some(Self { owner, share, width: 1.0 / n as f32 })
+        Some(Self {
+            owner,
+            share,
+            width: 1.0 / n as f32,
+        })
     }
 
-    /// Draws an index from `u` in [0, 1); also returns the rest of `u`, again uniform in [0, 1) and in the same order.
+    /// Draws an index from `u` in [0, 1); also returns the rest of `u`, again uniform in [0, 1) and
+    /// in the same order.
     #[must_use]
     #[inline(always)]
     pub fn sample(&self, u: f32) -> (usize, f32) {
@@ -91,8 +103,16 @@ mod tests {
 
     #[test]
     fn frequencies_are_the_stated_ones_in_order() {
-        let many: Vec<f64> = (0..999).map(|i| f64::from(i % 7) * 1e-3 + f64::from(i / 990) * 50.0).collect();
-        for w in [vec![1.0], vec![0.0, 1.0, 3.0, 6.0, 0.5, 0.0], vec![1e-300, 1.0, 0.0], vec![1e300, 1.0, 1e-300], many] {
+        let many: Vec<f64> = (0..999)
+            .map(|i| f64::from(i % 7) * 1e-3 + f64::from(i / 990) * 50.0)
+            .collect();
+        for w in [
+            vec![1.0],
+            vec![0.0, 1.0, 3.0, 6.0, 0.5, 0.0],
+            vec![1e-300, 1.0, 0.0],
+            vec![1e300, 1.0, 1e-300],
+            many,
+        ] {
             let d = SlotTable::new(&w).expect("positive weights");
             let n = 1 << 18;
             let mut count = vec![0u32; w.len()];
@@ -107,10 +127,18 @@ mod tests {
             let total: f64 = w.iter().sum();
             let mut sum = 0.0;
             for k in 0..w.len() {
-                assert_eq!(f64::from(count[k]) / f64::from(n), f64::from(d.pmf(k)), "index {k}");
+                assert_eq!(
+                    f64::from(count[k]) / f64::from(n),
+                    f64::from(d.pmf(k)),
+                    "index {k}"
+                );
                 assert_eq!(w[k] > 0.0, d.pmf(k) > 0.0);
-                // within the rounding of one slot, or a little less to pay for those that get their least
-                assert!((f64::from(d.pmf(k)) - w[k] / total).abs() < 0.3, "index {k}");
+                // within the rounding of one slot, or a little less to pay for those that get their
+                // least
+                assert!(
+                    (f64::from(d.pmf(k)) - w[k] / total).abs() < 0.3,
+                    "index {k}"
+                );
                 sum += f64::from(d.pmf(k));
             }
             assert_eq!(sum, 1.0);
@@ -125,7 +153,13 @@ mod tests {
 
     #[test]
     fn hopeless_weights_are_refused() {
-        for weights in [&[][..], &[0.0, 0.0], &[1.0, f64::NAN], &[1.0, -1.0], &[f64::INFINITY]] {
+        for weights in [
+            &[][..],
+            &[0.0, 0.0],
+            &[1.0, f64::NAN],
+            &[1.0, -1.0],
+            &[f64::INFINITY],
+        ] {
             assert!(SlotTable::new(weights).is_none());
         }
     }

@@ -1,9 +1,14 @@
-//! Owen-scrambled Sobol' points by hashing (Burley 2020, "Practical Hash-based Owen Scrambling", JCGT 9(4))
-//! and the Hammersley set of the paper.
+//! Owen-scrambled Sobol' points by hashing (Burley 2020, "Practical Hash-based Owen Scrambling",
+//! JCGT 9(4)) and the Hammersley set of the paper.
 
-/// Direction numbers of Sobol' dimensions 0..3 as 32-bit generator columns (Joe & Kuo 2008, new-joe-kuo-6.21201).
-const DIRECTIONS: [[u32; 32]; 4] =
-    [directions(0, 0, [1, 0, 0]), directions(1, 0, [1, 0, 0]), directions(2, 1, [1, 3, 0]), directions(3, 1, [1, 3, 1])];
+/// Direction numbers of Sobol' dimensions 0..3 as 32-bit generator columns (Joe & Kuo 2008,
+/// new-joe-kuo-6.21201).
+const DIRECTIONS: [[u32; 32]; 4] = [
+    directions(0, 0, [1, 0, 0]),
+    directions(1, 0, [1, 0, 0]),
+    directions(2, 1, [1, 3, 0]),
+    directions(3, 1, [1, 3, 1]),
+];
 
 const fn directions(degree: usize, a: u32, m: [u32; 3]) -> [u32; 32] {
     let mut v = [0u32; 32];
@@ -29,8 +34,8 @@ const fn directions(degree: usize, a: u32, m: [u32; 3]) -> [u32; 32] {
     v
 }
 
-/// Columns summed for every value of each byte of the index: the shuffled indices below have all their bits in use, and a loop
-/// over bits would mispredict half of its branches.
+/// Columns summed for every value of each byte of the index: the shuffled indices below have all
+/// their bits in use, and a loop over bits would mispredict half of its branches.
 static BYTES: [[[u32; 256]; 4]; 4] = byte_tables();
 
 const fn byte_tables() -> [[[u32; 256]; 4]; 4] {
@@ -43,8 +48,8 @@ const fn byte_tables() -> [[[u32; 256]; 4]; 4] {
             while value < 256usize {
                 // the value without its lowest bit, and the column of that bit
                 let bit = value.trailing_zeros() as usize;
-                tables[dimension][byte][value] =
-                    tables[dimension][byte][value & (value - 1)] ^ DIRECTIONS[dimension][8 * byte + bit];
+                tables[dimension][byte][value] = tables[dimension][byte][value & (value - 1)]
+                    ^ DIRECTIONS[dimension][8 * byte + bit];
                 value += 1;
             }
             byte += 1;
@@ -94,7 +99,9 @@ impl SobolSequence {
     /// The sequence of a key (what is being sampled: texel, pass).
     #[must_use]
     pub fn new(seed: u64, key: u64) -> Self {
-        Self { seed: super::hash_u64(seed, key) as u32 }
+        Self {
+            seed: super::hash_u64(seed, key) as u32,
+        }
     }
 
     /// Point `index` in dimensions 0 and 1, in [0, 1)².
@@ -119,13 +126,17 @@ impl SobolSequence {
     }
 
     fn value(&self, shuffled: u32, dimension: usize) -> f32 {
-        let x = owen_scramble(sobol(shuffled, dimension), hash_dimension(self.seed, dimension as u32));
+        let x = owen_scramble(
+            sobol(shuffled, dimension),
+            hash_dimension(self.seed, dimension as u32),
+        );
         (x >> 8) as f32 * (1.0 / 16_777_216.0)
     }
 }
 
-/// Points `begin..end` of the unscrambled sequence in three dimensions. Whoever draws the same points under many keys shares them,
-/// and per key only the scrambling is left, which runs in vector registers.
+/// Points `begin..end` of the unscrambled sequence in three dimensions. Whoever draws the same
+/// points under many keys shares them, and per key only the scrambling is left, which runs in
+/// vector registers.
 #[derive(Clone, Debug)]
 pub struct SobolBlock {
     /// Bit-reversed values per dimension.
@@ -136,7 +147,11 @@ impl SobolBlock {
     /// The points `begin..end`.
     #[must_use]
     pub fn new(begin: u32, end: u32) -> Self {
-        Self { reversed: std::array::from_fn(|d| (begin..end).map(|i| sobol(i, d).reverse_bits()).collect()) }
+        Self {
+            reversed: std::array::from_fn(|d| {
+                (begin..end).map(|i| sobol(i, d).reverse_bits()).collect()
+            }),
+        }
     }
 
     /// Number of points.
@@ -151,17 +166,23 @@ impl SobolBlock {
         self.reversed[0].is_empty()
     }
 
-    /// Coordinates in [0, 1) of all points in one dimension, scrambled for `sequence`; `out.len() == self.len()`. Aligned blocks of
-    /// 2^m points hold the points of [`SobolSequence::point2`], but not in its shuffled order: use them for one sum, not side by side
-    /// with another sequence.
+    /// Coordinates in [0, 1) of all points in one dimension, scrambled for `sequence`; `out.len()
+    /// == self.len()`. Aligned blocks of 2^m points hold the points of [`SobolSequence::point2`],
+    /// but not in its shuffled order: use them for one sum, not side by side with another sequence.
     #[inline(always)]
     pub fn fill(&self, sequence: &SobolSequence, dimension: usize, out: &mut [f32]) {
         let seed = hash_dimension(sequence.seed, dimension as u32);
-        // shuffling moves an aligned block to the one that index 0 moves to; the sequence is linear over bits
-        let block = sobol(owen_scramble(0, hash_dimension(sequence.seed, 77)), dimension).reverse_bits();
+        // shuffling moves an aligned block to the one that index 0 moves to; the sequence is linear
+        // over bits
+        let block = sobol(
+            owen_scramble(0, hash_dimension(sequence.seed, 77)),
+            dimension,
+        )
+        .reverse_bits();
         for (value, &raw) in out.iter_mut().zip(&self.reversed[dimension]) {
             // 24 bits: a signed conversion is exact, and the one vector units have
-            *value = (laine_karras(raw ^ block, seed).reverse_bits() >> 8) as i32 as f32 * (1.0 / 16_777_216.0);
+            *value = (laine_karras(raw ^ block, seed).reverse_bits() >> 8) as i32 as f32
+                * (1.0 / 16_777_216.0);
         }
     }
 }
@@ -172,7 +193,8 @@ pub fn radical_inverse_base2(i: u32) -> f32 {
     (i.reverse_bits() >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
-/// Point `i` of the `n`-point Hammersley set (i/n, radical inverse), as the authors use (method §3.1).
+/// Point `i` of the `n`-point Hammersley set (i/n, radical inverse), as the authors use (method
+/// §3.1).
 #[must_use]
 pub fn hammersley(i: u32, n: u32) -> [f32; 2] {
     [i as f32 / n as f32, radical_inverse_base2(i)]
@@ -187,7 +209,9 @@ mod tests {
     fn byte_tables_equal_the_sum_of_columns() {
         for index in [0, 1, 2, 0x80, 0x1234_5678, 0xdead_beef, u32::MAX] {
             for (dimension, columns) in DIRECTIONS.iter().enumerate() {
-                let sum = (0..32).filter(|b| index >> b & 1 == 1).fold(0, |x, b| x ^ columns[b]);
+                let sum = (0..32)
+                    .filter(|b| index >> b & 1 == 1)
+                    .fold(0, |x, b| x ^ columns[b]);
                 assert_eq!(sobol(index, dimension), sum);
             }
         }
@@ -204,7 +228,10 @@ mod tests {
                 let mut seen = vec![false; nx * ny];
                 for p in &points {
                     let cell = (p[1] * ny as f32) as usize * nx + (p[0] * nx as f32) as usize;
-                    assert!(!std::mem::replace(&mut seen[cell], true), "interval {nx}×{ny} hit twice, key {key}");
+                    assert!(
+                        !std::mem::replace(&mut seen[cell], true),
+                        "interval {nx}×{ny} hit twice, key {key}"
+                    );
                 }
             }
         }
@@ -256,7 +283,11 @@ mod tests {
             }
         }
         let (a, b) = (SobolSequence::new(1, 1), SobolSequence::new(1, 2));
-        let r: f64 = (0..4096).map(|i| f64::from((a.point2(i)[0] - 0.5) * (b.point2(i)[0] - 0.5))).sum::<f64>() / 4096.0 * 12.0;
+        let r: f64 = (0..4096)
+            .map(|i| f64::from((a.point2(i)[0] - 0.5) * (b.point2(i)[0] - 0.5)))
+            .sum::<f64>()
+            / 4096.0
+            * 12.0;
         assert!(r.abs() < 0.1, "correlation {r}");
     }
 }

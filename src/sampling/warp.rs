@@ -27,8 +27,15 @@ pub fn square_to_uniform_hemisphere(u: [f32; 2]) -> Vec3 {
     let quarter = (4.0 * u[1] + 0.5) as i32;
     let (sin, cos) = small_sin_cos(0.5 * PI * (4.0 * u[1] - quarter as f32));
     // selections instead of branches, so that a loop over samples runs in vector registers
-    let (x, y) = if quarter & 1 == 1 { (sin, cos) } else { (cos, sin) };
-    let (s_x, s_y) = (if (quarter + 1) & 2 == 2 { -s } else { s }, if quarter & 2 == 2 { -s } else { s });
+    let (x, y) = if quarter & 1 == 1 {
+        (sin, cos)
+    } else {
+        (cos, sin)
+    };
+    let (s_x, s_y) = (
+        if (quarter + 1) & 2 == 2 { -s } else { s },
+        if quarter & 2 == 2 { -s } else { s },
+    );
     Vec3::new(s_x * x, s_y * y, z)
 }
 
@@ -51,18 +58,21 @@ pub fn disk_from_square(u: [f32; 2]) -> Vec2 {
     Vec2::new(r * x, r * y)
 }
 
-/// Sine and cosine for |x| ≤ π/4 to single precision, by Taylor polynomials: library calls are a large part of what a ray costs
-/// besides tracing it.
+/// Sine and cosine for |x| ≤ π/4 to single precision, by Taylor polynomials: library calls are a
+/// large part of what a ray costs besides tracing it.
 #[inline(always)]
 fn small_sin_cos(x: f32) -> (f32, f32) {
     let x2 = x * x;
-    let sin = x * (1.0 + x2 * (-1.0 / 6.0 + x2 * (1.0 / 120.0 + x2 * (-1.0 / 5040.0 + x2 * (1.0 / 362_880.0)))));
+    let sin = x
+        * (1.0
+            + x2 * (-1.0 / 6.0
+                + x2 * (1.0 / 120.0 + x2 * (-1.0 / 5040.0 + x2 * (1.0 / 362_880.0)))));
     let cos = 1.0 + x2 * (-0.5 + x2 * (1.0 / 24.0 + x2 * (-1.0 / 720.0 + x2 * (1.0 / 40_320.0))));
     (sin, cos)
 }
 
-/// Barycentric coordinates (b₁, b₂) uniform over a triangle (Heitz 2019 low-distortion map; both of its cases take half of the
-/// smaller coordinate from both).
+/// Barycentric coordinates (b₁, b₂) uniform over a triangle (Heitz 2019 low-distortion map; both of
+/// its cases take half of the smaller coordinate from both).
 #[must_use]
 #[inline(always)]
 pub fn square_to_triangle(u: [f32; 2]) -> [f32; 2] {
@@ -81,10 +91,16 @@ mod tests {
             let u = i as f32 / 1000.0;
             let (sin, cos) = small_sin_cos((u - 0.5) * PI / 2.0);
             let x = (f64::from(u) - 0.5) * std::f64::consts::FRAC_PI_2;
-            assert!((f64::from(sin) - x.sin()).abs() < 2e-7 && (f64::from(cos) - x.cos()).abs() < 2e-7);
+            assert!(
+                (f64::from(sin) - x.sin()).abs() < 2e-7 && (f64::from(cos) - x.cos()).abs() < 2e-7
+            );
             let d = square_to_uniform_hemisphere([1.0, u]);
             let phi = 2.0 * std::f64::consts::PI * f64::from(u);
-            assert!((f64::from(d.x) - phi.cos()).abs() < 1e-6 && (f64::from(d.y) - phi.sin()).abs() < 1e-6, "{u}");
+            assert!(
+                (f64::from(d.x) - phi.cos()).abs() < 1e-6
+                    && (f64::from(d.y) - phi.sin()).abs() < 1e-6,
+                "{u}"
+            );
         }
         assert_eq!(disk_from_square([0.5, 0.5]), Vec2::ZERO);
     }
@@ -107,8 +123,14 @@ mod tests {
             tri[1] += f64::from(t[1]);
         }
         let n = f64::from(n);
-        assert!((cos1 / n - 2.0 / 3.0).abs() < 1e-3, "E[cos] of the cosine lobe is 2/3");
-        assert!((uni1 / n - 0.5).abs() < 1e-3, "E[cos] of the uniform hemisphere is 1/2");
+        assert!(
+            (cos1 / n - 2.0 / 3.0).abs() < 1e-3,
+            "E[cos] of the cosine lobe is 2/3"
+        );
+        assert!(
+            (uni1 / n - 0.5).abs() < 1e-3,
+            "E[cos] of the uniform hemisphere is 1/2"
+        );
         assert!((tri[0] / n - 1.0 / 3.0).abs() < 1e-3 && (tri[1] / n - 1.0 / 3.0).abs() < 1e-3);
     }
 }

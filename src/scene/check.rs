@@ -1,4 +1,5 @@
-//! `unbake check`: what the program understands of a scene, and everything that is wrong with it, in one report.
+//! `unbake check`: what the program understands of a scene, and everything that is wrong with it,
+//! in one report.
 
 use super::{LoadOptions, RoomGrid, Scene, Split, View, find_rooms};
 use crate::geometry::Projection;
@@ -158,7 +159,10 @@ impl CheckReport {
 #[must_use]
 pub fn check(path: impl AsRef<Path>, options: &LoadOptions) -> CheckReport {
     let path = path.as_ref();
-    let mut report = CheckReport { path: path.display().to_string(), ..CheckReport::default() };
+    let mut report = CheckReport {
+        path: path.display().to_string(),
+        ..CheckReport::default()
+    };
     let scene = match Scene::load(path, options) {
         Ok(s) => s,
         Err(e) => {
@@ -183,7 +187,11 @@ fn messages(e: &Error) -> Vec<String> {
 
 /// [`check`] for a scene in memory and any tracer.
 pub fn check_loaded(scene: &Scene, tracer: &dyn Tracer, report: &mut CheckReport) {
-    let views: Vec<Result<ViewFindings>> = scene.views.par_iter().map(|v| look_at(scene, v, tracer)).collect();
+    let views: Vec<Result<ViewFindings>> = scene
+        .views
+        .par_iter()
+        .map(|v| look_at(scene, v, tracer))
+        .collect();
     let mut findings = Vec::new();
     for v in views {
         match v {
@@ -201,12 +209,25 @@ pub fn check_loaded(scene: &Scene, tracer: &dyn Tracer, report: &mut CheckReport
         rooms_given: scene.rooms.is_some(),
         ..Summary::default()
     };
-    let total: f64 = findings.iter().filter(|f| f.train).map(|f| f.solid_angle).sum();
-    summary.hole_share = findings.iter().filter(|f| f.train).map(|f| f.holes).sum::<f64>() / total.max(f64::MIN_POSITIVE);
+    let total: f64 = findings
+        .iter()
+        .filter(|f| f.train)
+        .map(|f| f.solid_angle)
+        .sum();
+    summary.hole_share = findings
+        .iter()
+        .filter(|f| f.train)
+        .map(|f| f.holes)
+        .sum::<f64>()
+        / total.max(f64::MIN_POSITIVE);
     (summary.classes, summary.unlabelled_share) = class_shares(scene, &findings);
-    let labelled: f64 = findings.iter().filter(|f| f.labelled).map(|f| f.solid_angle).sum();
-    summary.unlabelled_surface_share =
-        findings.iter().map(|f| f.unlabelled_surface).sum::<f64>() / labelled.max(f64::MIN_POSITIVE);
+    let labelled: f64 = findings
+        .iter()
+        .filter(|f| f.labelled)
+        .map(|f| f.solid_angle)
+        .sum();
+    summary.unlabelled_surface_share = findings.iter().map(|f| f.unlabelled_surface).sum::<f64>()
+        / labelled.max(f64::MIN_POSITIVE);
     let found;
     let grid = match &scene.rooms {
         Some(g) => g,
@@ -246,7 +267,9 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
     let radiance = radiance.map_err(&mut keep).ok();
     let labels = labels.map_err(&mut keep).ok();
     let mask = mask.map_err(&mut keep).ok();
-    let (Some((image, stats)), Some(labels), Some(_), true) = (radiance, labels, mask, errors.is_empty()) else {
+    let (Some((image, stats)), Some(labels), Some(_), true) =
+        (radiance, labels, mask, errors.is_empty())
+    else {
         return Err(Error::Inputs(errors));
     };
     let camera = &view.camera;
@@ -264,13 +287,22 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
         votes: BTreeMap::new(),
     };
     // a regular lattice of rays in the image's aspect
-    let rows = ((RAYS_PER_VIEW * camera.height / camera.width) as f32).sqrt().ceil().max(1.0) as usize;
+    let rows = ((RAYS_PER_VIEW * camera.height / camera.width) as f32)
+        .sqrt()
+        .ceil()
+        .max(1.0) as usize;
     let columns = RAYS_PER_VIEW.div_ceil(rows);
     let pixels: Vec<Vec2> = (0..rows * columns)
-        .map(|i| Vec2::new((i % columns) as f32 + 0.5, (i / columns) as f32 + 0.5) / Vec2::new(columns as f32, rows as f32))
+        .map(|i| {
+            Vec2::new((i % columns) as f32 + 0.5, (i / columns) as f32 + 0.5)
+                / Vec2::new(columns as f32, rows as f32)
+        })
         .map(|p| p * Vec2::new(camera.width as f32, camera.height as f32))
         .collect();
-    let rays: Vec<Ray> = pixels.iter().map(|&p| Ray::new(camera.position, camera.direction(p), f32::INFINITY)).collect();
+    let rays: Vec<Ray> = pixels
+        .iter()
+        .map(|&p| Ray::new(camera.position, camera.direction(p), f32::INFINITY))
+        .collect();
     let mut hits = vec![Hit::miss(); rays.len()];
     tracer.closest(&rays, &mut hits);
     for (&p, hit) in pixels.iter().zip(&hits) {
@@ -280,7 +312,10 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
             f.holes += angle;
         }
         if let Some(labels) = &labels {
-            let scale = Vec2::new(labels.width as f32 / camera.width as f32, labels.height as f32 / camera.height as f32);
+            let scale = Vec2::new(
+                labels.width as f32 / camera.width as f32,
+                labels.height as f32 / camera.height as f32,
+            );
             let id = *labels.nearest(p * scale);
             *f.class_angle.entry(id).or_default() += angle;
             if hit.is_hit() {
@@ -295,7 +330,12 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
 fn subsampled(image: &RgbPlane) -> Vec<f32> {
     // a stride that is odd walks through all columns of an image whose width is a power of two
     let step = (image.data.len() / PIXELS_PER_VIEW).max(1) | 1;
-    image.data.iter().step_by(step).map(|&p| luminance(p)).collect()
+    image
+        .data
+        .iter()
+        .step_by(step)
+        .map(|&p| luminance(p))
+        .collect()
 }
 
 fn image_kinds(scene: &Scene) -> Vec<ImageKind> {
@@ -305,9 +345,19 @@ fn image_kinds(scene: &Scene) -> Vec<ImageKind> {
             Projection::Equirectangular => "panorama",
             Projection::Pinhole(_) => "pinhole",
         };
-        *kinds.entry((projection, v.camera.width, v.camera.height)).or_default() += 1;
+        *kinds
+            .entry((projection, v.camera.width, v.camera.height))
+            .or_default() += 1;
     }
-    kinds.into_iter().map(|((projection, width, height), views)| ImageKind { projection, width, height, views }).collect()
+    kinds
+        .into_iter()
+        .map(|((projection, width, height), views)| ImageKind {
+            projection,
+            width,
+            height,
+            views,
+        })
+        .collect()
 }
 
 fn mesh_summary(scene: &Scene) -> MeshSummary {
@@ -328,9 +378,17 @@ fn mesh_summary(scene: &Scene) -> MeshSummary {
 }
 
 fn radiance_range(findings: &[ViewFindings]) -> RadianceRange {
-    let mut all: Vec<f32> = findings.iter().filter(|f| f.train).flat_map(|f| f.luminances.iter().copied()).collect();
+    let mut all: Vec<f32> = findings
+        .iter()
+        .filter(|f| f.train)
+        .flat_map(|f| f.luminances.iter().copied())
+        .collect();
     all.sort_by(f32::total_cmp);
-    let quantile = |q: f64| all.get((q * all.len().saturating_sub(1) as f64).round() as usize).copied().unwrap_or(0.0);
+    let quantile = |q: f64| {
+        all.get((q * all.len().saturating_sub(1) as f64).round() as usize)
+            .copied()
+            .unwrap_or(0.0)
+    };
     RadianceRange {
         min: quantile(0.0),
         median: quantile(0.5),
@@ -346,12 +404,19 @@ fn class_shares(scene: &Scene, findings: &[ViewFindings]) -> (Vec<ClassShare>, f
     let mut angle: BTreeMap<u16, f64> = BTreeMap::new();
     let mut votes: BTreeMap<u32, BTreeMap<u16, u32>> = BTreeMap::new();
     for f in findings {
-        f.class_angle.iter().for_each(|(id, a)| *angle.entry(*id).or_default() += a);
-        f.votes.iter().for_each(|((t, id), n)| *votes.entry(*t).or_default().entry(*id).or_default() += n);
+        f.class_angle
+            .iter()
+            .for_each(|(id, a)| *angle.entry(*id).or_default() += a);
+        f.votes
+            .iter()
+            .for_each(|((t, id), n)| *votes.entry(*t).or_default().entry(*id).or_default() += n);
     }
     let mut area: BTreeMap<u16, f64> = BTreeMap::new();
     for (t, ids) in &votes {
-        if let Some((id, _)) = ids.iter().max_by_key(|(id, n)| (**n, std::cmp::Reverse(**id))) {
+        if let Some((id, _)) = ids
+            .iter()
+            .max_by_key(|(id, n)| (**n, std::cmp::Reverse(**id)))
+        {
             *area.entry(*id).or_default() += f64::from(scene.mesh.area(*t as usize));
         }
     }
@@ -374,8 +439,12 @@ fn class_shares(scene: &Scene, findings: &[ViewFindings]) -> (Vec<ClassShare>, f
 /// Share of the surface that no training view sees, by points spread evenly over the area.
 fn unseen_share(scene: &Scene, tracer: &dyn Tracer) -> f64 {
     let mesh = &scene.mesh;
-    let areas: Vec<f64> = (0..mesh.triangles.len()).map(|t| f64::from(mesh.area(t))).collect();
-    let Some(table) = AliasTable::new(&areas) else { return 0.0 };
+    let areas: Vec<f64> = (0..mesh.triangles.len())
+        .map(|t| f64::from(mesh.area(t)))
+        .collect();
+    let Some(table) = AliasTable::new(&areas) else {
+        return 0.0;
+    };
     let (lo, hi) = mesh.bounds();
     let offset = 1e-4 * (hi - lo).length();
     let chunks = crate::parallel::map_chunks(SURFACE_POINTS, 1000, |range| {
@@ -403,7 +472,10 @@ fn unseen_share(scene: &Scene, tracer: &dyn Tracer) -> f64 {
             let mut occluded = vec![0u8; rays.len()];
             tracer.occluded(&rays, &mut occluded);
             let mut seen = vec![false; open.len()];
-            candidates.iter().zip(&occluded).for_each(|(&i, &o)| seen[i] = o == 0);
+            candidates
+                .iter()
+                .zip(&occluded)
+                .for_each(|(&i, &o)| seen[i] = o == 0);
             let mut i = 0;
             open.retain(|_| (!seen[i], i += 1).0);
         }
@@ -414,35 +486,72 @@ fn unseen_share(scene: &Scene, tracer: &dyn Tracer) -> f64 {
 
 fn room_summaries(scene: &Scene, grid: &RoomGrid) -> Vec<RoomSummary> {
     let mut cells: BTreeMap<u16, usize> = BTreeMap::new();
-    grid.cells.data.iter().filter(|id| **id != 0).for_each(|id| *cells.entry(*id).or_default() += 1);
+    grid.cells
+        .data
+        .iter()
+        .filter(|id| **id != 0)
+        .for_each(|id| *cells.entry(*id).or_default() += 1);
     let cell = f64::from(grid.cell);
-    let cameras = |id: u16| scene.train_views().filter(|v| grid.room_at(v.camera.position) == id).count();
-    cells.into_iter().map(|(id, n)| RoomSummary { id, area: n as f64 * cell * cell, train_views: cameras(id) }).collect()
+    let cameras = |id: u16| {
+        scene
+            .train_views()
+            .filter(|v| grid.room_at(v.camera.position) == id)
+            .count()
+    };
+    cells
+        .into_iter()
+        .map(|(id, n)| RoomSummary {
+            id,
+            area: n as f64 * cell * cell,
+            train_views: cameras(id),
+        })
+        .collect()
 }
 
 fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Vec<String>) {
-    for f in findings.iter().filter(|f| f.luminances.iter().all(|&l| l <= 0.0)) {
-        warnings.push(format!("{}: the image is black; its exposure or its file is wrong", f.stem));
+    for f in findings
+        .iter()
+        .filter(|f| f.luminances.iter().all(|&l| l <= 0.0))
+    {
+        warnings.push(format!(
+            "{}: the image is black; its exposure or its file is wrong",
+            f.stem
+        ));
     }
     if s.radiance.negative > 0 {
-        warnings.push(format!("{} pixels have negative values, which count as 0", s.radiance.negative));
+        warnings.push(format!(
+            "{} pixels have negative values, which count as 0",
+            s.radiance.negative
+        ));
     }
     if s.radiance.not_finite > 0 {
-        warnings.push(format!("{} pixels are NaN or infinite and left out", s.radiance.not_finite));
+        warnings.push(format!(
+            "{} pixels are NaN or infinite and left out",
+            s.radiance.not_finite
+        ));
     }
     let (lo, hi) = scene.mesh.bounds();
     let near = 1e-3 * (hi - lo).length();
-    let panoramas: Vec<&View> = scene.views.iter().filter(|v| v.camera.projection == Projection::Equirectangular).collect();
+    let panoramas: Vec<&View> = scene
+        .views
+        .iter()
+        .filter(|v| v.camera.projection == Projection::Equirectangular)
+        .collect();
     for (i, a) in panoramas.iter().enumerate() {
         for b in &panoramas[i + 1..] {
             if a.camera.position.distance(b.camera.position) < near {
-                warnings.push(format!("views {} and {} stand at the same place and add little to one another", a.stem, b.stem));
+                warnings.push(format!(
+                    "views {} and {} stand at the same place and add little to one another",
+                    a.stem, b.stem
+                ));
             }
         }
     }
     if s.train_views < 3 {
-        warnings
-            .push(format!("{} training views: highlights cannot be told from paint; take at least 3 per room", s.train_views));
+        warnings.push(format!(
+            "{} training views: highlights cannot be told from paint; take at least 3 per room",
+            s.train_views
+        ));
     }
     if s.hole_share > 0.02 {
         warnings.push(format!(
@@ -458,9 +567,16 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
     }
     let labelled = findings.iter().filter(|f| f.labelled).count();
     if labelled == 0 {
-        warnings.push("no label images: all surfaces count as one class, and roughness is found less well".into());
+        warnings.push(
+            "no label images: all surfaces count as one class, and roughness is found less well"
+                .into(),
+        );
     } else if labelled < findings.len() {
-        warnings.push(format!("{} of {} views have no label image", findings.len() - labelled, findings.len()));
+        warnings.push(format!(
+            "{} of {} views have no label image",
+            findings.len() - labelled,
+            findings.len()
+        ));
     }
     if s.unlabelled_surface_share > 0.05 {
         warnings.push(format!(
@@ -468,12 +584,19 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
             100.0 * s.unlabelled_surface_share
         ));
     }
-    let absent: Vec<String> =
-        s.classes.iter().filter(|c| c.pixel_share == 0.0).map(|c| format!("{} ({})", c.id, c.name)).collect();
+    let absent: Vec<String> = s
+        .classes
+        .iter()
+        .filter(|c| c.pixel_share == 0.0)
+        .map(|c| format!("{} ({})", c.id, c.name))
+        .collect();
     if labelled > 0 && !absent.is_empty() {
         warnings.push(format!("classes met by no ray: {}", absent.join(", ")));
     }
     for r in s.rooms.iter().filter(|r| r.train_views == 0) {
-        warnings.push(format!("room {} ({:.1} m²) holds no training camera", r.id, r.area));
+        warnings.push(format!(
+            "room {} ({:.1} m²) holds no training camera",
+            r.id, r.area
+        ));
     }
 }

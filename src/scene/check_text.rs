@@ -1,4 +1,5 @@
-//! [`CheckReport`] for people: what was understood first, then warnings, then problems, and a verdict in the last line.
+//! [`CheckReport`] for people: what was understood first, then warnings, then problems, and a
+//! verdict in the last line.
 
 use super::{CheckReport, Summary};
 use crate::formats::grouped;
@@ -19,7 +20,10 @@ impl Display for CheckReport {
         match self.problems.len() {
             0 => write!(f, "The scene can be used."),
             1 => write!(f, "The scene cannot be used until this problem is mended."),
-            n => write!(f, "The scene cannot be used until these {n} problems are mended."),
+            n => write!(
+                f,
+                "The scene cannot be used until these {n} problems are mended."
+            ),
         }
     }
 }
@@ -28,28 +32,63 @@ fn list(f: &mut Formatter<'_>, what: &str, lines: &[String]) -> Result {
     if lines.is_empty() {
         return Ok(());
     }
-    writeln!(f, "\n{} {what}{}", lines.len(), if lines.len() == 1 { "" } else { "s" })?;
+    writeln!(
+        f,
+        "\n{} {what}{}",
+        lines.len(),
+        if lines.len() == 1 { "" } else { "s" }
+    )?;
     lines.iter().try_for_each(|l| writeln!(f, "  - {l}"))
 }
 
 fn summary(f: &mut Formatter<'_>, s: &Summary) -> Result {
     let row = |f: &mut Formatter<'_>, name: &str, text: String| writeln!(f, "  {name:<18} {text}");
-    row(f, "views", format!("{} for training, {} held out", s.train_views, s.test_views))?;
+    row(
+        f,
+        "views",
+        format!("{} for training, {} held out", s.train_views, s.test_views),
+    )?;
     for k in &s.images {
-        row(f, "images", format!("{} × {}: {}×{}", k.views, k.projection, k.width, k.height))?;
+        row(
+            f,
+            "images",
+            format!("{} × {}: {}×{}", k.views, k.projection, k.width, k.height),
+        )?;
     }
     let m = &s.mesh;
-    row(f, "mesh", format!("{} triangles, {} vertices, {:.1} m²", grouped(m.triangles), grouped(m.vertices), m.area))?;
+    row(
+        f,
+        "mesh",
+        format!(
+            "{} triangles, {} vertices, {:.1} m²",
+            grouped(m.triangles),
+            grouped(m.vertices),
+            m.area
+        ),
+    )?;
     let [x, y, z] = std::array::from_fn(|k| format!("{:.2} … {:.2}", m.min[k], m.max[k]));
     row(f, "bounds (m, y up)", format!("x {x}, y {y}, z {z}"))?;
-    let made = m
-        .details
-        .unwrapped
-        .as_ref()
-        .map_or(String::new(), |u| format!(", made by unbake in {} charts", grouped(u.charts as usize)));
-    row(f, "atlas", format!("{} filled, {:.0} texels/m at 2048²{made}", percent(m.atlas_fill), m.texels_per_metre))?;
+    let made = m.details.unwrapped.as_ref().map_or(String::new(), |u| {
+        format!(", made by unbake in {} charts", grouped(u.charts as usize))
+    });
+    row(
+        f,
+        "atlas",
+        format!(
+            "{} filled, {:.0} texels/m at 2048²{made}",
+            percent(m.atlas_fill),
+            m.texels_per_metre
+        ),
+    )?;
     let r = &s.radiance;
-    row(f, "radiance", format!("min {:.3e}, median {:.3e}, 99.9 % {:.3e}, max {:.3e}", r.min, r.median, r.p999, r.max))?;
+    row(
+        f,
+        "radiance",
+        format!(
+            "min {:.3e}, median {:.3e}, 99.9 % {:.3e}, max {:.3e}",
+            r.min, r.median, r.p999, r.max
+        ),
+    )?;
     row(
         f,
         "geometry",
@@ -60,11 +99,31 @@ fn summary(f: &mut Formatter<'_>, s: &Summary) -> Result {
         ),
     )?;
     let how = if s.rooms_given { "given" } else { "found" };
-    let rooms: Vec<String> = s.rooms.iter().map(|r| format!("{:.1} m² ({} views)", r.area, r.train_views)).collect();
-    row(f, "rooms", format!("{} {how}: {}", s.rooms.len(), rooms.join(", ")))?;
-    row(f, "classes", format!("{}, {} of the labelled solid angle unlabelled", s.classes.len(), percent(s.unlabelled_share)))?;
+    let rooms: Vec<String> = s
+        .rooms
+        .iter()
+        .map(|r| format!("{:.1} m² ({} views)", r.area, r.train_views))
+        .collect();
+    row(
+        f,
+        "rooms",
+        format!("{} {how}: {}", s.rooms.len(), rooms.join(", ")),
+    )?;
+    row(
+        f,
+        "classes",
+        format!(
+            "{}, {} of the labelled solid angle unlabelled",
+            s.classes.len(),
+            percent(s.unlabelled_share)
+        ),
+    )?;
     if !s.classes.is_empty() {
-        writeln!(f, "\n  {:>6}  {:<28} {:>8} {:>8}", "id", "class", "pixels", "mesh")?;
+        writeln!(
+            f,
+            "\n  {:>6}  {:<28} {:>8} {:>8}",
+            "id", "class", "pixels", "mesh"
+        )?;
         for c in &s.classes {
             let light = if c.is_light { " (light)" } else { "" };
             writeln!(
@@ -86,15 +145,24 @@ mod tests {
 
     #[test]
     fn thousands_are_set_apart() {
-        assert_eq!([0, 12, 123, 1234, 123_456, 1_234_567].map(grouped), ["0", "12", "123", "1,234", "123,456", "1,234,567"]);
+        assert_eq!(
+            [0, 12, 123, 1234, 123_456, 1_234_567].map(grouped),
+            ["0", "12", "123", "1,234", "123,456", "1,234,567"]
+        );
     }
 
     #[test]
     fn the_last_line_is_the_verdict() {
-        let mut report = CheckReport { path: "s".into(), ..CheckReport::default() };
+        let mut report = CheckReport {
+            path: "s".into(),
+            ..CheckReport::default()
+        };
         assert!(report.to_string().ends_with("can be used."));
         report.problems = vec!["a".into(), "b".into()];
         let text = report.to_string();
-        assert!(text.contains("2 problems\n  - a\n  - b\n") && text.ends_with("these 2 problems are mended."));
+        assert!(
+            text.contains("2 problems\n  - a\n  - b\n")
+                && text.ends_with("these 2 problems are mended.")
+        );
     }
 }

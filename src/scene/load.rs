@@ -14,13 +14,23 @@ use std::path::{Path, PathBuf};
 impl Scene {
     /// Loads and validates the scene in a folder (or described by a JSON file given directly).
     ///
-    /// Pixels are not decoded, only the image headers are read; class ids are gathered from the label images if the file
-    /// declares none. All problems are reported at once as [`Error::Inputs`].
+    /// Pixels are not decoded, only the image headers are read; class ids are gathered from the
+    /// label images if the file declares none. All problems are reported at once as
+    /// [`Error::Inputs`].
     pub fn load(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Self> {
         let path = path.as_ref();
-        let file = if path.is_dir() { path.join("transforms.json") } else { path.to_path_buf() };
-        let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
-        let (transforms, mut issues) = read_transforms(&file).map_err(|e| limited(e, options.max_issues))?;
+        let file = if path.is_dir() {
+            path.join("transforms.json")
+        } else {
+            path.to_path_buf()
+        };
+        let folder = file
+            .parent()
+            .filter(|p| !p.as_os_str().is_empty())
+            .unwrap_or(Path::new("."))
+            .to_path_buf();
+        let (transforms, mut issues) =
+            read_transforms(&file).map_err(|e| limited(e, options.max_issues))?;
         let mut warnings = Vec::new();
         let splits = splits(&transforms, &file, &mut issues, &mut warnings);
         check_stems(&transforms.frames, &file, &mut issues);
@@ -50,10 +60,11 @@ impl Scene {
             Some(c) => c,
             None => derived_classes(&views, &mut issues),
         };
-        let rooms = transforms
-            .rooms_path
-            .as_ref()
-            .and_then(|p| rooms::read_rooms(&folder.join(p), origin).map_err(|e| issues.push(e)).ok());
+        let rooms = transforms.rooms_path.as_ref().and_then(|p| {
+            rooms::read_rooms(&folder.join(p), origin)
+                .map_err(|e| issues.push(e))
+                .ok()
+        });
         let (mesh, origin, mesh_stats) = match mesh {
             Ok(m) => m,
             Err(e) => {
@@ -85,17 +96,29 @@ impl Scene {
         let name = mesh_path.display();
         let mut notes = Vec::new();
         if s.degenerate > 0 {
-            notes.push(format!("{name}: {} of {} triangles have no area and are left out", s.degenerate, s.file_triangles));
+            notes.push(format!(
+                "{name}: {} of {} triangles have no area and are left out",
+                s.degenerate, s.file_triangles
+            ));
         }
         if s.normals_computed > 0 {
-            notes
-                .push(format!("{name}: normals of {} vertices were missing and are computed from the faces", s.normals_computed));
+            notes.push(format!(
+                "{name}: normals of {} vertices were missing and are computed from the faces",
+                s.normals_computed
+            ));
         }
         if let Some(u) = &s.unwrapped {
-            notes.push(format!("{name}: no atlas given; unwrapped into {} charts, {:.0} % filled", u.charts, 100.0 * u.fill));
+            notes.push(format!(
+                "{name}: no atlas given; unwrapped into {} charts, {:.0} % filled",
+                u.charts,
+                100.0 * u.fill
+            ));
         }
         if s.without_texels > 0 {
-            notes.push(format!("{name}: {} triangles have no area in the atlas and get no texels", s.without_texels));
+            notes.push(format!(
+                "{name}: {} triangles have no area in the atlas and get no texels",
+                s.without_texels
+            ));
         }
         if s.overlapping_texels > 0 {
             notes.push(format!(
@@ -129,10 +152,19 @@ fn read_transforms(file: &Path) -> std::result::Result<(Transforms, Vec<Error>),
         vec![Error::input(file, format!("cannot be read: {e}; give a scene folder that holds transforms.json, or such a file"))]
     })?;
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
-    let text = std::str::from_utf8(bytes)
-        .map_err(|e| vec![Error::input(file, format!("byte {} is not UTF-8; save the file as UTF-8 JSON", e.valid_up_to()))])?;
+    let text = std::str::from_utf8(bytes).map_err(|e| {
+        vec![Error::input(
+            file,
+            format!(
+                "byte {} is not UTF-8; save the file as UTF-8 JSON",
+                e.valid_up_to()
+            ),
+        )]
+    })?;
     let named = |issues: Vec<String>| issues.into_iter().map(|m| Error::input(file, m)).collect();
-    parse_usable(text).map(|(t, issues)| (t, named(issues))).map_err(named)
+    parse_usable(text)
+        .map(|(t, issues)| (t, named(issues)))
+        .map_err(named)
 }
 
 /// One error for many, the first `max` of them in full.
@@ -141,24 +173,36 @@ fn limited(mut issues: Vec<Error>, max: usize) -> Error {
     if issues.len() > max {
         let more = issues.len() - max;
         issues.truncate(max);
-        issues.push(Error::Usage(format!("and {more} more problems of input; mend these first")));
+        issues.push(Error::Usage(format!(
+            "and {more} more problems of input; mend these first"
+        )));
     }
     Error::Inputs(issues)
 }
 
 /// The split of every frame; `None` for frames neither list names.
-fn splits(t: &Transforms, file: &Path, issues: &mut Vec<Error>, warnings: &mut Vec<String>) -> Vec<Option<Split>> {
+fn splits(
+    t: &Transforms,
+    file: &Path,
+    issues: &mut Vec<Error>,
+    warnings: &mut Vec<String>,
+) -> Vec<Option<Split>> {
     let mut fail = |m: String| issues.push(Error::input(file, m));
     let plain = |s: &str| s.strip_prefix("./").unwrap_or(s).to_owned();
     let known: BTreeSet<String> = t.names.iter().map(|n| plain(n)).collect();
     let mut listed = |list: &Option<Vec<String>>, key: &str| -> Option<BTreeSet<String>> {
         let names: BTreeSet<String> = list.as_ref()?.iter().map(|s| plain(s)).collect();
         for missing in names.difference(&known) {
-            fail(format!("{key}: \"{missing}\" is no frame's file_path; write the names exactly as in frames"));
+            fail(format!(
+                "{key}: \"{missing}\" is no frame's file_path; write the names exactly as in frames"
+            ));
         }
         Some(names)
     };
-    let (train, test) = (listed(&t.train, "train_filenames"), listed(&t.test, "test_filenames"));
+    let (train, test) = (
+        listed(&t.train, "train_filenames"),
+        listed(&t.test, "test_filenames"),
+    );
     match (&train, &test) {
         (Some(names), _) if names.is_empty() => fail("train_filenames: empty; name at least one training image".into()),
         (None, Some(_)) => {
@@ -186,7 +230,9 @@ fn splits(t: &Transforms, file: &Path, issues: &mut Vec<Error>, warnings: &mut V
         .collect();
     let unused = split.iter().filter(|s| s.is_none()).count();
     if unused > 0 {
-        warnings.push(format!("{unused} frames are in neither train_filenames nor test_filenames and are not used"));
+        warnings.push(format!(
+            "{unused} frames are in neither train_filenames nor test_filenames and are not used"
+        ));
     }
     split
 }
@@ -196,7 +242,13 @@ fn check_stems(frames: &[Frame], file: &Path, issues: &mut Vec<Error>) {
     let mut seen: BTreeMap<String, &Frame> = BTreeMap::new();
     for f in frames {
         let Some(stem) = stem(&f.file_path) else {
-            issues.push(Error::input(file, format!("frames[{}].file_path: \"{}\" names no file", f.index, f.file_path)));
+            issues.push(Error::input(
+                file,
+                format!(
+                    "frames[{}].file_path: \"{}\" names no file",
+                    f.index, f.file_path
+                ),
+            ));
             continue;
         };
         if let Some(first) = seen.insert(stem.clone(), f) {
@@ -216,7 +268,13 @@ fn stem(path: &str) -> Option<String> {
 }
 
 /// Checks a frame's files by their headers.
-fn view(f: &Frame, split: Split, folder: &Path, origin: DVec3, options: &LoadOptions) -> std::result::Result<View, Vec<Error>> {
+fn view(
+    f: &Frame,
+    split: Split,
+    folder: &Path,
+    origin: DVec3,
+    options: &LoadOptions,
+) -> std::result::Result<View, Vec<Error>> {
     let image_path = folder.join(&f.file_path);
     let mut issues = Vec::new();
     let info = match formats::image_info(&image_path) {
@@ -244,11 +302,17 @@ fn view(f: &Frame, split: Split, folder: &Path, origin: DVec3, options: &LoadOpt
         } else if f.model == Model::Equirectangular && i.width != 2 * i.height {
             issues.push(Error::input(
                 &image_path,
-                format!("{}x{} is no full panorama; EQUIRECTANGULAR needs a width of twice the height", i.width, i.height),
+                format!(
+                    "{}x{} is no full panorama; EQUIRECTANGULAR needs a width of twice the height",
+                    i.width, i.height
+                ),
             ));
         }
     }
-    let side_file = |path: &Option<String>, what: &str, issues: &mut Vec<Error>| -> Option<PathBuf> {
+    let side_file = |path: &Option<String>,
+                     what: &str,
+                     issues: &mut Vec<Error>|
+     -> Option<PathBuf> {
         let path = folder.join(path.as_ref()?);
         match (formats::image_info(&path), &info) {
             (Err(e), _) => issues.push(as_input(e, &path, &format!("frames[{}]", f.index))),
@@ -269,7 +333,15 @@ fn view(f: &Frame, split: Split, folder: &Path, origin: DVec3, options: &LoadOpt
         return Err(issues);
     };
     let camera = camera(f, &info, origin);
-    Ok(View { stem, camera, image_path, label_path, mask_path, exposure_ev: f.exposure_ev, split })
+    Ok(View {
+        stem,
+        camera,
+        image_path,
+        label_path,
+        mask_path,
+        exposure_ev: f.exposure_ev,
+        split,
+    })
 }
 
 fn camera(f: &Frame, info: &ImageInfo, origin: DVec3) -> Camera {
@@ -284,7 +356,12 @@ fn camera(f: &Frame, info: &ImageInfo, origin: DVec3) -> Camera {
 
 /// Whether two sizes show the same aspect to within one pixel of the smaller.
 fn same_aspect(a: &ImageInfo, b: &ImageInfo) -> bool {
-    let (aw, ah, bw, bh) = (a.width as f64, a.height as f64, b.width as f64, b.height as f64);
+    let (aw, ah, bw, bh) = (
+        a.width as f64,
+        a.height as f64,
+        b.width as f64,
+        b.height as f64,
+    );
     let expected = aw * bh / bw;
     (expected - ah).abs() <= 0.5 + 1e-9 || (ah * bw / bh - aw).abs() <= 0.5 + 1e-9
 }
@@ -292,9 +369,17 @@ fn same_aspect(a: &ImageInfo, b: &ImageInfo) -> bool {
 /// Reading input failed: exit code 2 and the place that named the file, whatever layer noticed.
 pub(super) fn as_input(e: Error, path: &Path, place: &str) -> Error {
     match e {
-        Error::Input { path, message } => Error::Input { path, message: format!("{message} (named by {place})") },
-        Error::Io { path, source } => Error::Input { path, message: format!("{source}; the file is named by {place}") },
-        e @ (Error::Native(_) | Error::Failed(_)) => Error::input(path, format!("{e} (named by {place})")),
+        Error::Input { path, message } => Error::Input {
+            path,
+            message: format!("{message} (named by {place})"),
+        },
+        Error::Io { path, source } => Error::Input {
+            path,
+            message: format!("{source}; the file is named by {place}"),
+        },
+        e @ (Error::Native(_) | Error::Failed(_)) => {
+            Error::input(path, format!("{e} (named by {place})"))
+        }
         e => e,
     }
 }
@@ -304,7 +389,13 @@ fn derived_classes(views: &[View], issues: &mut Vec<Error>) -> Vec<Class> {
     let found: Vec<Result<BTreeSet<u16>>> = views
         .par_iter()
         .filter_map(|v| v.label_path.as_ref())
-        .map(|p| Ok(formats::read_labels(p).map_err(|e| as_input(e, p, "label_path"))?.data.into_iter().collect()))
+        .map(|p| {
+            Ok(formats::read_labels(p)
+                .map_err(|e| as_input(e, p, "label_path"))?
+                .data
+                .into_iter()
+                .collect())
+        })
         .collect();
     let mut ids = BTreeSet::new();
     for f in found {
@@ -313,5 +404,12 @@ fn derived_classes(views: &[View], issues: &mut Vec<Error>) -> Vec<Class> {
             Err(e) => issues.push(e),
         }
     }
-    ids.into_iter().filter(|&id| id > 0).map(|id| Class { id, name: format!("class {id}"), is_light: false }).collect()
+    ids.into_iter()
+        .filter(|&id| id > 0)
+        .map(|id| Class {
+            id,
+            name: format!("class {id}"),
+            is_light: false,
+        })
+        .collect()
 }

@@ -9,7 +9,10 @@ mod rooms;
 pub mod transforms;
 mod unwrap;
 
-pub use check::{CheckReport, ClassShare, ImageKind, MeshSummary, RadianceRange, RoomSummary, Summary, check, check_loaded};
+pub use check::{
+    CheckReport, ClassShare, ImageKind, MeshSummary, RadianceRange, RoomSummary, Summary, check,
+    check_loaded,
+};
 pub use mesh_prep::{MeshStats, atlas_overlap, prepare_mesh};
 pub use pixels::PixelStats;
 pub use rooms::find_rooms;
@@ -47,7 +50,14 @@ pub struct LoadOptions {
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self { ldr: false, clamp_nan: false, unwrap: false, unwrap_resolution: 2048, unwrap_padding: 2, max_issues: 50 }
+        Self {
+            ldr: false,
+            clamp_nan: false,
+            unwrap: false,
+            unwrap_resolution: 2048,
+            unwrap_padding: 2,
+            max_issues: 50,
+        }
     }
 }
 
@@ -90,7 +100,8 @@ pub struct View {
     pub split: Split,
 }
 
-/// Room ids on a floor plan: `cells[(column, row)]` covers x = x_min + column·cell, z = z_min + row·cell; 0 = outside.
+/// Room ids on a floor plan: `cells[(column, row)]` covers x = x_min + column·cell, z = z_min +
+/// row·cell; 0 = outside.
 #[derive(Clone, Debug)]
 pub struct RoomGrid {
     /// Room ids.
@@ -103,12 +114,14 @@ pub struct RoomGrid {
     pub z_min: f32,
 }
 
-/// A validated scene. The world is y-up; positions are relative to `origin` so that f32 keeps its precision far from zero.
+/// A validated scene. The world is y-up; positions are relative to `origin` so that f32 keeps its
+/// precision far from zero.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// The scene's folder.
     pub folder: PathBuf,
-    /// File coordinates (y-up) of the internal coordinate origin: centre of the mesh's bounding box.
+    /// File coordinates (y-up) of the internal coordinate origin: centre of the mesh's bounding
+    /// box.
     pub origin: DVec3,
     /// Geometry with one atlas.
     pub mesh: Mesh,
@@ -131,7 +144,13 @@ pub struct Scene {
 impl Scene {
     /// A scene made in memory: no images on disk beyond those the views name, nothing to warn of.
     #[must_use]
-    pub fn from_parts(folder: PathBuf, origin: DVec3, mesh: Mesh, classes: Vec<Class>, views: Vec<View>) -> Self {
+    pub fn from_parts(
+        folder: PathBuf,
+        origin: DVec3,
+        mesh: Mesh,
+        classes: Vec<Class>,
+        views: Vec<View>,
+    ) -> Self {
         Self {
             folder,
             origin,
@@ -159,6 +178,9 @@ impl Scene {
     /// The class of an id.
     #[must_use]
     pub fn class(&self, id: u16) -> Option<&Class> {
-        self.classes.binary_search_by_key(&id, |c| c.id).ok().map(|i| &self.classes[i])
+        self.classes
+            .binary_search_by_key(&id, |c| c.id)
+            .ok()
+            .map(|i| &self.classes[i])
     }
 }

@@ -13,12 +13,14 @@ use std::path::Path;
 pub struct PixelStats {
     /// NaN or infinite pixels set to black; only under a mask or with `clamp_nan`.
     pub not_finite: usize,
-    /// Pixels with a negative channel, which was set to 0 (ringing of a resampling filter, as a rule).
+    /// Pixels with a negative channel, which was set to 0 (ringing of a resampling filter, as a
+    /// rule).
     pub negative: usize,
 }
 
 impl Scene {
-    /// The view's radiance, exposure applied. NaN and infinite pixels are an error unless masked (see [`Scene::load_mask`]).
+    /// The view's radiance, exposure applied. NaN and infinite pixels are an error unless masked
+    /// (see [`Scene::load_mask`]).
     pub fn load_radiance(&self, view: &View) -> Result<RgbPlane> {
         self.load_radiance_with_stats(view).map(|(image, _)| image)
     }
@@ -37,7 +39,10 @@ impl Scene {
                     let (x, y) = (i % image.width, i / image.width);
                     return Err(Error::input(
                         path,
-                        format!("pixel (column {x}, row {y}) overflows at exposure_ev {}; lower exposure_ev", view.exposure_ev),
+                        format!(
+                            "pixel (column {x}, row {y}) overflows at exposure_ev {}; lower exposure_ev",
+                            view.exposure_ev
+                        ),
                     ));
                 }
                 bad.push(i);
@@ -49,7 +54,11 @@ impl Scene {
         }
         if !bad.is_empty() && !self.options.clamp_nan {
             let mask = self.read_mask(view)?;
-            let seen: Vec<usize> = bad.iter().copied().filter(|&i| mask.as_ref().is_none_or(|m| m.data[i])).collect();
+            let seen: Vec<usize> = bad
+                .iter()
+                .copied()
+                .filter(|&i| mask.as_ref().is_none_or(|m| m.data[i]))
+                .collect();
             if let Some(first) = seen.first() {
                 let (n, x, y) = (seen.len(), first % image.width, first / image.width);
                 return Err(Error::input(
@@ -67,14 +76,20 @@ impl Scene {
 
     /// The view's class ids at the resolution of the file; `None` without labels. 0 is unlabelled.
     pub fn load_labels(&self, view: &View) -> Result<Option<Plane<u16>>> {
-        let Some(path) = &view.label_path else { return Ok(None) };
+        let Some(path) = &view.label_path else {
+            return Ok(None);
+        };
         let labels = formats::read_labels(path).map_err(|e| as_input(e, path, "label_path"))?;
         same_aspect_as_image(labels.width, labels.height, view, path, "label")?;
         if self.classes_declared {
             let known = self.known_ids();
             if let Some(i) = labels.data.iter().position(|&id| !known[id as usize]) {
                 let (id, x, y) = (labels.data[i], i % labels.width, i / labels.width);
-                let n = labels.data.iter().filter(|&&id| !known[id as usize]).count();
+                let n = labels
+                    .data
+                    .iter()
+                    .filter(|&&id| !known[id as usize])
+                    .count();
                 return Err(Error::input(
                     path,
                     format!(
@@ -110,7 +125,9 @@ impl Scene {
     fn known_ids(&self) -> Vec<bool> {
         let mut known = vec![false; 1 << 16];
         known[0] = true;
-        self.classes.iter().for_each(|c| known[c.id as usize] = true);
+        self.classes
+            .iter()
+            .for_each(|c| known[c.id as usize] = true);
         known
     }
 
@@ -136,21 +153,43 @@ impl Scene {
 
     /// The mask file, brought to the image's size.
     fn read_mask(&self, view: &View) -> Result<Option<Plane<bool>>> {
-        let Some(path) = &view.mask_path else { return Ok(None) };
+        let Some(path) = &view.mask_path else {
+            return Ok(None);
+        };
         let mask = formats::read_labels(path).map_err(|e| as_input(e, path, "mask_path"))?;
         same_aspect_as_image(mask.width, mask.height, view, path, "mask")?;
         let (w, h) = (view.camera.width, view.camera.height);
         let scale = Vec2::new(mask.width as f32 / w as f32, mask.height as f32 / h as f32);
-        let data = (0..w * h).map(|i| *mask.nearest((Vec2::new((i % w) as f32, (i / w) as f32) + 0.5) * scale) != 0).collect();
-        Ok(Some(Plane { width: w, height: h, data }))
+        let data = (0..w * h)
+            .map(|i| *mask.nearest((Vec2::new((i % w) as f32, (i / w) as f32) + 0.5) * scale) != 0)
+            .collect();
+        Ok(Some(Plane {
+            width: w,
+            height: h,
+            data,
+        }))
     }
 }
 
-fn same_aspect_as_image(width: usize, height: usize, view: &View, path: &Path, what: &str) -> Result<()> {
+fn same_aspect_as_image(
+    width: usize,
+    height: usize,
+    view: &View,
+    path: &Path,
+    what: &str,
+) -> Result<()> {
     let (w, h) = (view.camera.width as f64, view.camera.height as f64);
     let (sw, sh) = (width as f64, height as f64);
-    if width > 0 && height > 0 && ((sw * h / w - sh).abs() <= 0.5 + 1e-9 || (sh * w / h - sw).abs() <= 0.5 + 1e-9) {
+    if width > 0
+        && height > 0
+        && ((sw * h / w - sh).abs() <= 0.5 + 1e-9 || (sh * w / h - sw).abs() <= 0.5 + 1e-9)
+    {
         return Ok(());
     }
-    Err(Error::input(path, format!("the {what} image is {width}x{height}, its photograph {w}x{h}; the aspect must be the same")))
+    Err(Error::input(
+        path,
+        format!(
+            "the {what} image is {width}x{height}, its photograph {w}x{h}; the aspect must be the same"
+        ),
+    ))
 }

@@ -1,10 +1,11 @@
 //! Rooms on the floor plan: read from a file, or found in the mesh.
 //!
-//! Found as people find them: a room is free floor that walls enclose, and a doorway is where a wall goes on above. The wall
-//! map is therefore cut out of the mesh above door height, where lintels close the doorways and furniture is out of the way
-//! (an occupancy grid: Elfes 1989). What remains open is split at narrow places of its distance transform, by a watershed
-//! that fills from the widest places down. All lengths scale with the storey's height, so a scene in other units gives the
-//! same rooms.
+//! Found as people find them: a room is free floor that walls enclose, and a doorway is where a
+//! wall goes on above. The wall map is therefore cut out of the mesh above door height, where
+//! lintels close the doorways and furniture is out of the way (an occupancy grid: Elfes 1989). What
+//! remains open is split at narrow places of its distance transform, by a watershed that fills from
+//! the widest places down. All lengths scale with the storey's height, so a scene in other units
+//! gives the same rooms.
 
 use super::load::as_input;
 use super::{RoomGrid, Scene};
@@ -32,7 +33,8 @@ const PARTITION: [f32; 2] = [1.1, 1.5];
 const WALL_SLICES: u8 = 3;
 /// Openings whose half width exceeds this join rooms rather than dividing them.
 const WIDE: f32 = 0.8;
-/// An opening this wide against the smaller side's own half width is a shape of the room, not a door.
+/// An opening this wide against the smaller side's own half width is a shape of the room, not a
+/// door.
 const NECK: f32 = 0.65;
 /// Smallest half width of a room at its widest place.
 const NARROW: f32 = 0.3;
@@ -52,35 +54,66 @@ struct RoomsFile {
 pub(super) fn read_rooms(path: &Path, origin: DVec3) -> Result<RoomGrid> {
     let cells = formats::read_labels(path).map_err(|e| as_input(e, path, "rooms_path"))?;
     let own = path.with_extension("json");
-    let json = if own.is_file() { own } else { path.with_file_name("rooms.json") };
+    let json = if own.is_file() {
+        own
+    } else {
+        path.with_file_name("rooms.json")
+    };
     let text = std::fs::read_to_string(&json).map_err(|e| {
         Error::input(&json, format!("{e}; rooms_path needs it beside the grid with {{\"cell\", \"x_min\", \"z_min\"}} in metres"))
     })?;
-    let file: RoomsFile = serde_json::from_str(&text)
-        .map_err(|e| Error::input(&json, format!("{e}; expected {{\"cell\", \"x_min\", \"z_min\"}} in metres")))?;
-    if !(file.cell > 0.0 && file.cell.is_finite() && file.x_min.is_finite() && file.z_min.is_finite()) {
+    let file: RoomsFile = serde_json::from_str(&text).map_err(|e| {
+        Error::input(
+            &json,
+            format!("{e}; expected {{\"cell\", \"x_min\", \"z_min\"}} in metres"),
+        )
+    })?;
+    if !(file.cell > 0.0
+        && file.cell.is_finite()
+        && file.x_min.is_finite()
+        && file.z_min.is_finite())
+    {
         return Err(Error::input(
             &json,
-            format!("cell {} m at {}, {}; expected finite values and a positive cell", file.cell, file.x_min, file.z_min),
+            format!(
+                "cell {} m at {}, {}; expected finite values and a positive cell",
+                file.cell, file.x_min, file.z_min
+            ),
         ));
     }
-    let (x_min, z_min) = ((file.x_min - origin.x) as f32, (file.z_min - origin.z) as f32);
-    Ok(RoomGrid { cells, cell: file.cell as f32, x_min, z_min })
+    let (x_min, z_min) = (
+        (file.x_min - origin.x) as f32,
+        (file.z_min - origin.z) as f32,
+    );
+    Ok(RoomGrid {
+        cells,
+        cell: file.cell as f32,
+        x_min,
+        z_min,
+    })
 }
 
 impl RoomGrid {
     /// The room below or above a point: id of the grid cell it lies in, 0 outside.
     #[must_use]
     pub fn room_at(&self, point: Vec3) -> u16 {
-        let (column, row) = ((point.x - self.x_min) / self.cell, (point.z - self.z_min) / self.cell);
-        if column >= 0.0 && row >= 0.0 && column < self.cells.width as f32 && row < self.cells.height as f32 {
+        let (column, row) = (
+            (point.x - self.x_min) / self.cell,
+            (point.z - self.z_min) / self.cell,
+        );
+        if column >= 0.0
+            && row >= 0.0
+            && column < self.cells.width as f32
+            && row < self.cells.height as f32
+        {
             self.cells[(column as usize, row as usize)]
         } else {
             0
         }
     }
 
-    /// The room a surface faces: a step of two cells along its normal takes walls thinner than a cell apart.
+    /// The room a surface faces: a step of two cells along its normal takes walls thinner than a
+    /// cell apart.
     #[must_use]
     pub fn room_of_surface(&self, point: Vec3, normal: Vec3) -> u16 {
         match self.room_at(point + normal * (2.0 * self.cell)) {
@@ -96,7 +129,8 @@ impl RoomGrid {
     }
 }
 
-/// Finds the rooms of a scene: ids from 1 by descending floor area; one room if nothing divides the plan.
+/// Finds the rooms of a scene: ids from 1 by descending floor area; one room if nothing divides the
+/// plan.
 #[must_use]
 pub fn find_rooms(scene: &Scene, tracer: &dyn Tracer) -> RoomGrid {
     let storey = storey(scene, tracer);
@@ -111,14 +145,26 @@ pub fn find_rooms(scene: &Scene, tracer: &dyn Tracer) -> RoomGrid {
         // no enclosed floor found: everything is one room, which is always a valid answer
         labels.iter_mut().for_each(|l| *l = 1);
     } else {
-        spread(&plan, &mut labels, (REACH * storey.unit / plan.cell).ceil() as usize);
+        spread(
+            &plan,
+            &mut labels,
+            (REACH * storey.unit / plan.cell).ceil() as usize,
+        );
     }
     let cells = Plane {
         width: plan.width,
         height: plan.height,
-        data: labels.into_iter().map(|l| l.min(u32::from(u16::MAX)) as u16).collect(),
+        data: labels
+            .into_iter()
+            .map(|l| l.min(u32::from(u16::MAX)) as u16)
+            .collect(),
     };
-    RoomGrid { cells, cell: plan.cell, x_min: plan.min.x, z_min: plan.min.y }
+    RoomGrid {
+        cells,
+        cell: plan.cell,
+        x_min: plan.min.x,
+        z_min: plan.min.y,
+    }
 }
 
 /// Heights of the storey the cameras stand in, and the unit its lengths are measured in.
@@ -133,11 +179,18 @@ fn storey(scene: &Scene, tracer: &dyn Tracer) -> Storey {
     let (lo, hi) = scene.mesh.bounds();
     let cameras: Vec<Vec3> = scene.views.iter().map(|v| v.camera.position).collect();
     let along = |direction: Vec3| -> Vec<f32> {
-        let rays: Vec<Ray> = cameras.iter().map(|&c| Ray::new(c, direction, f32::INFINITY)).collect();
+        let rays: Vec<Ray> = cameras
+            .iter()
+            .map(|&c| Ray::new(c, direction, f32::INFINITY))
+            .collect();
         let mut hits = vec![Hit::miss(); rays.len()];
         tracer.closest(&rays, &mut hits);
-        let mut y: Vec<f32> =
-            hits.iter().zip(&cameras).filter(|(h, _)| h.is_hit()).map(|(h, c)| c.y + direction.y * h.t).collect();
+        let mut y: Vec<f32> = hits
+            .iter()
+            .zip(&cameras)
+            .filter(|(h, _)| h.is_hit())
+            .map(|(h, c)| c.y + direction.y * h.t)
+            .collect();
         y.sort_by(f32::total_cmp);
         y
     };
@@ -145,11 +198,24 @@ fn storey(scene: &Scene, tracer: &dyn Tracer) -> Storey {
     let (below, above) = (along(Vec3::NEG_Y), along(Vec3::Y));
     let floor = below.get(below.len() / 4).copied().unwrap_or(lo.y);
     let roofed = 2 * above.len() > cameras.len();
-    let ceiling = if roofed { above[(3 * above.len() / 4).min(above.len() - 1)] } else { hi.y };
+    let ceiling = if roofed {
+        above[(3 * above.len() / 4).min(above.len() - 1)]
+    } else {
+        hi.y
+    };
     let height = (ceiling - floor).max(1e-6);
     // storeys are 2.2 to 4 m high; anything else means other units
-    let unit = if (2.0..=4.5).contains(&height) { 1.0 } else { height / STOREY };
-    Storey { floor, ceiling: floor + height, unit, roofed }
+    let unit = if (2.0..=4.5).contains(&height) {
+        1.0
+    } else {
+        height / STOREY
+    };
+    Storey {
+        floor,
+        ceiling: floor + height,
+        unit,
+        roofed,
+    }
 }
 
 /// The floor plan's grid.
@@ -164,9 +230,16 @@ impl Plan {
     fn new(scene: &Scene, storey: &Storey) -> Self {
         let (lo, hi) = scene.mesh.bounds();
         let extent = Vec2::new(hi.x - lo.x, hi.z - lo.z);
-        let cell = (CELL * storey.unit).max(extent.max_element() / (MAX_SIDE - 4) as f32).max(f32::MIN_POSITIVE);
+        let cell = (CELL * storey.unit)
+            .max(extent.max_element() / (MAX_SIDE - 4) as f32)
+            .max(f32::MIN_POSITIVE);
         let side = |length: f32| ((length / cell).ceil() as usize + 4).min(MAX_SIDE);
-        Self { min: Vec2::new(lo.x, lo.z) - 2.0 * cell, cell, width: side(extent.x), height: side(extent.y) }
+        Self {
+            min: Vec2::new(lo.x, lo.z) - 2.0 * cell,
+            cell,
+            width: side(extent.x),
+            height: side(extent.y),
+        }
     }
 
     fn len(&self) -> usize {
@@ -175,19 +248,25 @@ impl Plan {
 
     /// World x, z of a cell's centre.
     fn centre(&self, i: usize) -> Vec2 {
-        self.min + Vec2::new((i % self.width) as f32 + 0.5, (i / self.width) as f32 + 0.5) * self.cell
+        self.min
+            + Vec2::new((i % self.width) as f32 + 0.5, (i / self.width) as f32 + 0.5) * self.cell
     }
 
     /// The up to four edge neighbours of a cell.
     fn neighbours(&self, i: usize) -> impl Iterator<Item = usize> + use<> {
         let (w, x, y, h) = (self.width, i % self.width, i / self.width, self.height);
-        [(x > 0).then(|| i - 1), (x + 1 < w).then(|| i + 1), (y > 0).then(|| i - w), (y + 1 < h).then(|| i + w)]
-            .into_iter()
-            .flatten()
+        [
+            (x > 0).then(|| i - 1),
+            (x + 1 < w).then(|| i + 1),
+            (y > 0).then(|| i - w),
+            (y + 1 < h).then(|| i + w),
+        ]
+        .into_iter()
+        .flatten()
     }
 
-    /// Cells of walls, which the mesh crosses in several slices between door height and ceiling, and of partitions, which it
-    /// crosses in all slices at eye level.
+    /// Cells of walls, which the mesh crosses in several slices between door height and ceiling,
+    /// and of partitions, which it crosses in all slices at eye level.
     fn walls(&self, scene: &Scene, storey: &Storey) -> Vec<bool> {
         let height = storey.ceiling - storey.floor;
         let top = storey.floor + height - 0.1 * storey.unit.min(height);
@@ -195,12 +274,17 @@ impl Plan {
         let high = self.crossings(scene, bottom, top);
         let at = |metres: f32| storey.floor + (metres * storey.unit).min(metres / STOREY * height);
         let eye = self.crossings(scene, at(PARTITION[0]), at(PARTITION[1]));
-        high.into_iter().zip(eye).map(|(h, e)| h >= WALL_SLICES || e as usize == SLICES).collect()
+        high.into_iter()
+            .zip(eye)
+            .map(|(h, e)| h >= WALL_SLICES || e as usize == SLICES)
+            .collect()
     }
 
     /// In how many of [`SLICES`] slices between two heights the mesh crosses each cell.
     fn crossings(&self, scene: &Scene, bottom: f32, top: f32) -> Vec<u8> {
-        let heights: Vec<f32> = (0..SLICES).map(|k| bottom + (top - bottom) * (k as f32 + 0.5) / SLICES as f32).collect();
+        let heights: Vec<f32> = (0..SLICES)
+            .map(|k| bottom + (top - bottom) * (k as f32 + 0.5) / SLICES as f32)
+            .collect();
         let mut count = vec![0u8; self.len()];
         let mut last = vec![u8::MAX; self.len()];
         for (k, &y) in heights.iter().enumerate() {
@@ -224,7 +308,11 @@ impl Plan {
         let steps = (((b - a).length() / (0.5 * self.cell)).ceil() as usize).clamp(1, 4 * MAX_SIDE);
         for s in 0..=steps {
             let p = (a + (b - a) * (s as f32 / steps as f32) - self.min) / self.cell;
-            if p.x >= 0.0 && p.y >= 0.0 && (p.x as usize) < self.width && (p.y as usize) < self.height {
+            if p.x >= 0.0
+                && p.y >= 0.0
+                && (p.x as usize) < self.width
+                && (p.y as usize) < self.height
+            {
                 visit(p.y as usize * self.width + p.x as usize);
             }
         }
@@ -246,7 +334,10 @@ impl Plan {
         };
         let mut inside = trace(Vec3::NEG_Y);
         if storey.roofed {
-            inside.iter_mut().zip(trace(Vec3::Y)).for_each(|(i, above)| *i &= above);
+            inside
+                .iter_mut()
+                .zip(trace(Vec3::Y))
+                .for_each(|(i, above)| *i &= above);
         }
         inside
     }
@@ -267,7 +358,8 @@ fn slice(corners: &[Vec3; 3], y: f32) -> Option<(Vec2, Vec2)> {
     (n == 2).then_some((points[0], points[1]))
 }
 
-/// Euclidean distance to the nearest cell that is not free, in cells (Felzenszwalb and Huttenlocher 2012: parabolas per axis).
+/// Euclidean distance to the nearest cell that is not free, in cells (Felzenszwalb and Huttenlocher
+/// 2012: parabolas per axis).
 fn distance(plan: &Plan, free: &[bool]) -> Vec<f32> {
     const FAR: f64 = 1e12;
     let (w, h) = (plan.width, plan.height);
@@ -329,21 +421,33 @@ fn lower_envelope(f: &[f64]) -> Vec<f64> {
 /// Regions of the free floor (ids from 1), split where an opening is narrow against both sides.
 fn watershed(plan: &Plan, free: &[bool], unit: f32) -> Vec<u32> {
     let distances = distance(plan, free);
-    let mut order: Vec<u32> = (0..plan.len() as u32).filter(|&i| free[i as usize]).collect();
-    order.sort_by(|&a, &b| distances[b as usize].total_cmp(&distances[a as usize]).then(a.cmp(&b)));
+    let mut order: Vec<u32> = (0..plan.len() as u32)
+        .filter(|&i| free[i as usize])
+        .collect();
+    order.sort_by(|&a, &b| {
+        distances[b as usize]
+            .total_cmp(&distances[a as usize])
+            .then(a.cmp(&b))
+    });
     let wide = WIDE * unit / plan.cell;
     let mut labels = vec![0u32; plan.len()];
     let (mut parent, mut peak) = (vec![0u32], vec![0.0f32]);
     for &i in &order {
         let (i, d) = (i as usize, distances[i as usize]);
-        // the basin of the neighbour uphill takes the cell: following the wider side keeps basins from leaking along walls
+        // the basin of the neighbour uphill takes the cell: following the wider side keeps basins
+        // from leaking along walls
         let mut own = 0u32;
         let mut uphill = f32::NEG_INFINITY;
         for n in plan.neighbours(i).filter(|&n| labels[n] != 0) {
             let other = root(&mut parent, labels[n]);
             if own != 0 && own != other {
-                let (low, high) = if peak[own as usize] < peak[other as usize] { (own, other) } else { (other, own) };
-                // the cell is on the widest passage between two basins still unjoined: d is at most its half width
+                let (low, high) = if peak[own as usize] < peak[other as usize] {
+                    (own, other)
+                } else {
+                    (other, own)
+                };
+                // the cell is on the widest passage between two basins still unjoined: d is at most
+                // its half width
                 if d >= wide || d >= NECK * peak[low as usize] {
                     parent[low as usize] = high;
                     own = high;
@@ -380,13 +484,23 @@ fn root(parent: &mut [u32], mut i: u32) -> u32 {
     i
 }
 
-/// Joins regions too small for a room with the neighbour they share the longest border with; lonely ones vanish.
+/// Joins regions too small for a room with the neighbour they share the longest border with; lonely
+/// ones vanish.
 fn merge_small(plan: &Plan, labels: &mut [u32], unit: f32) {
     let min_cells = (MIN_AREA * unit * unit / (plan.cell * plan.cell)) as usize;
     loop {
         let mut area = std::collections::BTreeMap::<u32, usize>::new();
-        labels.iter().filter(|l| **l != 0).for_each(|l| *area.entry(*l).or_default() += 1);
-        let Some((&small, _)) = area.iter().filter(|(_, a)| **a < min_cells).min_by_key(|(l, a)| (**a, **l)) else { return };
+        labels
+            .iter()
+            .filter(|l| **l != 0)
+            .for_each(|l| *area.entry(*l).or_default() += 1);
+        let Some((&small, _)) = area
+            .iter()
+            .filter(|(_, a)| **a < min_cells)
+            .min_by_key(|(l, a)| (**a, **l))
+        else {
+            return;
+        };
         let mut border = std::collections::BTreeMap::<u32, usize>::new();
         for i in 0..labels.len() {
             if labels[i] == small {
@@ -396,19 +510,35 @@ fn merge_small(plan: &Plan, labels: &mut [u32], unit: f32) {
                     .for_each(|l| *border.entry(l).or_default() += 1);
             }
         }
-        let target = border.iter().max_by_key(|(l, n)| (**n, std::cmp::Reverse(**l))).map_or(0, |(l, _)| *l);
-        labels.iter_mut().filter(|l| **l == small).for_each(|l| *l = target);
+        let target = border
+            .iter()
+            .max_by_key(|(l, n)| (**n, std::cmp::Reverse(**l)))
+            .map_or(0, |(l, _)| *l);
+        labels
+            .iter_mut()
+            .filter(|l| **l == small)
+            .for_each(|l| *l = target);
     }
 }
 
 /// Ids 1, 2, … by descending area.
 fn renumber(labels: &mut [u32]) {
     let mut area = std::collections::BTreeMap::<u32, usize>::new();
-    labels.iter().filter(|l| **l != 0).for_each(|l| *area.entry(*l).or_default() += 1);
+    labels
+        .iter()
+        .filter(|l| **l != 0)
+        .for_each(|l| *area.entry(*l).or_default() += 1);
     let mut order: Vec<(u32, usize)> = area.into_iter().collect();
     order.sort_by_key(|&(l, a)| (std::cmp::Reverse(a), l));
-    let ids: std::collections::BTreeMap<u32, u32> = order.iter().enumerate().map(|(i, (l, _))| (*l, i as u32 + 1)).collect();
-    labels.iter_mut().filter(|l| **l != 0).for_each(|l| *l = ids[&*l]);
+    let ids: std::collections::BTreeMap<u32, u32> = order
+        .iter()
+        .enumerate()
+        .map(|(i, (l, _))| (*l, i as u32 + 1))
+        .collect();
+    labels
+        .iter_mut()
+        .filter(|l| **l != 0)
+        .for_each(|l| *l = ids[&*l]);
 }
 
 /// Lets ids grow by `steps` cells into what has none: wall surfaces belong to the room they face.

@@ -1,6 +1,7 @@
 //! `transforms.json`: nerfstudio's keys and this program's additions, checked key by key.
 //!
-//! Everything wrong is collected, each message naming the frame and the key, so that one run shows all there is to mend.
+//! Everything wrong is collected, each message naming the frame and the key, so that one run shows
+//! all there is to mend.
 
 use super::Class;
 use crate::geometry::{Lens, Projection};
@@ -24,10 +25,21 @@ impl Model {
     /// The projection onto an image of this size.
     #[must_use]
     pub fn projection(&self, width: usize, height: usize) -> Projection {
-        let Self::Pinhole(i) = self else { return Projection::Equirectangular };
-        let [cx, cy] = i.centre.unwrap_or([0.5 * width as f64, 0.5 * height as f64]);
+        let Self::Pinhole(i) = self else {
+            return Projection::Equirectangular;
+        };
+        let [cx, cy] = i
+            .centre
+            .unwrap_or([0.5 * width as f64, 0.5 * height as f64]);
         let [fl_x, fl_y] = i.focal.map(|x| x as f32);
-        Projection::Pinhole(Lens { fl_x, fl_y, cx: cx as f32, cy: cy as f32, k: i.k.map(|x| x as f32), p: i.p.map(|x| x as f32) })
+        Projection::Pinhole(Lens {
+            fl_x,
+            fl_y,
+            cx: cx as f32,
+            cy: cy as f32,
+            k: i.k.map(|x| x as f32),
+            p: i.p.map(|x| x as f32),
+        })
     }
 }
 
@@ -93,7 +105,8 @@ pub fn y_up_from_z_up() -> DMat3 {
 /// Deviation from a rigid rotation that is taken for rounding and mended.
 const RIGID_TOLERANCE: f64 = 1e-3;
 
-/// Reads the text of a `transforms.json`; on failure every problem found, each naming its place and the cure.
+/// Reads the text of a `transforms.json`; on failure every problem found, each naming its place and
+/// the cure.
 pub fn parse_transforms(text: &str) -> Result<Transforms, Vec<String>> {
     match parse_usable(text)? {
         (transforms, issues) if issues.is_empty() => Ok(transforms),
@@ -101,17 +114,26 @@ pub fn parse_transforms(text: &str) -> Result<Transforms, Vec<String>> {
     }
 }
 
-/// What can be used of a `transforms.json` and the problems of the rest, so that the files of intact frames can be checked
-/// in the same run; `Err` if the text is no JSON object.
+/// What can be used of a `transforms.json` and the problems of the rest, so that the files of
+/// intact frames can be checked in the same run; `Err` if the text is no JSON object.
 pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<String>> {
     let root: Value = serde_json::from_str(text).map_err(|e| {
-        vec![format!("line {}, column {}: not valid JSON ({e}); mend the file at that place", e.line(), e.column())]
+        vec![format!(
+            "line {}, column {}: not valid JSON ({e}); mend the file at that place",
+            e.line(),
+            e.column()
+        )]
     })?;
     let Value::Object(root) = root else {
-        return Err(vec!["the file must hold one JSON object {\"frames\": [...], ...}".into()]);
+        return Err(vec![
+            "the file must hold one JSON object {\"frames\": [...], ...}".into(),
+        ]);
     };
     let mut issues = Vec::new();
-    let globals = Keys { map: &root, place: String::new() };
+    let globals = Keys {
+        map: &root,
+        place: String::new(),
+    };
     let z_up = match globals.text("up_axis", &mut issues).as_deref() {
         None | Some("y" | "Y" | "+y") => false,
         Some("z" | "Z" | "+z") => true,
@@ -141,13 +163,39 @@ pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<
         Some(_) => issues.push("frames: expected a list".into()),
         None => issues.push("frames: missing; list the posed images as [{\"file_path\": ..., \"transform_matrix\": ...}]".into()),
     }
-    let classes = root.get("classes").filter(|v| !v.is_null()).map(|v| classes(v, &mut issues));
+    let classes = root
+        .get("classes")
+        .filter(|v| !v.is_null())
+        .map(|v| classes(v, &mut issues));
     let train = globals.names("train_filenames", &mut issues);
     let test = globals.names("test_filenames", &mut issues);
     let rooms_path = globals.text("rooms_path", &mut issues);
-    let named = |entry: &Value| entry.get("file_path").and_then(Value::as_str).map(str::to_owned);
-    let names = root.get("frames").and_then(Value::as_array).into_iter().flatten().filter_map(named).collect();
-    Ok((Transforms { mesh_path, frames, names, classes, train, test, rooms_path, z_up }, issues))
+    let named = |entry: &Value| {
+        entry
+            .get("file_path")
+            .and_then(Value::as_str)
+            .map(str::to_owned)
+    };
+    let names = root
+        .get("frames")
+        .and_then(Value::as_array)
+        .into_iter()
+        .flatten()
+        .filter_map(named)
+        .collect();
+    Ok((
+        Transforms {
+            mesh_path,
+            frames,
+            names,
+            classes,
+            train,
+            test,
+            rooms_path,
+            z_up,
+        },
+        issues,
+    ))
 }
 
 /// Typed access to an object's keys with messages that name the place.
@@ -158,7 +206,11 @@ struct Keys<'a> {
 
 impl Keys<'_> {
     fn at(&self, key: &str) -> String {
-        if self.place.is_empty() { key.to_owned() } else { format!("{}.{key}", self.place) }
+        if self.place.is_empty() {
+            key.to_owned()
+        } else {
+            format!("{}.{key}", self.place)
+        }
     }
 
     fn text(&self, key: &str, issues: &mut Vec<String>) -> Option<String> {
@@ -170,7 +222,11 @@ impl Keys<'_> {
             }
             Value::String(s) if !s.is_empty() => Some(s.clone()),
             other => {
-                issues.push(format!("{}: expected a non-empty text, found {}", self.at(key), shown(other)));
+                issues.push(format!(
+                    "{}: expected a non-empty text, found {}",
+                    self.at(key),
+                    shown(other)
+                ));
                 None
             }
         }
@@ -182,7 +238,11 @@ impl Keys<'_> {
             v => match v.as_f64().filter(|n| n.is_finite()) {
                 Some(n) => Some(n),
                 None => {
-                    issues.push(format!("{}: expected a finite number, found {}", self.at(key), shown(v)));
+                    issues.push(format!(
+                        "{}: expected a finite number, found {}",
+                        self.at(key),
+                        shown(v)
+                    ));
                     None
                 }
             },
@@ -192,11 +252,17 @@ impl Keys<'_> {
     fn names(&self, key: &str, issues: &mut Vec<String>) -> Option<Vec<String>> {
         match self.map.get(key)? {
             Value::Null => None,
-            Value::Array(list) if list.iter().all(Value::is_string) => {
-                Some(list.iter().filter_map(|v| v.as_str().map(str::to_owned)).collect())
-            }
+            Value::Array(list) if list.iter().all(Value::is_string) => Some(
+                list.iter()
+                    .filter_map(|v| v.as_str().map(str::to_owned))
+                    .collect(),
+            ),
             other => {
-                issues.push(format!("{}: expected a list of file names, found {}", self.at(key), shown(other)));
+                issues.push(format!(
+                    "{}: expected a list of file names, found {}",
+                    self.at(key),
+                    shown(other)
+                ));
                 None
             }
         }
@@ -212,13 +278,24 @@ fn shown(value: &Value) -> String {
     }
 }
 
-fn frame(index: usize, map: &Map<String, Value>, globals: &Keys<'_>, z_up: bool, issues: &mut Vec<String>) -> Option<Frame> {
+fn frame(
+    index: usize,
+    map: &Map<String, Value>,
+    globals: &Keys<'_>,
+    z_up: bool,
+    issues: &mut Vec<String>,
+) -> Option<Frame> {
     let before = issues.len();
-    let mut keys = Keys { map, place: format!("frames[{index}]") };
+    let mut keys = Keys {
+        map,
+        place: format!("frames[{index}]"),
+    };
     let file_path = keys.text("file_path", issues);
     match &file_path {
         Some(name) => keys.place = format!("frames[{index}] ({name})"),
-        None if issues.len() == before => issues.push(format!("frames[{index}].file_path: missing; name the frame's image")),
+        None if issues.len() == before => issues.push(format!(
+            "frames[{index}].file_path: missing; name the frame's image"
+        )),
         None => {}
     }
     let pose = match map.get("transform_matrix") {
@@ -230,7 +307,10 @@ fn frame(index: usize, map: &Map<String, Value>, globals: &Keys<'_>, z_up: bool,
             }
         },
         None => {
-            issues.push(format!("{}: missing; give the 4x4 camera-to-world matrix", keys.at("transform_matrix")));
+            issues.push(format!(
+                "{}: missing; give the 4x4 camera-to-world matrix",
+                keys.at("transform_matrix")
+            ));
             None
         }
     };
@@ -238,7 +318,10 @@ fn frame(index: usize, map: &Map<String, Value>, globals: &Keys<'_>, z_up: bool,
     let model = model(&keys, globals, size, issues);
     let exposure = keys.number("exposure_ev", issues).unwrap_or(0.0);
     if exposure.abs() > 60.0 {
-        issues.push(format!("{}: {exposure} stops; expected a value between -60 and 60", keys.at("exposure_ev")));
+        issues.push(format!(
+            "{}: {exposure} stops; expected a value between -60 and 60",
+            keys.at("exposure_ev")
+        ));
     }
     let label_path = keys.text("label_path", issues);
     let mask_path = keys.text("mask_path", issues);
@@ -258,8 +341,14 @@ fn frame(index: usize, map: &Map<String, Value>, globals: &Keys<'_>, z_up: bool,
 }
 
 /// A frame's own value of a number, else the global one.
-fn inherited(keys: &Keys<'_>, globals: &Keys<'_>, key: &str, issues: &mut Vec<String>) -> Option<f64> {
-    keys.number(key, issues).or_else(|| globals.number(key, &mut Vec::new()))
+fn inherited(
+    keys: &Keys<'_>,
+    globals: &Keys<'_>,
+    key: &str,
+    issues: &mut Vec<String>,
+) -> Option<f64> {
+    keys.number(key, issues)
+        .or_else(|| globals.number(key, &mut Vec::new()))
 }
 
 fn size(keys: &Keys<'_>, globals: &Keys<'_>, issues: &mut Vec<String>) -> Option<[usize; 2]> {
@@ -268,7 +357,10 @@ fn size(keys: &Keys<'_>, globals: &Keys<'_>, issues: &mut Vec<String>) -> Option
         if (1.0..=65_536.0).contains(&n) && n.fract() == 0.0 {
             Some(n as usize)
         } else {
-            issues.push(format!("{}: {n} pixels; expected a whole number from 1 to 65536", keys.at(key)));
+            issues.push(format!(
+                "{}: {n} pixels; expected a whole number from 1 to 65536",
+                keys.at(key)
+            ));
             None
         }
     };
@@ -276,13 +368,21 @@ fn size(keys: &Keys<'_>, globals: &Keys<'_>, issues: &mut Vec<String>) -> Option
     Some([w?, h?])
 }
 
-fn model(keys: &Keys<'_>, globals: &Keys<'_>, size: Option<[usize; 2]>, issues: &mut Vec<String>) -> Option<Model> {
-    let name = keys.text("camera_model", issues).or_else(|| globals.text("camera_model", &mut Vec::new()));
+fn model(
+    keys: &Keys<'_>,
+    globals: &Keys<'_>,
+    size: Option<[usize; 2]>,
+    issues: &mut Vec<String>,
+) -> Option<Model> {
+    let name = keys
+        .text("camera_model", issues)
+        .or_else(|| globals.text("camera_model", &mut Vec::new()));
     let has_focal = inherited(keys, globals, "fl_x", &mut Vec::new()).is_some();
     match name.as_deref() {
         Some("EQUIRECTANGULAR") => return Some(Model::Equirectangular),
         Some("PINHOLE" | "OPENCV") => {}
-        None if has_focal || inherited(keys, globals, "camera_angle_x", &mut Vec::new()).is_some() => {}
+        None if has_focal
+            || inherited(keys, globals, "camera_angle_x", &mut Vec::new()).is_some() => {}
         None => {
             issues.push(format!(
                 "{}: missing; state EQUIRECTANGULAR, PINHOLE or OPENCV, globally or per frame",
@@ -303,18 +403,29 @@ fn model(keys: &Keys<'_>, globals: &Keys<'_>, size: Option<[usize; 2]>, issues: 
     let (cx, cy) = (get("cx"), get("cy"));
     let coefficients = ["k1", "k2", "p1", "p2", "k3", "k4"].map(|k| get(k).unwrap_or(0.0));
     // the older NeRF form states the horizontal angle of view instead of a focal length
-    let from_angle = angle.zip(size).map(|(a, [w, _])| 0.5 * w as f64 / (0.5 * a).tan());
+    let from_angle = angle
+        .zip(size)
+        .map(|(a, [w, _])| 0.5 * w as f64 / (0.5 * a).tan());
     let Some(fl_x) = fl_x.or(from_angle) else {
-        issues.push(format!("{}: missing; a pinhole camera needs its focal length in pixels", keys.at("fl_x")));
+        issues.push(format!(
+            "{}: missing; a pinhole camera needs its focal length in pixels",
+            keys.at("fl_x")
+        ));
         return None;
     };
     let fl_y = fl_y.unwrap_or(fl_x);
     if fl_x.min(fl_y) <= 0.0 || !(fl_x + fl_y).is_finite() {
-        issues.push(format!("{}: focal lengths {fl_x}, {fl_y}; expected positive pixels", keys.at("fl_x")));
+        issues.push(format!(
+            "{}: focal lengths {fl_x}, {fl_y}; expected positive pixels",
+            keys.at("fl_x")
+        ));
         return None;
     }
     if coefficients[4] != 0.0 || coefficients[5] != 0.0 {
-        issues.push(format!("{}: only k1, k2, p1, p2 are supported; undistort the images first", keys.at("k3")));
+        issues.push(format!(
+            "{}: only k1, k2, p1, p2 are supported; undistort the images first",
+            keys.at("k3")
+        ));
         return None;
     }
     if name.as_deref() == Some("PINHOLE") && coefficients.iter().any(|&c| c != 0.0) {
@@ -325,13 +436,21 @@ fn model(keys: &Keys<'_>, globals: &Keys<'_>, size: Option<[usize; 2]>, issues: 
         return None;
     }
     let [k1, k2, p1, p2, ..] = coefficients;
-    Some(Model::Pinhole(Intrinsics { focal: [fl_x, fl_y], centre: cx.zip(cy).map(|(x, y)| [x, y]), k: [k1, k2], p: [p1, p2] }))
+    Some(Model::Pinhole(Intrinsics {
+        focal: [fl_x, fl_y],
+        centre: cx.zip(cy).map(|(x, y)| [x, y]),
+        k: [k1, k2],
+        p: [p1, p2],
+    }))
 }
 
 /// Rotation (exactly orthonormal) and position of a 4×4 or 3×4 camera-to-world matrix.
 fn pose(value: &Value, z_up: bool) -> Result<(DMat3, DVec3), String> {
     let shape = || "expected 4 rows of 4 finite numbers".to_owned();
-    let rows = value.as_array().filter(|r| r.len() == 4 || r.len() == 3).ok_or_else(shape)?;
+    let rows = value
+        .as_array()
+        .filter(|r| r.len() == 4 || r.len() == 3)
+        .ok_or_else(shape)?;
     let mut m = [[0.0f64; 4]; 4];
     m[3][3] = 1.0;
     for (row, target) in rows.iter().zip(&mut m) {
@@ -341,15 +460,24 @@ fn pose(value: &Value, z_up: bool) -> Result<(DMat3, DVec3), String> {
         }
     }
     if m[3][..3].iter().any(|x| x.abs() > 1e-6) || (m[3][3] - 1.0).abs() > 1e-6 {
-        return Err(format!("the last row is {:?}, expected [0, 0, 0, 1]; store the matrix by rows (transpose it)", m[3]));
+        return Err(format!(
+            "the last row is {:?}, expected [0, 0, 0, 1]; store the matrix by rows (transpose it)",
+            m[3]
+        ));
     }
     let column = |j: usize| DVec3::new(m[0][j], m[1][j], m[2][j]);
     let rotation = rigid(DMat3::from_cols(column(0), column(1), column(2)))?;
     let position = column(3);
     if position.abs().max_element() > 1e9 {
-        return Err(format!("the camera lies at {position}, over 1e9 m from the origin; one unit is one metre"));
+        return Err(format!(
+            "the camera lies at {position}, over 1e9 m from the origin; one unit is one metre"
+        ));
     }
-    Ok(if z_up { (y_up_from_z_up() * rotation, y_up_from_z_up() * position) } else { (rotation, position) })
+    Ok(if z_up {
+        (y_up_from_z_up() * rotation, y_up_from_z_up() * position)
+    } else {
+        (rotation, position)
+    })
 }
 
 /// The exact rotation next to `m`, or why `m` is none.
@@ -369,7 +497,9 @@ fn rigid(m: DMat3) -> Result<DMat3, String> {
     let scale = (gram.x_axis.x + gram.y_axis.y + gram.z_axis.z) / 3.0;
     let off = |s: f64| {
         let d = gram - DMat3::from_diagonal(DVec3::splat(s));
-        d.to_cols_array().into_iter().fold(0.0f64, |a, x| a.max(x.abs()))
+        d.to_cols_array()
+            .into_iter()
+            .fold(0.0f64, |a, x| a.max(x.abs()))
     };
     if off(1.0) <= 2.0 * RIGID_TOLERANCE && (det - 1.0).abs() <= RIGID_TOLERANCE {
         // Gram-Schmidt removes what rounding in the file left
@@ -390,25 +520,46 @@ fn rigid(m: DMat3) -> Result<DMat3, String> {
 
 fn classes(value: &Value, issues: &mut Vec<String>) -> Vec<Class> {
     let Value::Array(list) = value else {
-        issues.push(format!("classes: expected a list of {{id, name, kind}}, found {}", shown(value)));
+        issues.push(format!(
+            "classes: expected a list of {{id, name, kind}}, found {}",
+            shown(value)
+        ));
         return Vec::new();
     };
     let mut classes: Vec<Class> = Vec::with_capacity(list.len());
     for (i, entry) in list.iter().enumerate() {
         let Value::Object(map) = entry else {
-            issues.push(format!("classes[{i}]: expected {{id, name, kind}}, found {}", shown(entry)));
+            issues.push(format!(
+                "classes[{i}]: expected {{id, name, kind}}, found {}",
+                shown(entry)
+            ));
             continue;
         };
-        let keys = Keys { map, place: format!("classes[{i}]") };
-        let Some(id) = map.get("id").and_then(Value::as_u64).and_then(|n| u16::try_from(n).ok()).filter(|&n| n > 0) else {
-            issues.push(format!("classes[{i}].id: expected a whole number from 1 to 65535 (0 means unlabelled)"));
+        let keys = Keys {
+            map,
+            place: format!("classes[{i}]"),
+        };
+        let Some(id) = map
+            .get("id")
+            .and_then(Value::as_u64)
+            .and_then(|n| u16::try_from(n).ok())
+            .filter(|&n| n > 0)
+        else {
+            issues.push(format!(
+                "classes[{i}].id: expected a whole number from 1 to 65535 (0 means unlabelled)"
+            ));
             continue;
         };
         if let Some(other) = classes.iter().find(|c| c.id == id) {
-            issues.push(format!("classes[{i}].id: {id} is already taken by \"{}\"; give every class its own id", other.name));
+            issues.push(format!(
+                "classes[{i}].id: {id} is already taken by \"{}\"; give every class its own id",
+                other.name
+            ));
             continue;
         }
-        let name = keys.text("name", issues).unwrap_or_else(|| format!("class {id}"));
+        let name = keys
+            .text("name", issues)
+            .unwrap_or_else(|| format!("class {id}"));
         let is_light = keys.text("kind", issues).as_deref() == Some("light");
         classes.push(Class { id, name, is_light });
     }
@@ -423,11 +574,16 @@ mod tests {
     const IDENTITY: &str = "[[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]";
 
     fn with_frame(globals: &str, frame: &str) -> Result<Transforms, Vec<String>> {
-        parse_transforms(&format!(r#"{{"mesh_path":"m.glb",{globals}"frames":[{{"file_path":"a.exr",{frame}}}]}}"#))
+        parse_transforms(&format!(
+            r#"{{"mesh_path":"m.glb",{globals}"frames":[{{"file_path":"a.exr",{frame}}}]}}"#
+        ))
     }
 
     fn with_matrix(matrix: &str) -> Result<Transforms, Vec<String>> {
-        with_frame(r#""camera_model":"EQUIRECTANGULAR","#, &format!(r#""transform_matrix":{matrix}"#))
+        with_frame(
+            r#""camera_model":"EQUIRECTANGULAR","#,
+            &format!(r#""transform_matrix":{matrix}"#),
+        )
     }
 
     #[test]
@@ -442,10 +598,16 @@ mod tests {
     fn z_up_turns_poses_so_that_up_is_y() {
         // a level camera of a z-up world looks along +y: its up axis is world z
         let matrix = "[[1,0,0,1],[0,0,-1,2],[0,1,0,3],[0,0,0,1]]";
-        let t = with_frame(r#""camera_model":"EQUIRECTANGULAR","up_axis":"z","#, &format!(r#""transform_matrix":{matrix}"#))
-            .expect("valid");
+        let t = with_frame(
+            r#""camera_model":"EQUIRECTANGULAR","up_axis":"z","#,
+            &format!(r#""transform_matrix":{matrix}"#),
+        )
+        .expect("valid");
         let f = &t.frames[0];
-        assert!((f.rotation * DVec3::Y - DVec3::Y).length() < 1e-12, "up stays up");
+        assert!(
+            (f.rotation * DVec3::Y - DVec3::Y).length() < 1e-12,
+            "up stays up"
+        );
         assert_eq!(f.position, DVec3::new(1.0, 3.0, -2.0));
         assert!((f.rotation.determinant() - 1.0).abs() < 1e-12);
     }
@@ -455,19 +617,32 @@ mod tests {
         let cases = [
             ("[[0,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]", "singular"),
             ("[[-1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]", "mirrored"),
-            ("[[2,0,0,1],[0,2,0,2],[0,0,2,3],[0,0,0,1]]", "scaled by 2.000000"),
+            (
+                "[[2,0,0,1],[0,2,0,2],[0,0,2,3],[0,0,0,1]]",
+                "scaled by 2.000000",
+            ),
             ("[[1,0.5,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]", "not rigid"),
             ("[[1,0,0,0],[0,1,0,0],[0,0,1,0],[1,2,3,1]]", "by rows"),
             ("[[1,0,0],[0,1,0],[0,0,1]]", "4 rows of 4"),
             ("[[1,0,0,null],[0,1,0,0],[0,0,1,0],[0,0,0,1]]", "finite"),
-            ("[[1,0,0,1e300],[0,1,0,0],[0,0,1,0],[0,0,0,1]]", "one unit is one metre"),
+            (
+                "[[1,0,0,1e300],[0,1,0,0],[0,0,1,0],[0,0,0,1]]",
+                "one unit is one metre",
+            ),
             ("\"x\"", "4 rows of 4"),
         ];
         for (matrix, expected) in cases {
             let issues = with_matrix(matrix).expect_err(matrix);
-            assert!(issues[0].contains("frames[0] (a.exr).transform_matrix") && issues[0].contains(expected), "{issues:?}");
+            assert!(
+                issues[0].contains("frames[0] (a.exr).transform_matrix")
+                    && issues[0].contains(expected),
+                "{issues:?}"
+            );
         }
-        assert!(with_matrix("[[0.9999,0,0,1],[0,1.0001,0,2],[0,0,1,3],[0,0,0,1]]").is_ok(), "rounding is mended");
+        assert!(
+            with_matrix("[[0.9999,0,0,1],[0,1.0001,0,2],[0,0,1,3],[0,0,0,1]]").is_ok(),
+            "rounding is mended"
+        );
     }
 
     #[test]
@@ -477,18 +652,32 @@ mod tests {
             r#""camera_model":"OPENCV","fl_x":100,"fl_y":110,"w":64,"h":48,"k1":0.1,"#,
             &format!(r#""fl_x":120,"cx":30,"cy":20,{pose}"#),
         );
-        let Model::Pinhole(i) = t.expect("valid").frames[0].model else { panic!("pinhole") };
-        assert_eq!((i.focal, i.centre, i.k), ([120.0, 110.0], Some([30.0, 20.0]), [0.1, 0.0]));
+        let Model::Pinhole(i) = t.expect("valid").frames[0].model else {
+            panic!("pinhole")
+        };
+        assert_eq!(
+            (i.focal, i.centre, i.k),
+            ([120.0, 110.0], Some([30.0, 20.0]), [0.1, 0.0])
+        );
         for (globals, expected) in [
             (r#""camera_model":"OPENCV_FISHEYE","#, "undistort"),
             ("", "camera_model: missing"),
             (r#""camera_model":"PINHOLE","#, "fl_x: missing"),
             (r#""camera_model":"PINHOLE","fl_x":-3,"#, "positive"),
-            (r#""camera_model":"EQUIRECTANGULAR","w":1e9,"h":2,"#, "whole number"),
-            (r#""camera_model":"EQUIRECTANGULAR","w":0,"h":2,"#, "whole number"),
+            (
+                r#""camera_model":"EQUIRECTANGULAR","w":1e9,"h":2,"#,
+                "whole number",
+            ),
+            (
+                r#""camera_model":"EQUIRECTANGULAR","w":0,"h":2,"#,
+                "whole number",
+            ),
         ] {
             let issues = with_frame(globals, &pose).expect_err(globals);
-            assert!(issues.iter().any(|i| i.contains(expected)), "{globals}: {issues:?}");
+            assert!(
+                issues.iter().any(|i| i.contains(expected)),
+                "{globals}: {issues:?}"
+            );
         }
     }
 
@@ -511,7 +700,10 @@ mod tests {
             "train_filenames",
             "rooms_path",
         ] {
-            assert!(issues.iter().any(|i| i.starts_with(place)), "{place} in {issues:#?}");
+            assert!(
+                issues.iter().any(|i| i.starts_with(place)),
+                "{place} in {issues:#?}"
+            );
         }
     }
 

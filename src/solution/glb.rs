@@ -1,9 +1,10 @@
 //! `scene.glb`: the reconstruction as one file that glTF viewers and engines open.
 //!
-//! One mesh with its atlas; base colour in sRGB, a full occlusion-roughness-metallic texture (R = 255, G = roughness, B = 0)
-//! and, where the scene emits, an emissive texture normalised by its maximum, which `KHR_materials_emissive_strength` carries.
-//! Geometry is stored bit-exactly; the scene's origin is the node's translation and, in f64, its extras, so that a solution can
-//! be loaded back from this file without loss.
+//! One mesh with its atlas; base colour in sRGB, a full occlusion-roughness-metallic texture (R =
+//! 255, G = roughness, B = 0) and, where the scene emits, an emissive texture normalised by its
+//! maximum, which `KHR_materials_emissive_strength` carries. Geometry is stored bit-exactly; the
+//! scene's origin is the node's translation and, in f64, its extras, so that a solution can be
+//! loaded back from this file without loss.
 
 use super::Solution;
 use crate::brdf::Reflectance;
@@ -44,7 +45,12 @@ pub struct PunctualLight {
 
 impl Default for GlbOptions {
     fn default() -> Self {
-        Self { max_texture: 4096, lights: Vec::new(), lightmap: false, webp: false }
+        Self {
+            max_texture: 4096,
+            lights: Vec::new(),
+            lightmap: false,
+            webp: false,
+        }
     }
 }
 
@@ -60,7 +66,9 @@ const CLAMP_TO_EDGE: u32 = 33071;
 pub fn scene_glb(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
     let mesh = &solution.mesh;
     if mesh.triangles.is_empty() || mesh.positions.is_empty() {
-        return Err(Error::Failed("scene.glb cannot be written: the mesh has no triangles".into()));
+        return Err(Error::Failed(
+            "scene.glb cannot be written: the mesh has no triangles".into(),
+        ));
     }
     let strength = peak(&solution.emission);
     let (base, (orm, emissive)) = rayon::join(
@@ -68,7 +76,11 @@ pub fn scene_glb(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
         || {
             rayon::join(
                 || occlusion_roughness_metallic(&solution.roughness, options),
-                || strength.map(|s| light_map(&solution.emission, s, options)).transpose(),
+                || {
+                    strength
+                        .map(|s| light_map(&solution.emission, s, options))
+                        .transpose()
+                },
             )
         },
     );
@@ -100,7 +112,11 @@ pub fn scene_glb(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
     if let Some(peak) = lightmap_peak {
         pictures.push(("lightmap", light_map(&solution.irradiance, peak, options)?));
     }
-    let mime = if options.webp { "image/webp" } else { "image/png" };
+    let mime = if options.webp {
+        "image/webp"
+    } else {
+        "image/png"
+    };
     let images: Vec<Value> = pictures
         .iter()
         .map(|(name, bytes)| json!({"name": name, "mimeType": mime, "bufferView": binary.view(bytes, None)}))
@@ -149,7 +165,8 @@ pub fn scene_glb(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
         extensions.push("KHR_materials_emissive_strength");
         material["emissiveTexture"] = json!({"index": 2});
         material["emissiveFactor"] = json!([1.0, 1.0, 1.0]);
-        material["extensions"] = json!({"KHR_materials_emissive_strength": {"emissiveStrength": f64::from(strength)}});
+        material["extensions"] =
+            json!({"KHR_materials_emissive_strength": {"emissiveStrength": f64::from(strength)}});
     }
     if !options.lights.is_empty() {
         extensions.push("KHR_lights_punctual");
@@ -159,7 +176,9 @@ pub fn scene_glb(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
         let lamps = options.lights.iter().enumerate().map(
             |(i, l)| json!({"name": l.name, "translation": l.position, "extensions": {"KHR_lights_punctual": {"light": i}}}),
         );
-        let nodes: Vec<Value> = std::iter::once(root["nodes"][0].clone()).chain(lamps).collect();
+        let nodes: Vec<Value> = std::iter::once(root["nodes"][0].clone())
+            .chain(lamps)
+            .collect();
         root["scenes"][0]["nodes"] = json!((0..nodes.len()).collect::<Vec<usize>>());
         root["nodes"] = json!(nodes);
         root["extensions"] = json!({"KHR_lights_punctual": {"lights": lights}});
@@ -185,7 +204,11 @@ fn node(origin: DVec3, reflectance: Reflectance) -> Value {
 
 /// glTF demands unit normals; anything else (a vertex without area) points up.
 fn valid_normal(n: Vec3) -> Vec3 {
-    if (n.length_squared() - 1.0).abs() < 1e-3 { n } else { n.normalize_or(Vec3::Y) }
+    if (n.length_squared() - 1.0).abs() < 1e-3 {
+        n
+    } else {
+        n.normalize_or(Vec3::Y)
+    }
 }
 
 /// The binary chunk while it grows; every view starts at a multiple of four bytes.
@@ -199,7 +222,8 @@ struct Binary {
 impl Binary {
     fn view(&mut self, content: &[u8], target: Option<u32>) -> usize {
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
-        let mut view = json!({"buffer": 0, "byteOffset": self.bytes.len(), "byteLength": content.len()});
+        let mut view =
+            json!({"buffer": 0, "byteOffset": self.bytes.len(), "byteLength": content.len()});
         if let Some(target) = target {
             view["target"] = json!(target);
         }
@@ -215,16 +239,21 @@ impl Binary {
     }
 }
 
-/// Wraps JSON and binary into the GLB container: 12-byte header, two chunks padded to four bytes (spaces, zeros).
+/// Wraps JSON and binary into the GLB container: 12-byte header, two chunks padded to four bytes
+/// (spaces, zeros).
 fn container(root: &Value, binary: &[u8]) -> Result<Vec<u8>> {
-    let mut json = serde_json::to_vec(root).map_err(|e| Error::Failed(format!("scene.glb: {e}")))?;
+    let mut json =
+        serde_json::to_vec(root).map_err(|e| Error::Failed(format!("scene.glb: {e}")))?;
     json.resize(json.len().next_multiple_of(4), b' ');
     let padded = binary.len().next_multiple_of(4);
     let total = 12 + 8 + json.len() + 8 + padded;
     let word = |n: usize| {
-        u32::try_from(n)
-            .map(u32::to_le_bytes)
-            .map_err(|_| Error::Failed("scene.glb would exceed 4 GiB, the limit of the format; lower the texture size".into()))
+        u32::try_from(n).map(u32::to_le_bytes).map_err(|_| {
+            Error::Failed(
+                "scene.glb would exceed 4 GiB, the limit of the format; lower the texture size"
+                    .into(),
+            )
+        })
     };
     let mut out = Vec::with_capacity(total);
     out.extend_from_slice(b"glTF");
@@ -245,26 +274,43 @@ fn base_colour(albedo: &RgbPlane, options: &GlbOptions) -> Result<Vec<u8>> {
 }
 
 fn occlusion_roughness_metallic(roughness: &Plane<f32>, options: &GlbOptions) -> Result<Vec<u8>> {
-    picture(roughness, options, |r| [255, (r.clamp(0.0, 1.0) * 255.0 + 0.5) as u8, 0])
+    picture(roughness, options, |r| {
+        [255, (r.clamp(0.0, 1.0) * 255.0 + 0.5) as u8, 0]
+    })
 }
 
 /// Light as a share of its peak.
 fn light_map(light: &RgbPlane, peak: f32, options: &GlbOptions) -> Result<Vec<u8>> {
-    picture(light, options, |v| (*v / peak).to_array().map(srgb8_from_linear))
+    picture(light, options, |v| {
+        (*v / peak).to_array().map(srgb8_from_linear)
+    })
 }
 
-fn picture<T>(plane: &Plane<T>, options: &GlbOptions, bytes: impl Fn(&T) -> [u8; 3]) -> Result<Vec<u8>>
+fn picture<T>(
+    plane: &Plane<T>,
+    options: &GlbOptions,
+    bytes: impl Fn(&T) -> [u8; 3],
+) -> Result<Vec<u8>>
 where
     T: Copy + Mul<f32, Output = T> + Add<Output = T>,
 {
     let plane = fitted(plane, options.max_texture);
     let rgb: Vec<u8> = plane.data.iter().flat_map(bytes).collect();
-    if options.webp { encode_webp8(plane.width, plane.height, &rgb) } else { encode_rgb8(plane.width, plane.height, &rgb) }
+    if options.webp {
+        encode_webp8(plane.width, plane.height, &rgb)
+    } else {
+        encode_rgb8(plane.width, plane.height, &rgb)
+    }
 }
 
 /// The largest finite channel of the emission, if anything emits.
 fn peak(emission: &RgbPlane) -> Option<f32> {
-    let max = emission.data.iter().flat_map(|v| v.to_array()).filter(|v| v.is_finite()).fold(0.0, f32::max);
+    let max = emission
+        .data
+        .iter()
+        .flat_map(|v| v.to_array())
+        .filter(|v| v.is_finite())
+        .fold(0.0, f32::max);
     (max > 0.0).then_some(max)
 }
 
@@ -280,41 +326,93 @@ where
     out
 }
 
-/// Mesh, origin and reflection model of a file that [`scene_glb`] wrote; positions come back bit for bit.
+/// Mesh, origin and reflection model of a file that [`scene_glb`] wrote; positions come back bit
+/// for bit.
 pub(super) fn read_glb_mesh(path: &Path) -> Result<(Mesh, DVec3, Reflectance)> {
-    let foreign =
-        |what: &str| Error::input(path, format!("{what}; expected the scene.glb that `unbake solve` wrote: run it again"));
-    let bytes = std::fs::read(path).map_err(|e| Error::input(path, format!("cannot be read ({e}); run `unbake solve` first")))?;
-    let gltf = gltf::Gltf::from_slice(&bytes).map_err(|e| foreign(&format!("is not a valid GLB ({e})")))?;
-    let blob = gltf.blob.as_deref().ok_or_else(|| foreign("has no binary chunk"))?;
-    let node = gltf.nodes().find(|n| n.mesh().is_some()).ok_or_else(|| foreign("has no mesh"))?;
-    let primitive = node.mesh().and_then(|m| m.primitives().next()).ok_or_else(|| foreign("has no primitive"))?;
+    let foreign = |what: &str| {
+        Error::input(
+            path,
+            format!("{what}; expected the scene.glb that `unbake solve` wrote: run it again"),
+        )
+    };
+    let bytes = std::fs::read(path).map_err(|e| {
+        Error::input(
+            path,
+            format!("cannot be read ({e}); run `unbake solve` first"),
+        )
+    })?;
+    let gltf = gltf::Gltf::from_slice(&bytes)
+        .map_err(|e| foreign(&format!("is not a valid GLB ({e})")))?;
+    let blob = gltf
+        .blob
+        .as_deref()
+        .ok_or_else(|| foreign("has no binary chunk"))?;
+    let node = gltf
+        .nodes()
+        .find(|n| n.mesh().is_some())
+        .ok_or_else(|| foreign("has no mesh"))?;
+    let primitive = node
+        .mesh()
+        .and_then(|m| m.primitives().next())
+        .ok_or_else(|| foreign("has no primitive"))?;
     let reader = primitive.reader(|buffer| (buffer.index() == 0).then_some(blob));
 
-    let positions: Vec<Vec3> = reader.read_positions().ok_or_else(|| foreign("has no positions"))?.map(Vec3::from).collect();
-    let normals: Vec<Vec3> = reader.read_normals().ok_or_else(|| foreign("has no normals"))?.map(Vec3::from).collect();
-    let uvs: Vec<Vec2> =
-        reader.read_tex_coords(0).ok_or_else(|| foreign("has no TEXCOORD_0"))?.into_f32().map(Vec2::from).collect();
-    let indices: Vec<u32> = reader.read_indices().ok_or_else(|| foreign("has no indices"))?.into_u32().collect();
+    let positions: Vec<Vec3> = reader
+        .read_positions()
+        .ok_or_else(|| foreign("has no positions"))?
+        .map(Vec3::from)
+        .collect();
+    let normals: Vec<Vec3> = reader
+        .read_normals()
+        .ok_or_else(|| foreign("has no normals"))?
+        .map(Vec3::from)
+        .collect();
+    let uvs: Vec<Vec2> = reader
+        .read_tex_coords(0)
+        .ok_or_else(|| foreign("has no TEXCOORD_0"))?
+        .into_f32()
+        .map(Vec2::from)
+        .collect();
+    let indices: Vec<u32> = reader
+        .read_indices()
+        .ok_or_else(|| foreign("has no indices"))?
+        .into_u32()
+        .collect();
     if normals.len() != positions.len() || uvs.len() != positions.len() {
         return Err(foreign("has vertex attributes of different lengths"));
     }
     if indices.iter().any(|&i| i as usize >= positions.len()) {
-        return Err(foreign("has a triangle that names a vertex beyond the last"));
+        return Err(foreign(
+            "has a triangle that names a vertex beyond the last",
+        ));
     }
     let triangles = indices.as_chunks::<3>().0.to_vec();
     let extras = extras_of(&bytes).unwrap_or_default();
-    let origin = serde_json::from_value::<[f64; 3]>(extras["origin"].clone())
-        .map_or_else(|_| DVec3::from_array(node.transform().decomposed().0.map(f64::from)), DVec3::from_array);
+    let origin = serde_json::from_value::<[f64; 3]>(extras["origin"].clone()).map_or_else(
+        |_| DVec3::from_array(node.transform().decomposed().0.map(f64::from)),
+        DVec3::from_array,
+    );
     let reflectance = serde_json::from_value(extras["reflectance"].clone()).unwrap_or_default();
-    Ok((Mesh { positions, normals, uvs, triangles }, origin, reflectance))
+    Ok((
+        Mesh {
+            positions,
+            normals,
+            uvs,
+            triangles,
+        },
+        origin,
+        reflectance,
+    ))
 }
 
 /// The extras of the first node with a mesh.
 fn extras_of(bytes: &[u8]) -> Option<Value> {
     let glb = gltf::binary::Glb::from_slice(bytes).ok()?;
     let root: Value = serde_json::from_slice(&glb.json).ok()?;
-    let node = root["nodes"].as_array()?.iter().find(|n| n.get("mesh").is_some())?;
+    let node = root["nodes"]
+        .as_array()?
+        .iter()
+        .find(|n| n.get("mesh").is_some())?;
     Some(node["extras"].clone())
 }
 
@@ -324,14 +422,18 @@ mod tests {
     use crate::solution::tests::small_solution;
 
     fn decoded(bytes: &[u8]) -> (usize, usize, Vec<u8>) {
-        let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().expect("header");
+        let mut reader = png::Decoder::new(std::io::Cursor::new(bytes))
+            .read_info()
+            .expect("header");
         let mut pixels = vec![0; reader.output_buffer_size().expect("size")];
         let info = reader.next_frame(&mut pixels).expect("pixels");
         (info.width as usize, info.height as usize, pixels)
     }
 
     fn image_bytes<'a>(gltf: &'a gltf::Gltf, image: &gltf::Image<'_>) -> &'a [u8] {
-        let gltf::image::Source::View { view, mime_type } = image.source() else { panic!("image is not embedded") };
+        let gltf::image::Source::View { view, mime_type } = image.source() else {
+            panic!("image is not embedded")
+        };
         assert_eq!(mime_type, "image/png");
         &gltf.blob.as_deref().expect("blob")[view.offset()..view.offset() + view.length()]
     }
@@ -346,16 +448,29 @@ mod tests {
         assert!((strength - 12.5).abs() < 1e-6);
         let pbr = material.pbr_metallic_roughness();
         let orm = pbr.metallic_roughness_texture().expect("orm").texture();
-        assert_eq!(orm.index(), material.occlusion_texture().expect("occlusion").texture().index());
+        assert_eq!(
+            orm.index(),
+            material
+                .occlusion_texture()
+                .expect("occlusion")
+                .texture()
+                .index()
+        );
         let (w, h, pixels) = decoded(image_bytes(&gltf, &orm.source()));
-        assert_eq!((w, h), (solution.roughness.width, solution.roughness.height));
+        assert_eq!(
+            (w, h),
+            (solution.roughness.width, solution.roughness.height)
+        );
         for (pixel, r) in pixels.chunks(3).zip(&solution.roughness.data) {
             assert_eq!((pixel[0], pixel[2]), (255, 0));
             assert!((f32::from(pixel[1]) / 255.0 - r).abs() <= 0.5 / 255.0 + 1e-6);
         }
         let base = pbr.base_color_texture().expect("base").texture();
         let (_, _, pixels) = decoded(image_bytes(&gltf, &base.source()));
-        assert_eq!(pixels[..3], solution.albedo.data[0].to_array().map(srgb8_from_linear));
+        assert_eq!(
+            pixels[..3],
+            solution.albedo.data[0].to_array().map(srgb8_from_linear)
+        );
         let emissive = material.emissive_texture().expect("emissive").texture();
         let (_, _, pixels) = decoded(image_bytes(&gltf, &emissive.source()));
         assert!(pixels.contains(&255), "normalised to its maximum");
@@ -366,12 +481,25 @@ mod tests {
         let solution = small_solution();
         let bytes = scene_glb(&solution, &GlbOptions::default()).expect("writes");
         assert_eq!(bytes.len() % 4, 0);
-        assert_eq!(u32::from_le_bytes(bytes[8..12].try_into().expect("4 bytes")) as usize, bytes.len());
+        assert_eq!(
+            u32::from_le_bytes(bytes[8..12].try_into().expect("4 bytes")) as usize,
+            bytes.len()
+        );
         let gltf = gltf::Gltf::from_slice(&bytes).expect("valid");
         assert!(gltf.views().all(|v| v.offset() % 4 == 0));
         let (low, high) = solution.mesh.bounds();
-        let position = gltf.meshes().next().expect("mesh").primitives().next().expect("primitive").bounding_box();
-        assert_eq!((Vec3::from(position.min), Vec3::from(position.max)), (low, high));
+        let position = gltf
+            .meshes()
+            .next()
+            .expect("mesh")
+            .primitives()
+            .next()
+            .expect("primitive")
+            .bounding_box();
+        assert_eq!(
+            (Vec3::from(position.min), Vec3::from(position.max)),
+            (low, high)
+        );
     }
 
     #[test]
@@ -387,7 +515,14 @@ mod tests {
     #[test]
     fn large_textures_are_halved_to_the_cap() {
         let solution = small_solution();
-        let bytes = scene_glb(&solution, &GlbOptions { max_texture: 4, ..GlbOptions::default() }).expect("writes");
+        let bytes = scene_glb(
+            &solution,
+            &GlbOptions {
+                max_texture: 4,
+                ..GlbOptions::default()
+            },
+        )
+        .expect("writes");
         let gltf = gltf::Gltf::from_slice(&bytes).expect("valid");
         for image in gltf.images() {
             let (w, h, _) = decoded(image_bytes(&gltf, &image));
@@ -397,18 +532,39 @@ mod tests {
 
     #[test]
     fn webp_textures_and_lights_name_their_extensions() {
-        let light = PunctualLight { name: "lamp 1".into(), colour: [1.0, 0.5, 0.2], intensity: 3.0, position: [1.0, 2.0, 3.0] };
-        let options = GlbOptions { webp: true, lights: vec![light], lightmap: true, ..GlbOptions::default() };
+        let light = PunctualLight {
+            name: "lamp 1".into(),
+            colour: [1.0, 0.5, 0.2],
+            intensity: 3.0,
+            position: [1.0, 2.0, 3.0],
+        };
+        let options = GlbOptions {
+            webp: true,
+            lights: vec![light],
+            lightmap: true,
+            ..GlbOptions::default()
+        };
         let bytes = scene_glb(&small_solution(), &options).expect("writes");
         let glb = gltf::binary::Glb::from_slice(&bytes).expect("container");
         let root: Value = serde_json::from_slice(&glb.json).expect("JSON");
         assert_eq!(root["extensionsRequired"], json!(["EXT_texture_webp"]));
-        assert!(root["extensionsUsed"].as_array().expect("list").contains(&json!("KHR_lights_punctual")));
+        assert!(
+            root["extensionsUsed"]
+                .as_array()
+                .expect("list")
+                .contains(&json!("KHR_lights_punctual"))
+        );
         assert_eq!(root["scenes"][0]["nodes"], json!([0, 1]));
-        for (texture, image) in
-            root["textures"].as_array().expect("textures").iter().zip(root["images"].as_array().expect("images"))
+        for (texture, image) in root["textures"]
+            .as_array()
+            .expect("textures")
+            .iter()
+            .zip(root["images"].as_array().expect("images"))
         {
-            assert!(texture.get("source").is_none() && texture["extensions"]["EXT_texture_webp"]["source"].is_u64());
+            assert!(
+                texture.get("source").is_none()
+                    && texture["extensions"]["EXT_texture_webp"]["source"].is_u64()
+            );
             let view = &root["bufferViews"][image["bufferView"].as_u64().expect("view") as usize];
             let at = view["byteOffset"].as_u64().expect("offset") as usize;
             assert_eq!(&glb.bin.as_ref().expect("binary")[at + 8..at + 12], b"WEBP");
@@ -419,6 +575,11 @@ mod tests {
     fn an_empty_mesh_is_an_error_in_words() {
         let mut solution = small_solution();
         solution.mesh = Mesh::default();
-        assert!(scene_glb(&solution, &GlbOptions::default()).expect_err("fails").to_string().contains("no triangles"));
+        assert!(
+            scene_glb(&solution, &GlbOptions::default())
+                .expect_err("fails")
+                .to_string()
+                .contains("no triangles")
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! What a reconstruction is: the textures that `solve` makes and that evaluation, rendering and export read.
+//! What a reconstruction is: the textures that `solve` makes and that evaluation, rendering and
+//! export read.
 
 mod glb;
 mod store;
@@ -11,8 +12,9 @@ use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
 use glam::{DVec3, Vec2};
 
-/// A reconstructed scene. Every texture covers the same atlas; sizes differ. Texture coordinates are `uv · size` with texel
-/// centres at +0.5 and row 0 at v = 0; texels outside charts are padded so that bilinear lookups need no mask.
+/// A reconstructed scene. Every texture covers the same atlas; sizes differ. Texture coordinates
+/// are `uv · size` with texel centres at +0.5 and row 0 at v = 0; texels outside charts are padded
+/// so that bilinear lookups need no mask.
 #[derive(Clone, Debug)]
 pub struct Solution {
     /// Geometry with the atlas the textures belong to (positions relative to `origin`).
@@ -31,13 +33,15 @@ pub struct Solution {
     pub emission: RgbPlane,
     /// Standard errors (albedo, roughness); 1e4 = unobserved.
     pub confidence: Plane<Vec2>,
-    /// Relative standard error of the irradiance's luminance, 0 outside charts; `None` where nobody estimated it.
+    /// Relative standard error of the irradiance's luminance, 0 outside charts; `None` where nobody
+    /// estimated it.
     pub irradiance_error: Option<Plane<f32>>,
     /// Class ids per texel, 0 = unlabelled.
     pub labels: Plane<u16>,
     /// Room ids per texel, 0 = outside.
     pub rooms: Plane<u16>,
-    /// Radiance from directions without geometry: an equirectangular map in world axes (design §1.1 with the identity pose).
+    /// Radiance from directions without geometry: an equirectangular map in world axes (design §1.1
+    /// with the identity pose).
     pub environment: RgbPlane,
     /// The reflection model that albedo and roughness belong to.
     pub reflectance: Reflectance,
@@ -48,7 +52,8 @@ pub(crate) mod tests {
     use super::*;
     use glam::Vec3;
 
-    /// A complete little solution for tests of whatever reads one: two triangles, textures of different sizes.
+    /// A complete little solution for tests of whatever reads one: two triangles, textures of
+    /// different sizes.
     pub(crate) fn small_solution() -> Solution {
         let mesh = Mesh {
             positions: vec![
@@ -64,7 +69,9 @@ pub(crate) mod tests {
         let ramp = |w: usize, h: usize, scale: f32| Plane {
             width: w,
             height: h,
-            data: (0..w * h).map(|i| Vec3::new(i as f32, (i % w) as f32, 1.0) * (scale / (w * h) as f32)).collect(),
+            data: (0..w * h)
+                .map(|i| Vec3::new(i as f32, (i % w) as f32, 1.0) * (scale / (w * h) as f32))
+                .collect(),
         };
         let mut emission = Plane::filled(8, 8, Vec3::ZERO);
         emission.data[9] = Vec3::new(12.5, 10.0, 3.0);
@@ -72,13 +79,29 @@ pub(crate) mod tests {
             mesh,
             origin: DVec3::new(10_000.123_456_789, -2.5, 0.1),
             albedo: ramp(16, 16, 0.8),
-            roughness: Plane { width: 32, height: 32, data: (0..1024).map(|i| i as f32 / 1023.0).collect() },
+            roughness: Plane {
+                width: 32,
+                height: 32,
+                data: (0..1024).map(|i| i as f32 / 1023.0).collect(),
+            },
             irradiance: ramp(8, 8, 6.0),
             radiance: ramp(8, 8, 2.0),
             emission,
-            confidence: Plane { width: 16, height: 16, data: (0..256).map(|i| Vec2::new(i as f32 * 0.01, 1e4)).collect() },
-            irradiance_error: Some(Plane { width: 16, height: 16, data: (0..256).map(|i| i as f32 * 0.001).collect() }),
-            labels: Plane { width: 16, height: 16, data: (0..256).map(|i| (i % 7) as u16 * 9000).collect() },
+            confidence: Plane {
+                width: 16,
+                height: 16,
+                data: (0..256).map(|i| Vec2::new(i as f32 * 0.01, 1e4)).collect(),
+            },
+            irradiance_error: Some(Plane {
+                width: 16,
+                height: 16,
+                data: (0..256).map(|i| i as f32 * 0.001).collect(),
+            }),
+            labels: Plane {
+                width: 16,
+                height: 16,
+                data: (0..256).map(|i| (i % 7) as u16 * 9000).collect(),
+            },
             rooms: Plane::filled(16, 16, 1),
             environment: ramp(8, 4, 3.0),
             reflectance: Reflectance::Burley,

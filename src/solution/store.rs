@@ -1,18 +1,21 @@
 //! The output folder: a solution on disk and back.
 //!
-//! Everything is written aside first (a hidden folder inside the output folder, so that it lies on the same file system) and
-//! renamed into place only when every file is complete: a reader sees the old solution or the new one, and a full disk leaves
-//! the old one untouched.
+//! Everything is written aside first (a hidden folder inside the output folder, so that it lies on
+//! the same file system) and renamed into place only when every file is complete: a reader sees the
+//! old solution or the new one, and a full disk leaves the old one untouched.
 
 use super::Solution;
 use super::glb::{GlbOptions, read_glb_mesh, scene_glb};
 use crate::error::{Error, Result};
 use crate::formats::{read_labels, read_plane, read_rgb, read_two_channels};
-use crate::formats::{write_plane_half, write_png16, write_rgb_float, write_rgb_half, write_two_channels_half};
+use crate::formats::{
+    write_plane_half, write_png16, write_rgb_float, write_rgb_half, write_two_channels_half,
+};
 use crate::image::RgbPlane;
 use std::path::{Path, PathBuf};
 
-/// Files of a solution in the order in which they are renamed into place; `scene.glb` last, as the mark of completeness.
+/// Files of a solution in the order in which they are renamed into place; `scene.glb` last, as the
+/// mark of completeness.
 pub const FILES: [&str; 10] = [
     "albedo.exr",
     "roughness.exr",
@@ -47,7 +50,8 @@ impl Solution {
         let at = |name: &str| aside.folder.join(name);
         let glb = || {
             let bytes = scene_glb(self, &options.glb)?;
-            std::fs::write(at("scene.glb"), bytes).map_err(|e| Error::io(folder.join("scene.glb"), e))
+            std::fs::write(at("scene.glb"), bytes)
+                .map_err(|e| Error::io(folder.join("scene.glb"), e))
         };
         let textures = || {
             write_rgb_half(at("albedo.exr"), &self.albedo)?;
@@ -72,16 +76,25 @@ impl Solution {
         aside.publish(folder, &FILES)
     }
 
-    /// Reads what [`Solution::save`] wrote. Textures come back at file precision (half), the mesh bit for bit.
+    /// Reads what [`Solution::save`] wrote. Textures come back at file precision (half), the mesh
+    /// bit for bit.
     pub fn load(folder: &Path) -> Result<Self> {
         if !folder.is_dir() {
-            return Err(Error::input(folder, "is not a folder; expected the output folder of `unbake solve SCENE -o OUT`"));
+            return Err(Error::input(
+                folder,
+                "is not a folder; expected the output folder of `unbake solve SCENE -o OUT`",
+            ));
         }
         let missing: Vec<Error> = FILES
             .iter()
             .map(|name| folder.join(name))
             .filter(|path| !path.is_file())
-            .map(|path| Error::input(path, "is missing from the solution; run `unbake solve` again"))
+            .map(|path| {
+                Error::input(
+                    path,
+                    "is missing from the solution; run `unbake solve` again",
+                )
+            })
             .collect();
         if !missing.is_empty() {
             return Err(Error::Inputs(missing));
@@ -120,7 +133,13 @@ impl Solution {
         ];
         let first = rgb
             .iter()
-            .find_map(|(name, plane)| plane.data.iter().position(|v| !v.is_finite()).map(|i| (*name, i, plane.width)))
+            .find_map(|(name, plane)| {
+                plane
+                    .data
+                    .iter()
+                    .position(|v| !v.is_finite())
+                    .map(|i| (*name, i, plane.width))
+            })
             .or_else(|| {
                 let i = self.roughness.data.iter().position(|v| !v.is_finite())?;
                 Some(("roughness", i, self.roughness.width))
@@ -192,7 +211,8 @@ impl AsideFolder {
 
 impl Drop for AsideFolder {
     fn drop(&mut self) {
-        // nothing useful can be done about a failure here, and what matters has been renamed already
+        // nothing useful can be done about a failure here, and what matters has been renamed
+        // already
         let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
@@ -217,7 +237,10 @@ mod tests {
         let mut expected = FILES.map(String::from).to_vec();
         expected.push(IRRADIANCE_ERROR.into());
         expected.sort();
-        assert_eq!(names, expected, "exactly the promised files, nothing left aside");
+        assert_eq!(
+            names, expected,
+            "exactly the promised files, nothing left aside"
+        );
 
         let back = Solution::load(&out).expect("loads");
         assert_eq!(back.mesh, solution.mesh, "geometry is bit-exact");
@@ -227,7 +250,10 @@ mod tests {
         let close = |a: &RgbPlane, b: &RgbPlane| {
             assert_eq!((a.width, a.height), (b.width, b.height));
             for (a, b) in a.data.iter().zip(&b.data) {
-                assert!((*a - *b).abs().max_element() <= 1e-3 * b.abs().max_element() + 1e-6, "{a} {b}");
+                assert!(
+                    (*a - *b).abs().max_element() <= 1e-3 * b.abs().max_element() + 1e-6,
+                    "{a} {b}"
+                );
             }
         };
         close(&back.albedo, &solution.albedo);
@@ -248,7 +274,9 @@ mod tests {
         let folder = tempfile::tempdir().expect("temp");
         let mut solution = small_solution();
         solution.emission.data[1] = Vec3::splat(3.0e6);
-        solution.save(folder.path(), &SaveOptions::default()).expect("saves");
+        solution
+            .save(folder.path(), &SaveOptions::default())
+            .expect("saves");
         let back = Solution::load(folder.path()).expect("loads");
         assert_eq!(back.emission.data[1], Vec3::splat(3.0e6));
     }
@@ -257,18 +285,38 @@ mod tests {
     fn the_irradiances_error_is_kept_and_an_old_one_removed() {
         let folder = tempfile::tempdir().expect("temp");
         let mut solution = small_solution();
-        solution.save(folder.path(), &SaveOptions::default()).expect("saves");
-        let back = Solution::load(folder.path()).expect("loads").irradiance_error.expect("is there");
+        solution
+            .save(folder.path(), &SaveOptions::default())
+            .expect("saves");
+        let back = Solution::load(folder.path())
+            .expect("loads")
+            .irradiance_error
+            .expect("is there");
         let stated = solution.irradiance_error.take().expect("is stated");
-        assert!(back.data.iter().zip(&stated.data).all(|(a, b)| (a - b).abs() <= b * 5e-4 + 1e-7));
-        solution.save(folder.path(), &SaveOptions::default()).expect("saves");
-        assert!(Solution::load(folder.path()).expect("loads").irradiance_error.is_none(), "nobody's error");
+        assert!(
+            back.data
+                .iter()
+                .zip(&stated.data)
+                .all(|(a, b)| (a - b).abs() <= b * 5e-4 + 1e-7)
+        );
+        solution
+            .save(folder.path(), &SaveOptions::default())
+            .expect("saves");
+        assert!(
+            Solution::load(folder.path())
+                .expect("loads")
+                .irradiance_error
+                .is_none(),
+            "nobody's error"
+        );
     }
 
     #[test]
     fn the_hour_of_writing_is_not_in_the_files() {
         let folder = tempfile::tempdir().expect("temp");
-        small_solution().save(folder.path(), &SaveOptions::default()).expect("saves");
+        small_solution()
+            .save(folder.path(), &SaveOptions::default())
+            .expect("saves");
         let bytes = std::fs::read(folder.path().join("albedo.exr")).expect("reads");
         assert!(bytes.windows(19).any(|w| w == b"1970:01:01 00:00:00"));
     }
@@ -277,29 +325,54 @@ mod tests {
     fn a_failed_save_leaves_the_old_solution() {
         let folder = tempfile::tempdir().expect("temp");
         let solution = small_solution();
-        solution.save(folder.path(), &SaveOptions::default()).expect("saves");
+        solution
+            .save(folder.path(), &SaveOptions::default())
+            .expect("saves");
         let before = std::fs::read(folder.path().join("albedo.exr")).expect("reads");
         let mut broken = solution.clone();
         broken.albedo.data[0].x = 0.9;
         broken.roughness.data[3] = f32::NAN;
-        let message = broken.save(folder.path(), &SaveOptions::default()).expect_err("refuses").to_string();
-        assert!(message.contains("roughness texture is not finite at texel (3, 0)"), "{message}");
-        assert_eq!(std::fs::read(folder.path().join("albedo.exr")).expect("reads"), before);
-        assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), FILES.len() + 1);
+        let message = broken
+            .save(folder.path(), &SaveOptions::default())
+            .expect_err("refuses")
+            .to_string();
+        assert!(
+            message.contains("roughness texture is not finite at texel (3, 0)"),
+            "{message}"
+        );
+        assert_eq!(
+            std::fs::read(folder.path().join("albedo.exr")).expect("reads"),
+            before
+        );
+        assert_eq!(
+            std::fs::read_dir(folder.path()).expect("lists").count(),
+            FILES.len() + 1
+        );
     }
 
     #[test]
     fn what_is_missing_is_named_with_the_cure() {
         let folder = tempfile::tempdir().expect("temp");
-        small_solution().save(folder.path(), &SaveOptions::default()).expect("saves");
+        small_solution()
+            .save(folder.path(), &SaveOptions::default())
+            .expect("saves");
         std::fs::remove_file(folder.path().join("rooms.png")).expect("removes");
         let e = Solution::load(folder.path()).expect_err("incomplete");
         assert_eq!(e.exit_code(), 2);
-        assert!(e.to_string().contains("rooms.png: is missing") && e.to_string().contains("unbake solve"), "{e}");
+        assert!(
+            e.to_string().contains("rooms.png: is missing")
+                && e.to_string().contains("unbake solve"),
+            "{e}"
+        );
         let e = Solution::load(&folder.path().join("nowhere")).expect_err("no folder");
         assert_eq!(e.exit_code(), 2);
         std::fs::write(folder.path().join("rooms.png"), b"x").expect("writes");
         std::fs::write(folder.path().join("scene.glb"), b"glTF nonsense").expect("writes");
-        assert_eq!(Solution::load(folder.path()).expect_err("garbage").exit_code(), 2);
+        assert_eq!(
+            Solution::load(folder.path())
+                .expect_err("garbage")
+                .exit_code(),
+            2
+        );
     }
 }

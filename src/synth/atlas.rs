@@ -40,7 +40,11 @@ impl Atlas {
             let density = 0.5 * (low + high);
             match shelves(charts, side, gap, density) {
                 Some(corners) => {
-                    best = Some(Self { side, density, corners });
+                    best = Some(Self {
+                        side,
+                        density,
+                        corners,
+                    });
                     low = density;
                 }
                 None => high = density,
@@ -55,7 +59,8 @@ impl Atlas {
         gap(self.side)
     }
 
-    /// Atlas coordinate of `metres` on chart `c`: texel centres sit at whole steps from the chart's corner, half a texel in.
+    /// Atlas coordinate of `metres` on chart `c`: texel centres sit at whole steps from the chart's
+    /// corner, half a texel in.
     #[must_use]
     pub fn uv(&self, c: usize, metres: Vec2) -> Vec2 {
         let [x, y] = self.corners[c];
@@ -71,18 +76,23 @@ impl Atlas {
             mesh.positions.extend(&chart.positions);
             mesh.normals.extend(&chart.normals);
             mesh.uvs.extend(chart.uvs.iter().map(|&m| self.uv(c, m)));
-            mesh.triangles.extend(chart.triangles.iter().map(|t| t.map(|i| i + base)));
+            mesh.triangles
+                .extend(chart.triangles.iter().map(|t| t.map(|i| i + base)));
         }
         mesh
     }
 
-    /// Albedo (x, y, z) and roughness (w) of every texel; charts reach half the gap beyond their border.
+    /// Albedo (x, y, z) and roughness (w) of every texel; charts reach half the gap beyond their
+    /// border.
     #[must_use]
     pub fn paint(&self, charts: &[Chart], paints: &[Paint]) -> Plane<glam::Vec4> {
         let margin = self.gap() as isize / 2;
         let painted = map_chunks(charts.len(), 1, |range| {
             let (c, chart) = (range.start, &charts[range.start]);
-            let (w, h) = (texels(chart.size.x, self.density) as isize, texels(chart.size.y, self.density) as isize);
+            let (w, h) = (
+                texels(chart.size.x, self.density) as isize,
+                texels(chart.size.y, self.density) as isize,
+            );
             let paint = &paints[chart.finish.material];
             let mut block = Vec::with_capacity(((w + 2 * margin) * (h + 2 * margin)) as usize);
             for y in -margin..h + margin {
@@ -111,7 +121,10 @@ impl Atlas {
 
 /// Shelf packing by descending height; `None` if the charts do not fit.
 fn shelves(charts: &[Chart], side: usize, gap: usize, density: f32) -> Option<Vec<[usize; 2]>> {
-    let size: Vec<[usize; 2]> = charts.iter().map(|c| [texels(c.size.x, density), texels(c.size.y, density)]).collect();
+    let size: Vec<[usize; 2]> = charts
+        .iter()
+        .map(|c| [texels(c.size.x, density), texels(c.size.y, density)])
+        .collect();
     let mut order: Vec<usize> = (0..charts.len()).collect();
     order.sort_by_key(|&i| (std::cmp::Reverse(size[i]), i));
     order.sort_by_key(|&i| std::cmp::Reverse(size[i][1]));
@@ -140,19 +153,35 @@ mod tests {
     #[test]
     fn charts_keep_their_distance() {
         let mut b = Builder::new();
-        let finish = Finish { material: 0, class: 1, emission: Vec3::ZERO };
+        let finish = Finish {
+            material: 0,
+            class: 1,
+            emission: Vec3::ZERO,
+        };
         for i in 0..60 {
-            b.rect(Vec3::ZERO, Vec3::X * (0.05 + 0.04 * i as f32), Vec3::Y * (0.3 + 0.5 * (i % 5) as f32), finish);
+            b.rect(
+                Vec3::ZERO,
+                Vec3::X * (0.05 + 0.04 * i as f32),
+                Vec3::Y * (0.3 + 0.5 * (i % 5) as f32),
+                finish,
+            );
         }
         let atlas = Atlas::pack(&b.charts, 512).expect("fits");
         let mut owner = vec![0usize; 512 * 512];
         for (c, chart) in b.charts.iter().enumerate() {
             let [x0, y0] = atlas.corners[c];
-            let (w, h) = (texels(chart.size.x, atlas.density), texels(chart.size.y, atlas.density));
+            let (w, h) = (
+                texels(chart.size.x, atlas.density),
+                texels(chart.size.y, atlas.density),
+            );
             // two texels of margin to the right and below: no other chart may begin there
             for y in y0..(y0 + h + 2).min(512) {
                 for x in x0..(x0 + w + 2).min(512) {
-                    assert_eq!(std::mem::replace(&mut owner[y * 512 + x], c + 1), 0, "charts overlap at {x},{y}");
+                    assert_eq!(
+                        std::mem::replace(&mut owner[y * 512 + x], c + 1),
+                        0,
+                        "charts overlap at {x},{y}"
+                    );
                 }
             }
         }

@@ -1,4 +1,5 @@
-//! A plain binary glTF 2.0 of a mesh: positions, normals, one atlas, indices. No materials: the scene's are what is sought.
+//! A plain binary glTF 2.0 of a mesh: positions, normals, one atlas, indices. No materials: the
+//! scene's are what is sought.
 
 use crate::geometry::Mesh;
 use glam::Vec3;
@@ -68,10 +69,23 @@ mod tests {
             triangles: vec![[0, 1, 2], [2, 1, 0]],
         };
         let document = gltf::Gltf::from_slice(&glb(&mesh)).expect("valid");
-        let primitive = document.meshes().next().and_then(|m| m.primitives().next()).expect("one primitive");
+        let primitive = document
+            .meshes()
+            .next()
+            .and_then(|m| m.primitives().next())
+            .expect("one primitive");
         let reader = primitive.reader(|_| document.blob.as_deref());
-        let positions: Vec<Vec3> = reader.read_positions().expect("positions").map(Vec3::from_array).collect();
-        let uvs: Vec<Vec2> = reader.read_tex_coords(0).expect("uvs").into_f32().map(Vec2::from_array).collect();
+        let positions: Vec<Vec3> = reader
+            .read_positions()
+            .expect("positions")
+            .map(Vec3::from_array)
+            .collect();
+        let uvs: Vec<Vec2> = reader
+            .read_tex_coords(0)
+            .expect("uvs")
+            .into_f32()
+            .map(Vec2::from_array)
+            .collect();
         let indices: Vec<u32> = reader.read_indices().expect("indices").into_u32().collect();
         assert_eq!((positions, uvs), (mesh.positions, mesh.uvs));
         assert_eq!(indices, vec![0, 1, 2, 2, 1, 0]);

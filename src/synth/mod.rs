@@ -1,10 +1,13 @@
-//! Synthetic apartments with ground truth: the paper's synthetic data set in kind, made on the spot.
+//! Synthetic apartments with ground truth: the paper's synthetic data set in kind, made on the
+//! spot.
 //!
-//! Rooms in a row with doorways, windows, furniture and lamps; every surface has a known albedo and roughness texture under
-//! the paper's reflection model, so that a reconstruction is limited by evidence and noise and not by the model. Panoramas are
-//! rendered by [`crate::render::PathTracer`]: diffuse light is sampled and filtered once on the surfaces and shown by all views
-//! (`lightmap.rs`); reflections are sampled per pixel, more where they are noisy, and filtered only where the surface's roughness blurs
-//! them anyway, since roughness is measured from them. The same seed gives the same bits for any number of threads.
+//! Rooms in a row with doorways, windows, furniture and lamps; every surface has a known albedo and
+//! roughness texture under the paper's reflection model, so that a reconstruction is limited by
+//! evidence and noise and not by the model. Panoramas are rendered by
+//! [`crate::render::PathTracer`]: diffuse light is sampled and filtered once on the surfaces and
+//! shown by all views (`lightmap.rs`); reflections are sampled per pixel, more where they are
+//! noisy, and filtered only where the surface's roughness blurs them anyway, since roughness is
+//! measured from them. The same seed gives the same bits for any number of threads.
 
 mod apartment;
 mod atlas;
@@ -27,7 +30,9 @@ use crate::geometry::Camera;
 use crate::image::RgbPlane;
 use crate::progress::Progress;
 use crate::render::denoise::{Purpose, denoise};
-use crate::render::{Adaptive, Frame, IndirectCache, KnownLight, Noise, PathTracer, PathTracerOptions};
+use crate::render::{
+    Adaptive, Frame, IndirectCache, KnownLight, Noise, PathTracer, PathTracerOptions,
+};
 use crate::trace::EmbreeTracer;
 use glam::Vec3;
 use lightmap::Lightmap;
@@ -38,7 +43,8 @@ use std::path::Path;
 #[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct SynthOptions {
-    /// Seed of the floor plan, the colours, the cameras and the noise: the command line's global `--seed`.
+    /// Seed of the floor plan, the colours, the cameras and the noise: the command line's global
+    /// `--seed`.
     #[arg(skip = Self::default().seed)]
     #[serde(skip)]
     pub seed: u64,
@@ -54,8 +60,8 @@ pub struct SynthOptions {
     /// Width of a panorama in pixels; its height is half of it.
     #[arg(long, value_name = "PIXELS", default_value_t = Self::default().width, help_heading = "Synthetic scene")]
     pub width: usize,
-    /// Samples per pixel; up to 8 times as many where reflections are noisy. Diffuse light, shared by all views, takes 3 times as many
-    /// per texel.
+    /// Samples per pixel; up to 8 times as many where reflections are noisy. Diffuse light, shared
+    /// by all views, takes 3 times as many per texel.
     #[arg(long, value_name = "N", default_value_t = Self::default().spp, help_heading = "Synthetic scene")]
     pub spp: u32,
     /// Side of the ground-truth textures in texels.
@@ -64,8 +70,8 @@ pub struct SynthOptions {
     /// Leave the images as rendered, with their noise: every pixel samples its own light.
     #[arg(long, help_heading = "Synthetic scene")]
     pub no_denoise: bool,
-    /// Follow every path to its end instead of taking diffuse light from irradiance known on the surfaces: slower, unbiased but for the
-    /// denoising.
+    /// Follow every path to its end instead of taking diffuse light from irradiance known on the
+    /// surfaces: slower, unbiased but for the denoising.
     #[arg(long, help_heading = "Synthetic scene")]
     pub full_paths: bool,
     /// Give every surface roughness 1: a room without any highlight.
@@ -95,10 +101,19 @@ impl Default for SynthOptions {
 }
 
 impl SynthOptions {
-    /// A setting for tests and quick looks: one small room's worth of pictures in about ten seconds.
+    /// A setting for tests and quick looks: one small room's worth of pictures in about ten
+    /// seconds.
     #[must_use]
     pub fn small() -> Self {
-        Self { rooms: 1, views: 6, test_views: 2, width: 256, spp: 8, texture: 512, ..Self::default() }
+        Self {
+            rooms: 1,
+            views: 6,
+            test_views: 2,
+            width: 256,
+            spp: 8,
+            texture: 512,
+            ..Self::default()
+        }
     }
 
     fn validate(&self) -> Result<()> {
@@ -110,7 +125,9 @@ impl SynthOptions {
             return wrong("--views must be from 1 to 10000");
         }
         if self.test_views >= self.views {
-            return wrong("--test-views must be smaller than --views: at least one view is needed for training");
+            return wrong(
+                "--test-views must be smaller than --views: at least one view is needed for training",
+            );
         }
         if !(16..=16_384).contains(&self.width) || !self.width.is_multiple_of(2) {
             return wrong("--width must be an even number from 16 to 16384");
@@ -164,7 +181,8 @@ fn sky(apartment: &apartment::Apartment) -> Sky {
 
 /// Largest factor on `--spp` where highlights are noisy.
 const MOST: u32 = 8;
-/// Standard error of the specular part, relative to the brightness around, at which a block of pixels has samples enough.
+/// Standard error of the specular part, relative to the brightness around, at which a block of
+/// pixels has samples enough.
 const HIGHLIGHT_NOISE: f32 = 0.03;
 
 /// What the path tracer knows of a view, and the picture made of it.
@@ -181,24 +199,38 @@ fn photograph(
         let image = frame.radiance();
         return Ok((frame, image));
     }
-    let goal =
-        Adaptive { first: options.spp, most: options.spp.saturating_mul(MOST), error: HIGHLIGHT_NOISE, noise: Noise::Specular };
+    let goal = Adaptive {
+        first: options.spp,
+        most: options.spp.saturating_mul(MOST),
+        error: HIGHLIGHT_NOISE,
+        noise: Noise::Specular,
+    };
     let frame = renderer.render_adaptive(camera, key, &goal, known, progress, |_, _| Ok(()))?;
     let image = denoise(&frame, camera, Purpose::Measuring);
     Ok((frame, image))
 }
 
 /// Makes an apartment and writes its scene folder (design §1.1), whole or not at all.
-pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) -> Result<SynthSummary> {
+pub fn generate(
+    options: &SynthOptions,
+    out_folder: &Path,
+    progress: &Progress,
+) -> Result<SynthSummary> {
     options.validate()?;
     let writer = output::FolderWriter::new(out_folder)?;
     let mut apartment = apartment::Apartment::new(options.seed, options.rooms);
     if options.diffuse {
-        apartment.paints.iter_mut().for_each(pattern::Paint::make_matte);
+        apartment
+            .paints
+            .iter_mut()
+            .for_each(pattern::Paint::make_matte);
     }
-    let atlas = atlas::Atlas::pack(&apartment.charts, options.texture).ok_or_else(|| does_not_fit(&apartment, options))?;
+    let atlas = atlas::Atlas::pack(&apartment.charts, options.texture)
+        .ok_or_else(|| does_not_fit(&apartment, options))?;
     let mesh = atlas.mesh(&apartment.charts);
-    let texture = progress.stage("painting textures", 1, |_| atlas.paint(&apartment.charts, &apartment.paints));
+    let texture = progress.stage("painting textures", 1, |_| {
+        atlas.paint(&apartment.charts, &apartment.paints)
+    });
     let views = views::place(&apartment, options)?;
     progress.note(format!(
         "{} rooms, {} triangles, {} charts at {:.0} texels per metre",
@@ -210,37 +242,76 @@ pub fn generate(options: &SynthOptions, out_folder: &Path, progress: &Progress) 
     let tracer = EmbreeTracer::new(&mesh)?;
     let surfaces = Textured::new(&mesh, &apartment.charts, &texture);
     let sky = sky(&apartment);
-    let settings = PathTracerOptions { samples: options.spp, seed: options.seed, ..PathTracerOptions::default() };
+    let settings = PathTracerOptions {
+        samples: options.spp,
+        seed: options.seed,
+        ..PathTracerOptions::default()
+    };
     let renderer = PathTracer::new(&mesh, &tracer, &surfaces, &sky, settings);
     // the cache is worth as much care as the pixels, up to what its nodes can resolve
     let effort = (options.spp as f32 / 8.0).clamp(0.2, 2.0);
     let cache = (!options.full_paths).then(|| {
         let cache = SurfaceIrradiance::new(&mesh);
-        progress.stage("caching irradiance", cache.steps(), |p| cache.bake(&mesh, &tracer, &renderer, effort, p))
+        progress.stage("caching irradiance", cache.steps(), |p| {
+            cache.bake(&mesh, &tracer, &renderer, effort, p)
+        })
     });
     let shared = cache.as_ref().filter(|_| !options.no_denoise);
     let size = lightmap::side(&atlas, options.width);
-    let lightmap = shared.map(|c| Lightmap::bake(&mesh, &tracer, &renderer, c, (size, options.spp as f32 / 8.0), progress));
+    let lightmap = shared.map(|c| {
+        Lightmap::bake(
+            &mesh,
+            &tracer,
+            &renderer,
+            c,
+            (size, options.spp as f32 / 8.0),
+            progress,
+        )
+    });
     let known = match &lightmap {
-        Some(map) => KnownLight { first: Some(map), later: Some(map) },
-        None => KnownLight { first: None, later: cache.as_ref().map(|c| c as &dyn IndirectCache) },
+        Some(map) => KnownLight {
+            first: Some(map),
+            later: Some(map),
+        },
+        None => KnownLight {
+            first: None,
+            later: cache.as_ref().map(|c| c as &dyn IndirectCache),
+        },
     };
-    let pixels = views.iter().map(|v| (v.camera.width * v.camera.height) as u64).sum();
+    let pixels = views
+        .iter()
+        .map(|v| (v.camera.width * v.camera.height) as u64)
+        .sum();
     let mut luminances = Vec::new();
     let mut seen = std::collections::BTreeSet::new();
     progress.stage("rendering panoramas", pixels, |p| -> Result<()> {
         for (i, view) in views.iter().enumerate() {
             let (frame, image) = photograph(&renderer, &view.camera, i as u64, known, options, p)?;
-            luminances.extend(image.data.iter().step_by(61).map(|&c| crate::math::luminance(c)));
+            luminances.extend(
+                image
+                    .data
+                    .iter()
+                    .step_by(61)
+                    .map(|&c| crate::math::luminance(c)),
+            );
             seen.extend(frame.label.data.iter().copied().filter(|&l| l != 0));
             writer.view(&view.stem, &frame, &image)?;
         }
         Ok(())
     })?;
     luminances.sort_by(f32::total_cmp);
-    writer.scene(&output::Described { options, apartment: &apartment, mesh: &mesh, texture: &texture, views: &views })?;
+    writer.scene(&output::Described {
+        options,
+        apartment: &apartment,
+        mesh: &mesh,
+        texture: &texture,
+        views: &views,
+    })?;
     if options.truth {
-        true_solution(options)?.save(&writer.path("gt/solution"), &crate::solution::SaveOptions::default())?;
+        true_solution(options)?.save(
+            &writer.path("gt/solution"),
+            &crate::solution::SaveOptions::default(),
+        )?;
     }
     let summary = SynthSummary {
         triangles: mesh.triangles.len(),

@@ -1,4 +1,5 @@
-//! The apartment as the renderer sees it: textures, lamps, sky, and irradiance cached on the surfaces.
+//! The apartment as the renderer sees it: textures, lamps, sky, and irradiance cached on the
+//! surfaces.
 
 use super::charts::Chart;
 use crate::brdf::Material;
@@ -6,7 +7,9 @@ use crate::geometry::Mesh;
 use crate::image::{Plane, Wrap};
 use crate::parallel::map_chunks;
 use crate::progress::Progress;
-use crate::render::{Environment, IndirectCache, IrradiancePoint, PathTracer, Surface, SurfaceModel};
+use crate::render::{
+    Environment, IndirectCache, IrradiancePoint, PathTracer, Surface, SurfaceModel,
+};
 use crate::trace::{Ray, Tracer};
 use glam::{Vec3, Vec4};
 use std::collections::HashMap;
@@ -38,8 +41,16 @@ impl<'a> Textured<'a> {
 impl SurfaceModel for Textured<'_> {
     fn surface(&self, triangle: usize, u: f32, v: f32) -> Surface {
         let side = self.texture.width as f32;
-        let texel = self.texture.bilinear(self.mesh.uv(triangle, u, v) * side, Wrap::Clamp);
-        Surface { material: Material { albedo: texel.truncate(), roughness: texel.w }, emission: self.emission[triangle] }
+        let texel = self
+            .texture
+            .bilinear(self.mesh.uv(triangle, u, v) * side, Wrap::Clamp);
+        Surface {
+            material: Material {
+                albedo: texel.truncate(),
+                roughness: texel.w,
+            },
+            emission: self.emission[triangle],
+        }
     }
     fn mean_emission(&self, triangle: usize) -> Vec3 {
         self.emission[triangle]
@@ -73,8 +84,9 @@ impl Environment for Sky {
     }
 }
 
-/// Irradiance at vertices and in the middle of edges, interpolated over triangles by their quadratic polynomials: towards corners of a room light
-/// falls ever faster, and straight lines between vertices would lose 1 % of all bounced light.
+/// Irradiance at vertices and in the middle of edges, interpolated over triangles by their
+/// quadratic polynomials: towards corners of a room light falls ever faster, and straight lines
+/// between vertices would lose 1 % of all bounced light.
 pub struct SurfaceIrradiance {
     /// Nodes per triangle: its corners a, b, c and the middles of bc, ca, ab.
     nodes: Vec<[u32; 6]>,
@@ -84,15 +96,25 @@ pub struct SurfaceIrradiance {
 impl IndirectCache for SurfaceIrradiance {
     fn irradiance(&self, triangle: usize, u: f32, v: f32) -> Vec3 {
         let w = 1.0 - u - v;
-        let basis = [w, u, v].map(|x| x * (2.0 * x - 1.0)).into_iter().chain([4.0 * u * v, 4.0 * v * w, 4.0 * w * u]);
-        let sum: Vec3 = basis.zip(&self.nodes[triangle]).map(|(b, i)| self.values[*i as usize] * b).sum();
+        let basis = [w, u, v].map(|x| x * (2.0 * x - 1.0)).into_iter().chain([
+            4.0 * u * v,
+            4.0 * v * w,
+            4.0 * w * u,
+        ]);
+        let sum: Vec3 = basis
+            .zip(&self.nodes[triangle])
+            .map(|(b, i)| self.values[*i as usize] * b)
+            .sum();
         // a parabola may dip where light falls off steeply
-        let least = self.nodes[triangle].iter().fold(Vec3::INFINITY, |m, i| m.min(self.values[*i as usize]));
+        let least = self.nodes[triangle]
+            .iter()
+            .fold(Vec3::INFINITY, |m, i| m.min(self.values[*i as usize]));
         sum.max(least)
     }
 }
 
-/// Passes of the cache: samples per node, the first with full paths, the others on top of the pass before.
+/// Passes of the cache: samples per node, the first with full paths, the others on top of the pass
+/// before.
 const PASSES: [u32; 3] = [16, 32, 64];
 /// A node most of whose view is blocked nearer than this lies inside or under something; metres.
 const BURIED: f32 = 0.03;
@@ -102,7 +124,10 @@ impl SurfaceIrradiance {
     #[must_use]
     pub fn new(mesh: &Mesh) -> Self {
         let (nodes, count) = nodes(mesh);
-        Self { nodes, values: vec![Vec3::ZERO; count] }
+        Self {
+            nodes,
+            values: vec![Vec3::ZERO; count],
+        }
     }
 
     /// Steps that [`Self::bake`] reports.
@@ -113,26 +138,44 @@ impl SurfaceIrradiance {
 
     /// Bakes the cache of the same `mesh` with the renderer itself.
     #[must_use]
-    pub fn bake(mut self, mesh: &Mesh, tracer: &dyn Tracer, renderer: &PathTracer<'_>, effort: f32, progress: &Progress) -> Self {
+    pub fn bake(
+        mut self,
+        mesh: &Mesh,
+        tracer: &dyn Tracer,
+        renderer: &PathTracer<'_>,
+        effort: f32,
+        progress: &Progress,
+    ) -> Self {
         let points = receivers(mesh, &self.nodes, self.values.len());
         let buried = buried(&points, tracer);
         for (pass, samples) in PASSES.into_iter().enumerate() {
             let samples = ((samples as f32 * effort) as u32).max(4);
             let cache = (pass > 0).then_some(&self as &dyn IndirectCache);
-            self.values = renderer.irradiance_with(&points, samples, 0x1337 + pass as u64, cache, progress);
+            self.values =
+                renderer.irradiance_with(&points, samples, 0x1337 + pass as u64, cache, progress);
             self.fill(&buried);
         }
         self
     }
 
-    /// Gives buried nodes the mean of their visible neighbours, ring by ring: the interpolation across the border of
-    /// a cupboard's footprint must not darken the floor that can be seen.
+    /// Gives buried nodes the mean of their visible neighbours, ring by ring: the interpolation
+    /// across the border of a cupboard's footprint must not darken the floor that can be seen.
     fn fill(&mut self, buried: &[bool]) {
         let mut known: Vec<bool> = buried.iter().map(|b| !b).collect();
         for _ in 0..12 {
             let mut sums = vec![(Vec3::ZERO, 0.0f32); known.len()];
             for &[a, b, c, bc, ca, ab] in &self.nodes {
-                for (i, j) in [(a, ab), (ab, b), (b, bc), (bc, c), (c, ca), (ca, a), (ab, bc), (bc, ca), (ca, ab)] {
+                for (i, j) in [
+                    (a, ab),
+                    (ab, b),
+                    (b, bc),
+                    (bc, c),
+                    (c, ca),
+                    (ca, a),
+                    (ab, bc),
+                    (bc, ca),
+                    (ca, ab),
+                ] {
                     for (to, from) in [(i as usize, j as usize), (j as usize, i as usize)] {
                         if !known[to] && known[from] {
                             sums[to].0 += self.values[from];
@@ -149,18 +192,24 @@ impl SurfaceIrradiance {
     }
 }
 
-/// The nodes of every triangle, and how many there are: vertices keep their numbers, edges come behind.
+/// The nodes of every triangle, and how many there are: vertices keep their numbers, edges come
+/// behind.
 fn nodes(mesh: &Mesh) -> (Vec<[u32; 6]>, usize) {
     let mut edges: HashMap<(u32, u32), u32> = HashMap::new();
     let mut middle = |i: u32, j: u32| {
         let next = (mesh.positions.len() + edges.len()) as u32;
         *edges.entry((i.min(j), i.max(j))).or_insert(next)
     };
-    let nodes = mesh.triangles.iter().map(|&[a, b, c]| [a, b, c, middle(b, c), middle(c, a), middle(a, b)]).collect();
+    let nodes = mesh
+        .triangles
+        .iter()
+        .map(|&[a, b, c]| [a, b, c, middle(b, c), middle(c, a), middle(a, b)])
+        .collect();
     (nodes, mesh.positions.len() + edges.len())
 }
 
-/// One receiver for each of `count` nodes, drawn a little towards the adjacent triangles so that it does not sit in a corner.
+/// One receiver for each of `count` nodes, drawn a little towards the adjacent triangles so that it
+/// does not sit in a corner.
 fn receivers(mesh: &Mesh, nodes: &[[u32; 6]], count: usize) -> Vec<IrradiancePoint> {
     #[derive(Clone, Copy, Default)]
     struct Node {
@@ -181,7 +230,10 @@ fn receivers(mesh: &Mesh, nodes: &[[u32; 6]], count: usize) -> Vec<IrradiancePoi
             (n.position, n.normal) = if k < 3 {
                 (corners[k], normals[k])
             } else {
-                (middle(corners, k - 3), middle(normals, k - 3).normalize_or_zero())
+                (
+                    middle(corners, k - 3),
+                    middle(normals, k - 3).normalize_or_zero(),
+                )
             };
             n.centres += centre;
             n.face_normals += mesh.double_area_normal(t);
@@ -189,11 +241,20 @@ fn receivers(mesh: &Mesh, nodes: &[[u32; 6]], count: usize) -> Vec<IrradiancePoi
         }
     }
     let point = |n: &Node| {
-        // within the tangent plane: straight towards the centroid would enter a convex body, and see a lamp from inside
-        let inwards = if n.triangles > 0.0 { n.centres / n.triangles - n.position } else { Vec3::ZERO };
+        // within the tangent plane: straight towards the centroid would enter a convex body, and
+        // see a lamp from inside
+        let inwards = if n.triangles > 0.0 {
+            n.centres / n.triangles - n.position
+        } else {
+            Vec3::ZERO
+        };
         let position = n.position + 0.06 * (inwards - n.normal * n.normal.dot(inwards));
         let face_normal = n.face_normals.normalize_or(n.normal);
-        IrradiancePoint { position: position + n.normal * 2e-4, face_normal, normal: n.normal }
+        IrradiancePoint {
+            position: position + n.normal * 2e-4,
+            face_normal,
+            normal: n.normal,
+        }
     };
     sums.iter().map(point).collect()
 }
@@ -207,13 +268,23 @@ pub(super) fn buried(points: &[IrradiancePoint], tracer: &dyn Tracer) -> Vec<boo
             let frame = crate::math::Frame::from_normal(point.normal);
             for k in 0..RAYS {
                 let u = crate::sampling::hammersley(k as u32, RAYS as u32);
-                let d = frame.world_from_local(crate::sampling::square_to_cosine_hemisphere([u[0] + 0.5 / RAYS as f32, u[1]]));
-                rays.push(Ray::new(point.position + point.face_normal * 1e-4, d, BURIED));
+                let d = frame.world_from_local(crate::sampling::square_to_cosine_hemisphere([
+                    u[0] + 0.5 / RAYS as f32,
+                    u[1],
+                ]));
+                rays.push(Ray::new(
+                    point.position + point.face_normal * 1e-4,
+                    d,
+                    BURIED,
+                ));
             }
         }
         let mut occluded = vec![0u8; rays.len()];
         tracer.occluded(&rays, &mut occluded);
-        occluded.chunks(RAYS).map(|o| o.iter().map(|&x| usize::from(x)).sum::<usize>() > RAYS * 3 / 4).collect::<Vec<bool>>()
+        occluded
+            .chunks(RAYS)
+            .map(|o| o.iter().map(|&x| usize::from(x)).sum::<usize>() > RAYS * 3 / 4)
+            .collect::<Vec<bool>>()
     });
     parts.into_iter().flatten().collect()
 }
@@ -223,7 +294,8 @@ mod tests {
     use super::*;
     use glam::Vec2;
 
-    /// Light that falls off quadratically is interpolated exactly, on two triangles that share an edge.
+    /// Light that falls off quadratically is interpolated exactly, on two triangles that share an
+    /// edge.
     #[test]
     fn quadratic_light_is_interpolated_exactly() {
         let mesh = Mesh {
@@ -237,13 +309,29 @@ mod tests {
         assert_eq!(count, 9, "four vertices and five edges");
         let mut values = vec![Vec3::ZERO; count];
         for (t, [a, b, c, bc, ca, ab]) in nodes.iter().copied().enumerate() {
-            let at = [(a, 0.0, 0.0), (b, 1.0, 0.0), (c, 0.0, 1.0), (bc, 0.5, 0.5), (ca, 0.0, 0.5), (ab, 0.5, 0.0)];
-            at.iter().for_each(|&(i, u, v)| values[i as usize] = light(mesh.position(t, u, v)));
+            let at = [
+                (a, 0.0, 0.0),
+                (b, 1.0, 0.0),
+                (c, 0.0, 1.0),
+                (bc, 0.5, 0.5),
+                (ca, 0.0, 0.5),
+                (ab, 0.5, 0.0),
+            ];
+            at.iter()
+                .for_each(|&(i, u, v)| values[i as usize] = light(mesh.position(t, u, v)));
         }
         let cache = SurfaceIrradiance { nodes, values };
-        for (t, u, v) in [(0, 0.2, 0.3), (0, 0.6, 0.1), (1, 0.33, 0.33), (1, 0.05, 0.9)] {
+        for (t, u, v) in [
+            (0, 0.2, 0.3),
+            (0, 0.6, 0.1),
+            (1, 0.33, 0.33),
+            (1, 0.05, 0.9),
+        ] {
             let (got, want) = (cache.irradiance(t, u, v), light(mesh.position(t, u, v)));
-            assert!((got - want).abs().max_element() < 1e-5, "{t} {u} {v}: {got} instead of {want}");
+            assert!(
+                (got - want).abs().max_element() < 1e-5,
+                "{t} {u} {v}: {got} instead of {want}"
+            );
         }
     }
 }

@@ -44,15 +44,31 @@ pub struct Described<'a> {
 impl FolderWriter {
     /// Begins a folder; refuses to replace one that `unbake synth` did not write.
     pub fn new(target: &Path) -> Result<Self> {
-        let occupied = target.is_file() || fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_some());
+        let occupied = target.is_file()
+            || fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_some());
         if occupied && !target.join(MARK).is_file() {
             let message = "exists and was not written by `unbake synth`; name another folder or remove it first";
             return Err(Error::input(target, message));
         }
-        let name = target.file_name().ok_or_else(|| Error::input(target, "is not a folder name; name one to create"))?;
-        let temporary = target.with_file_name(format!(".{}.{}.partial", name.to_string_lossy(), std::process::id()));
-        let writer = Self { target: target.to_path_buf(), temporary };
-        for folder in ["images", "labels", "gt/albedo", "gt/roughness", "gt/emission"] {
+        let name = target
+            .file_name()
+            .ok_or_else(|| Error::input(target, "is not a folder name; name one to create"))?;
+        let temporary = target.with_file_name(format!(
+            ".{}.{}.partial",
+            name.to_string_lossy(),
+            std::process::id()
+        ));
+        let writer = Self {
+            target: target.to_path_buf(),
+            temporary,
+        };
+        for folder in [
+            "images",
+            "labels",
+            "gt/albedo",
+            "gt/roughness",
+            "gt/emission",
+        ] {
             let path = writer.temporary.join(folder);
             fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
         }
@@ -75,16 +91,40 @@ impl FolderWriter {
 
     /// Writes a view's image, labels and ground truth.
     pub fn view(&self, stem: &str, frame: &Frame, image: &RgbPlane) -> Result<()> {
-        // emission counts where the pixel's centre is on a lamp: a pixel that a lamp only touches has another class
+        // emission counts where the pixel's centre is on a lamp: a pixel that a lamp only touches
+        // has another class
         let lamp = |label: u16| CLASSES.iter().any(|c| c.0 == label && c.2);
         let emits = |(e, l): (&Vec3, &u16)| if lamp(*l) { *e } else { Vec3::ZERO };
-        let emitted = frame.emission.data.iter().zip(&frame.label.data).map(emits).collect();
-        let emission = Plane { width: frame.label.width, height: frame.label.height, data: emitted };
+        let emitted = frame
+            .emission
+            .data
+            .iter()
+            .zip(&frame.label.data)
+            .map(emits)
+            .collect();
+        let emission = Plane {
+            width: frame.label.width,
+            height: frame.label.height,
+            data: emitted,
+        };
         let files: [&(dyn Fn() -> Result<usize> + Sync); 5] = [
             &|| formats::write_rgb_half(self.path(format!("images/{stem}.exr")), image),
-            &|| formats::write_png16(self.path(format!("labels/{stem}.png")), &frame.label).map(|()| 0),
-            &|| formats::write_rgb_half(self.path(format!("gt/albedo/{stem}.exr")), &frame.class_albedo),
-            &|| formats::write_plane_half(self.path(format!("gt/roughness/{stem}.exr")), &frame.class_roughness),
+            &|| {
+                formats::write_png16(self.path(format!("labels/{stem}.png")), &frame.label)
+                    .map(|()| 0)
+            },
+            &|| {
+                formats::write_rgb_half(
+                    self.path(format!("gt/albedo/{stem}.exr")),
+                    &frame.class_albedo,
+                )
+            },
+            &|| {
+                formats::write_plane_half(
+                    self.path(format!("gt/roughness/{stem}.exr")),
+                    &frame.class_roughness,
+                )
+            },
             &|| formats::write_rgb_half(self.path(format!("gt/emission/{stem}.exr")), &emission),
         ];
         files.par_iter().try_for_each(|write| write().map(drop))
@@ -93,8 +133,14 @@ impl FolderWriter {
     /// Writes everything that is not a view's.
     pub fn scene(&self, d: &Described<'_>) -> Result<()> {
         self.write("mesh.glb", &glb::glb(d.mesh))?;
-        formats::write_rgb_half(self.path("gt/albedo_texture.exr"), &d.texture.map(|t| t.truncate()))?;
-        formats::write_plane_half(self.path("gt/roughness_texture.exr"), &d.texture.map(|t| t.w))?;
+        formats::write_rgb_half(
+            self.path("gt/albedo_texture.exr"),
+            &d.texture.map(|t| t.truncate()),
+        )?;
+        formats::write_plane_half(
+            self.path("gt/roughness_texture.exr"),
+            &d.texture.map(|t| t.w),
+        )?;
         self.write_json("gt/materials.json", &materials(d))?;
         let (grid, place) = rooms(d);
         formats::write_png16(self.path("rooms.png"), &grid)?;
@@ -104,7 +150,8 @@ impl FolderWriter {
 
     /// Moves the finished folder into place.
     pub fn finish(self, summary: &SynthSummary) -> Result<()> {
-        let text = serde_json::to_value(summary).map_err(|e| Error::Failed(format!("{MARK}: {e}")))?;
+        let text =
+            serde_json::to_value(summary).map_err(|e| Error::Failed(format!("{MARK}: {e}")))?;
         self.write_json(MARK, &text)?;
         if self.target.exists() {
             fs::remove_dir_all(&self.target).map_err(|e| Error::io(&self.target, e))?;
@@ -135,7 +182,13 @@ fn transforms(d: &Described<'_>) -> Value {
         .iter()
         .map(|&(id, name, light)| json!({"id": id, "name": name, "kind": if light { "light" } else { "surface" }}))
         .collect();
-    let names = |held_out: bool| d.views.iter().filter(|v| v.held_out == held_out).map(file).collect::<Vec<String>>();
+    let names = |held_out: bool| {
+        d.views
+            .iter()
+            .filter(|v| v.held_out == held_out)
+            .map(file)
+            .collect::<Vec<String>>()
+    };
     json!({
         "camera_model": "EQUIRECTANGULAR",
         "w": d.options.width,
@@ -158,11 +211,23 @@ fn rooms(d: &Described<'_>) -> (Plane<u16>, Value) {
         let x = low.x + ((i % columns) as f32 + 0.5) * ROOM_CELL;
         let gap = |x0: f32, x1: f32| (x0 - x).max(x - x1).max(0.0);
         let distance = |r: &super::apartment::Room| gap(r.x, r.x + r.size.x);
-        let nearest = d.apartment.rooms.iter().enumerate().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
+        let nearest = d
+            .apartment
+            .rooms
+            .iter()
+            .enumerate()
+            .min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
         nearest.map_or(0, |(k, _)| k as u16 + 1)
     };
-    let grid = Plane { width: columns, height: rows, data: (0..columns * rows).map(id).collect() };
-    (grid, json!({"cell": ROOM_CELL, "x_min": low.x, "z_min": low.z}))
+    let grid = Plane {
+        width: columns,
+        height: rows,
+        data: (0..columns * rows).map(id).collect(),
+    };
+    (
+        grid,
+        json!({"cell": ROOM_CELL, "x_min": low.x, "z_min": low.z}),
+    )
 }
 
 /// Per class: area-weighted mean albedo and roughness of its surfaces, and the paints used.
@@ -187,7 +252,10 @@ fn materials(d: &Described<'_>) -> Value {
     for (class, (sum, area, paints, emission)) in sums {
         let mean = sum / area.max(1e-12);
         let name = CLASSES.iter().find(|c| c.0 == class).map_or("?", |c| c.1);
-        let rough: Vec<f32> = paints.iter().map(|&p| d.apartment.paints[p].roughness).collect();
+        let rough: Vec<f32> = paints
+            .iter()
+            .map(|&p| d.apartment.paints[p].roughness)
+            .collect();
         let value = json!({
             "id": class,
             "albedo": mean.truncate().to_array(),

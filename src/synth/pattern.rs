@@ -85,7 +85,10 @@ impl Paint {
     /// Takes the gloss off.
     pub fn make_matte(&mut self) {
         self.roughness = 1.0;
-        if let Pattern::Tiles { grout_roughness, .. } = &mut self.pattern {
+        if let Pattern::Tiles {
+            grout_roughness, ..
+        } = &mut self.pattern
+        {
             *grout_roughness = 1.0;
         }
     }
@@ -105,10 +108,20 @@ impl Paint {
                 let across = uv.y + 0.035 * noise(id, Vec2::new(along * 1.3, uv.y * 6.0));
                 let grain = fractal(id, Vec2::new(along * 2.5, across * 55.0));
                 let joint = (uv.y / board).fract();
-                let gap = if !(0.02..=0.98).contains(&joint) { 0.6 } else { 1.0 };
-                (a.lerp(b, (grain * 1.4 - 0.3).clamp(0.0, 1.0)) * (tone * gap), self.roughness)
+                let gap = if !(0.02..=0.98).contains(&joint) {
+                    0.6
+                } else {
+                    1.0
+                };
+                (
+                    a.lerp(b, (grain * 1.4 - 0.3).clamp(0.0, 1.0)) * (tone * gap),
+                    self.roughness,
+                )
             }
-            Pattern::Tiles { edge, grout_roughness } => {
+            Pattern::Tiles {
+                edge,
+                grout_roughness,
+            } => {
                 let p = uv / edge;
                 let f = p - p.floor();
                 let rim = f.min(Vec2::ONE - f).min_element() * edge;
@@ -116,17 +129,26 @@ impl Paint {
                     (b, grout_roughness)
                 } else {
                     let tone = 0.9 + 0.2 * unit(key, p.x.floor() as i64, p.y.floor() as i64);
-                    (a * tone * (0.95 + 0.1 * fractal(key, uv * 6.0)), self.roughness)
+                    (
+                        a * tone * (0.95 + 0.1 * fractal(key, uv * 6.0)),
+                        self.roughness,
+                    )
                 }
             }
             Pattern::Checks { edge } => {
                 let p = (uv / edge).floor();
                 let odd = (p.x + p.y).rem_euclid(2.0) > 0.5;
-                ((if odd { a } else { b }) * (0.94 + 0.1 * fractal(key, uv * 9.0)), self.roughness)
+                (
+                    (if odd { a } else { b }) * (0.94 + 0.1 * fractal(key, uv * 9.0)),
+                    self.roughness,
+                )
             }
             Pattern::Stripes { width } => {
                 let odd = (uv.x / width).floor().rem_euclid(2.0) > 0.5;
-                ((if odd { a } else { b }) * (0.94 + 0.1 * fractal(key, uv * 12.0)), self.roughness)
+                (
+                    (if odd { a } else { b }) * (0.94 + 0.1 * fractal(key, uv * 12.0)),
+                    self.roughness,
+                )
             }
             Pattern::Fabric => {
                 let weave = noise(key, uv * 40.0);
@@ -137,7 +159,9 @@ impl Paint {
             Pattern::Rug => {
                 let inset = uv.min(size - uv).min_element();
                 let p = uv - 0.5 * size;
-                let lozenge = ((p.x.abs() * 4.0 + p.y.abs() * 6.0) * 1.2).floor().rem_euclid(3.0);
+                let lozenge = ((p.x.abs() * 4.0 + p.y.abs() * 6.0) * 1.2)
+                    .floor()
+                    .rem_euclid(3.0);
                 let c = if inset < 0.08 {
                     b
                 } else if inset < 0.14 {
@@ -149,9 +173,15 @@ impl Paint {
                 };
                 (c * (0.85 + 0.25 * noise(key, uv * 40.0)), self.roughness)
             }
-            Pattern::Assorted => (a.lerp(b, unit(key, 5, 5)) * (0.4 + 0.6 * vivid(key)) * 1.4, self.roughness),
+            Pattern::Assorted => (
+                a.lerp(b, unit(key, 5, 5)) * (0.4 + 0.6 * vivid(key)) * 1.4,
+                self.roughness,
+            ),
         };
-        (albedo.clamp(Vec3::splat(0.02), Vec3::splat(0.85)), roughness.clamp(0.05, 1.0))
+        (
+            albedo.clamp(Vec3::splat(0.02), Vec3::splat(0.85)),
+            roughness.clamp(0.05, 1.0),
+        )
     }
 }
 
@@ -183,7 +213,10 @@ mod tests {
         let patterns = [
             Pattern::Plain,
             Pattern::Wood { board: 0.1 },
-            Pattern::Tiles { edge: 0.3, grout_roughness: 0.8 },
+            Pattern::Tiles {
+                edge: 0.3,
+                grout_roughness: 0.8,
+            },
             Pattern::Checks { edge: 0.1 },
             Pattern::Stripes { width: 0.1 },
             Pattern::Fabric,
@@ -192,11 +225,20 @@ mod tests {
             Pattern::Assorted,
         ];
         for pattern in patterns {
-            let paint = Paint { pattern, colours: [Vec3::splat(0.9), Vec3::splat(0.1)], roughness: 0.3 };
+            let paint = Paint {
+                pattern,
+                colours: [Vec3::splat(0.9), Vec3::splat(0.1)],
+                roughness: 0.3,
+            };
             for i in 0..400 {
                 let uv = Vec2::new((i % 20) as f32 * 0.07 - 0.05, (i / 20) as f32 * 0.05 - 0.05);
                 let (c, r) = paint.look(uv, Vec2::new(1.3, 0.9), 5);
-                assert!(c.is_finite() && c.min_element() >= 0.02 && c.max_element() <= 0.85 && (0.05..=1.0).contains(&r));
+                assert!(
+                    c.is_finite()
+                        && c.min_element() >= 0.02
+                        && c.max_element() <= 0.85
+                        && (0.05..=1.0).contains(&r)
+                );
                 assert_eq!((c, r), paint.look(uv, Vec2::new(1.3, 0.9), 5));
             }
         }

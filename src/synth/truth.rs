@@ -1,5 +1,5 @@
-//! The truth of an apartment in the form of a solution: what a perfect reconstruction would be, for comparison under changed
-//! light. No solver reads it.
+//! The truth of an apartment in the form of a solution: what a perfect reconstruction would be, for
+//! comparison under changed light. No solver reads it.
 
 use super::{SynthOptions, apartment::Apartment, atlas::Atlas, sky};
 use crate::error::Result;
@@ -14,15 +14,16 @@ use std::f32::consts::{PI, TAU};
 /// Width of the sky as a panorama.
 const SKY: usize = 1024;
 
-/// The apartment of `options` with its true materials, lamps and sky; irradiance and radiance are left black (the path tracer
-/// needs neither).
+/// The apartment of `options` with its true materials, lamps and sky; irradiance and radiance are
+/// left black (the path tracer needs neither).
 ///
 /// # Errors
 /// Options out of range.
 pub fn true_solution(options: &SynthOptions) -> Result<Solution> {
     options.validate()?;
     let apartment = Apartment::new(options.seed, options.rooms);
-    let atlas = Atlas::pack(&apartment.charts, options.texture).ok_or_else(|| super::does_not_fit(&apartment, options))?;
+    let atlas = Atlas::pack(&apartment.charts, options.texture)
+        .ok_or_else(|| super::does_not_fit(&apartment, options))?;
     let mesh = atlas.mesh(&apartment.charts);
     let texture = atlas.paint(&apartment.charts, &apartment.paints);
     Ok(assemble(&apartment, mesh, &texture))
@@ -30,11 +31,23 @@ pub fn true_solution(options: &SynthOptions) -> Result<Solution> {
 
 fn assemble(apartment: &Apartment, mesh: Mesh, texture: &Plane<Vec4>) -> Solution {
     let side = texture.width;
-    let finishes: Vec<_> = apartment.charts.iter().flat_map(|c| std::iter::repeat_n(c.finish, c.triangles.len())).collect();
+    let finishes: Vec<_> = apartment
+        .charts
+        .iter()
+        .flat_map(|c| std::iter::repeat_n(c.finish, c.triangles.len()))
+        .collect();
     let texels = Texels::rasterize(&mesh, side, side);
     let covered = texels.scatter(&vec![true; texels.len()], false);
-    let emitted: Vec<Vec3> = texels.point.iter().map(|p| finishes[p.triangle as usize].emission).collect();
-    let labels: Vec<u16> = texels.point.iter().map(|p| finishes[p.triangle as usize].class).collect();
+    let emitted: Vec<Vec3> = texels
+        .point
+        .iter()
+        .map(|p| finishes[p.triangle as usize].emission)
+        .collect();
+    let labels: Vec<u16> = texels
+        .point
+        .iter()
+        .map(|p| finishes[p.triangle as usize].class)
+        .collect();
     let sky = sky(apartment);
     let black = || Plane::filled(4, 4, Vec3::ZERO);
     Solution {
@@ -59,9 +72,17 @@ fn panorama(sky: &dyn Environment) -> RgbPlane {
     let at = |i: usize| {
         let lambda = TAU * ((i % w) as f32 + 0.5) / w as f32 - PI;
         let theta = PI * ((i / w) as f32 + 0.5) / h as f32;
-        sky.radiance(Vec3::new(lambda.sin() * theta.sin(), theta.cos(), -lambda.cos() * theta.sin()))
+        sky.radiance(Vec3::new(
+            lambda.sin() * theta.sin(),
+            theta.cos(),
+            -lambda.cos() * theta.sin(),
+        ))
     };
-    Plane { width: w, height: h, data: (0..w * h).map(at).collect() }
+    Plane {
+        width: w,
+        height: h,
+        data: (0..w * h).map(at).collect(),
+    }
 }
 
 #[cfg(test)]
@@ -73,10 +94,15 @@ mod tests {
     use crate::render::{PathTracer, PathTracerOptions, Stage, TraceSettings, World, lamp_groups};
     use crate::trace::EmbreeTracer;
 
-    /// The same pictures come from the apartment's own model and from its truth as a solution: textures, lamps and sky survive.
+    /// The same pictures come from the apartment's own model and from its truth as a solution:
+    /// textures, lamps and sky survive.
     #[test]
     fn the_truth_renders_like_the_apartment() {
-        let options = SynthOptions { rooms: 1, texture: 512, ..SynthOptions::default() };
+        let options = SynthOptions {
+            rooms: 1,
+            texture: 512,
+            ..SynthOptions::default()
+        };
         let truth = true_solution(&options).expect("valid");
         let apartment = Apartment::new(options.seed, options.rooms);
         let atlas = Atlas::pack(&apartment.charts, options.texture).expect("fits");
@@ -85,19 +111,40 @@ mod tests {
         let tracer = EmbreeTracer::new(&mesh).expect("embree");
         let surfaces = super::super::Textured::new(&mesh, &apartment.charts, &texture);
         let sky = sky(&apartment);
-        let settings = PathTracerOptions { samples: 64, ..PathTracerOptions::default() };
-        let view = super::super::views::place(&apartment, &options).expect("views").remove(0);
-        let camera = Camera { projection: Projection::Equirectangular, width: 32, height: 16, ..view.camera };
-        let own = PathTracer::new(&mesh, &tracer, &surfaces, &sky, settings).render(&camera, 0, &Progress::silent()).radiance();
+        let settings = PathTracerOptions {
+            samples: 64,
+            ..PathTracerOptions::default()
+        };
+        let view = super::super::views::place(&apartment, &options)
+            .expect("views")
+            .remove(0);
+        let camera = Camera {
+            projection: Projection::Equirectangular,
+            width: 32,
+            height: 16,
+            ..view.camera
+        };
+        let own = PathTracer::new(&mesh, &tracer, &surfaces, &sky, settings)
+            .render(&camera, 0, &Progress::silent())
+            .radiance();
         let mut world = World::new(&truth);
         assert!(!lamp_groups(&world, truth.origin).is_empty());
         let stage = Stage::new(&mut world).expect("embree");
-        let goal = Adaptive { first: 64, most: 64, error: 0.0, noise: Noise::Reflected };
+        let goal = Adaptive {
+            first: 64,
+            most: 64,
+            error: 0.0,
+            noise: Noise::Reflected,
+        };
         let mut image = None;
         stage
             .render(
                 &[("x".into(), camera)],
-                &TraceSettings { tracer: settings, goal, denoise: false },
+                &TraceSettings {
+                    tracer: settings,
+                    goal,
+                    denoise: false,
+                },
                 &Progress::silent(),
                 |_, _| Ok(()),
                 |_, i| {
@@ -108,7 +155,12 @@ mod tests {
             .expect("renders");
         let image = image.expect("one frame");
         // lamps themselves are thousands of times brighter: what counts is the light they send
-        let mean = |p: &RgbPlane| p.data.iter().map(|c| f64::from(c.min(Vec3::ONE).element_sum())).sum::<f64>();
+        let mean = |p: &RgbPlane| {
+            p.data
+                .iter()
+                .map(|c| f64::from(c.min(Vec3::ONE).element_sum()))
+                .sum::<f64>()
+        };
         let (a, b) = (mean(&own), mean(&image));
         assert!((a / b - 1.0).abs() < 0.03, "{a} against {b}");
     }

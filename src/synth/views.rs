@@ -19,7 +19,8 @@ pub struct SynthView {
 
 /// Metres a camera keeps from furniture and walls, tried in turn.
 const CLEARANCES: [f32; 4] = [0.45, 0.35, 0.25, 0.15];
-/// Candidates per camera; the one farthest from all earlier cameras of the room wins (Mitchell's best candidate).
+/// Candidates per camera; the one farthest from all earlier cameras of the room wins (Mitchell's
+/// best candidate).
 const CANDIDATES: usize = 200;
 
 /// Places all cameras, taking turns among the rooms and spreading the held-out ones evenly.
@@ -31,15 +32,26 @@ pub fn place(apartment: &Apartment, options: &SynthOptions) -> Result<Vec<SynthV
         let mut rng = KeyedRng::new(options.seed, 50_000 + i as u64);
         let r = &apartment.rooms[room];
         let candidate = CLEARANCES.iter().find_map(|&clearance| {
-            let draws: Vec<Vec2> =
-                (0..CANDIDATES).map(|_| Vec2::new(r.x + r.size.x * rng.next_f32(), r.size.z * rng.next_f32())).collect();
-            let free = draws.into_iter().filter(|p| apartment.is_free(room, *p, clearance));
-            let lonely =
-                |p: &Vec2| placed.iter().filter(|(k, _)| *k == room).map(|(_, q)| q.distance(*p)).fold(f32::INFINITY, f32::min);
+            let draws: Vec<Vec2> = (0..CANDIDATES)
+                .map(|_| Vec2::new(r.x + r.size.x * rng.next_f32(), r.size.z * rng.next_f32()))
+                .collect();
+            let free = draws
+                .into_iter()
+                .filter(|p| apartment.is_free(room, *p, clearance));
+            let lonely = |p: &Vec2| {
+                placed
+                    .iter()
+                    .filter(|(k, _)| *k == room)
+                    .map(|(_, q)| q.distance(*p))
+                    .fold(f32::INFINITY, f32::min)
+            };
             free.max_by(|a, b| lonely(a).total_cmp(&lonely(b)))
         });
         let Some(p) = candidate else {
-            return Err(Error::Failed(format!("synth: room {room} has no free place for a camera with seed {}", options.seed)));
+            return Err(Error::Failed(format!(
+                "synth: room {room} has no free place for a camera with seed {}",
+                options.seed
+            )));
         };
         placed.push((room, p));
         let yaw = std::f32::consts::TAU * rng.next_f32();
@@ -51,12 +63,16 @@ pub fn place(apartment: &Apartment, options: &SynthOptions) -> Result<Vec<SynthV
             world_from_camera: Mat3::from_rotation_y(yaw),
             position: Vec3::new(p.x, height, p.y),
         };
-        // Bresenham's spread: view i is held out where the running share steps up; rooms are visited in turn, so
-        // the share is counted over visits of the same room
+        // Bresenham's spread: view i is held out where the running share steps up; rooms are
+        // visited in turn, so the share is counted over visits of the same room
         let (visit, rooms) = (i / apartment.rooms.len(), apartment.rooms.len());
         let order = room * options.views.div_ceil(rooms) + visit;
         let share = |n: usize| n * options.test_views / options.views;
-        views.push(SynthView { stem: format!("{i:03}"), camera, held_out: share(order + 1) > share(order) });
+        views.push(SynthView {
+            stem: format!("{i:03}"),
+            camera,
+            held_out: share(order + 1) > share(order),
+        });
     }
     // rounding may leave a few too many or too few
     let mut count = views.iter().filter(|v| v.held_out).count();
@@ -79,7 +95,10 @@ mod tests {
     #[test]
     fn cameras_stand_in_free_space_and_the_split_is_as_asked() {
         for seed in 0..12 {
-            let options = SynthOptions { seed, ..SynthOptions::default() };
+            let options = SynthOptions {
+                seed,
+                ..SynthOptions::default()
+            };
             let apartment = Apartment::new(seed, options.rooms);
             let views = place(&apartment, &options).expect("places");
             assert_eq!(views.len(), 40);
@@ -89,8 +108,15 @@ mod tests {
                 assert!(apartment.is_free(i % 3, p, 0.15), "seed {seed} view {i}");
             }
             for room in 0..3 {
-                let train = views.iter().enumerate().filter(|(i, v)| i % 3 == room && !v.held_out).count();
-                assert!(train >= 5, "seed {seed}: room {room} has {train} training views");
+                let train = views
+                    .iter()
+                    .enumerate()
+                    .filter(|(i, v)| i % 3 == room && !v.held_out)
+                    .count();
+                assert!(
+                    train >= 5,
+                    "seed {seed}: room {room} has {train} training views"
+                );
             }
         }
     }

@@ -1,10 +1,11 @@
-//! Filling texels that no chart covers (Gortler et al. 1996, pull–push), so that mips and bilinear lookups never meet black.
+//! Filling texels that no chart covers (Gortler et al. 1996, pull–push), so that mips and bilinear
+//! lookups never meet black.
 
 use crate::image::Plane;
 use std::ops::{Add, Mul};
 
-/// Fills every texel with `covered == false` from the covered ones around it; covered texels keep their value.
-/// A texture without any covered texel is returned as it is.
+/// Fills every texel with `covered == false` from the covered ones around it; covered texels keep
+/// their value. A texture without any covered texel is returned as it is.
 #[must_use]
 pub fn fill_uncovered<T>(plane: &Plane<T>, covered: &Plane<bool>) -> Plane<T>
 where
@@ -20,8 +21,12 @@ where
         levels.push(pulled);
     }
     while levels.len() > 1 {
-        let Some((coarse, coarse_weight)) = levels.pop() else { break };
-        let Some((fine, fine_weight)) = levels.last_mut() else { break };
+        let Some((coarse, coarse_weight)) = levels.pop() else {
+            break;
+        };
+        let Some((fine, fine_weight)) = levels.last_mut() else {
+            break;
+        };
         push(fine, fine_weight, &coarse, &coarse_weight);
     }
     levels.pop().map_or_else(|| plane.clone(), |l| l.0)
@@ -57,7 +62,12 @@ where
     (out, weight)
 }
 
-fn push<T: Copy>(fine: &mut Plane<T>, fine_weight: &mut Plane<f32>, coarse: &Plane<T>, coarse_weight: &Plane<f32>) {
+fn push<T: Copy>(
+    fine: &mut Plane<T>,
+    fine_weight: &mut Plane<f32>,
+    coarse: &Plane<T>,
+    coarse_weight: &Plane<f32>,
+) {
     let width = fine.width;
     for (i, (value, weight)) in fine.data.iter_mut().zip(&mut fine_weight.data).enumerate() {
         if *weight == 0.0 {

@@ -4,7 +4,8 @@ use crate::image::{Plane, Wrap};
 use glam::Vec2;
 use std::ops::{Add, Mul};
 
-/// A texture and its box-filtered reductions. Few levels only: beyond three halvings, charts bleed into each other.
+/// A texture and its box-filtered reductions. Few levels only: beyond three halvings, charts bleed
+/// into each other.
 #[derive(Clone, Debug)]
 pub struct MipChain<T> {
     levels: Vec<Plane<T>>,
@@ -19,7 +20,13 @@ where
     pub fn new(base: Plane<T>, levels: usize) -> Self {
         let mut all = vec![base];
         while all.len() < levels.max(1) {
-            let Some(next) = all.last().filter(|p| p.width > 1 && p.height > 1).map(Plane::half) else { break };
+            let Some(next) = all
+                .last()
+                .filter(|p| p.width > 1 && p.height > 1)
+                .map(Plane::half)
+            else {
+                break;
+            };
             all.push(next);
         }
         Self { levels: all }
@@ -42,7 +49,8 @@ where
     #[inline]
     pub fn lookup(&self, uv: Vec2, footprint: f32) -> T {
         // the whole part of the logarithm is the exponent of the number
-        let level = ((footprint.max(1.0).to_bits() >> 23) as usize - 127).min(self.levels.len() - 1);
+        let level =
+            ((footprint.max(1.0).to_bits() >> 23) as usize - 127).min(self.levels.len() - 1);
         let p = &self.levels[level];
         *p.nearest(uv * Vec2::new(p.width as f32, p.height as f32))
     }
@@ -61,7 +69,11 @@ mod tests {
 
     #[test]
     fn footprint_selects_the_level() {
-        let base = Plane { width: 4, height: 4, data: (0..16).map(|i| i as f32).collect() };
+        let base = Plane {
+            width: 4,
+            height: 4,
+            data: (0..16).map(|i| i as f32).collect(),
+        };
         let m = MipChain::new(base, 9);
         assert_eq!(m.level_count(), 3);
         let uv = Vec2::new(0.1, 0.1);

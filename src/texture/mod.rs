@@ -1,4 +1,5 @@
-//! The atlas: which texel lies on which point of the mesh, lookups with footprints, and filling of what charts leave empty.
+//! The atlas: which texel lies on which point of the mesh, lookups with footprints, and filling of
+//! what charts leave empty.
 
 mod fill;
 mod mips;

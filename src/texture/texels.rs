@@ -1,8 +1,10 @@
-//! Texel rasterisation: for every texel that a bilinear lookup on the mesh can touch, the nearest point of its chart.
+//! Texel rasterisation: for every texel that a bilinear lookup on the mesh can touch, the nearest
+//! point of its chart.
 //!
-//! A texel belongs to the triangle that contains its centre; texels just outside a chart (within one texel, the reach of a
-//! bilinear lookup) take the closest point of the nearest triangle, so that lookups at chart borders need neither masks nor
-//! padding. Everything later runs over this compact list, not over the square image.
+//! A texel belongs to the triangle that contains its centre; texels just outside a chart (within
+//! one texel, the reach of a bilinear lookup) take the closest point of the nearest triangle, so
+//! that lookups at chart borders need neither masks nor padding. Everything later runs over this
+//! compact list, not over the square image.
 
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane, Wrap};
@@ -34,12 +36,14 @@ pub struct Texels {
     pub cell: Vec<u32>,
     /// Surface point of each covered texel.
     pub point: Vec<SurfacePoint>,
-    /// Whether the texel's centre lies inside its triangle (false: border texel, clamped to the chart).
+    /// Whether the texel's centre lies inside its triangle (false: border texel, clamped to the
+    /// chart).
     pub interior: Vec<bool>,
 }
 
 impl Texels {
-    /// Rasterises the charts of `mesh` at `width × height`. Triangles whose atlas coordinates are not finite are left out.
+    /// Rasterises the charts of `mesh` at `width × height`. Triangles whose atlas coordinates are
+    /// not finite are left out.
     #[must_use]
     pub fn rasterize(mesh: &Mesh, width: usize, height: usize) -> Self {
         let size = Vec2::new(width as f32, height as f32);
@@ -64,9 +68,23 @@ impl Texels {
         let parts: Vec<Band> = bins
             .par_iter()
             .enumerate()
-            .map(|(b, bin)| Band::rasterize(mesh, width, b * BAND..((b + 1) * BAND).min(height), size, bin))
+            .map(|(b, bin)| {
+                Band::rasterize(
+                    mesh,
+                    width,
+                    b * BAND..((b + 1) * BAND).min(height),
+                    size,
+                    bin,
+                )
+            })
             .collect();
-        let mut out = Self { width, height, cell: Vec::new(), point: Vec::new(), interior: Vec::new() };
+        let mut out = Self {
+            width,
+            height,
+            cell: Vec::new(),
+            point: Vec::new(),
+            interior: Vec::new(),
+        };
         let total = parts.iter().map(|p| p.cell.len()).sum();
         out.cell.reserve_exact(total);
         out.point.reserve_exact(total);
@@ -106,8 +124,9 @@ impl Texels {
         plane.bilinear(mesh.uv(p.triangle as usize, p.u, p.v) * size, Wrap::Clamp)
     }
 
-    /// Barycentrics (u, v) of texel `i` for rays that start there: a thousandth of the triangle off its border. A point exactly on
-    /// the edge between floor and wall lies in the wall's plane, and half of its rays would leave the room.
+    /// Barycentrics (u, v) of texel `i` for rays that start there: a thousandth of the triangle off
+    /// its border. A point exactly on the edge between floor and wall lies in the wall's plane, and
+    /// half of its rays would leave the room.
     #[must_use]
     pub fn ray_point(&self, i: usize) -> (f32, f32) {
         const INSIDE: f32 = 1e-3;
@@ -132,7 +151,11 @@ impl Texels {
     pub fn texel_area(&self, mesh: &Mesh, t: usize) -> f32 {
         let [a, b, c] = mesh.corner_uvs(t);
         let texels = 0.5 * (b - a).perp_dot(c - a).abs() * (self.width * self.height) as f32;
-        if texels > 0.0 { mesh.area(t) / texels } else { 0.0 }
+        if texels > 0.0 {
+            mesh.area(t) / texels
+        } else {
+            0.0
+        }
     }
 }
 
@@ -144,20 +167,34 @@ struct Band {
 }
 
 impl Band {
-    fn rasterize(mesh: &Mesh, width: usize, rows: std::ops::Range<usize>, size: Vec2, triangles: &[u32]) -> Self {
+    fn rasterize(
+        mesh: &Mesh,
+        width: usize,
+        rows: std::ops::Range<usize>,
+        size: Vec2,
+        triangles: &[u32],
+    ) -> Self {
         const NONE: u32 = u32::MAX;
         if triangles.is_empty() {
             return Self::default();
         }
         let n = rows.len() * width;
         let mut best = vec![f32::INFINITY; n];
-        let mut point = vec![SurfacePoint { triangle: NONE, u: 0.0, v: 0.0 }; n];
+        let mut point = vec![
+            SurfacePoint {
+                triangle: NONE,
+                u: 0.0,
+                v: 0.0
+            };
+            n
+        ];
         for &t in triangles {
             let uv = mesh.corner_uvs(t as usize).map(|p| p * size);
             let lo = uv[0].min(uv[1]).min(uv[2]) - 1.5;
             let hi = uv[0].max(uv[1]).max(uv[2]) + 0.5;
             let columns = (lo.x.max(0.0) as usize)..(((hi.x.max(-1.0) + 1.0) as usize).min(width));
-            let band = (lo.y.max(0.0) as usize).max(rows.start)..(((hi.y.max(-1.0) + 1.0) as usize).min(rows.end));
+            let band = (lo.y.max(0.0) as usize).max(rows.start)
+                ..(((hi.y.max(-1.0) + 1.0) as usize).min(rows.end));
             for y in band {
                 for x in columns.clone() {
                     let centre = Vec2::new(x as f32 + 0.5, y as f32 + 0.5);
@@ -188,7 +225,8 @@ impl Band {
 }
 
 /// Closest point of a triangle to `p` in the plane, with barycentrics (u, v) of corners 1 and 2
-/// (Ericson 2005, Real-Time Collision Detection, §5.1.5). A triangle of zero area acts as its edges.
+/// (Ericson 2005, Real-Time Collision Detection, §5.1.5). A triangle of zero area acts as its
+/// edges.
 fn closest_on_triangle([a, b, c]: [Vec2; 3], p: Vec2) -> (f32, f32, Vec2) {
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let area = ab.perp_dot(ac);
@@ -205,7 +243,11 @@ fn closest_on_triangle([a, b, c]: [Vec2; 3], p: Vec2) -> (f32, f32, Vec2) {
         (t, s + d * t)
     };
     let ((t0, p0), (t1, p1), (t2, p2)) = (edge(a, b), edge(b, c), edge(c, a));
-    let d = [p0.distance_squared(p), p1.distance_squared(p), p2.distance_squared(p)];
+    let d = [
+        p0.distance_squared(p),
+        p1.distance_squared(p),
+        p2.distance_squared(p),
+    ];
     if d[0] <= d[1] && d[0] <= d[2] {
         (t0, 0.0, p0)
     } else if d[1] <= d[2] {
@@ -220,9 +262,17 @@ mod tests {
     use super::*;
 
     fn quad(lo: f32, hi: f32) -> Mesh {
-        let uvs = vec![Vec2::new(lo, lo), Vec2::new(hi, lo), Vec2::new(hi, hi), Vec2::new(lo, hi)];
+        let uvs = vec![
+            Vec2::new(lo, lo),
+            Vec2::new(hi, lo),
+            Vec2::new(hi, hi),
+            Vec2::new(lo, hi),
+        ];
         let mut mesh = Mesh {
-            positions: uvs.iter().map(|p| Vec3::new(p.x * 4.0, 0.0, p.y * 4.0)).collect(),
+            positions: uvs
+                .iter()
+                .map(|p| Vec3::new(p.x * 4.0, 0.0, p.y * 4.0))
+                .collect(),
             uvs,
             triangles: vec![[0, 1, 2], [0, 2, 3]],
             normals: vec![],
@@ -254,8 +304,16 @@ mod tests {
         let covered = t.scatter(&vec![true; t.len()], false);
         for i in 0..50 {
             for j in 0..50 {
-                let uv = Vec2::new(0.131 + 0.491 * i as f32 / 49.0, 0.131 + 0.491 * j as f32 / 49.0);
-                for (k, w) in crate::image::bilinear_taps(37, 23, uv * Vec2::new(37.0, 23.0), crate::image::Wrap::Clamp) {
+                let uv = Vec2::new(
+                    0.131 + 0.491 * i as f32 / 49.0,
+                    0.131 + 0.491 * j as f32 / 49.0,
+                );
+                for (k, w) in crate::image::bilinear_taps(
+                    37,
+                    23,
+                    uv * Vec2::new(37.0, 23.0),
+                    crate::image::Wrap::Clamp,
+                ) {
                     assert!(w < 1e-4 || covered.data[k]);
                 }
             }

@@ -12,10 +12,17 @@ pub struct BruteForce {
 }
 
 impl BruteForce {
-    /// Copies the triangles of `mesh`; those with indices out of range or corners that are not finite are never hit.
+    /// Copies the triangles of `mesh`; those with indices out of range or corners that are not
+    /// finite are never hit.
     #[must_use]
     pub fn new(mesh: &Mesh) -> Self {
-        let corner = |i: u32| mesh.positions.get(i as usize).copied().filter(|&p| is_usable(p)).map(|p| p.as_dvec3());
+        let corner = |i: u32| {
+            mesh.positions
+                .get(i as usize)
+                .copied()
+                .filter(|&p| is_usable(p))
+                .map(|p| p.as_dvec3())
+        };
         let triangles = mesh
             .triangles
             .iter()
@@ -37,8 +44,11 @@ impl BruteForce {
         let origin = DVec3::from(ray.origin.map(f64::from));
         let direction = DVec3::from(ray.direction.map(f64::from));
         for (index, triangle) in self.triangles.iter().enumerate() {
-            let Some([a, e1, e2]) = triangle else { continue };
-            // Möller and Trumbore 1997: solve origin + t·direction = a + u·e1 + v·e2 by Cramer's rule.
+            let Some([a, e1, e2]) = triangle else {
+                continue;
+            };
+            // Möller and Trumbore 1997: solve origin + t·direction = a + u·e1 + v·e2 by Cramer's
+            // rule.
             let p = direction.cross(*e2);
             let determinant = e1.dot(p);
             if determinant == 0.0 {
@@ -50,9 +60,18 @@ impl BruteForce {
             let v = direction.dot(q) / determinant;
             let t = e2.dot(q) / determinant;
             let inside = u >= 0.0 && v >= 0.0 && u + v <= 1.0;
-            if inside && t > f64::from(ray.t_near.max(0.0)) && t <= f64::from(ray.t_far) && t < best_t {
+            if inside
+                && t > f64::from(ray.t_near.max(0.0))
+                && t <= f64::from(ray.t_far)
+                && t < best_t
+            {
                 best_t = t;
-                best = Hit { t: t as f32, u: u as f32, v: v as f32, triangle: index as u32 };
+                best = Hit {
+                    t: t as f32,
+                    u: u as f32,
+                    v: v as f32,
+                    triangle: index as u32,
+                };
             }
         }
         best

@@ -1,7 +1,7 @@
 //! The tracer of the program: Embree behind [`Tracer`].
 //!
-//! Batches above [`BATCH`] rays are split into fixed chunks over rayon's threads, so that callers may pass a whole image;
-//! chunk borders depend on the number of rays alone, and so do the answers.
+//! Batches above [`BATCH`] rays are split into fixed chunks over rayon's threads, so that callers
+//! may pass a whole image; chunk borders depend on the number of rays alone, and so do the answers.
 
 use super::{Hit, Ray, Tracer};
 use crate::ffi::embree::{self, PacketWidth, TriangleScene};
@@ -11,8 +11,8 @@ use crate::{Error, Result};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Rays per foreign call: large enough to hide its cost, small enough to balance two threads or two hundred. A multiple of
-/// the packet width.
+/// Rays per foreign call: large enough to hide its cost, small enough to balance two threads or two
+/// hundred. A multiple of the packet width.
 pub const BATCH: usize = 4096;
 
 /// A mesh in Embree.
@@ -24,18 +24,29 @@ pub struct EmbreeTracer {
 impl EmbreeTracer {
     /// Builds the acceleration structure of `mesh`.
     ///
-    /// Triangles with a corner that is not finite (or beyond 1e12) are never hit ([`Self::skipped`] counts them), nor are
-    /// those of zero area. An empty mesh is never hit. A vertex index out of range is an error.
+    /// Triangles with a corner that is not finite (or beyond 1e12) are never hit ([`Self::skipped`]
+    /// counts them), nor are those of zero area. An empty mesh is never hit. A vertex index out of
+    /// range is an error.
     pub fn new(mesh: &Mesh) -> Result<Self> {
         let count = mesh.positions.len();
-        if let Some((t, tri)) = mesh.triangles.iter().enumerate().find(|(_, tri)| tri.iter().any(|&i| i as usize >= count)) {
-            return Err(Error::Failed(format!("mesh: triangle {t} names vertices {tri:?} but there are {count}")));
+        if let Some((t, tri)) = mesh
+            .triangles
+            .iter()
+            .enumerate()
+            .find(|(_, tri)| tri.iter().any(|&i| i as usize >= count))
+        {
+            return Err(Error::Failed(format!(
+                "mesh: triangle {t} names vertices {tri:?} but there are {count}"
+            )));
         }
         let usable = |i: u32| is_usable(mesh.positions[i as usize]);
-        // A corner that is not finite spoils bounding boxes: such a triangle collapses to one finite point, and keeps its
-        // number. With no finite vertex at all there is nothing to hit.
-        let positions: Vec<[f32; 3]> =
-            mesh.positions.iter().map(|&p| if is_usable(p) { p.to_array() } else { [0.0; 3] }).collect();
+        // A corner that is not finite spoils bounding boxes: such a triangle collapses to one
+        // finite point, and keeps its number. With no finite vertex at all there is nothing to hit.
+        let positions: Vec<[f32; 3]> = mesh
+            .positions
+            .iter()
+            .map(|&p| if is_usable(p) { p.to_array() } else { [0.0; 3] })
+            .collect();
         let mut skipped = 0;
         let triangles: Vec<[u32; 3]> = mesh
             .triangles
@@ -70,7 +81,10 @@ impl Tracer for EmbreeTracer {
         if rays.len() <= BATCH {
             return self.scene.closest(rays, hits);
         }
-        rays.par_chunks(BATCH).zip(hits.par_chunks_mut(BATCH)).with_max_len(1).for_each(|(r, h)| self.scene.closest(r, h));
+        rays.par_chunks(BATCH)
+            .zip(hits.par_chunks_mut(BATCH))
+            .with_max_len(1)
+            .for_each(|(r, h)| self.scene.closest(r, h));
     }
 
     fn occluded(&self, rays: &[Ray], occluded: &mut [u8]) {

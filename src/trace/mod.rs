@@ -1,4 +1,5 @@
-//! Rays against the mesh in batches: closest hit and occlusion through Embree, and a brute-force twin for tests.
+//! Rays against the mesh in batches: closest hit and occlusion through Embree, and a brute-force
+//! twin for tests.
 
 mod brute;
 mod embree;
@@ -11,11 +12,12 @@ pub use embree::{BATCH, EmbreeTracer, embree_version, rays_traced};
 
 /// Anything that answers visibility queries in batches.
 ///
-/// A hit lies in `t_near < t <= t_far` (a negative `t_near` counts as 0), both faces count, and a ray that is not finite or
-/// has no direction misses.
+/// A hit lies in `t_near < t <= t_far` (a negative `t_near` counts as 0), both faces count, and a
+/// ray that is not finite or has no direction misses.
 pub trait Tracer: Sync {
     /// Closest hits; `hits.len() == rays.len()`.
     fn closest(&self, rays: &[Ray], hits: &mut [Hit]);
-    /// `occluded[i] = 1` if anything lies on ray i's segment, else 0; `occluded.len() == rays.len()`.
+    /// `occluded[i] = 1` if anything lies on ray i's segment, else 0; `occluded.len() ==
+    /// rays.len()`.
     fn occluded(&self, rays: &[Ray], occluded: &mut [u8]);
 }

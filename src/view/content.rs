@@ -1,4 +1,5 @@
-//! What the page is given: the scene's description and its binary blocks, made at the first request and kept.
+//! What the page is given: the scene's description and its binary blocks, made at the first request
+//! and kept.
 
 use super::encode::{self, gzip};
 use super::lamps::{self, Lamp, Shares};
@@ -71,8 +72,15 @@ impl Content {
     ///
     /// # Errors
     /// If the scene is another one than was reconstructed, or the mesh cannot be traced.
-    pub fn new(solution: Solution, scene: Option<Scene>, record: Option<&RunRecord>) -> Result<Self> {
-        if let Some(scene) = scene.as_ref().filter(|s| (s.origin - solution.origin).length() > 1e-6) {
+    pub fn new(
+        solution: Solution,
+        scene: Option<Scene>,
+        record: Option<&RunRecord>,
+    ) -> Result<Self> {
+        if let Some(scene) = scene
+            .as_ref()
+            .filter(|s| (s.origin - solution.origin).length() > 1e-6)
+        {
             let message = format!(
                 "is centred at {}, but the reconstruction at {}; give the scene it was made from",
                 scene.origin, solution.origin
@@ -82,7 +90,9 @@ impl Content {
         let tracer = EmbreeTracer::new(&solution.mesh)?;
         let lamps = lamps::lamps(&solution);
         let probes = probes::place(&solution, &tracer);
-        let from_record = record.map(|r| r.scene.name.clone()).filter(|n| !n.is_empty());
+        let from_record = record
+            .map(|r| r.scene.name.clone())
+            .filter(|n| !n.is_empty());
         let exposure = exposure(&solution);
         Ok(Self {
             name: from_record.unwrap_or_else(|| "scene".into()),
@@ -100,7 +110,8 @@ impl Content {
         })
     }
 
-    /// Factor on all radiometric values before they are packed: keeps them in the range of the format at any exposure.
+    /// Factor on all radiometric values before they are packed: keeps them in the range of the
+    /// format at any exposure.
     fn scale(&self) -> f32 {
         self.exposure.exp2()
     }
@@ -112,7 +123,11 @@ impl Content {
         let mesh = &s.mesh;
         let (low, high) = mesh.bounds();
         let size = |w: usize, h: usize| json!([w, h]);
-        let probes: Vec<Value> = self.probes.iter().map(|p| json!({"position": p.position.to_array(), "room": p.room})).collect();
+        let probes: Vec<Value> = self
+            .probes
+            .iter()
+            .map(|p| json!({"position": p.position.to_array(), "room": p.room}))
+            .collect();
         json!({
             "name": self.name,
             "version": env!("CARGO_PKG_VERSION"),
@@ -136,13 +151,27 @@ impl Content {
     }
 
     fn class_name(&self, id: u16) -> String {
-        let named = self.scene.as_ref().and_then(|s| s.class(id)).map(|c| c.name.clone());
-        named.unwrap_or_else(|| if id == 0 { "unlabelled".into() } else { format!("class {id}") })
+        let named = self
+            .scene
+            .as_ref()
+            .and_then(|s| s.class(id))
+            .map(|c| c.name.clone());
+        named.unwrap_or_else(|| {
+            if id == 0 {
+                "unlabelled".into()
+            } else {
+                format!("class {id}")
+            }
+        })
     }
 
     fn lamp(&self, lamp: &Lamp) -> Value {
         let outside = lamp.triangles.is_empty();
-        let name = if outside { lamp.name.clone() } else { format!("{} ({})", lamp.name, self.class_name(lamp.class)) };
+        let name = if outside {
+            lamp.name.clone()
+        } else {
+            format!("{} ({})", lamp.name, self.class_name(lamp.class))
+        };
         json!({"name": name, "outside": outside, "centre": lamp.centre.to_array(), "triangles": lamp.triangles.len()})
     }
 
@@ -163,10 +192,16 @@ impl Content {
             if !(uv.is_finite() && area.is_finite()) {
                 continue;
             }
-            let tally = tallies.entry(*s.labels.nearest(at(s.labels.width, s.labels.height))).or_default();
+            let tally = tallies
+                .entry(*s.labels.nearest(at(s.labels.width, s.labels.height)))
+                .or_default();
             tally.area += f64::from(area);
             tally.albedo += *s.albedo.nearest(at(s.albedo.width, s.albedo.height)) * area;
-            tally.roughness += f64::from(*s.roughness.nearest(at(s.roughness.width, s.roughness.height)) * area);
+            tally.roughness += f64::from(
+                *s.roughness
+                    .nearest(at(s.roughness.width, s.roughness.height))
+                    * area,
+            );
         }
         let whole: f64 = tallies.values().map(|t| t.area).sum::<f64>().max(1e-30);
         let mut sorted: Vec<_> = tallies.into_iter().filter(|(_, t)| t.area > 0.0).collect();
@@ -188,7 +223,9 @@ impl Content {
     }
 
     fn cameras(&self) -> Vec<Value> {
-        let Some(scene) = &self.scene else { return Vec::new() };
+        let Some(scene) = &self.scene else {
+            return Vec::new();
+        };
         scene
             .views
             .iter()
@@ -204,17 +241,22 @@ impl Content {
             .collect()
     }
 
-    /// Positions (f32 × 3), atlas coordinates (f32 × 2), normals and lamp numbers (i8 × 4), corner indices (u32 × 3), one after the other.
+    /// Positions (f32 × 3), atlas coordinates (f32 × 2), normals and lamp numbers (i8 × 4), corner
+    /// indices (u32 × 3), one after the other.
     #[must_use]
     pub fn mesh(&self) -> Arc<Vec<u8>> {
         let pack = || {
             let mesh = &self.solution.mesh;
             let lamp = lamps::lamp_of_vertices(mesh, &self.lamps);
-            let mut bytes = Vec::with_capacity(mesh.positions.len() * 24 + mesh.triangles.len() * 12);
+            let mut bytes =
+                Vec::with_capacity(mesh.positions.len() * 24 + mesh.triangles.len() * 12);
             bytes.extend_from_slice(bytemuck::cast_slice(&mesh.positions));
             bytes.extend_from_slice(bytemuck::cast_slice(&mesh.uvs));
             for (n, lamp) in mesh.normals.iter().zip(&lamp) {
-                bytes.extend(n.to_array().map(|x| ((x.clamp(-1.0, 1.0) * 127.0).round() as i8).cast_unsigned()));
+                bytes.extend(
+                    n.to_array()
+                        .map(|x| ((x.clamp(-1.0, 1.0) * 127.0).round() as i8).cast_unsigned()),
+                );
                 bytes.push(*lamp);
             }
             bytes.extend_from_slice(bytemuck::cast_slice(&mesh.triangles));
@@ -226,7 +268,13 @@ impl Content {
     /// A texture whose longest side is at most `cap`.
     #[must_use]
     pub fn texture(&self, layer: Layer, cap: usize) -> Arc<Vec<u8>> {
-        let slot = self.textures.lock().unwrap_or_else(PoisonError::into_inner).entry((layer, cap)).or_default().clone();
+        let slot = self
+            .textures
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .entry((layer, cap))
+            .or_default()
+            .clone();
         let s = &self.solution;
         let pack = || {
             let block = match layer {
@@ -246,25 +294,41 @@ impl Content {
     /// The environment as a texture.
     #[must_use]
     pub fn environment(&self) -> Vec<u8> {
-        gzip(&encode::radiometric(&self.solution.environment, 1024, self.scale()))
+        gzip(&encode::radiometric(
+            &self.solution.environment,
+            1024,
+            self.scale(),
+        ))
     }
 
     /// The panoramas of the reflection probes.
     #[must_use]
     pub fn panoramas(&self) -> Arc<Vec<u8>> {
-        let pack = || Arc::new(probes::panoramas(&self.solution, &self.probes, &self.tracer, self.scale()));
+        let pack = || {
+            Arc::new(probes::panoramas(
+                &self.solution,
+                &self.probes,
+                &self.tracer,
+                self.scale(),
+            ))
+        };
         self.panoramas.get_or_init(pack).clone()
     }
 
     /// The lamps' shares of the light.
     pub fn shares(&self) -> &Shares {
-        self.shares.get_or_init(|| lamps::shares(&self.solution, &self.lamps, &self.tracer))
+        self.shares
+            .get_or_init(|| lamps::shares(&self.solution, &self.lamps, &self.tracer))
     }
 
     /// The photograph of a camera, or why there is none.
     pub fn photograph(&self, camera: usize, cap: usize) -> Result<Option<Arc<Vec<u8>>>> {
-        let Some(scene) = self.scene.as_ref().filter(|s| camera < s.views.len()) else { return Ok(None) };
-        self.photos.packed(scene, camera, cap, self.scale()).map(Some)
+        let Some(scene) = self.scene.as_ref().filter(|s| camera < s.views.len()) else {
+            return Ok(None);
+        };
+        self.photos
+            .packed(scene, camera, cap, self.scale())
+            .map(Some)
     }
 
     /// What is known at an atlas coordinate and, with a scene, which views see the point.
@@ -318,34 +382,61 @@ mod tests {
         }
         assert!((exposure(&solution) - base + 10.0).abs() < 1e-4);
         solution.radiance.data.fill(Vec3::ZERO);
-        assert!(exposure(&solution).abs() < 1e-6, "a black scene keeps its exposure");
+        assert!(
+            exposure(&solution).abs() < 1e-6,
+            "a black scene keeps its exposure"
+        );
     }
 
     #[test]
     fn the_description_is_complete_and_finite() {
         let content = Content::new(small_solution(), None, None).expect("prepares");
         let d = content.description();
-        assert_eq!((d["vertices"].as_u64(), d["triangles"].as_u64()), (Some(4), Some(2)));
+        assert_eq!(
+            (d["vertices"].as_u64(), d["triangles"].as_u64()),
+            (Some(4), Some(2))
+        );
         assert!(d["classes"].as_array().is_some_and(|c| !c.is_empty()));
         assert_eq!(d["cameras"], json!([]));
         assert!(!d.to_string().contains("null"), "{d}");
-        let shares: f64 = d["classes"].as_array().expect("classes").iter().filter_map(|c| c["share"].as_f64()).sum();
+        let shares: f64 = d["classes"]
+            .as_array()
+            .expect("classes")
+            .iter()
+            .filter_map(|c| c["share"].as_f64())
+            .sum();
         assert!((shares - 1.0).abs() < 1e-9);
     }
 
     #[test]
     fn blocks_are_made_once() {
         let content = Content::new(small_solution(), None, None).expect("prepares");
-        assert!(Arc::ptr_eq(&content.texture(Layer::Albedo, 1024), &content.texture(Layer::Albedo, 1024)));
+        assert!(Arc::ptr_eq(
+            &content.texture(Layer::Albedo, 1024),
+            &content.texture(Layer::Albedo, 1024)
+        ));
         assert!(Arc::ptr_eq(&content.mesh(), &content.mesh()));
-        assert!(content.photograph(0, 1024).expect("no scene is no failure").is_none());
+        assert!(
+            content
+                .photograph(0, 1024)
+                .expect("no scene is no failure")
+                .is_none()
+        );
     }
 
     #[test]
     fn a_foreign_scene_is_refused() {
         let solution = small_solution();
-        let scene = Scene::from_parts("elsewhere".into(), glam::DVec3::ONE, solution.mesh.clone(), Vec::new(), Vec::new());
-        let e = Content::new(solution, Some(scene), None).err().expect("foreign");
+        let scene = Scene::from_parts(
+            "elsewhere".into(),
+            glam::DVec3::ONE,
+            solution.mesh.clone(),
+            Vec::new(),
+            Vec::new(),
+        );
+        let e = Content::new(solution, Some(scene), None)
+            .err()
+            .expect("foreign");
         assert_eq!(e.exit_code(), 2);
         assert!(e.to_string().contains("elsewhere"), "{e}");
     }

@@ -1,7 +1,9 @@
-//! Textures for the browser: eight bits or a shared exponent per texel, with mips, in one gzip-compressed block.
+//! Textures for the browser: eight bits or a shared exponent per texel, with mips, in one
+//! gzip-compressed block.
 //!
-//! WebGL 2 filters all of these formats without extensions, phones included. A block is a header of 16 bytes (`UBTX`, width, height
-//! as u32, format, levels, two zeros; little-endian) followed by the levels from the finest to the coarsest, rows without padding.
+//! WebGL 2 filters all of these formats without extensions, phones included. A block is a header of
+//! 16 bytes (`UBTX`, width, height as u32, format, levels, two zeros; little-endian) followed by
+//! the levels from the finest to the coarsest, rows without padding.
 
 use crate::image::{Plane, RgbPlane};
 use crate::math::srgb_from_linear;
@@ -36,16 +38,20 @@ pub enum Format {
     Rg16Ui = 4,
 }
 
-/// A positive colour with a shared exponent: red in the lowest nine bits, the exponent in the highest five.
+/// A positive colour with a shared exponent: red in the lowest nine bits, the exponent in the
+/// highest five.
 #[must_use]
 pub fn rgb9e5(colour: Vec3) -> u32 {
     const BIAS: i32 = 15;
     const MANTISSA: i32 = 9;
     /// 511/512 · 2^16.
     const LARGEST: f32 = 65_408.0;
-    let c = colour.to_array().map(|x| if x > 0.0 { x.min(LARGEST) } else { 0.0 });
+    let c = colour
+        .to_array()
+        .map(|x| if x > 0.0 { x.min(LARGEST) } else { 0.0 });
     let max = c[0].max(c[1]).max(c[2]);
-    // unbiased exponent of the largest channel; denormals are far below the smallest representable value
+    // unbiased exponent of the largest channel; denormals are far below the smallest representable
+    // value
     let floor_log2 = (max.to_bits() >> 23) as i32 - 127;
     let mut exponent = floor_log2.max(-BIAS - 1) + 1 + BIAS;
     let unit = |e: i32| ((e - BIAS - MANTISSA) as f32).exp2();
@@ -78,11 +84,18 @@ where
 }
 
 /// A block with mips; `texel` encodes one value.
-fn block<T, const N: usize>(base: &Plane<T>, format: Format, levels: usize, texel: impl Fn(&T) -> [u8; N]) -> Vec<u8>
+fn block<T, const N: usize>(
+    base: &Plane<T>,
+    format: Format,
+    levels: usize,
+    texel: impl Fn(&T) -> [u8; N],
+) -> Vec<u8>
 where
     T: Copy + Mul<f32, Output = T> + Add<Output = T>,
 {
-    let count = (0..levels.max(1)).take_while(|l| *l == 0 || base.width.min(base.height) >> l > 0).count();
+    let count = (0..levels.max(1))
+        .take_while(|l| *l == 0 || base.width.min(base.height) >> l > 0)
+        .count();
     let mut bytes = header(base.width, base.height, format, count);
     bytes.reserve(base.data.len() * N * 4 / 3);
     let mut level = Cow::Borrowed(base);
@@ -112,7 +125,9 @@ fn byte(x: f32) -> u8 {
 #[must_use]
 pub fn albedo(plane: &RgbPlane, cap: usize) -> Vec<u8> {
     block(&capped(plane, cap), Format::Srgb8, LEVELS, |v| {
-        let [r, g, b] = v.to_array().map(|x| byte(srgb_from_linear(x.clamp(0.0, 1.0))));
+        let [r, g, b] = v
+            .to_array()
+            .map(|x| byte(srgb_from_linear(x.clamp(0.0, 1.0))));
         [r, g, b, 255]
     })
 }
@@ -126,16 +141,24 @@ pub fn roughness(plane: &Plane<f32>, cap: usize) -> Vec<u8> {
 /// Radiance, irradiance, emission, photographs: `scale` times the value with a shared exponent.
 #[must_use]
 pub fn radiometric(plane: &RgbPlane, cap: usize, scale: f32) -> Vec<u8> {
-    block(&capped(plane, cap), Format::Rgb9E5, LEVELS, |v| rgb9e5(*v * scale).to_le_bytes())
+    block(&capped(plane, cap), Format::Rgb9E5, LEVELS, |v| {
+        rgb9e5(*v * scale).to_le_bytes()
+    })
 }
 
-/// Standard errors on a logarithmic scale, without mips (the mark of unobserved texels must not be mixed).
+/// Standard errors on a logarithmic scale, without mips (the mark of unobserved texels must not be
+/// mixed).
 #[must_use]
 pub fn confidence(plane: &Plane<Vec2>, cap: usize) -> Vec<u8> {
     let plane = thinned(plane, cap);
     let (low, high) = CONFIDENCE_DECADES;
-    let code =
-        |e: f32| if e >= 100.0 { 255 } else { (((e.max(1e-9).log10() - low) / (high - low)).clamp(0.0, 1.0) * 254.0) as u8 };
+    let code = |e: f32| {
+        if e >= 100.0 {
+            255
+        } else {
+            (((e.max(1e-9).log10() - low) / (high - low)).clamp(0.0, 1.0) * 254.0) as u8
+        }
+    };
     block(&plane, Format::Rg8, 1, |v| [code(v.x), code(v.y)])
 }
 
@@ -147,8 +170,10 @@ pub fn ids(labels: &Plane<u16>, rooms: &Plane<u16>, cap: usize) -> Vec<u8> {
     let mut bytes = header(w, h, Format::Rg16Ui, 1);
     for y in 0..h {
         for x in 0..w {
-            let at =
-                Vec2::new((x as f32 + 0.5) / w as f32 * rooms.width as f32, (y as f32 + 0.5) / h as f32 * rooms.height as f32);
+            let at = Vec2::new(
+                (x as f32 + 0.5) / w as f32 * rooms.width as f32,
+                (y as f32 + 0.5) / h as f32 * rooms.height as f32,
+            );
             bytes.extend(labels[(x, y)].to_le_bytes());
             bytes.extend(rooms.nearest(at).to_le_bytes());
         }
@@ -163,8 +188,17 @@ fn thinned<T: Copy>(plane: &Plane<T>, cap: usize) -> Cow<'_, Plane<T>> {
         return Cow::Borrowed(plane);
     }
     let (width, height) = ((plane.width / step).max(1), (plane.height / step).max(1));
-    let at = |i: usize| plane[((i % width * step).min(plane.width - 1), (i / width * step).min(plane.height - 1))];
-    Cow::Owned(Plane { width, height, data: (0..width * height).map(at).collect() })
+    let at = |i: usize| {
+        plane[(
+            (i % width * step).min(plane.width - 1),
+            (i / width * step).min(plane.height - 1),
+        )]
+    };
+    Cow::Owned(Plane {
+        width,
+        height,
+        data: (0..width * height).map(at).collect(),
+    })
 }
 
 #[cfg(test)]
@@ -173,7 +207,11 @@ mod tests {
 
     fn decoded(code: u32) -> Vec3 {
         let unit = ((code >> 27) as f32 - 24.0).exp2();
-        Vec3::new((code & 511) as f32, (code >> 9 & 511) as f32, (code >> 18 & 511) as f32) * unit
+        Vec3::new(
+            (code & 511) as f32,
+            (code >> 9 & 511) as f32,
+            (code >> 18 & 511) as f32,
+        ) * unit
     }
 
     #[test]
@@ -187,36 +225,70 @@ mod tests {
                     assert!((back.x / x - 1.0).abs() <= 1.0 / 512.0, "{x} {back}");
                     assert!((back - v).abs().max_element() <= x / 512.0);
                 } else {
-                    assert!((back - v).abs().max_element() <= 2f32.powi(-24), "{x} {back}");
+                    assert!(
+                        (back - v).abs().max_element() <= 2f32.powi(-24),
+                        "{x} {back}"
+                    );
                 }
             }
         }
         assert_eq!(decoded(rgb9e5(Vec3::ZERO)), Vec3::ZERO);
-        assert_eq!(decoded(rgb9e5(Vec3::new(f32::NAN, -1.0, 1e9))), Vec3::new(0.0, 0.0, 65_408.0));
-        assert_eq!(decoded(rgb9e5(Vec3::splat(f32::INFINITY))), Vec3::splat(65_408.0));
+        assert_eq!(
+            decoded(rgb9e5(Vec3::new(f32::NAN, -1.0, 1e9))),
+            Vec3::new(0.0, 0.0, 65_408.0)
+        );
+        assert_eq!(
+            decoded(rgb9e5(Vec3::splat(f32::INFINITY))),
+            Vec3::splat(65_408.0)
+        );
     }
 
     #[test]
     fn blocks_say_their_size_and_hold_it() {
-        let plane = Plane { width: 64, height: 32, data: vec![Vec3::splat(0.5); 64 * 32] };
+        let plane = Plane {
+            width: 64,
+            height: 32,
+            data: vec![Vec3::splat(0.5); 64 * 32],
+        };
         let bytes = albedo(&plane, 1024);
         assert_eq!(&bytes[..16], b"UBTX\x40\0\0\0\x20\0\0\0\x00\x04\0\0");
         assert_eq!(bytes.len(), 16 + 4 * (64 * 32 + 32 * 16 + 16 * 8 + 8 * 4));
         assert_eq!(bytes[16..20], [188, 188, 188, 255]);
         let small = radiometric(&plane, 16, 2.0);
-        assert_eq!((small[4], small[8], small[12]), (16, 8, Format::Rgb9E5 as u8));
-        assert_eq!(decoded(u32::from_le_bytes(small[16..20].try_into().expect("4"))), Vec3::ONE);
+        assert_eq!(
+            (small[4], small[8], small[12]),
+            (16, 8, Format::Rgb9E5 as u8)
+        );
+        assert_eq!(
+            decoded(u32::from_le_bytes(small[16..20].try_into().expect("4"))),
+            Vec3::ONE
+        );
         let one = roughness(&Plane::filled(1, 1, 0.2f32), 1024);
         assert_eq!(one.len(), 17);
     }
 
     #[test]
     fn ids_and_unobserved_texels_are_not_averaged() {
-        let labels = Plane { width: 4, height: 4, data: (0..16).map(|i| i * 4000).collect() };
+        let labels = Plane {
+            width: 4,
+            height: 4,
+            data: (0..16).map(|i| i * 4000).collect(),
+        };
         let bytes = ids(&labels, &Plane::filled(1, 1, 7), 2);
         assert_eq!((bytes[4], bytes[8], bytes.len()), (2, 2, 16 + 16));
-        assert_eq!(bytes[16..24], [0, 0, 7, 0, 0x40, 0x1f, 7, 0], "labels 0 and 8000, room 7");
-        let errors = confidence(&Plane { width: 2, height: 1, data: vec![Vec2::new(1e-4, 10.0), Vec2::splat(1e4)] }, 1024);
+        assert_eq!(
+            bytes[16..24],
+            [0, 0, 7, 0, 0x40, 0x1f, 7, 0],
+            "labels 0 and 8000, room 7"
+        );
+        let errors = confidence(
+            &Plane {
+                width: 2,
+                height: 1,
+                data: vec![Vec2::new(1e-4, 10.0), Vec2::splat(1e4)],
+            },
+            1024,
+        );
         assert_eq!(errors[16..], [0, 254, 255, 255]);
     }
 
@@ -225,7 +297,9 @@ mod tests {
         use std::io::Read;
         let data: Vec<u8> = (0..10_000u32).flat_map(|i| (i / 7).to_le_bytes()).collect();
         let mut back = Vec::new();
-        flate2::read::GzDecoder::new(&gzip(&data)[..]).read_to_end(&mut back).expect("unpacks");
+        flate2::read::GzDecoder::new(&gzip(&data)[..])
+            .read_to_end(&mut back)
+            .expect("unpacks");
         assert_eq!(back, data);
     }
 }

@@ -1,8 +1,9 @@
 //! The little HTTP that a local page needs: one request head in, one response out.
 //!
-//! Only `GET` is understood, only paths that start with `/` and contain plain characters; a request with a body, without exactly one
-//! `Host` or with a `Host` that is not this machine's is refused. The last point keeps a foreign web page, whose name has been
-//! pointed at 127.0.0.1 (DNS rebinding), from reading the scene.
+//! Only `GET` is understood, only paths that start with `/` and contain plain characters; a request
+//! with a body, without exactly one `Host` or with a `Host` that is not this machine's is refused.
+//! The last point keeps a foreign web page, whose name has been pointed at 127.0.0.1 (DNS
+//! rebinding), from reading the scene.
 
 use flate2::read::GzDecoder;
 use std::io::{Read, Write};
@@ -31,7 +32,10 @@ impl Request {
     /// A finite number of the query.
     #[must_use]
     pub fn number(&self, key: &str) -> Option<f32> {
-        let value = self.query.split('&').find_map(|pair| pair.strip_prefix(key)?.strip_prefix('='))?;
+        let value = self
+            .query
+            .split('&')
+            .find_map(|pair| pair.strip_prefix(key)?.strip_prefix('='))?;
         value.parse().ok().filter(|x: &f32| x.is_finite())
     }
 }
@@ -62,17 +66,30 @@ impl Response {
     /// Text for people, used for refusals.
     #[must_use]
     pub fn text(status: u16, message: &str) -> Self {
-        Self { status, media_type: "text/plain; charset=utf-8", body: Body::Plain(format!("{message}\n").into_bytes()) }
+        Self {
+            status,
+            media_type: "text/plain; charset=utf-8",
+            body: Body::Plain(format!("{message}\n").into_bytes()),
+        }
     }
 
     /// A JSON value.
     #[must_use]
     pub fn json(value: &serde_json::Value) -> Self {
-        Self { status: 200, media_type: "application/json", body: Body::Plain(value.to_string().into_bytes()) }
+        Self {
+            status: 200,
+            media_type: "application/json",
+            body: Body::Plain(value.to_string().into_bytes()),
+        }
     }
 
     /// Writes the response; content is unpacked for a client that does not understand gzip.
-    pub fn write(&self, out: &mut impl Write, accepts_gzip: bool, keep_alive: bool) -> std::io::Result<()> {
+    pub fn write(
+        &self,
+        out: &mut impl Write,
+        accepts_gzip: bool,
+        keep_alive: bool,
+    ) -> std::io::Result<()> {
         let unpacked;
         let (bytes, packed): (&[u8], bool) = match &self.body {
             Body::Plain(bytes) => (bytes, false),
@@ -91,8 +108,16 @@ impl Response {
             reason(self.status),
             self.media_type,
             bytes.len(),
-            if packed { "Content-Encoding: gzip\r\n" } else { "" },
-            if self.status == 405 { "Allow: GET\r\n" } else { "" },
+            if packed {
+                "Content-Encoding: gzip\r\n"
+            } else {
+                ""
+            },
+            if self.status == 405 {
+                "Allow: GET\r\n"
+            } else {
+                ""
+            },
             if keep_alive { "keep-alive" } else { "close" },
         );
         out.write_all(head.as_bytes())?;
@@ -101,7 +126,8 @@ impl Response {
     }
 }
 
-/// Headers of every response: nothing but our own files runs, nobody else may embed or read them, nothing is kept.
+/// Headers of every response: nothing but our own files runs, nobody else may embed or read them,
+/// nothing is kept.
 const HARDENING: &str = "Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n\
     X-Frame-Options: DENY\r\nCross-Origin-Resource-Policy: same-origin\r\nCross-Origin-Opener-Policy: same-origin\r\n\
     Content-Security-Policy: default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
@@ -132,7 +158,9 @@ pub fn parse(head: &[u8], hosts: &[String]) -> Result<Request, Response> {
     };
     let mut lines = head.split("\r\n");
     let mut first = lines.next().unwrap_or_default().split(' ');
-    let (Some(method), Some(target), Some(version), None) = (first.next(), first.next(), first.next(), first.next()) else {
+    let (Some(method), Some(target), Some(version), None) =
+        (first.next(), first.next(), first.next(), first.next())
+    else {
         return refuse(400, "expected: GET /path HTTP/1.1");
     };
     if !matches!(version, "HTTP/1.1" | "HTTP/1.0") {
@@ -147,30 +175,52 @@ pub fn parse(head: &[u8], hosts: &[String]) -> Result<Request, Response> {
         let Some((name, value)) = line.split_once(':') else {
             return refuse(400, "a header line has no colon");
         };
-        if name.is_empty() || !name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_') {
+        if name.is_empty()
+            || !name
+                .bytes()
+                .all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
+        {
             return refuse(400, "a header name is malformed");
         }
         let value = value.trim();
         match name.to_ascii_lowercase().as_str() {
             "host" => hosts_given.push(value.to_ascii_lowercase()),
-            "accept-encoding" => accepts_gzip = value.split(',').any(|e| matches!(e.trim(), "gzip" | "*")),
+            "accept-encoding" => {
+                accepts_gzip = value.split(',').any(|e| matches!(e.trim(), "gzip" | "*"))
+            }
             "connection" if value.eq_ignore_ascii_case("close") => keep_alive = false,
             "content-length" if value == "0" => {}
-            "content-length" | "transfer-encoding" => return refuse(400, "a request with a body is not understood"),
+            "content-length" | "transfer-encoding" => {
+                return refuse(400, "a request with a body is not understood");
+            }
             _ => {}
         }
     }
     match &hosts_given[..] {
         [host] if hosts.contains(host) => {}
-        [_] => return refuse(403, "this page belongs to this machine alone: open the address that `unbake view` printed"),
+        [_] => {
+            return refuse(
+                403,
+                "this page belongs to this machine alone: open the address that `unbake view` printed",
+            );
+        }
         _ => return refuse(400, "exactly one Host is expected"),
     }
     let plain = |b: u8| b.is_ascii_alphanumeric() || b"/._-?=&+".contains(&b);
-    if target.len() > MAX_TARGET || !target.starts_with('/') || !target.bytes().all(plain) || target.contains("..") {
+    if target.len() > MAX_TARGET
+        || !target.starts_with('/')
+        || !target.bytes().all(plain)
+        || target.contains("..")
+    {
         return refuse(404, "no such page");
     }
     let (path, query) = target.split_once('?').unwrap_or((target, ""));
-    Ok(Request { path: path.into(), query: query.into(), accepts_gzip, keep_alive })
+    Ok(Request {
+        path: path.into(),
+        query: query.into(),
+        accepts_gzip,
+        keep_alive,
+    })
 }
 
 #[cfg(test)]
@@ -191,7 +241,14 @@ mod tests {
         let request = parse(head.as_bytes(), &hosts()).expect("fine");
         assert_eq!(request.path, "/api/inspect.json");
         assert!(request.accepts_gzip && request.keep_alive);
-        assert_eq!((request.number("u"), request.number("v"), request.number("w")), (Some(0.25), Some(1e-3), None));
+        assert_eq!(
+            (
+                request.number("u"),
+                request.number("v"),
+                request.number("w")
+            ),
+            (Some(0.25), Some(1e-3), None)
+        );
     }
 
     #[test]
@@ -204,7 +261,10 @@ mod tests {
             ("GET / HTTP/1.1".into(), 400),
             ("GET / HTTP/1.1\r\nHost: evil.example".into(), 403),
             ("GET / HTTP/1.1\r\nHost: evil.example:8321".into(), 403),
-            ("GET / HTTP/1.1\r\nHost: 127.0.0.1:8321.evil.example".into(), 403),
+            (
+                "GET / HTTP/1.1\r\nHost: 127.0.0.1:8321.evil.example".into(),
+                403,
+            ),
             ("GET / HTTP/1.1\r\nHost: localhost:8322".into(), 403),
             ("GET / HTTP/1.1\r\nHost: localhost".into(), 403),
             (format!("GET / HTTP/1.1{host}{host}"), 400),
@@ -217,19 +277,32 @@ mod tests {
             (format!("GET / HTTP/2.0{host}"), 505),
             (format!("GET /  HTTP/1.1{host}"), 400),
             (format!("GET / HTTP/1.1{host}\r\nContent-Length: 5"), 400),
-            (format!("GET / HTTP/1.1{host}\r\nTransfer-Encoding: chunked"), 400),
+            (
+                format!("GET / HTTP/1.1{host}\r\nTransfer-Encoding: chunked"),
+                400,
+            ),
             (format!("GET / HTTP/1.1{host}\r\nno colon"), 400),
             (format!("GET / HTTP/1.1{host}\r\n folded: x"), 400),
             (String::new(), 400),
         ] {
             assert_eq!(status(&head), expected, "{head:?}");
         }
-        assert_eq!(parse(b"GET /\xff HTTP/1.1", &hosts()).expect_err("not text").status, 400);
+        assert_eq!(
+            parse(b"GET /\xff HTTP/1.1", &hosts())
+                .expect_err("not text")
+                .status,
+            400
+        );
     }
 
     #[test]
     fn numbers_of_a_query_are_finite_or_absent() {
-        let request = |query: &str| Request { path: "/".into(), query: query.into(), accepts_gzip: false, keep_alive: false };
+        let request = |query: &str| Request {
+            path: "/".into(),
+            query: query.into(),
+            accepts_gzip: false,
+            keep_alive: false,
+        };
         for bad in ["u=NaN", "u=inf", "u=", "u=x", "uu=1", "1"] {
             assert_eq!(request(bad).number("u"), None, "{bad}");
         }
@@ -241,7 +314,11 @@ mod tests {
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
         encoder.write_all(b"hello hello hello").expect("packs");
         let body = Body::Gzip(Arc::new(encoder.finish().expect("packs")));
-        let response = Response { status: 200, media_type: "text/plain", body };
+        let response = Response {
+            status: 200,
+            media_type: "text/plain",
+            body,
+        };
         let mut plain = Vec::new();
         response.write(&mut plain, false, false).expect("writes");
         assert!(plain.ends_with(b"\r\n\r\nhello hello hello"));

@@ -1,4 +1,5 @@
-//! What is known about one point of a surface: its values at full precision, their standard errors, and the photographs that see it.
+//! What is known about one point of a surface: its values at full precision, their standard errors,
+//! and the photographs that see it.
 
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::math::srgb_from_linear;
@@ -17,7 +18,9 @@ pub const UNOBSERVED: f32 = 100.0;
 /// A linear colour as `#rrggbb` in sRGB.
 #[must_use]
 pub fn hex(colour: Vec3) -> String {
-    let [r, g, b] = colour.to_array().map(|x| (srgb_from_linear(x.clamp(0.0, 1.0)) * 255.0 + 0.5) as u8);
+    let [r, g, b] = colour
+        .to_array()
+        .map(|x| (srgb_from_linear(x.clamp(0.0, 1.0)) * 255.0 + 0.5) as u8);
     format!("#{r:02x}{g:02x}{b:02x}")
 }
 
@@ -33,7 +36,13 @@ pub fn values(solution: &Solution, uv: Vec2) -> Value {
     let s = solution;
     let albedo = s.albedo.bilinear(at(&s.albedo, uv), Wrap::Clamp);
     let error = *s.confidence.nearest(at(&s.confidence, uv));
-    let stated = |e: f32| if e < UNOBSERVED { json!(e) } else { Value::Null };
+    let stated = |e: f32| {
+        if e < UNOBSERVED {
+            json!(e)
+        } else {
+            Value::Null
+        }
+    };
     json!({
         "label": *s.labels.nearest(at(&s.labels, uv)),
         "room": *s.rooms.nearest(at(&s.rooms, uv)),
@@ -67,12 +76,21 @@ pub fn observations(
         if let Some(pixel) = view.camera.project(point).filter(|_| distance > 1e-6) {
             candidates.push((i, distance, pixel));
             // the surface itself must not count: stop a little before it
-            rays.push(Ray::new(view.camera.position, to / distance, distance * 0.998 - 1e-4));
+            rays.push(Ray::new(
+                view.camera.position,
+                to / distance,
+                distance * 0.998 - 1e-4,
+            ));
         }
     }
     let mut hidden = vec![0u8; rays.len()];
     tracer.occluded(&rays, &mut hidden);
-    let mut seen: Vec<_> = candidates.into_iter().zip(hidden).filter(|(_, h)| *h == 0).map(|(c, _)| c).collect();
+    let mut seen: Vec<_> = candidates
+        .into_iter()
+        .zip(hidden)
+        .filter(|(_, h)| *h == 0)
+        .map(|(c, _)| c)
+        .collect();
     seen.sort_by(|a, b| a.1.total_cmp(&b.1));
     let list: Vec<Value> = seen
         .iter()
@@ -112,7 +130,10 @@ mod tests {
         assert_eq!(v["label"], solution.labels[(4, 2)]);
         assert_eq!(v["roughness_error"], Value::Null, "1e4 means unobserved");
         assert_eq!(v["albedo_srgb"], hex(expected));
-        assert!(values(&solution, Vec2::new(-3.0, 7.0))["room"].is_u64(), "outside the atlas is clamped");
+        assert!(
+            values(&solution, Vec2::new(-3.0, 7.0))["room"].is_u64(),
+            "outside the atlas is clamped"
+        );
         assert_eq!(hex(Vec3::new(1.0, 0.0, 0.5)), "#ff00bc");
     }
 
@@ -134,16 +155,33 @@ mod tests {
             exposure_ev: 0.0,
             split: Split::Train,
         };
-        // the mesh is a square at height 0.1: from below it is hidden by nothing, from above neither; a point above is hidden from below
-        let views = vec![view("above", Vec3::new(0.0, 2.0, 0.5)), view("below", Vec3::new(0.0, -1.0, 0.5))];
-        let scene = Scene::from_parts("x".into(), solution.origin, solution.mesh.clone(), Vec::new(), views);
+        // the mesh is a square at height 0.1: from below it is hidden by nothing, from above
+        // neither; a point above is hidden from below
+        let views = vec![
+            view("above", Vec3::new(0.0, 2.0, 0.5)),
+            view("below", Vec3::new(0.0, -1.0, 0.5)),
+        ];
+        let scene = Scene::from_parts(
+            "x".into(),
+            solution.origin,
+            solution.mesh.clone(),
+            Vec::new(),
+            views,
+        );
         let tracer = BruteForce::new(&solution.mesh);
-        let photograph = |i: usize| (i == 0).then(|| Arc::new(Plane::filled(8, 4, Vec3::splat(3.0))));
+        let photograph =
+            |i: usize| (i == 0).then(|| Arc::new(Plane::filled(8, 4, Vec3::splat(3.0))));
         let on_surface = observations(&scene, &tracer, Vec3::new(0.2, 0.1, 0.4), &photograph);
         assert_eq!(on_surface["seeing"], 2);
         assert_eq!(on_surface["nearest"][1]["radiance"][0], 3.0);
         assert_eq!(on_surface["nearest"][0]["radiance"], Value::Null);
         let above = observations(&scene, &tracer, Vec3::new(0.2, 0.5, 0.4), &photograph);
-        assert_eq!((above["seeing"].as_u64(), above["nearest"][0]["stem"].as_str()), (Some(1), Some("above")));
+        assert_eq!(
+            (
+                above["seeing"].as_u64(),
+                above["nearest"][0]["stem"].as_str()
+            ),
+            (Some(1), Some("above"))
+        );
     }
 }

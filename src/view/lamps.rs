@@ -1,8 +1,10 @@
-//! Lamps as a person counts them, and the share of the light on every texel that comes directly from each.
+//! Lamps as a person counts them, and the share of the light on every texel that comes directly
+//! from each.
 //!
-//! With the shares, the page can dim and brighten lamps at once: a texel's irradiance is multiplied by
-//! 1 + Σ (s − 1)(f + (1 − Σf) g), where s is the lamp's slider, f the directly received share (traced here, with shadows) and g the
-//! lamp's share of all direct light, which stands for its part of the bounces. All sliders at s give exactly s times the light.
+//! With the shares, the page can dim and brighten lamps at once: a texel's irradiance is multiplied
+//! by 1 + Σ (s − 1)(f + (1 − Σf) g), where s is the lamp's slider, f the directly received share
+//! (traced here, with shadows) and g the lamp's share of all direct light, which stands for its
+//! part of the bounces. All sliders at s give exactly s times the light.
 
 use super::encode::gzip;
 use crate::geometry::{Mesh, clusters};
@@ -48,11 +50,20 @@ pub struct Lamp {
 #[must_use]
 pub fn lamps(solution: &Solution) -> Vec<Lamp> {
     let mesh = &solution.mesh;
-    let emitting: Vec<u32> =
-        (0..mesh.triangles.len() as u32).into_par_iter().filter(|&t| emitted(solution, t as usize) > 0.0).collect();
-    let mut lamps: Vec<Lamp> =
-        clusters(mesh, &emitting, REACH).into_iter().map(|group| lamp(solution, group)).filter(|l| l.power > 0.0).collect();
-    lamps.sort_by(|a, b| b.power.total_cmp(&a.power).then(a.triangles[0].cmp(&b.triangles[0])));
+    let emitting: Vec<u32> = (0..mesh.triangles.len() as u32)
+        .into_par_iter()
+        .filter(|&t| emitted(solution, t as usize) > 0.0)
+        .collect();
+    let mut lamps: Vec<Lamp> = clusters(mesh, &emitting, REACH)
+        .into_iter()
+        .map(|group| lamp(solution, group))
+        .filter(|l| l.power > 0.0)
+        .collect();
+    lamps.sort_by(|a, b| {
+        b.power
+            .total_cmp(&a.power)
+            .then(a.triangles[0].cmp(&b.triangles[0]))
+    });
     let rest = lamps.split_off(lamps.len().min(MAX_LAMPS));
     for small in rest {
         let near = |l: &&mut Lamp| l.centre.distance_squared(small.centre);
@@ -67,7 +78,13 @@ pub fn lamps(solution: &Solution) -> Vec<Lamp> {
     }
     if solution.environment.data.iter().any(|v| *v != Vec3::ZERO) {
         let name = "Light from outside".to_owned();
-        lamps.push(Lamp { name, triangles: Vec::new(), centre: Vec3::ZERO, power: 0.0, class: 0 });
+        lamps.push(Lamp {
+            name,
+            triangles: Vec::new(),
+            centre: Vec3::ZERO,
+            power: 0.0,
+            class: 0,
+        });
     }
     lamps
 }
@@ -91,20 +108,39 @@ fn emitted(solution: &Solution, t: usize) -> f32 {
     let e = &solution.emission;
     let size = Vec2::new(e.width as f32, e.height as f32);
     let points = [(0.33, 0.33), (0.6, 0.2), (0.2, 0.6), (0.2, 0.2)];
-    points.iter().map(|&(u, v)| luminance(*e.nearest(solution.mesh.uv(t, u, v) * size))).sum::<f32>() / points.len() as f32
+    points
+        .iter()
+        .map(|&(u, v)| luminance(*e.nearest(solution.mesh.uv(t, u, v) * size)))
+        .sum::<f32>()
+        / points.len() as f32
 }
 
 fn lamp(solution: &Solution, triangles: Vec<u32>) -> Lamp {
     let mesh = &solution.mesh;
     let corners = || triangles.iter().flat_map(|&t| mesh.corners(t as usize));
-    let (low, high) = corners().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
-    let power = triangles.iter().map(|&t| emitted(solution, t as usize) * mesh.area(t as usize) * PI).sum();
-    let largest = triangles.iter().max_by(|a, b| mesh.area(**a as usize).total_cmp(&mesh.area(**b as usize)));
+    let (low, high) = corners().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| {
+        (l.min(p), h.max(p))
+    });
+    let power = triangles
+        .iter()
+        .map(|&t| emitted(solution, t as usize) * mesh.area(t as usize) * PI)
+        .sum();
+    let largest = triangles
+        .iter()
+        .max_by(|a, b| mesh.area(**a as usize).total_cmp(&mesh.area(**b as usize)));
     let class = largest.map_or(0, |&t| {
         let size = Vec2::new(solution.labels.width as f32, solution.labels.height as f32);
-        *solution.labels.nearest(mesh.uv(t as usize, 0.33, 0.33) * size)
+        *solution
+            .labels
+            .nearest(mesh.uv(t as usize, 0.33, 0.33) * size)
     });
-    Lamp { name: String::new(), triangles, centre: 0.5 * (low + high), power, class }
+    Lamp {
+        name: String::new(),
+        triangles,
+        centre: 0.5 * (low + high),
+        power,
+        class,
+    }
 }
 
 /// The shares of all lamps on a small atlas.
@@ -115,7 +151,8 @@ pub struct Shares {
     pub height: usize,
     /// Per lamp its share of all direct light in the scene.
     pub bounce: Vec<f32>,
-    /// Gzip-compressed bytes: one plane per lamp, a byte per texel, the square root of the share times 255.
+    /// Gzip-compressed bytes: one plane per lamp, a byte per texel, the square root of the share
+    /// times 255.
     pub planes: Vec<u8>,
 }
 
@@ -123,17 +160,28 @@ pub struct Shares {
 #[must_use]
 pub fn shares(solution: &Solution, lamps: &[Lamp], tracer: &dyn Tracer) -> Shares {
     let mesh = &solution.mesh;
-    let (width, height) = (solution.irradiance.width.clamp(1, SIDE), solution.irradiance.height.clamp(1, SIDE));
+    let (width, height) = (
+        solution.irradiance.width.clamp(1, SIDE),
+        solution.irradiance.height.clamp(1, SIDE),
+    );
     let texels = Texels::rasterize(mesh, width, height);
     let tables: Vec<Option<Discrete>> = lamps
         .iter()
         .map(|l| {
-            let weight = |&t: &u32| f64::from(emitted(solution, t as usize) * mesh.area(t as usize));
+            let weight =
+                |&t: &u32| f64::from(emitted(solution, t as usize) * mesh.area(t as usize));
             Discrete::new(&l.triangles.iter().map(weight).collect::<Vec<f64>>())
         })
         .collect();
     let (low, high) = mesh.bounds();
-    let gather = Gather { solution, lamps, tables: &tables, tracer, offset: (high - low).length() * 1e-5, texels: &texels };
+    let gather = Gather {
+        solution,
+        lamps,
+        tables: &tables,
+        tracer,
+        offset: (high - low).length() * 1e-5,
+        texels: &texels,
+    };
     let pieces: Vec<Vec<f32>> = (0..texels.len().div_ceil(CHUNK))
         .into_par_iter()
         .map(|c| gather.piece(c * CHUNK..((c + 1) * CHUNK).min(texels.len())))
@@ -145,8 +193,12 @@ pub fn shares(solution: &Solution, lamps: &[Lamp], tracer: &dyn Tracer) -> Share
     for i in 0..texels.len() {
         let area = f64::from(texels.texel_area(mesh, texels.point[i].triangle as usize));
         let c = texels.cell[i] as usize;
-        let uv = Vec2::new((c % width) as f32 + 0.5, (c / width) as f32 + 0.5) / Vec2::new(width as f32, height as f32);
-        let size = Vec2::new(solution.irradiance.width as f32, solution.irradiance.height as f32);
+        let uv = Vec2::new((c % width) as f32 + 0.5, (c / width) as f32 + 0.5)
+            / Vec2::new(width as f32, height as f32);
+        let size = Vec2::new(
+            solution.irradiance.width as f32,
+            solution.irradiance.height as f32,
+        );
         let all = luminance(solution.irradiance.bilinear(uv * size, Wrap::Clamp));
         let here = &direct[i * n..(i + 1) * n];
         // the estimate is noisy: together the lamps cannot give more than there is
@@ -157,16 +209,28 @@ pub fn shares(solution: &Solution, lamps: &[Lamp], tracer: &dyn Tracer) -> Share
         }
     }
     let sum: f64 = total.iter().sum();
-    let bounce = total.iter().map(|t| if sum > 0.0 { (t / sum) as f32 } else { 0.0 }).collect();
+    let bounce = total
+        .iter()
+        .map(|t| if sum > 0.0 { (t / sum) as f32 } else { 0.0 })
+        .collect();
     let covered = texels.scatter(&vec![true; texels.len()], false);
     let planes: Vec<Vec<u8>> = share
         .par_iter()
         .map(|s| {
             let filled: Plane<f32> = fill_uncovered(&texels.scatter(s, 0.0), &covered);
-            filled.data.iter().map(|x| (x.clamp(0.0, 1.0).sqrt() * 255.0 + 0.5) as u8).collect()
+            filled
+                .data
+                .iter()
+                .map(|x| (x.clamp(0.0, 1.0).sqrt() * 255.0 + 0.5) as u8)
+                .collect()
         })
         .collect();
-    Shares { width, height, bounce, planes: gzip(&planes.concat()) }
+    Shares {
+        width,
+        height,
+        bounce,
+        planes: gzip(&planes.concat()),
+    }
 }
 
 /// Everything needed to gather direct light at texels.
@@ -210,7 +274,9 @@ impl Gather<'_> {
                 self.sky(position, normal, slot + l, &mut random, rays, gains);
                 continue;
             }
-            let Some(table) = &self.tables[l] else { continue };
+            let Some(table) = &self.tables[l] else {
+                continue;
+            };
             for s in 0..per_lamp {
                 let (k, _) = table.sample((s as f32 + random.next_f32()) / per_lamp as f32);
                 let t = lamp.triangles[k] as usize;
@@ -218,14 +284,21 @@ impl Gather<'_> {
                 let to = mesh.position(t, u, v) - position;
                 let distance = to.length();
                 let direction = to / distance;
-                let (cos_here, cos_lamp) = (normal.dot(direction), mesh.face_normal(t).dot(direction).abs());
+                let (cos_here, cos_lamp) = (
+                    normal.dot(direction),
+                    mesh.face_normal(t).dot(direction).abs(),
+                );
                 if !(cos_here > 0.0 && distance > 4.0 * self.offset) {
                     continue;
                 }
-                // the table chose the triangle by its mean radiance times its area, so that radiance/density is a constant
+                // the table chose the triangle by its mean radiance times its area, so that
+                // radiance/density is a constant
                 let intensity = lamp.power / PI / per_lamp as f32;
                 rays.push(Ray::new(position, direction, distance - 4.0 * self.offset));
-                gains.push((slot + l, intensity * cos_here * cos_lamp / (distance * distance)));
+                gains.push((
+                    slot + l,
+                    intensity * cos_here * cos_lamp / (distance * distance),
+                ));
             }
         }
     }
@@ -243,8 +316,10 @@ impl Gather<'_> {
         let frame = Frame::from_normal(normal);
         let side = SKY_RAYS.isqrt();
         for i in 0..side * side {
-            let u =
-                [((i % side) as f32 + random.next_f32()) / side as f32, ((i / side) as f32 + random.next_f32()) / side as f32];
+            let u = [
+                ((i % side) as f32 + random.next_f32()) / side as f32,
+                ((i / side) as f32 + random.next_f32()) / side as f32,
+            ];
             let direction = frame.world_from_local(square_to_cosine_hemisphere(u));
             let sky = luminance(super::probes::sky(&self.solution.environment, direction));
             if sky > 0.0 {
@@ -261,7 +336,8 @@ mod tests {
     use crate::trace::BruteForce;
     use glam::DVec3;
 
-    /// A floor of 2 m, and above it, 2 m high, two lamps facing down whose radiances differ by the given factor.
+    /// A floor of 2 m, and above it, 2 m high, two lamps facing down whose radiances differ by the
+    /// given factor.
     fn room(factor: f32) -> Solution {
         let mut mesh = Mesh::default();
         let mut quad = |centre: Vec3, half: f32, up: bool, u0: f32, u1: f32| {
@@ -269,10 +345,18 @@ mod tests {
             for (x, z) in [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)] {
                 mesh.positions.push(centre + Vec3::new(x, 0.0, z) * half);
                 mesh.normals.push(if up { Vec3::Y } else { Vec3::NEG_Y });
-                mesh.uvs.push(Vec2::new(if x < 0.0 { u0 } else { u1 }, if z < 0.0 { 0.02 } else { 0.98 }));
+                mesh.uvs.push(Vec2::new(
+                    if x < 0.0 { u0 } else { u1 },
+                    if z < 0.0 { 0.02 } else { 0.98 },
+                ));
             }
-            let faces = if up { [[0, 2, 1], [0, 3, 2]] } else { [[0, 1, 2], [0, 2, 3]] };
-            mesh.triangles.extend(faces.map(|f: [u32; 3]| f.map(|i| i + base)));
+            let faces = if up {
+                [[0, 2, 1], [0, 3, 2]]
+            } else {
+                [[0, 1, 2], [0, 2, 3]]
+            };
+            mesh.triangles
+                .extend(faces.map(|f: [u32; 3]| f.map(|i| i + base)));
         };
         quad(Vec3::ZERO, 1.0, true, 0.02, 0.48);
         quad(Vec3::new(-0.9, 2.0, 0.0), 0.05, false, 0.55, 0.7);
@@ -280,7 +364,11 @@ mod tests {
         let mut emission = Plane::filled(64, 64, Vec3::ZERO);
         for y in 0..64 {
             for x in 33..64 {
-                emission.data[y * 64 + x] = if x < 48 { Vec3::ONE } else { Vec3::splat(factor) };
+                emission.data[y * 64 + x] = if x < 48 {
+                    Vec3::ONE
+                } else {
+                    Vec3::splat(factor)
+                };
             }
         }
         Solution {
@@ -306,7 +394,11 @@ mod tests {
         assert_eq!(found.len(), 2, "two quads of two triangles each, no sky");
         assert_eq!((found[0].triangles.len(), found[0].class), (2, 3));
         assert!(found[0].centre.x > 0.0, "the stronger first");
-        assert!((found[0].power - 4.0 * PI * 0.01).abs() < 1e-4, "{}", found[0].power);
+        assert!(
+            (found[0].power - 4.0 * PI * 0.01).abs() < 1e-4,
+            "{}",
+            found[0].power
+        );
         let of_vertex = lamp_of_vertices(&room(4.0).mesh, &found);
         assert_eq!(of_vertex, [0, 0, 0, 0, 2, 2, 2, 2, 1, 1, 1, 1]);
     }
@@ -317,12 +409,23 @@ mod tests {
         let found = lamps(&solution);
         let shares = shares(&solution, &found, &BruteForce::new(&solution.mesh));
         let mut planes = Vec::new();
-        std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&shares.planes[..]), &mut planes).expect("unpacks");
+        std::io::Read::read_to_end(
+            &mut flate2::read::GzDecoder::new(&shares.planes[..]),
+            &mut planes,
+        )
+        .expect("unpacks");
         assert_eq!(planes.len(), 2 * shares.width * shares.height);
         // the floor's middle: same distance and angles, so the shares are 4/5 and 1/5
         let middle = shares.width * (shares.height / 2) + shares.width / 4;
-        let share = |lamp: usize| (f32::from(planes[lamp * shares.width * shares.height + middle]) / 255.0).powi(2);
-        assert!((share(0) - 0.8).abs() < 0.02 && (share(1) - 0.2).abs() < 0.02, "{} {}", share(0), share(1));
+        let share = |lamp: usize| {
+            (f32::from(planes[lamp * shares.width * shares.height + middle]) / 255.0).powi(2)
+        };
+        assert!(
+            (share(0) - 0.8).abs() < 0.02 && (share(1) - 0.2).abs() < 0.02,
+            "{} {}",
+            share(0),
+            share(1)
+        );
         assert!((shares.bounce[0] - 0.8).abs() < 0.01, "{:?}", shares.bounce);
     }
 
@@ -333,7 +436,11 @@ mod tests {
         assert!(lamps(&solution).is_empty());
         solution.environment.data[3] = Vec3::ONE;
         assert_eq!(lamps(&solution).len(), 1);
-        let outside = shares(&solution, &lamps(&solution), &BruteForce::new(&solution.mesh));
+        let outside = shares(
+            &solution,
+            &lamps(&solution),
+            &BruteForce::new(&solution.mesh),
+        );
         assert!((outside.bounce[0] - 1.0).abs() < 1e-6);
     }
 }

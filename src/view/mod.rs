@@ -1,8 +1,8 @@
 //! `unbake view`: a local page on which a reconstruction can be walked through, read and tried out.
 //!
-//! The program serves its own small WebGL 2 viewer (under `assets`, part of the binary) and the solution's textures to this machine's
-//! browser. Everything the page shows of the light is the reconstruction itself; where it changes something, it says how it
-//! approximates the answer.
+//! The program serves its own small WebGL 2 viewer (under `assets`, part of the binary) and the
+//! solution's textures to this machine's browser. Everything the page shows of the light is the
+//! reconstruction itself; where it changes something, it says how it approximates the answer.
 
 mod content;
 mod encode;
@@ -43,7 +43,11 @@ pub struct ViewOptions {
 
 impl Default for ViewOptions {
     fn default() -> Self {
-        Self { port: None, bind: IpAddr::V4(Ipv4Addr::LOCALHOST), no_open: false }
+        Self {
+            port: None,
+            bind: IpAddr::V4(Ipv4Addr::LOCALHOST),
+            no_open: false,
+        }
     }
 }
 
@@ -53,15 +57,27 @@ impl Default for ViewOptions {
 /// If the address cannot be had.
 pub fn server(content: Content, options: &ViewOptions) -> Result<Server> {
     let content = Arc::new(content);
-    Server::bind(options.bind, options.port, PORT, Arc::new(move |request| routes::answer(&content, request)))
+    Server::bind(
+        options.bind,
+        options.port,
+        PORT,
+        Arc::new(move |request| routes::answer(&content, request)),
+    )
 }
 
 /// Opens a page in the desktop's browser; without a desktop nothing happens.
 pub fn open_in_browser(url: &str) {
-    let desktop = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|v| std::env::var_os(v).is_some_and(|d| !d.is_empty()));
+    let desktop = ["DISPLAY", "WAYLAND_DISPLAY"]
+        .iter()
+        .any(|v| std::env::var_os(v).is_some_and(|d| !d.is_empty()));
     if desktop {
         let null = std::process::Stdio::null;
         // the address is printed as well: a missing browser is no failure
-        let _ = std::process::Command::new("xdg-open").arg(url).stdin(null()).stdout(null()).stderr(null()).spawn();
+        let _ = std::process::Command::new("xdg-open")
+            .arg(url)
+            .stdin(null())
+            .stdout(null())
+            .stderr(null())
+            .spawn();
     }
 }

@@ -30,9 +30,12 @@ impl<K, V> Default for Recent<K, V> {
 }
 
 impl<K: PartialEq + Copy, V> Recent<K, V> {
-    /// The value of `key`; made outside the lock, so that others are not held up (two may make the same at once, which is harmless).
+    /// The value of `key`; made outside the lock, so that others are not held up (two may make the
+    /// same at once, which is harmless).
     fn get(&self, key: K, make: impl FnOnce() -> Result<V>) -> Result<Arc<V>> {
-        let found = |list: &VecDeque<(K, Arc<V>)>| list.iter().find(|(k, _)| *k == key).map(|(_, v)| v.clone());
+        let found = |list: &VecDeque<(K, Arc<V>)>| {
+            list.iter().find(|(k, _)| *k == key).map(|(_, v)| v.clone())
+        };
         if let Some(value) = found(&self.0.lock().unwrap_or_else(PoisonError::into_inner)) {
             return Ok(value);
         }
@@ -61,7 +64,9 @@ impl Photos {
             let camera = &scene.views[i].camera;
             Ok(gzip(&match camera.projection {
                 Projection::Equirectangular => radiometric(&pixels, cap, scale),
-                Projection::Pinhole(_) => radiometric(&panorama(&pixels, camera, cap.min(2048)), cap, scale),
+                Projection::Pinhole(_) => {
+                    radiometric(&panorama(&pixels, camera, cap.min(2048)), cap, scale)
+                }
             }))
         })
     }
@@ -69,14 +74,32 @@ impl Photos {
 
 /// A pinhole image laid onto a panorama in its camera's axes, black where it shows nothing.
 fn panorama(image: &RgbPlane, camera: &Camera, width: usize) -> RgbPlane {
-    let local = Camera { world_from_camera: Mat3::IDENTITY, position: Vec3::ZERO, ..*camera };
-    let height = width / 2;
-    let target = Camera { projection: Projection::Equirectangular, width, height, ..local };
-    let pixel = |i: usize| {
-        let d = target.direction(Vec2::new((i % width) as f32 + 0.5, (i / width) as f32 + 0.5));
-        local.project(d).map_or(Vec3::ZERO, |p| image.bilinear(p, Wrap::Clamp))
+    let local = Camera {
+        world_from_camera: Mat3::IDENTITY,
+        position: Vec3::ZERO,
+        ..*camera
     };
-    Plane { width, height, data: (0..width * height).into_par_iter().map(pixel).collect() }
+    let height = width / 2;
+    let target = Camera {
+        projection: Projection::Equirectangular,
+        width,
+        height,
+        ..local
+    };
+    let pixel = |i: usize| {
+        let d = target.direction(Vec2::new(
+            (i % width) as f32 + 0.5,
+            (i / width) as f32 + 0.5,
+        ));
+        local
+            .project(d)
+            .map_or(Vec3::ZERO, |p| image.bilinear(p, Wrap::Clamp))
+    };
+    Plane {
+        width,
+        height,
+        data: (0..width * height).into_par_iter().map(pixel).collect(),
+    }
 }
 
 #[cfg(test)]
@@ -86,7 +109,13 @@ mod tests {
 
     #[test]
     fn a_pinhole_image_lands_in_the_middle_of_its_panorama() {
-        let lens = Lens { fl_x: 32.0, fl_y: 32.0, cx: 32.0, cy: 32.0, ..Lens::default() };
+        let lens = Lens {
+            fl_x: 32.0,
+            fl_y: 32.0,
+            cx: 32.0,
+            cy: 32.0,
+            ..Lens::default()
+        };
         let camera = Camera {
             projection: Projection::Pinhole(lens),
             width: 64,
@@ -97,7 +126,10 @@ mod tests {
         let p = panorama(&Plane::filled(64, 64, Vec3::ONE), &camera, 64);
         assert_eq!(p[(32, 16)], Vec3::ONE, "straight ahead");
         assert_eq!(p[(1, 16)], Vec3::ZERO, "behind");
-        let share = p.data[16 * 64..17 * 64].iter().filter(|v| **v == Vec3::ONE).count();
+        let share = p.data[16 * 64..17 * 64]
+            .iter()
+            .filter(|v| **v == Vec3::ONE)
+            .count();
         assert!((15..=17).contains(&share), "90° of 360°: {share}");
     }
 

@@ -17,25 +17,65 @@ const ASSETS: [(&str, &str, &[u8]); 13] = [
     ("/", HTML, include_bytes!("assets/index.html")),
     ("/assets/style.css", CSS, include_bytes!("assets/style.css")),
     ("/assets/main.js", SCRIPT, include_bytes!("assets/main.js")),
-    ("/assets/camera.js", SCRIPT, include_bytes!("assets/camera.js")),
-    ("/assets/controls.js", SCRIPT, include_bytes!("assets/controls.js")),
-    ("/assets/edits.js", SCRIPT, include_bytes!("assets/edits.js")),
+    (
+        "/assets/camera.js",
+        SCRIPT,
+        include_bytes!("assets/camera.js"),
+    ),
+    (
+        "/assets/controls.js",
+        SCRIPT,
+        include_bytes!("assets/controls.js"),
+    ),
+    (
+        "/assets/edits.js",
+        SCRIPT,
+        include_bytes!("assets/edits.js"),
+    ),
     ("/assets/gl.js", SCRIPT, include_bytes!("assets/gl.js")),
-    ("/assets/layers.js", SCRIPT, include_bytes!("assets/layers.js")),
+    (
+        "/assets/layers.js",
+        SCRIPT,
+        include_bytes!("assets/layers.js"),
+    ),
     ("/assets/load.js", SCRIPT, include_bytes!("assets/load.js")),
-    ("/assets/panel.js", SCRIPT, include_bytes!("assets/panel.js")),
-    ("/assets/readout.js", SCRIPT, include_bytes!("assets/readout.js")),
-    ("/assets/renderer.js", SCRIPT, include_bytes!("assets/renderer.js")),
-    ("/assets/shaders.js", SCRIPT, include_bytes!("assets/shaders.js")),
+    (
+        "/assets/panel.js",
+        SCRIPT,
+        include_bytes!("assets/panel.js"),
+    ),
+    (
+        "/assets/readout.js",
+        SCRIPT,
+        include_bytes!("assets/readout.js"),
+    ),
+    (
+        "/assets/renderer.js",
+        SCRIPT,
+        include_bytes!("assets/renderer.js"),
+    ),
+    (
+        "/assets/shaders.js",
+        SCRIPT,
+        include_bytes!("assets/shaders.js"),
+    ),
 ];
 
 /// Answers a request.
 #[must_use]
 pub fn answer(content: &Content, request: &Request) -> Response {
     if let Some((_, media_type, bytes)) = ASSETS.iter().find(|a| a.0 == request.path) {
-        return Response { status: 200, media_type, body: Body::Embedded(bytes) };
+        return Response {
+            status: 200,
+            media_type,
+            body: Body::Embedded(bytes),
+        };
     }
-    let block = |bytes: Arc<Vec<u8>>| Response { status: 200, media_type: BLOCK, body: Body::Gzip(bytes) };
+    let block = |bytes: Arc<Vec<u8>>| Response {
+        status: 200,
+        media_type: BLOCK,
+        body: Body::Gzip(bytes),
+    };
     let unknown = || Response::text(404, "no such page");
     match request.path.as_str() {
         "/api/scene.json" => Response::json(&content.description()),
@@ -67,22 +107,34 @@ pub fn answer(content: &Content, request: &Request) -> Response {
 
 /// `/data/NAME-CAP.bin` as name and cap, the cap being one of [`CAPS`].
 fn numbered(path: &str) -> Option<(&str, usize)> {
-    let (name, cap) = path.strip_prefix("/data/")?.strip_suffix(".bin")?.rsplit_once('-')?;
+    let (name, cap) = path
+        .strip_prefix("/data/")?
+        .strip_suffix(".bin")?
+        .rsplit_once('-')?;
     let cap = digits(cap).filter(|c| CAPS.contains(c))?;
     Some((name, cap))
 }
 
 /// A plain number without sign or leading zero.
 fn digits(text: &str) -> Option<usize> {
-    let plain = text.len() <= 9 && text.bytes().all(|b| b.is_ascii_digit()) && (text == "0" || !text.starts_with('0'));
+    let plain = text.len() <= 9
+        && text.bytes().all(|b| b.is_ascii_digit())
+        && (text == "0" || !text.starts_with('0'));
     text.parse().ok().filter(|_| plain)
 }
 
 fn inspect(content: &Content, request: &Request) -> Response {
     let (Some(u), Some(v)) = (request.number("u"), request.number("v")) else {
-        return Response::text(400, "expected u and v, the atlas coordinate, as finite numbers");
+        return Response::text(
+            400,
+            "expected u and v, the atlas coordinate, as finite numbers",
+        );
     };
-    let point = match (request.number("x"), request.number("y"), request.number("z")) {
+    let point = match (
+        request.number("x"),
+        request.number("y"),
+        request.number("z"),
+    ) {
         (Some(x), Some(y), Some(z)) => Some(Vec3::new(x, y, z)),
         _ => None,
     };
@@ -96,7 +148,15 @@ mod tests {
 
     fn get(content: &Content, target: &str) -> Response {
         let (path, query) = target.split_once('?').unwrap_or((target, ""));
-        answer(content, &Request { path: path.into(), query: query.into(), accepts_gzip: true, keep_alive: false })
+        answer(
+            content,
+            &Request {
+                path: path.into(),
+                query: query.into(),
+                accepts_gzip: true,
+                keep_alive: false,
+            },
+        )
     }
 
     fn content() -> Content {
@@ -108,13 +168,27 @@ mod tests {
         let content = content();
         for (path, media_type, _) in ASSETS {
             let response = get(&content, path);
-            assert_eq!((response.status, response.media_type), (200, media_type), "{path}");
+            assert_eq!(
+                (response.status, response.media_type),
+                (200, media_type),
+                "{path}"
+            );
         }
-        for path in ["/api/scene.json", "/api/lamps.json", "/api/inspect.json?u=0.5&v=0.5", "/data/mesh.bin", "/data/lamps.bin"] {
+        for path in [
+            "/api/scene.json",
+            "/api/lamps.json",
+            "/api/inspect.json?u=0.5&v=0.5",
+            "/data/mesh.bin",
+            "/data/lamps.bin",
+        ] {
             assert_eq!(get(&content, path).status, 200, "{path}");
         }
         for (layer, _) in Layer::ALL {
-            assert_eq!(get(&content, &format!("/data/{layer}-1024.bin")).status, 200, "{layer}");
+            assert_eq!(
+                get(&content, &format!("/data/{layer}-1024.bin")).status,
+                200,
+                "{layer}"
+            );
         }
         assert_eq!(get(&content, "/data/environment.bin").status, 200);
         assert_eq!(get(&content, "/data/probes.bin").status, 200);
@@ -144,9 +218,16 @@ mod tests {
             assert_eq!(get(&content, path).status, 404, "{path}");
         }
         for query in ["", "?u=1", "?u=NaN&v=0", "?u=1e99&v=0"] {
-            assert_eq!(get(&content, &format!("/api/inspect.json{query}")).status, 400, "{query}");
+            assert_eq!(
+                get(&content, &format!("/api/inspect.json{query}")).status,
+                400,
+                "{query}"
+            );
         }
-        assert_eq!(get(&content, "/api/inspect.json?u=-5&v=1e30&x=1e30&y=0&z=0").status, 200);
+        assert_eq!(
+            get(&content, "/api/inspect.json?u=-5&v=1e30&x=1e30&y=0&z=0").status,
+            200
+        );
     }
 
     #[test]
@@ -156,14 +237,23 @@ mod tests {
             let path = format!("/{}", part.split('"').next().unwrap_or_default());
             assert!(ASSETS.iter().any(|a| a.0 == path), "{path}");
         }
-        assert!(!html.contains("http://") && !html.contains("https://"), "nothing is fetched from elsewhere");
+        assert!(
+            !html.contains("http://") && !html.contains("https://"),
+            "nothing is fetched from elsewhere"
+        );
         for (path, _, bytes) in ASSETS.iter().filter(|a| a.1 == SCRIPT) {
             let text = std::str::from_utf8(bytes).expect("text");
             assert!(text.lines().count() < 500, "{path} is too long");
-            for import in text.lines().filter_map(|l| l.trim().strip_prefix("import ")) {
+            for import in text
+                .lines()
+                .filter_map(|l| l.trim().strip_prefix("import "))
+            {
                 let from = import.split('\'').nth(1).expect("quoted with '");
                 let target = format!("/assets/{}", from.trim_start_matches("./"));
-                assert!(ASSETS.iter().any(|a| a.0 == target), "{path} imports {from}");
+                assert!(
+                    ASSETS.iter().any(|a| a.0 == target),
+                    "{path} imports {from}"
+                );
             }
         }
     }

@@ -7,7 +7,8 @@ use unbake::image::Plane;
 use unbake::lighting::{Bake, Emitters, Environment, LightField, Receiver};
 use unbake::trace::{EmbreeTracer, Tracer};
 
-/// Texels along a quad's cell of the atlas: a multiple of the coarsest mip's texels, so that no lookup mixes two quads.
+/// Texels along a quad's cell of the atlas: a multiple of the coarsest mip's texels, so that no
+/// lookup mixes two quads.
 const CELL: usize = 16;
 
 /// A parallelogram of constant radiance; it faces along `edge_u × edge_v`.
@@ -44,25 +45,54 @@ impl Quad {
 
     /// The quad seen from its other side.
     pub fn flipped(self) -> Self {
-        Self { edge_u: self.edge_v, edge_v: self.edge_u, ..self }
+        Self {
+            edge_u: self.edge_v,
+            edge_v: self.edge_u,
+            ..self
+        }
     }
 }
 
 /// A wall or lamp.
-pub fn quad(corner: [f32; 3], edge_u: [f32; 3], edge_v: [f32; 3], radiance: f32, emits: bool) -> Quad {
-    Quad { corner: corner.into(), edge_u: edge_u.into(), edge_v: edge_v.into(), radiance: Vec3::splat(radiance), emits }
+pub fn quad(
+    corner: [f32; 3],
+    edge_u: [f32; 3],
+    edge_v: [f32; 3],
+    radiance: f32,
+    emits: bool,
+) -> Quad {
+    Quad {
+        corner: corner.into(),
+        edge_u: edge_u.into(),
+        edge_v: edge_v.into(),
+        radiance: Vec3::splat(radiance),
+        emits,
+    }
 }
 
 /// The six walls of a box seen from inside: floor, ceiling, x−, x+, z−, z+.
 pub fn box_quads(lo: Vec3, hi: Vec3, radiance: f32) -> Vec<Quad> {
     let s = hi - lo;
     let (x, y, z) = (Vec3::X * s.x, Vec3::Y * s.y, Vec3::Z * s.z);
-    let wall =
-        |corner: Vec3, edge_u: Vec3, edge_v: Vec3| Quad { corner, edge_u, edge_v, radiance: Vec3::splat(radiance), emits: false };
-    vec![wall(lo, z, x), wall(lo + y, x, z), wall(lo, y, z), wall(lo + x, z, y), wall(lo, x, y), wall(lo + z, y, x)]
+    let wall = |corner: Vec3, edge_u: Vec3, edge_v: Vec3| Quad {
+        corner,
+        edge_u,
+        edge_v,
+        radiance: Vec3::splat(radiance),
+        emits: false,
+    };
+    vec![
+        wall(lo, z, x),
+        wall(lo + y, x, z),
+        wall(lo, y, z),
+        wall(lo + x, z, y),
+        wall(lo, x, y),
+        wall(lo + z, y, x),
+    ]
 }
 
-/// The same walls without floor … z+ number `missing`, whose place a frame around an opening takes; see [`framed`].
+/// The same walls without floor … z+ number `missing`, whose place a frame around an opening takes;
+/// see [`framed`].
 pub fn framed(wall: Quad, lo: Vec2, hi: Vec2) -> Vec<Quad> {
     let part = |a: Vec2, b: Vec2| Quad {
         corner: wall.at(a.x, a.y),
@@ -88,12 +118,17 @@ pub fn mesh_of(quads: &[Quad]) -> Mesh {
     for (i, q) in quads.iter().enumerate() {
         let cell = Vec2::new((i % grid as usize) as f32, (i / grid as usize) as f32);
         let base = mesh.positions.len() as u32;
-        for (corner, uv) in q.corners().into_iter().zip([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9]]) {
+        for (corner, uv) in
+            q.corners()
+                .into_iter()
+                .zip([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9]])
+        {
             mesh.positions.push(corner);
             mesh.uvs.push((cell + Vec2::from(uv)) / grid);
             mesh.normals.push(q.normal());
         }
-        mesh.triangles.extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
+        mesh.triangles
+            .extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
     }
     mesh
 }
@@ -102,9 +137,18 @@ pub fn mesh_of(quads: &[Quad]) -> Mesh {
 pub fn radiance_of(quads: &[Quad], value: impl Fn(&Quad) -> Vec3) -> Plane<Vec3> {
     let grid = (quads.len() as f32).sqrt().ceil().max(1.0) as usize;
     let side = grid * CELL;
-    let data =
-        (0..side * side).map(|i| quads.get(i % side / CELL + grid * (i / side / CELL)).map_or(Vec3::ZERO, &value)).collect();
-    Plane { width: side, height: side, data }
+    let data = (0..side * side)
+        .map(|i| {
+            quads
+                .get(i % side / CELL + grid * (i / side / CELL))
+                .map_or(Vec3::ZERO, &value)
+        })
+        .collect();
+    Plane {
+        width: side,
+        height: side,
+        data,
+    }
 }
 
 /// A scene ready for rays.
@@ -128,29 +172,60 @@ impl Lit {
     }
 
     /// With every choice given.
-    pub fn with(mesh: Mesh, quads: &[Quad], orientation: &Orientation, back: Vec<Vec3>, environment: Environment) -> Self {
+    pub fn with(
+        mesh: Mesh,
+        quads: &[Quad],
+        orientation: &Orientation,
+        back: Vec<Vec3>,
+        environment: Environment,
+    ) -> Self {
         let tracer = EmbreeTracer::new(&mesh).expect("Embree");
         let radiance = radiance_of(quads, |q| q.radiance);
-        let emissive = radiance_of(quads, |q| if q.emits { Vec3::ONE } else { Vec3::ZERO }).map(|v| *v != Vec3::ZERO);
+        let emissive = radiance_of(quads, |q| if q.emits { Vec3::ONE } else { Vec3::ZERO })
+            .map(|v| *v != Vec3::ZERO);
         let triangles: Vec<bool> = quads.iter().flat_map(|q| [q.emits; 2]).collect();
-        let field = LightField::new(&mesh, orientation, radiance, &emissive, &triangles, back, environment);
+        let field = LightField::new(
+            &mesh,
+            orientation,
+            radiance,
+            &emissive,
+            &triangles,
+            back,
+            environment,
+        );
         // as many points as the pipeline's coarse irradiance texture would give
         let side = |t: usize| orientation.sign(t);
         let probes: Vec<(Vec3, Vec3)> = quads
             .iter()
             .enumerate()
             .filter(|(_, q)| !q.emits)
-            .flat_map(|(i, q)| receivers_on(q, 40).into_iter().map(move |r| (r.position, r.normal * side(2 * i))))
+            .flat_map(|(i, q)| {
+                receivers_on(q, 40)
+                    .into_iter()
+                    .map(move |r| (r.position, r.normal * side(2 * i)))
+            })
             .collect();
         let emitters = Emitters::new(&mesh, &field, &tracer, &probes);
-        Self { mesh, tracer, field, emitters }
+        Self {
+            mesh,
+            tracer,
+            field,
+            emitters,
+        }
     }
 
     /// What the estimators take.
     pub fn bake(&self) -> Bake<'_> {
         let (lo, hi) = self.mesh.bounds();
         let offset = (hi - lo).length() * 1e-5;
-        Bake { mesh: &self.mesh, tracer: &self.tracer, field: &self.field, emitters: &self.emitters, offset, bounce: None }
+        Bake {
+            mesh: &self.mesh,
+            tracer: &self.tracer,
+            field: &self.field,
+            emitters: &self.emitters,
+            offset,
+            bounce: None,
+        }
     }
 }
 
@@ -159,13 +234,18 @@ pub fn receivers_on(q: &Quad, n: usize) -> Vec<Receiver> {
     (0..n * n)
         .map(|i| {
             let at = |k: usize| (k as f32 + 0.5) / n as f32;
-            Receiver { position: q.at(at(i % n), at(i / n)), normal: q.normal(), face_normal: q.normal(), key: i as u64 }
+            Receiver {
+                position: q.at(at(i % n), at(i / n)),
+                normal: q.normal(),
+                face_normal: q.normal(),
+                key: i as u64,
+            }
         })
         .collect()
 }
 
-/// Irradiance per unit radiance at `p` with normal `n` from a polygon that sends light from both sides: Lambert's formula over
-/// the part above the horizon, in f64.
+/// Irradiance per unit radiance at `p` with normal `n` from a polygon that sends light from both
+/// sides: Lambert's formula over the part above the horizon, in f64.
 pub fn lambert(polygon: &[Vec3], p: Vec3, n: Vec3) -> f64 {
     let (p, n) = (p.as_dvec3(), n.as_dvec3());
     let all: Vec<DVec3> = polygon.iter().map(|v| v.as_dvec3() - p).collect();
@@ -191,8 +271,8 @@ pub fn lambert(polygon: &[Vec3], p: Vec3, n: Vec3) -> f64 {
     0.5 * sum.abs()
 }
 
-/// Irradiance at `p` from the front of a quad by midpoint quadrature in f64, with a radiance per direction from `p` and rays for
-/// visibility (`tracer` absent: all visible).
+/// Irradiance at `p` from the front of a quad by midpoint quadrature in f64, with a radiance per
+/// direction from `p` and rays for visibility (`tracer` absent: all visible).
 pub fn quadrature(
     q: &Quad,
     p: Vec3,
@@ -210,11 +290,20 @@ pub fn quadrature(
         let (r2, unit) = (d.length_squared(), d.normalize());
         let cosines = n.as_dvec3().dot(unit).max(0.0) * (-q.normal().as_dvec3().dot(unit)).max(0.0);
         values.push(radiance(unit.as_vec3()).as_dvec3() * (cosines * area / r2));
-        rays.push(unbake::trace::Ray::new(p + n * 1e-5, unit.as_vec3(), r2.sqrt() as f32 * 0.999));
+        rays.push(unbake::trace::Ray::new(
+            p + n * 1e-5,
+            unit.as_vec3(),
+            r2.sqrt() as f32 * 0.999,
+        ));
     }
     let mut hidden = vec![0u8; rays.len()];
     if let Some(t) = tracer {
         t.occluded(&rays, &mut hidden);
     }
-    values.iter().zip(&hidden).filter(|(_, h)| **h == 0).map(|(v, _)| *v).sum()
+    values
+        .iter()
+        .zip(&hidden)
+        .filter(|(_, h)| **h == 0)
+        .map(|(v, _)| *v)
+        .sum()
 }

@@ -21,15 +21,21 @@ pub struct SceneDir {
 }
 
 impl SceneDir {
-    /// A closed room of 4 × 3 × 5 m with an atlas of six charts, one training and one held-out panorama of constant
-    /// radiance 0.5, and labels: class 1 everywhere.
+    /// A closed room of 4 × 3 × 5 m with an atlas of six charts, one training and one held-out
+    /// panorama of constant radiance 0.5, and labels: class 1 everywhere.
     pub fn box_room() -> Self {
-        let scene = Self { dir: tempfile::tempdir().expect("temporary folder") };
+        let scene = Self {
+            dir: tempfile::tempdir().expect("temporary folder"),
+        };
         scene.write("mesh.obj", box_obj(Vec3::new(4.0, 3.0, 5.0)).as_bytes());
         for stem in ["a", "b"] {
             let image = Plane::filled(WIDTH, HEIGHT, Vec3::splat(0.5));
             formats::write_rgb_float(scene.path(&format!("{stem}.exr")), &image).expect("image");
-            formats::write_png16(scene.path(&format!("{stem}.png")), &Plane::filled(WIDTH, HEIGHT, 1u16)).expect("labels");
+            formats::write_png16(
+                scene.path(&format!("{stem}.png")),
+                &Plane::filled(WIDTH, HEIGHT, 1u16),
+            )
+            .expect("labels");
         }
         let frame = |stem: &str, x: f64| {
             json!({"file_path": format!("{stem}.exr"), "label_path": format!("{stem}.png"),
@@ -59,20 +65,35 @@ impl SceneDir {
 
     /// Changes `transforms.json`.
     pub fn edit(&self, change: impl FnOnce(&mut Value)) {
-        let mut value = serde_json::from_slice(&std::fs::read(self.path("transforms.json")).expect("file")).expect("json");
+        let mut value =
+            serde_json::from_slice(&std::fs::read(self.path("transforms.json")).expect("file"))
+                .expect("json");
         change(&mut value);
         self.write("transforms.json", value.to_string().as_bytes());
     }
 }
 
-/// A box from the origin to `size` seen from inside, each wall with its own third by half of the atlas.
+/// A box from the origin to `size` seen from inside, each wall with its own third by half of the
+/// atlas.
 fn box_obj(size: Vec3) -> String {
     // corner indices by bits x, y, z; every quad winds so that it faces inwards
-    let quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
+    let quads = [
+        [0, 1, 3, 2],
+        [4, 6, 7, 5],
+        [0, 4, 5, 1],
+        [2, 3, 7, 6],
+        [0, 2, 6, 4],
+        [1, 5, 7, 3],
+    ];
     let mut text = String::new();
     for i in 0..8 {
         let bit = |k: usize| (i >> k & 1) as f32;
-        text += &format!("v {} {} {}\n", bit(0) * size.x, bit(1) * size.y, bit(2) * size.z);
+        text += &format!(
+            "v {} {} {}\n",
+            bit(0) * size.x,
+            bit(1) * size.y,
+            bit(2) * size.z
+        );
     }
     for (q, quad) in quads.iter().enumerate() {
         let (u, v) = ((q % 3) as f32 / 3.0, (q / 3) as f32 / 2.0);
@@ -80,7 +101,13 @@ fn box_obj(size: Vec3) -> String {
             text += &format!("vt {} {}\n", u + du, v + dv);
         }
         let corner = |k: usize| format!("{}/{}", quad[k] + 1, 4 * q + k + 1);
-        text += &format!("f {} {} {} {}\n", corner(0), corner(1), corner(2), corner(3));
+        text += &format!(
+            "f {} {} {} {}\n",
+            corner(0),
+            corner(1),
+            corner(2),
+            corner(3)
+        );
     }
     text
 }
@@ -99,7 +126,10 @@ pub fn raw_exr(width: u32, height: u32, value: impl Fn(u32, u32) -> f32) -> Vec<
         channels.extend([2, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]); // float, not linear-coded, sampling 1 × 1
     }
     channels.push(0);
-    let window: Vec<u8> = [0, 0, width - 1, height - 1].iter().flat_map(|v| v.to_le_bytes()).collect();
+    let window: Vec<u8> = [0, 0, width - 1, height - 1]
+        .iter()
+        .flat_map(|v| v.to_le_bytes())
+        .collect();
     attribute("channels", "chlist", &channels);
     attribute("compression", "compression", &[0]);
     attribute("dataWindow", "box2i", &window);

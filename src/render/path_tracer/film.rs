@@ -1,4 +1,5 @@
-//! From samples to pixels: sums with their variance and first-hit features, and which pixels need more samples.
+//! From samples to pixels: sums with their variance and first-hit features, and which pixels need
+//! more samples.
 
 use super::transport::{Feature, Sums};
 use super::{Adaptive, Noise};
@@ -64,8 +65,17 @@ pub(super) struct PixelResult {
 
 /// The planes of an image from its pixels.
 pub(super) fn assemble(w: usize, h: usize, pixels: &[PixelResult]) -> Frame {
-    fn of<T: Send>(w: usize, h: usize, pixels: &[PixelResult], f: fn(&PixelResult) -> T) -> Plane<T> {
-        Plane { width: w, height: h, data: pixels.par_iter().map(f).collect() }
+    fn of<T: Send>(
+        w: usize,
+        h: usize,
+        pixels: &[PixelResult],
+        f: fn(&PixelResult) -> T,
+    ) -> Plane<T> {
+        Plane {
+            width: w,
+            height: h,
+            data: pixels.par_iter().map(f).collect(),
+        }
     }
     let plane = |f| of(w, h, pixels, f);
     Frame {
@@ -83,7 +93,12 @@ pub(super) fn assemble(w: usize, h: usize, pixels: &[PixelResult]) -> Frame {
 }
 
 /// The pixels of `among` whose block has a relative standard error above the goal.
-pub(super) fn noisy_pixels([w, h]: [usize; 2], pixels: &[PixelResult], among: &[usize], goal: &Adaptive) -> Vec<usize> {
+pub(super) fn noisy_pixels(
+    [w, h]: [usize; 2],
+    pixels: &[PixelResult],
+    among: &[usize],
+    goal: &Adaptive,
+) -> Vec<usize> {
     let columns = w.div_ceil(BLOCK);
     let mut blocks = vec![(0.0f64, 0.0f64, 0u32); columns * h.div_ceil(BLOCK)];
     let block_of = |p: usize| (p / w / BLOCK) * columns + p % w / BLOCK;
@@ -96,7 +111,11 @@ pub(super) fn noisy_pixels([w, h]: [usize; 2], pixels: &[PixelResult], among: &[
             Noise::Specular => specular,
         };
         let b = &mut blocks[block_of(p)];
-        *b = (b.0 + f64::from(reflected), b.1 + f64::from(variance), b.2 + 1);
+        *b = (
+            b.0 + f64::from(reflected),
+            b.1 + f64::from(variance),
+            b.2 + 1,
+        );
         mean += f64::from(reflected) / (w * h) as f64;
     }
     // what is much darker than the picture as a whole need not be as exact as itself asks
@@ -105,11 +124,15 @@ pub(super) fn noisy_pixels([w, h]: [usize; 2], pixels: &[PixelResult], among: &[
         (b.1 / n).sqrt() > f64::from(goal.error) * (b.0 / n + 0.1 * mean)
     };
     let noisy: Vec<bool> = blocks.iter().map(noisy).collect();
-    among.iter().copied().filter(|&p| noisy[block_of(p)]).collect()
+    among
+        .iter()
+        .copied()
+        .filter(|&p| noisy[block_of(p)])
+        .collect()
 }
 
-/// What a sample of both lobes counts for the specular part beside one of the specular lobe alone: about the probability with which it
-/// follows that lobe, where it is seen from the front.
+/// What a sample of both lobes counts for the specular part beside one of the specular lobe alone:
+/// about the probability with which it follows that lobe, where it is seen from the front.
 const MIXED_WORTH: f32 = 0.15;
 
 /// Variance of the mean of `n` numbers, given their sum and their squares' sum.
@@ -203,19 +226,29 @@ impl PixelAccumulator {
         let samples = self.samples.max(1);
         let scale = 1.0 / samples as f32;
         let mixed = self.mixed_samples.max(1);
-        let [diffuse_variance, mut specular_variance] = self.moments.map(|m| variance_of_mean(m, mixed));
+        let [diffuse_variance, mut specular_variance] =
+            self.moments.map(|m| variance_of_mean(m, mixed));
         let mut specular = self.sums.specular / mixed as f32;
         if self.lobe_samples > 0 {
             let alone = self.lobe_samples as f32;
             let weight = alone / (alone + MIXED_WORTH * self.mixed_samples as f32);
             specular = specular.lerp(self.lobe_sum / alone, weight);
             let lobe_variance = variance_of_mean(self.lobe_moments, self.lobe_samples);
-            specular_variance = (1.0 - weight).powi(2) * specular_variance + weight * weight * lobe_variance;
+            specular_variance =
+                (1.0 - weight).powi(2) * specular_variance + weight * weight * lobe_variance;
         }
         let seen = 1.0 / self.geometry.max(1.0);
-        let centre = self.centre.map_or((Vec3::ZERO, 0.0), |(_, m)| (m.albedo, m.roughness));
-        let (class_albedo, class_roughness) =
-            if self.class > 0.0 { (self.class_albedo / self.class, self.class_roughness / self.class) } else { centre };
+        let centre = self
+            .centre
+            .map_or((Vec3::ZERO, 0.0), |(_, m)| (m.albedo, m.roughness));
+        let (class_albedo, class_roughness) = if self.class > 0.0 {
+            (
+                self.class_albedo / self.class,
+                self.class_roughness / self.class,
+            )
+        } else {
+            centre
+        };
         PixelResult {
             emission: self.sums.emission * scale,
             diffuse: self.sums.diffuse * scale,

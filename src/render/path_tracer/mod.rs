@@ -1,15 +1,18 @@
 //! Unbiased light transport over any [`Tracer`], in batches.
 //!
-//! A task takes a run of pixels with all their samples, a wavefront of a few thousand paths: all closest hits of one bounce are
-//! found by one call, then all shadow rays by another. Light is gathered by next-event estimation and by sampling the
-//! BRDF, combined by multiple importance sampling (power heuristic). Numbers are keyed by (pixel, bounce) and sample index, so
-//! an image does not depend on the number of threads.
+//! A task takes a run of pixels with all their samples, a wavefront of a few thousand paths: all
+//! closest hits of one bounce are found by one call, then all shadow rays by another. Light is
+//! gathered by next-event estimation and by sampling the BRDF, combined by multiple importance
+//! sampling (power heuristic). Numbers are keyed by (pixel, bounce) and sample index, so an image
+//! does not depend on the number of threads.
 //!
-//! Every pixel's light is kept apart as emission, diffuse and specular part of the first hit, with the variance of the
-//! last two: what [`super::denoise`] needs to filter irradiance without touching textures or lamps.
+//! Every pixel's light is kept apart as emission, diffuse and specular part of the first hit, with
+//! the variance of the last two: what [`super::denoise`] needs to filter irradiance without
+//! touching textures or lamps.
 //!
-//! With [`KnownLight`] the vertices it is for take their diffuse light from an [`IndirectCache`] and only their specular lobe is
-//! followed further. That is biased by the cache's resolution and noise, and far cheaper; without it nothing is.
+//! With [`KnownLight`] the vertices it is for take their diffuse light from an [`IndirectCache`]
+//! and only their specular lobe is followed further. That is biased by the cache's resolution and
+//! noise, and far cheaper; without it nothing is.
 
 mod film;
 mod lights;
@@ -38,7 +41,8 @@ use transport::{Following, Lobes, Path, PathKey, Sums, Vertex, WAVEFRONT, Wave};
 pub struct PathTracerOptions {
     /// Samples per pixel.
     pub samples: u32,
-    /// Surface interactions after which a path ends for certain; Russian roulette ends most long before.
+    /// Surface interactions after which a path ends for certain; Russian roulette ends most long
+    /// before.
     pub max_bounces: u32,
     /// First bounce at which Russian roulette may end a path.
     pub roulette_from: u32,
@@ -46,7 +50,8 @@ pub struct PathTracerOptions {
     pub seed: u64,
     /// Leave out the specular lobe (tests, furnace).
     pub lambertian: bool,
-    /// Shade with the triangles' own normals (comparison with renderers that treat smooth normals otherwise).
+    /// Shade with the triangles' own normals (comparison with renderers that treat smooth normals
+    /// otherwise).
     pub flat: bool,
     /// Largest luminance a single indirect contribution may have; biased, off by default.
     pub clamp: Option<f32>,
@@ -54,7 +59,15 @@ pub struct PathTracerOptions {
 
 impl Default for PathTracerOptions {
     fn default() -> Self {
-        Self { samples: 64, max_bounces: 64, roulette_from: 3, seed: 0, lambertian: false, flat: false, clamp: None }
+        Self {
+            samples: 64,
+            max_bounces: 64,
+            roulette_from: 3,
+            seed: 0,
+            lambertian: false,
+            flat: false,
+            clamp: None,
+        }
     }
 }
 
@@ -151,7 +164,13 @@ impl<'a> PathTracer<'a> {
 
     /// As [`Self::render`]; light that is `known` is not sampled.
     #[must_use]
-    pub fn render_with(&self, camera: &Camera, key: u64, known: KnownLight<'_>, progress: &Progress) -> Frame {
+    pub fn render_with(
+        &self,
+        camera: &Camera,
+        key: u64,
+        known: KnownLight<'_>,
+        progress: &Progress,
+    ) -> Frame {
         let (w, h) = (camera.width, camera.height);
         let samples = self.options.samples.max(1) as usize;
         let all: Vec<usize> = (0..w * h).collect();
@@ -159,17 +178,28 @@ impl<'a> PathTracer<'a> {
         let tiles = map_chunks(w * h, pixels_per_task, |range| {
             let pixels = &all[range];
             let mut out = self.begin_pixels(camera, pixels);
-            self.sample_pixels(camera, key, Following { first: Lobes::Both, known }, pixels, [0, samples as u32], &mut out);
+            self.sample_pixels(
+                camera,
+                key,
+                Following {
+                    first: Lobes::Both,
+                    known,
+                },
+                pixels,
+                [0, samples as u32],
+                &mut out,
+            );
             progress.advance(pixels.len() as u64);
             out.iter().map(PixelAccumulator::finish).collect::<Vec<_>>()
         });
         assemble(w, h, &tiles.into_iter().flatten().collect::<Vec<_>>())
     }
 
-    /// Renders a camera in passes: after `first` samples everywhere, each pass doubles the samples of the blocks whose error is
-    /// still above the target (those of the specular lobe alone, from two on, if its noise is watched; where the diffuse light of first
-    /// hits is known, the first pass follows no lobe at all). `refined` may look at the image after every pass.
-    /// The first pass advances `progress` by the number of pixels.
+    /// Renders a camera in passes: after `first` samples everywhere, each pass doubles the samples
+    /// of the blocks whose error is still above the target (those of the specular lobe alone, from
+    /// two on, if its noise is watched; where the diffuse light of first hits is known, the first
+    /// pass follows no lobe at all). `refined` may look at the image after every pass. The first
+    /// pass advances `progress` by the number of pixels.
     pub fn render_adaptive(
         &self,
         camera: &Camera,
@@ -181,7 +211,8 @@ impl<'a> PathTracer<'a> {
     ) -> crate::Result<Frame> {
         let (w, h) = (camera.width, camera.height);
         let mut pending: Vec<usize> = (0..w * h).collect();
-        let (mut states, mut results): (Vec<PixelAccumulator>, Vec<PixelResult>) = (Vec::new(), Vec::new());
+        let (mut states, mut results): (Vec<PixelAccumulator>, Vec<PixelResult>) =
+            (Vec::new(), Vec::new());
         let (mut done, mut next) = (0u32, goal.first.max(2));
         for pass in 0.. {
             let first = match goal.noise {
@@ -197,11 +228,20 @@ impl<'a> PathTracer<'a> {
                 } else {
                     pixels.iter().map(|&p| states[p].clone()).collect()
                 };
-                self.sample_pixels(camera, key, Following { first, known }, pixels, [done, next], &mut out);
+                self.sample_pixels(
+                    camera,
+                    key,
+                    Following { first, known },
+                    pixels,
+                    [done, next],
+                    &mut out,
+                );
                 if done == 0 {
                     progress.advance(pixels.len() as u64);
                 }
-                out.into_iter().map(|state| (state.finish(), state)).collect::<Vec<_>>()
+                out.into_iter()
+                    .map(|state| (state.finish(), state))
+                    .collect::<Vec<_>>()
             });
             if pending.len() == w * h {
                 (results, states) = parts.into_par_iter().flatten_iter().unzip();
@@ -228,13 +268,22 @@ impl<'a> PathTracer<'a> {
     }
 
     fn begin_pixels(&self, camera: &Camera, pixels: &[usize]) -> Vec<PixelAccumulator> {
-        let centre = |p: usize| Vec2::new((p % camera.width) as f32 + 0.5, (p / camera.width) as f32 + 0.5);
+        let centre = |p: usize| {
+            Vec2::new(
+                (p % camera.width) as f32 + 0.5,
+                (p / camera.width) as f32 + 0.5,
+            )
+        };
         // the class at the centre decides which samples count for the filtered materials
-        let rays: Vec<Ray> =
-            pixels.iter().map(|&p| Ray::new(camera.position, camera.direction(centre(p)), f32::INFINITY)).collect();
+        let rays: Vec<Ray> = pixels
+            .iter()
+            .map(|&p| Ray::new(camera.position, camera.direction(centre(p)), f32::INFINITY))
+            .collect();
         let mut hits = vec![Hit::miss(); rays.len()];
         self.tracer.closest(&rays, &mut hits);
-        hits.iter().map(|h| PixelAccumulator::new(self.class_at(h))).collect()
+        hits.iter()
+            .map(|h| PixelAccumulator::new(self.class_at(h)))
+            .collect()
     }
 
     /// Adds the samples `begin..end` of some pixels to their sums.
@@ -263,15 +312,29 @@ impl<'a> PathTracer<'a> {
                     let j = jitter.point2(s);
                     let corner = Vec2::new((p % camera.width) as f32, (p / camera.width) as f32);
                     let direction = camera.direction(corner + Vec2::from_array(j));
-                    wave.rays.push(Ray::new(camera.position, direction, f32::INFINITY));
+                    wave.rays
+                        .push(Ray::new(camera.position, direction, f32::INFINITY));
                     let slot = keys.len() as u32;
                     keys.push(PathKey { key, sample: s });
-                    wave.paths.push(Path { slot, beta: Vec3::ONE, first: [Vec3::ONE; 2], origin: camera.position, pdf: 0.0 });
+                    wave.paths.push(Path {
+                        slot,
+                        beta: Vec3::ONE,
+                        first: [Vec3::ONE; 2],
+                        origin: camera.position,
+                        pdf: 0.0,
+                    });
                 }
             }
             let mut sums = vec![Sums::default(); keys.len()];
             let mut features = vec![None; keys.len()];
-            self.trace_wave(&mut wave, &keys, &mut sums, Some(&mut features), following, 0);
+            self.trace_wave(
+                &mut wave,
+                &keys,
+                &mut sums,
+                Some(&mut features),
+                following,
+                0,
+            );
             for (i, (s, f)) in sums.iter().zip(&features).enumerate() {
                 let pixel = &mut results[i / count as usize];
                 match following.first {
@@ -291,13 +354,23 @@ impl<'a> PathTracer<'a> {
     fn class_at(&self, hit: &Hit) -> Option<(u16, Material)> {
         hit.is_hit().then(|| {
             let t = hit.triangle as usize;
-            (self.surfaces.label(t), self.surfaces.surface(t, hit.u, hit.v).material)
+            (
+                self.surfaces.label(t),
+                self.surfaces.surface(t, hit.u, hit.v).material,
+            )
         })
     }
 
-    /// Irradiance at surface points, `samples` paths each; `key` tells passes apart. Advances `progress` by the number of points.
+    /// Irradiance at surface points, `samples` paths each; `key` tells passes apart. Advances
+    /// `progress` by the number of points.
     #[must_use]
-    pub fn irradiance(&self, points: &[IrradiancePoint], samples: u32, key: u64, progress: &Progress) -> Vec<Vec3> {
+    pub fn irradiance(
+        &self,
+        points: &[IrradiancePoint],
+        samples: u32,
+        key: u64,
+        progress: &Progress,
+    ) -> Vec<Vec3> {
         self.irradiance_with(points, samples, key, None, progress)
     }
 
@@ -328,11 +401,20 @@ impl<'a> PathTracer<'a> {
                     face_normal: point.face_normal,
                     normal: point.normal,
                     view: point.normal,
-                    material: Material { albedo: Vec3::ONE, roughness: 1.0 },
+                    material: Material {
+                        albedo: Vec3::ONE,
+                        roughness: 1.0,
+                    },
                     lobes: Lobes::Diffuse,
                     reference: 0.0,
                 };
-                let path = Path { slot: slot as u32, beta: Vec3::ONE, first: [Vec3::ONE; 2], origin: point.position, pdf: 0.0 };
+                let path = Path {
+                    slot: slot as u32,
+                    beta: Vec3::ONE,
+                    first: [Vec3::ONE; 2],
+                    origin: point.position,
+                    pdf: 0.0,
+                };
                 self.scatter(&vertex, path, keys[slot], 0, &mut wave);
             }
             self.resolve_shadows(&mut wave, &mut sums);
@@ -343,12 +425,21 @@ impl<'a> PathTracer<'a> {
                 &keys,
                 &mut sums,
                 None,
-                Following { first: Lobes::Both, known: KnownLight { first: None, later: cache } },
+                Following {
+                    first: Lobes::Both,
+                    known: KnownLight {
+                        first: None,
+                        later: cache,
+                    },
+                },
                 1,
             );
             progress.advance(range.len() as u64);
-            let mean = |s: &[Sums]| s.iter().map(|s| s.diffuse).sum::<Vec3>() * (PI / samples as f32);
-            sums.chunks(samples as usize).map(mean).collect::<Vec<Vec3>>()
+            let mean =
+                |s: &[Sums]| s.iter().map(|s| s.diffuse).sum::<Vec3>() * (PI / samples as f32);
+            sums.chunks(samples as usize)
+                .map(mean)
+                .collect::<Vec<Vec3>>()
         });
         parts.into_iter().flatten().collect()
     }

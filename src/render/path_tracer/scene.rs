@@ -1,4 +1,5 @@
-//! What the path tracer renders: materials and emission of surfaces, the light from outside, known irradiance.
+//! What the path tracer renders: materials and emission of surfaces, the light from outside, known
+//! irradiance.
 
 use crate::brdf::{Material, Reflectance};
 use glam::Vec3;
@@ -16,7 +17,8 @@ pub struct Surface {
 pub trait SurfaceModel: Sync {
     /// The surface at barycentrics (u, v) of a triangle.
     fn surface(&self, triangle: usize, u: f32, v: f32) -> Surface;
-    /// Mean emitted radiance of a triangle: decides how often it is sampled as a light. Must be positive where it emits.
+    /// Mean emitted radiance of a triangle: decides how often it is sampled as a light. Must be
+    /// positive where it emits.
     fn mean_emission(&self, triangle: usize) -> Vec3;
     /// Class id of a triangle; 0 = unlabelled.
     fn label(&self, triangle: usize) -> u16;
@@ -51,7 +53,8 @@ impl Environment for BlackEnvironment {
 /// Irradiance that need not be sampled.
 #[derive(Clone, Copy, Default)]
 pub struct KnownLight<'a> {
-    /// At the points the camera sees: only their specular lobe is followed. The diffuse part is then free of noise.
+    /// At the points the camera sees: only their specular lobe is followed. The diffuse part is
+    /// then free of noise.
     pub first: Option<&'a dyn IndirectCache>,
     /// At all later points of a path: only the specular lobe is followed on.
     pub later: Option<&'a dyn IndirectCache>,

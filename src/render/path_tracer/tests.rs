@@ -34,13 +34,16 @@ impl Environment for Sky {
 
 fn add_quad(mesh: &mut Mesh, corner: Vec3, a: Vec3, b: Vec3) {
     let i = mesh.positions.len() as u32;
-    mesh.positions.extend([corner, corner + a, corner + a + b, corner + b]);
+    mesh.positions
+        .extend([corner, corner + a, corner + a + b, corner + b]);
     mesh.normals.extend([a.cross(b).normalize(); 4]);
     mesh.uvs.extend([Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y]);
-    mesh.triangles.extend([[i, i + 1, i + 2], [i, i + 2, i + 3]]);
+    mesh.triangles
+        .extend([[i, i + 1, i + 2], [i, i + 2, i + 3]]);
 }
 
-/// A box seen from inside, normals inwards: 12 triangles, the last two the ceiling; optionally without the +x wall.
+/// A box seen from inside, normals inwards: 12 triangles, the last two the ceiling; optionally
+/// without the +x wall.
 fn add_room(mesh: &mut Mesh, s: Vec3, closed: bool) {
     let (x, y, z) = (Vec3::X * s.x, Vec3::Y * s.y, Vec3::Z * s.z);
     add_quad(mesh, Vec3::ZERO, z, x);
@@ -54,11 +57,23 @@ fn add_room(mesh: &mut Mesh, s: Vec3, closed: bool) {
 }
 
 fn camera(width: usize, height: usize, position: Vec3) -> Camera {
-    Camera { projection: Projection::Equirectangular, width, height, world_from_camera: Mat3::IDENTITY, position }
+    Camera {
+        projection: Projection::Equirectangular,
+        width,
+        height,
+        world_from_camera: Mat3::IDENTITY,
+        position,
+    }
 }
 
 fn surface(albedo: f32, roughness: f32, emission: f32) -> Surface {
-    Surface { material: Material { albedo: Vec3::splat(albedo), roughness }, emission: Vec3::splat(emission) }
+    Surface {
+        material: Material {
+            albedo: Vec3::splat(albedo),
+            roughness,
+        },
+        emission: Vec3::splat(emission),
+    }
 }
 
 #[test]
@@ -67,39 +82,90 @@ fn white_furnace_radiates_e_over_one_minus_a() {
     add_room(&mut mesh, Vec3::new(2.0, 1.5, 1.0), true);
     let model = PerTriangle(vec![surface(0.6, 0.5, 0.7); mesh.triangles.len()]);
     let tracer = BruteForce::new(&mesh);
-    let options = PathTracerOptions { samples: 256, lambertian: true, ..Default::default() };
+    let options = PathTracerOptions {
+        samples: 256,
+        lambertian: true,
+        ..Default::default()
+    };
     let renderer = PathTracer::new(&mesh, &tracer, &model, &BlackEnvironment, options);
-    let image = renderer.render(&camera(16, 8, Vec3::new(0.7, 0.6, 0.4)), 0, &Progress::silent()).radiance();
+    let image = renderer
+        .render(
+            &camera(16, 8, Vec3::new(0.7, 0.6, 0.4)),
+            0,
+            &Progress::silent(),
+        )
+        .radiance();
     let mean = image.data.iter().map(|p| f64::from(p.x)).sum::<f64>() / image.data.len() as f64;
-    assert!((mean / (0.7 / 0.4) - 1.0).abs() < 4e-3, "furnace shows {mean}");
-    let worst = image.data.iter().map(|p| (p.x / (0.7 / 0.4) - 1.0).abs()).fold(0.0, f32::max);
+    assert!(
+        (mean / (0.7 / 0.4) - 1.0).abs() < 4e-3,
+        "furnace shows {mean}"
+    );
+    let worst = image
+        .data
+        .iter()
+        .map(|p| (p.x / (0.7 / 0.4) - 1.0).abs())
+        .fold(0.0, f32::max);
     assert!(worst < 0.15, "a pixel is off by {worst}");
 }
 
 #[test]
 fn irradiance_of_a_small_lamp_follows_the_inverse_square() {
     let mut mesh = Mesh::default();
-    add_quad(&mut mesh, Vec3::new(-2.0, 0.0, -2.0), Vec3::Z * 4.0, Vec3::X * 4.0);
-    add_quad(&mut mesh, Vec3::new(-0.005, 2.0, -0.005), Vec3::X * 0.01, Vec3::Z * 0.01);
-    let model = PerTriangle(vec![surface(0.5, 0.5, 0.0), surface(0.5, 0.5, 0.0), surface(0.0, 0.5, 1e4), surface(0.0, 0.5, 1e4)]);
+    add_quad(
+        &mut mesh,
+        Vec3::new(-2.0, 0.0, -2.0),
+        Vec3::Z * 4.0,
+        Vec3::X * 4.0,
+    );
+    add_quad(
+        &mut mesh,
+        Vec3::new(-0.005, 2.0, -0.005),
+        Vec3::X * 0.01,
+        Vec3::Z * 0.01,
+    );
+    let model = PerTriangle(vec![
+        surface(0.5, 0.5, 0.0),
+        surface(0.5, 0.5, 0.0),
+        surface(0.0, 0.5, 1e4),
+        surface(0.0, 0.5, 1e4),
+    ]);
     let tracer = BruteForce::new(&mesh);
-    let renderer = PathTracer::new(&mesh, &tracer, &model, &BlackEnvironment, PathTracerOptions::default());
+    let renderer = PathTracer::new(
+        &mesh,
+        &tracer,
+        &model,
+        &BlackEnvironment,
+        PathTracerOptions::default(),
+    );
     for x in [0.0f32, 0.5, 1.5] {
-        let point = IrradiancePoint { position: Vec3::new(x, 0.0, 0.0), face_normal: Vec3::Y, normal: Vec3::Y };
+        let point = IrradiancePoint {
+            position: Vec3::new(x, 0.0, 0.0),
+            face_normal: Vec3::Y,
+            normal: Vec3::Y,
+        };
         let e = f64::from(renderer.irradiance(&[point], 64, 0, &Progress::silent())[0].x);
         let d2 = f64::from(4.0 + x * x);
         // L·A·cosθ·cosθ'/d², both cosines 2/d
         let expected = 1e4 * 1e-4 * 4.0 / (d2 * d2);
-        assert!((e / expected - 1.0).abs() < 1e-3, "at {x}: {e} against {expected}");
+        assert!(
+            (e / expected - 1.0).abs() < 1e-3,
+            "at {x}: {e} against {expected}"
+        );
     }
 }
 
-/// Scene of the z-tests: a glossy room with a lamp, a block that casts shadows, one wall open to the sky.
+/// Scene of the z-tests: a glossy room with a lamp, a block that casts shadows, one wall open to
+/// the sky.
 fn small_scene() -> (Mesh, PerTriangle, Vec<[Vec3; 3]>) {
     let mut mesh = Mesh::default();
     let size = Vec3::new(3.0, 2.0, 2.0);
     add_room(&mut mesh, size, false);
-    add_quad(&mut mesh, Vec3::new(0.5, 1.9, 0.5), Vec3::X * 0.8, Vec3::Z * 0.8);
+    add_quad(
+        &mut mesh,
+        Vec3::new(0.5, 1.9, 0.5),
+        Vec3::X * 0.8,
+        Vec3::Z * 0.8,
+    );
     add_quad(&mut mesh, Vec3::new(0.4, 0.7, 0.3), Vec3::Z, Vec3::X);
     let mut surfaces = vec![surface(0.5, 0.9, 0.0); mesh.triangles.len()];
     surfaces[0] = surface(0.3, 0.25, 0.0);
@@ -108,11 +174,22 @@ fn small_scene() -> (Mesh, PerTriangle, Vec<[Vec3; 3]>) {
     surfaces[10] = surface(0.1, 0.5, 4.0);
     surfaces[11] = surface(0.1, 0.5, 4.0);
     let (a, y, z) = (Vec3::X * size.x, Vec3::Y * size.y, Vec3::Z * size.z);
-    (mesh, PerTriangle(surfaces), vec![[a, a + z, a + z + y], [a, a + z + y, a + y]])
+    (
+        mesh,
+        PerTriangle(surfaces),
+        vec![[a, a + z, a + z + y], [a, a + z + y, a + y]],
+    )
 }
 
 /// The plainest estimator there is: uniform directions, no light sampling, no roulette.
-fn brute_radiance(mesh: &Mesh, model: &PerTriangle, sky: &Sky, o: Vec3, d: Vec3, rng: &mut KeyedRng) -> f64 {
+fn brute_radiance(
+    mesh: &Mesh,
+    model: &PerTriangle,
+    sky: &Sky,
+    o: Vec3,
+    d: Vec3,
+    rng: &mut KeyedRng,
+) -> f64 {
     let tracer = BruteForce::new(mesh);
     let (mut o, mut d, mut beta, mut sum) = (o, d, 1.0f64, 0.0f64);
     for _ in 0..24 {
@@ -127,8 +204,9 @@ fn brute_radiance(mesh: &Mesh, model: &PerTriangle, sky: &Sky, o: Vec3, d: Vec3,
         sum += beta * f64::from(s.emission.x);
         let face = mesh.face_normal(t);
         let n = if face.dot(d) > 0.0 { -face } else { face };
-        let l = crate::math::Frame::from_normal(n)
-            .world_from_local(crate::sampling::square_to_uniform_hemisphere([rng.next_f32(), rng.next_f32()]));
+        let l = crate::math::Frame::from_normal(n).world_from_local(
+            crate::sampling::square_to_uniform_hemisphere([rng.next_f32(), rng.next_f32()]),
+        );
         beta *= f64::from(s.material.eval(n, -d, l).x) * 2.0 * std::f64::consts::PI;
         o = mesh.position(t, hit.u, hit.v) + n * 1e-4;
         d = l;
@@ -155,10 +233,16 @@ fn agrees_with_brute_force_in_a_glossy_room() {
     for portals in [portals, Vec::new()] {
         let sky = Sky(Vec3::splat(1.0), portals);
         // sixteen one-pixel runs with different keys give independent means
-        let options = PathTracerOptions { samples: 256, roulette_from: 1, ..Default::default() };
+        let options = PathTracerOptions {
+            samples: 256,
+            roulette_from: 1,
+            ..Default::default()
+        };
         let renderer = PathTracer::new(&mesh, &tracer, &model, &sky, options);
         let view = camera(4, 2, eye);
-        let frames: Vec<RgbPlane> = (0..24).map(|k| renderer.render(&view, k, &Progress::silent()).radiance()).collect();
+        let frames: Vec<RgbPlane> = (0..24)
+            .map(|k| renderer.render(&view, k, &Progress::silent()).radiance())
+            .collect();
         for pixel in 0..8 {
             let ours: Vec<f64> = frames.iter().map(|f| f64::from(f.data[pixel].x)).collect();
             let (a, ea) = mean_and_error(&ours);
@@ -167,7 +251,10 @@ fn agrees_with_brute_force_in_a_glossy_room() {
                     let mut rng = KeyedRng::new(77, (pixel * 16 + block) as u64);
                     (0..1500)
                         .map(|_| {
-                            let p = Vec2::new((pixel % 4) as f32 + rng.next_f32(), (pixel / 4) as f32 + rng.next_f32());
+                            let p = Vec2::new(
+                                (pixel % 4) as f32 + rng.next_f32(),
+                                (pixel / 4) as f32 + rng.next_f32(),
+                            );
                             brute_radiance(&mesh, &model, &sky, eye, view.direction(p), &mut rng)
                         })
                         .collect::<Vec<f64>>()
@@ -195,12 +282,24 @@ fn an_exact_cache_changes_nothing_but_the_noise() {
     add_room(&mut mesh, Vec3::splat(2.0), true);
     let model = PerTriangle(vec![surface(0.5, 0.5, 1.0); mesh.triangles.len()]);
     let tracer = BruteForce::new(&mesh);
-    let options = PathTracerOptions { samples: 64, lambertian: true, ..Default::default() };
+    let options = PathTracerOptions {
+        samples: 64,
+        lambertian: true,
+        ..Default::default()
+    };
     let renderer = PathTracer::new(&mesh, &tracer, &model, &BlackEnvironment, options);
     // furnace: L = 2 everywhere, E = 2π
     let cache = Constant(2.0 * PI);
     let image = renderer
-        .render_with(&camera(8, 4, Vec3::ONE), 0, KnownLight { first: None, later: Some(&cache) }, &Progress::silent())
+        .render_with(
+            &camera(8, 4, Vec3::ONE),
+            0,
+            KnownLight {
+                first: None,
+                later: Some(&cache),
+            },
+            &Progress::silent(),
+        )
         .radiance();
     let mean = image.data.iter().map(|p| p.x).sum::<f32>() / 32.0;
     assert!((mean - 2.0).abs() < 0.01, "{mean}");
@@ -212,11 +311,20 @@ fn the_number_of_threads_changes_no_bit() {
     let tracer = BruteForce::new(&mesh);
     let sky = Sky(Vec3::ONE, portals);
     let run = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("pool");
         pool.install(|| {
-            let options = PathTracerOptions { samples: 16, ..Default::default() };
+            let options = PathTracerOptions {
+                samples: 16,
+                ..Default::default()
+            };
             let renderer = PathTracer::new(&mesh, &tracer, &model, &sky, options);
-            renderer.render(&camera(24, 12, Vec3::ONE), 5, &Progress::silent()).radiance().data
+            renderer
+                .render(&camera(24, 12, Vec3::ONE), 5, &Progress::silent())
+                .radiance()
+                .data
         })
     };
     assert_eq!(run(1), run(3));
@@ -227,8 +335,15 @@ fn first_hit_features_follow_the_class_at_the_centre() {
     let (mesh, model, _) = small_scene();
     let tracer = BruteForce::new(&mesh);
     let sky = Sky(Vec3::ONE, Vec::new());
-    let options = PathTracerOptions { samples: 8, ..Default::default() };
-    let frame = PathTracer::new(&mesh, &tracer, &model, &sky, options).render(&camera(32, 16, Vec3::ONE), 0, &Progress::silent());
+    let options = PathTracerOptions {
+        samples: 8,
+        ..Default::default()
+    };
+    let frame = PathTracer::new(&mesh, &tracer, &model, &sky, options).render(
+        &camera(32, 16, Vec3::ONE),
+        0,
+        &Progress::silent(),
+    );
     let mut empty = 0;
     for i in 0..frame.label.data.len() {
         match frame.label.data[i] {
@@ -243,13 +358,17 @@ fn first_hit_features_follow_the_class_at_the_centre() {
     assert!(empty > 0, "the open wall shows the sky");
 }
 
-/// The specular part differs from the reference's by no more than both variances explain, in at least `fewest` pixels.
+/// The specular part differs from the reference's by no more than both variances explain, in at
+/// least `fewest` pixels.
 fn assert_specular_unbiased(frame: &Frame, reference: &Frame, fewest: usize) {
     let scores: Vec<f64> = (0..frame.label.data.len())
         .filter(|&p| frame.variance.data[p][1] > 0.0)
         .map(|p| {
-            let difference = luminance(frame.specular.data[p]) - luminance(reference.specular.data[p]);
-            f64::from(difference / (frame.variance.data[p][1] + reference.variance.data[p][1]).sqrt())
+            let difference =
+                luminance(frame.specular.data[p]) - luminance(reference.specular.data[p]);
+            f64::from(
+                difference / (frame.variance.data[p][1] + reference.variance.data[p][1]).sqrt(),
+            )
         })
         .collect();
     let (mean, _) = mean_and_error(&scores);
@@ -262,31 +381,57 @@ fn assert_specular_unbiased(frame: &Frame, reference: &Frame, fewest: usize) {
     );
 }
 
-/// Passes that follow the specular lobe alone show the same image with less noise, and touch nothing else.
+/// Passes that follow the specular lobe alone show the same image with less noise, and touch
+/// nothing else.
 #[test]
 fn samples_of_the_specular_lobe_alone_add_to_it_without_bias() {
     let (mesh, model, portals) = small_scene();
     let tracer = BruteForce::new(&mesh);
     let sky = Sky(Vec3::splat(1.5), portals);
     let eye = camera(16, 8, Vec3::new(1.6, 1.1, 0.9));
-    let options = PathTracerOptions { samples: 2048, max_bounces: 4, ..Default::default() };
+    let options = PathTracerOptions {
+        samples: 2048,
+        max_bounces: 4,
+        ..Default::default()
+    };
     let renderer = PathTracer::new(&mesh, &tracer, &model, &sky, options);
     let reference = renderer.render(&eye, 7, &Progress::silent());
     let adaptive = |most: u32| {
-        let goal = Adaptive { first: 16, most, error: 0.0, noise: Noise::Specular };
+        let goal = Adaptive {
+            first: 16,
+            most,
+            error: 0.0,
+            noise: Noise::Specular,
+        };
         renderer
-            .render_adaptive(&eye, 8, &goal, KnownLight::default(), &Progress::silent(), |_, _| Ok(()))
+            .render_adaptive(
+                &eye,
+                8,
+                &goal,
+                KnownLight::default(),
+                &Progress::silent(),
+                |_, _| Ok(()),
+            )
             .expect("no errors from the callback")
     };
     let (before, after) = (adaptive(16), adaptive(256));
-    assert_eq!([&before.diffuse, &before.emission, &before.albedo], [&after.diffuse, &after.emission, &after.albedo]);
+    assert_eq!(
+        [&before.diffuse, &before.emission, &before.albedo],
+        [&after.diffuse, &after.emission, &after.albedo]
+    );
     let variance = |f: &Frame| f.variance.data.iter().map(|v| f64::from(v[1])).sum::<f64>();
     // sixteen times the samples, and all of the new ones follow the lobe
-    assert!(variance(&after) < variance(&before) / 25.0, "{} {}", variance(&after), variance(&before));
+    assert!(
+        variance(&after) < variance(&before) / 25.0,
+        "{} {}",
+        variance(&after),
+        variance(&before)
+    );
     assert_specular_unbiased(&after, &reference, 1);
 }
 
-/// Where the light at first hits is known, the diffuse part has no noise and the specular part no bias, adaptively or not.
+/// Where the light at first hits is known, the diffuse part has no noise and the specular part no
+/// bias, adaptively or not.
 #[test]
 fn known_light_at_first_hits_leaves_only_the_specular_part_to_sample() {
     struct Constant;
@@ -299,19 +444,40 @@ fn known_light_at_first_hits_leaves_only_the_specular_part_to_sample() {
     let tracer = BruteForce::new(&mesh);
     let sky = Sky(Vec3::splat(1.5), portals);
     let eye = camera(16, 8, Vec3::new(1.6, 1.1, 0.9));
-    let options = PathTracerOptions { samples: 1024, max_bounces: 4, ..Default::default() };
+    let options = PathTracerOptions {
+        samples: 1024,
+        max_bounces: 4,
+        ..Default::default()
+    };
     let renderer = PathTracer::new(&mesh, &tracer, &model, &sky, options);
     let reference = renderer.render(&eye, 7, &Progress::silent());
-    let known = KnownLight { first: Some(&Constant), later: None };
-    let goal = Adaptive { first: 16, most: 512, error: 0.0, noise: Noise::Specular };
-    let adaptive = renderer.render_adaptive(&eye, 8, &goal, known, &Progress::silent(), |_, _| Ok(())).expect("no errors");
-    for frame in [adaptive, renderer.render_with(&eye, 9, known, &Progress::silent())] {
+    let known = KnownLight {
+        first: Some(&Constant),
+        later: None,
+    };
+    let goal = Adaptive {
+        first: 16,
+        most: 512,
+        error: 0.0,
+        noise: Noise::Specular,
+    };
+    let adaptive = renderer
+        .render_adaptive(&eye, 8, &goal, known, &Progress::silent(), |_, _| Ok(()))
+        .expect("no errors");
+    for frame in [
+        adaptive,
+        renderer.render_with(&eye, 9, known, &Progress::silent()),
+    ] {
         for p in 0..frame.label.data.len() {
             let hits = frame.normal.data[p].length();
             // (pixels on an edge mix two surfaces)
             if hits > 0.999 {
                 let want = frame.albedo.data[p] * 2.0 / PI;
-                assert!((frame.diffuse.data[p] - want).abs().max_element() < 1e-4, "{} not {want}", frame.diffuse.data[p]);
+                assert!(
+                    (frame.diffuse.data[p] - want).abs().max_element() < 1e-4,
+                    "{} not {want}",
+                    frame.diffuse.data[p]
+                );
             }
             assert_eq!(frame.variance.data[p][0], 0.0);
         }

@@ -14,8 +14,8 @@ pub(super) const WAVEFRONT: usize = 4096;
 /// Ray origins move this many units in the last place of the largest coordinate off the surface.
 const OFFSET_ULPS: f32 = 64.0;
 
-/// Which lobes of a vertex are followed; the diffuse one alone is Lambert's, whatever the reflection model. `Neither` is for first
-/// hits whose diffuse light is known.
+/// Which lobes of a vertex are followed; the diffuse one alone is Lambert's, whatever the
+/// reflection model. `Neither` is for first hits whose diffuse light is known.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Lobes {
     Both,
@@ -106,7 +106,11 @@ fn power_heuristic(a: f32, b: f32) -> f32 {
         return 1.0;
     }
     let (a, b) = (a * a, b * b);
-    if a + b > 0.0 && (a + b).is_finite() { a / (a + b) } else { 0.5 }
+    if a + b > 0.0 && (a + b).is_finite() {
+        a / (a + b)
+    } else {
+        0.5
+    }
 }
 
 impl PathTracer<'_> {
@@ -138,7 +142,10 @@ impl PathTracer<'_> {
                     if bounce == 0 {
                         sums[slot].emission += radiance;
                     } else {
-                        let weight = power_heuristic(path.pdf, self.lights.environment_pdf(path.origin, direction));
+                        let weight = power_heuristic(
+                            path.pdf,
+                            self.lights.environment_pdf(path.origin, direction),
+                        );
                         self.deposit(&mut sums[slot], &path, radiance * weight, bounce);
                     }
                     continue;
@@ -150,8 +157,18 @@ impl PathTracer<'_> {
                         sums[slot].emission += surface.emission;
                     } else {
                         let distance = hit.t + self.offset(path.origin);
-                        let other = self.lights.triangle_pdf(path.origin, direction, distance, hit.triangle);
-                        self.deposit(&mut sums[slot], &path, surface.emission * power_heuristic(path.pdf, other), bounce);
+                        let other = self.lights.triangle_pdf(
+                            path.origin,
+                            direction,
+                            distance,
+                            hit.triangle,
+                        );
+                        self.deposit(
+                            &mut sums[slot],
+                            &path,
+                            surface.emission * power_heuristic(path.pdf, other),
+                            bounce,
+                        );
                     }
                 }
                 let mut vertex = self.vertex(&hit, -direction, surface.material);
@@ -170,10 +187,18 @@ impl PathTracer<'_> {
                 if bounce == 0 && vertex.lobes == Lobes::Both {
                     vertex.lobes = following.first;
                 }
-                let known = if bounce == 0 { following.known.first } else { following.known.later };
+                let known = if bounce == 0 {
+                    following.known.first
+                } else {
+                    following.known.later
+                };
                 if let Some(cache) = known {
-                    let view_factor = self.reflectance.diffuse_factor(vertex.normal.dot(vertex.view), surface.material.roughness);
-                    let light = cache.irradiance(triangle, hit.u, hit.v) * surface.material.albedo * (FRAC_1_PI * view_factor);
+                    let view_factor = self
+                        .reflectance
+                        .diffuse_factor(vertex.normal.dot(vertex.view), surface.material.roughness);
+                    let light = cache.irradiance(triangle, hit.u, hit.v)
+                        * surface.material.albedo
+                        * (FRAC_1_PI * view_factor);
                     if bounce == 0 {
                         sums[slot].diffuse += light;
                     } else {
@@ -225,12 +250,31 @@ impl PathTracer<'_> {
         if self.options.flat || normal.dot(view) < 1e-3 {
             normal = face_normal;
         }
-        let lobes = if self.options.lambertian { Lobes::Diffuse } else { Lobes::Both };
-        Vertex { position: self.mesh.position(t, hit.u, hit.v), face_normal, normal, view, material, lobes, reference: 0.0 }
+        let lobes = if self.options.lambertian {
+            Lobes::Diffuse
+        } else {
+            Lobes::Both
+        };
+        Vertex {
+            position: self.mesh.position(t, hit.u, hit.v),
+            face_normal,
+            normal,
+            view,
+            material,
+            lobes,
+            reference: 0.0,
+        }
     }
 
     /// Next-event estimation and the continuation of a path at a vertex.
-    pub(super) fn scatter(&self, vertex: &Vertex, path: Path, key: PathKey, bounce: u32, wave: &mut Wave) {
+    pub(super) fn scatter(
+        &self,
+        vertex: &Vertex,
+        path: Path,
+        key: PathKey,
+        bounce: u32,
+        wave: &mut Wave,
+    ) {
         let u = if bounce < 4 {
             SobolSequence::new(key.key, u64::from(bounce) + 1).point4(key.sample)
         } else {
@@ -256,7 +300,12 @@ impl PathTracer<'_> {
                 Lobes::Specular | Lobes::Neither => Vec3::ZERO,
                 Lobes::Diffuse => m.albedo * (FRAC_1_PI * scale),
                 Lobes::Both => {
-                    m.albedo * (FRAC_1_PI * scale * self.reflectance.diffuse(n.dot(l), n.dot(v), v.dot(l), m.roughness))
+                    m.albedo
+                        * (FRAC_1_PI
+                            * scale
+                            * self
+                                .reflectance
+                                .diffuse(n.dot(l), n.dot(v), v.dot(l), m.roughness))
                 }
             };
             let specular = match (vertex.lobes, self.reflectance) {
@@ -269,12 +318,22 @@ impl PathTracer<'_> {
         let above = |l: Vec3| n.dot(l) > 0.0 && vertex.face_normal.dot(l) > 0.0;
         let advance = |(diffuse, specular): (Vec3, Vec3)| {
             if first {
-                Path { first: [diffuse, specular], ..path }
+                Path {
+                    first: [diffuse, specular],
+                    ..path
+                }
             } else {
-                Path { beta: path.beta * (diffuse + specular), ..path }
+                Path {
+                    beta: path.beta * (diffuse + specular),
+                    ..path
+                }
             }
         };
-        if let Some(s) = self.lights.sample(vertex.position, [u[0], u[1]]).filter(|s| above(s.direction)) {
+        if let Some(s) = self
+            .lights
+            .sample(vertex.position, [u[0], u[1]])
+            .filter(|s| above(s.direction))
+        {
             let pdf = m.pdf_with_share(n, v, s.direction, share);
             let weight = power_heuristic(s.pdf, pdf);
             let radiance = match s.hit {
@@ -283,22 +342,43 @@ impl PathTracer<'_> {
                 None => self.environment.radiance(s.direction),
             };
             let mut light = Sums::default();
-            self.deposit(&mut light, &advance(lobes(s.direction, s.pdf)), radiance * weight, bounce + 1);
-            // beside the diffuse light of a cached vertex a faint highlight is worth a shadow ray only now and then
+            self.deposit(
+                &mut light,
+                &advance(lobes(s.direction, s.pdf)),
+                radiance * weight,
+                bounce + 1,
+            );
+            // beside the diffuse light of a cached vertex a faint highlight is worth a shadow ray
+            // only now and then
             let worth = luminance(advance(lobes(s.direction, s.pdf)).beta * radiance * weight);
-            let keep = if vertex.reference > 0.0 { (2.0 * worth / vertex.reference).clamp(0.1, 1.0) } else { 1.0 };
+            let keep = if vertex.reference > 0.0 {
+                (2.0 * worth / vertex.reference).clamp(0.1, 1.0)
+            } else {
+                1.0
+            };
             let kept = keep >= 1.0
-                || KeyedRng::new(key.key ^ 0xa11e, (u64::from(bounce) << 32) | u64::from(key.sample)).next_f32() < keep;
+                || KeyedRng::new(
+                    key.key ^ 0xa11e,
+                    (u64::from(bounce) << 32) | u64::from(key.sample),
+                )
+                .next_f32()
+                    < keep;
             if kept && light.diffuse + light.specular != Vec3::ZERO {
-                // from the moved origin the same point of the light is aimed at; the end stays clear of it
+                // from the moved origin the same point of the light is aimed at; the end stays
+                // clear of it
                 let (direction, t_far) = if s.distance.is_finite() {
                     let d = vertex.position + s.direction * s.distance - origin;
                     (d.normalize(), d.length() * (1.0 - 1e-4) - offset)
                 } else {
                     (s.direction, f32::INFINITY)
                 };
-                wave.shadow.push(ShadowRay { slot: path.slot, diffuse: light.diffuse / keep, specular: light.specular / keep });
-                wave.shadow_rays.push(Ray::new(origin, direction, t_far.max(0.0)));
+                wave.shadow.push(ShadowRay {
+                    slot: path.slot,
+                    diffuse: light.diffuse / keep,
+                    specular: light.specular / keep,
+                });
+                wave.shadow_rays
+                    .push(Ray::new(origin, direction, t_far.max(0.0)));
             }
         }
         if let Some((light, share)) = self.choose_point(&vertex.position, key, bounce) {
@@ -310,15 +390,27 @@ impl PathTracer<'_> {
                 let mut sums = Sums::default();
                 self.deposit(&mut sums, &advance(lobes(l, share)), radiance, bounce + 1);
                 if sums.diffuse + sums.specular != Vec3::ZERO {
-                    wave.shadow.push(ShadowRay { slot: path.slot, diffuse: sums.diffuse, specular: sums.specular });
-                    wave.shadow_rays.push(Ray::new(origin, l, (distance * (1.0 - 1e-4)).max(0.0)));
+                    wave.shadow.push(ShadowRay {
+                        slot: path.slot,
+                        diffuse: sums.diffuse,
+                        specular: sums.specular,
+                    });
+                    wave.shadow_rays
+                        .push(Ray::new(origin, l, (distance * (1.0 - 1e-4)).max(0.0)));
                 }
             }
         }
         // the first number also chooses the lobe and is stretched back to [0, 1)
         let specular = u[2] < share;
-        let u2 = if specular { u[2] / share } else { (u[2] - share) / (1.0 - share).max(1e-6) };
-        let Some(l) = m.sample_direction(n, v, specular, [u2.clamp(0.0, 1.0 - 1e-7), u[3]]).filter(|&l| above(l)) else {
+        let u2 = if specular {
+            u[2] / share
+        } else {
+            (u[2] - share) / (1.0 - share).max(1e-6)
+        };
+        let Some(l) = m
+            .sample_direction(n, v, specular, [u2.clamp(0.0, 1.0 - 1e-7), u[3]])
+            .filter(|&l| above(l))
+        else {
             return;
         };
         let pdf = m.pdf_with_share(n, v, l, share);
@@ -326,7 +418,11 @@ impl PathTracer<'_> {
         next.pdf = pdf;
         next.origin = vertex.position;
         let strength = next.beta.max_element();
-        if !(pdf > 0.0 && strength > 0.0 && next.beta.is_finite() && next.first.iter().all(|f| f.is_finite())) {
+        if !(pdf > 0.0
+            && strength > 0.0
+            && next.beta.is_finite()
+            && next.first.iter().all(|f| f.is_finite()))
+        {
             return;
         }
         let survival = if vertex.lobes == Lobes::Specular && !first {
@@ -337,7 +433,10 @@ impl PathTracer<'_> {
             1.0
         };
         if survival < 1.0 {
-            let mut rng = KeyedRng::new(key.key ^ 0x5f5f, (u64::from(bounce) << 32) | u64::from(key.sample));
+            let mut rng = KeyedRng::new(
+                key.key ^ 0x5f5f,
+                (u64::from(bounce) << 32) | u64::from(key.sample),
+            );
             if rng.next_f32() >= survival {
                 return;
             }
@@ -357,7 +456,10 @@ impl PathTracer<'_> {
         if !(total > 0.0 && total.is_finite()) {
             return None;
         }
-        let mut rng = KeyedRng::new(key.key ^ 0x90_1e75, (u64::from(bounce) << 32) | u64::from(key.sample));
+        let mut rng = KeyedRng::new(
+            key.key ^ 0x90_1e75,
+            (u64::from(bounce) << 32) | u64::from(key.sample),
+        );
         let mut rest = rng.next_f32() * total;
         let mut chosen = None;
         for l in &self.points {
@@ -377,7 +479,12 @@ impl PathTracer<'_> {
         wave.occluded.clear();
         wave.occluded.resize(wave.shadow_rays.len(), 0);
         self.tracer.occluded(&wave.shadow_rays, &mut wave.occluded);
-        for (s, _) in wave.shadow.iter().zip(&wave.occluded).filter(|(_, o)| **o == 0) {
+        for (s, _) in wave
+            .shadow
+            .iter()
+            .zip(&wave.occluded)
+            .filter(|(_, o)| **o == 0)
+        {
             sums[s.slot as usize].diffuse += s.diffuse;
             sums[s.slot as usize].specular += s.specular;
         }
