@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// What may be used by all of the story: types, filters, formats, rays.
-const VOCABULARY: [&str; 14] = [
+const VOCABULARY: [&str; 15] = [
     "brdf", "texture", "trace", "optim", "metrics", "image", "geometry", "formats", "sampling",
-    "math", "parallel", "progress", "error", "ffi",
+    "math", "parallel", "progress", "switch", "error", "ffi",
 ];
 
 /// Module, and what it may use beyond `error`; "vocabulary" stands for all of [`VOCABULARY`].
@@ -19,8 +19,12 @@ const TABLE: &[(&str, &[&str])] = &[
         "pipeline",
         &[
             "scene",
-            "lighting",
             "gbuffer",
+            "observed",
+            "radiance",
+            "lights",
+            "specular",
+            "irradiance",
             "highlight",
             "inverse",
             "solution",
@@ -47,7 +51,9 @@ const TABLE: &[(&str, &[&str])] = &[
         "edit",
         &[
             "scene",
-            "lighting",
+            "radiance",
+            "lights",
+            "irradiance",
             "gbuffer",
             "render",
             "solution",
@@ -56,18 +62,45 @@ const TABLE: &[(&str, &[&str])] = &[
     ),
     (
         "synth",
-        &["scene", "lighting", "render", "solution", "vocabulary"],
+        &["scene", "radiance", "render", "solution", "vocabulary"],
     ),
     (
         "render",
-        &["scene", "lighting", "gbuffer", "solution", "vocabulary"],
+        &[
+            "scene",
+            "radiance",
+            "lights",
+            "specular",
+            "gbuffer",
+            "solution",
+            "vocabulary",
+        ],
     ),
     (
         "inverse",
-        &["scene", "lighting", "gbuffer", "highlight", "vocabulary"],
+        &[
+            "scene",
+            "observed",
+            "radiance",
+            "lights",
+            "specular",
+            "gbuffer",
+            "highlight",
+            "vocabulary",
+        ],
     ),
-    ("highlight", &["scene", "lighting", "gbuffer", "vocabulary"]),
-    ("lighting", &["scene", "gbuffer", "vocabulary"]),
+    (
+        "highlight",
+        &["scene", "lights", "specular", "gbuffer", "vocabulary"],
+    ),
+    (
+        "irradiance",
+        &["lights", "specular", "radiance", "vocabulary"],
+    ),
+    ("specular", &["lights", "radiance", "vocabulary"]),
+    ("lights", &["radiance", "vocabulary"]),
+    ("radiance", &["gbuffer", "vocabulary"]),
+    ("observed", &["gbuffer", "scene", "vocabulary"]),
     ("gbuffer", &["scene", "vocabulary"]),
     ("solution", &["vocabulary"]),
     ("scene", &["vocabulary"]),
@@ -80,6 +113,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ("image", &["math"]),
     ("geometry", &["math"]),
     ("sampling", &["math"]),
+    ("switch", &[]),
     ("math", &[]),
     ("parallel", &[]),
     ("progress", &[]),
@@ -325,7 +359,7 @@ fn only_evaluation_and_synthesis_know_of_ground_truth() {
             "pipeline",
             "inverse",
             "highlight",
-            "lighting",
+            "irradiance",
             "gbuffer",
             "texture",
         ]

@@ -11,8 +11,8 @@ use unbake::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
 use unbake::geometry::{Camera, Projection};
 use unbake::image::Plane;
 use unbake::inverse::{AlbedoEstimate, DiffuseShading, Unmixing, estimate_albedo};
-use unbake::lighting::{Environment, LightField};
 use unbake::progress::Progress;
+use unbake::radiance::{Environment, LightField};
 use unbake::texture::Texels;
 use unbake::trace::{EmbreeTracer, Hit, Ray, Tracer};
 

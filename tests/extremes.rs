@@ -10,12 +10,12 @@ use unbake::brdf::{Material, ggx_d, specular, specular_d_roughness};
 use unbake::formats;
 use unbake::geometry::Mesh;
 use unbake::image::{Plane, Wrap};
-use unbake::lighting::{
-    EmissionEvidence, Environment, IrtOptions, bake_irradiance, detect_emissive,
-};
+use unbake::irradiance::{IrtOptions, bake_irradiance};
+use unbake::lights::{EmissionEvidence, detect_emissive};
 use unbake::math::Real;
 use unbake::pipeline::{SolveOptions, Switch, reconstruct};
 use unbake::progress::Progress;
+use unbake::radiance::Environment;
 use unbake::scene::{LoadOptions, Scene};
 use unbake::texture::{MipChain, Texels, fill_uncovered};
 
@@ -526,7 +526,7 @@ proptest! {
         let quads = box_quads(lo, lo + Vec3::from(size), radiance);
         let lit = Lit::new(&quads, Environment::black());
         let q = quads[wall];
-        let receiver = unbake::lighting::Receiver { position: q.at(at[0], at[1]), normal: q.normal(), face_normal: q.normal(), key: 7 };
+        let receiver = unbake::irradiance::Receiver { position: q.at(at[0], at[1]), normal: q.normal(), face_normal: q.normal(), key: 7 };
         let out = bake_irradiance(&lit.bake(), 1, |_| receiver, &IrtOptions::default(), &Progress::silent());
         let relative = out.value[0].x / (std::f32::consts::PI * radiance);
         prop_assert!((relative - 1.0).abs() < 1e-4, "{relative}");

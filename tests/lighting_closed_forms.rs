@@ -11,12 +11,12 @@ use std::f64::consts::PI;
 use unbake::gbuffer::{Orientation, ViewBuffer};
 use unbake::geometry::{Camera, Projection};
 use unbake::image::Plane;
-use unbake::lighting::{
-    Budget, Environment, Estimator, Irradiance, IrtOptions, LightField, Patch, Receiver,
-    bake_irradiance, bake_surface,
+use unbake::irradiance::{
+    Budget, Estimator, Irradiance, IrtOptions, Patch, Receiver, bake_irradiance, bake_surface,
 };
 use unbake::math::luminance;
 use unbake::progress::Progress;
+use unbake::radiance::{Environment, LightField};
 use unbake::texture::Texels;
 use unbake::trace::{EmbreeTracer, Hit};
 

@@ -7,11 +7,11 @@ mod common;
 use common::lit::{Lit, Quad, box_quads, framed, lambert, mesh_of, quad, quadrature, receivers_on};
 use glam::{Vec2, Vec3};
 use unbake::gbuffer::Orientation;
-use unbake::lighting::{
-    Budget, Environment, Estimator, Irradiance, IrtOptions, Patch, Receiver, bake_irradiance,
-    bake_surface,
+use unbake::irradiance::{
+    Budget, Estimator, Irradiance, IrtOptions, Patch, Receiver, bake_irradiance, bake_surface,
 };
 use unbake::progress::Progress;
+use unbake::radiance::Environment;
 use unbake::texture::Texels;
 
 /// Hemisphere rays and emitter samples of the presets.

@@ -10,8 +10,8 @@ use unbake::gbuffer::{
 };
 use unbake::geometry::{Camera, Lens, Mesh, Projection};
 use unbake::image::Plane;
-use unbake::lighting::{Fusion, UNSEEN, fuse_radiance};
 use unbake::math::luminance;
+use unbake::observed::{Fusion, UNSEEN, fuse_radiance};
 use unbake::progress::Progress;
 use unbake::sampling::KeyedRng;
 use unbake::texture::Texels;

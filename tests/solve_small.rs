@@ -10,7 +10,7 @@ use tempfile::TempDir;
 use unbake::Error;
 use unbake::formats;
 use unbake::image::Plane;
-use unbake::lighting::Estimator;
+use unbake::irradiance::Estimator;
 use unbake::pipeline::{
     Checkpoints, SolveOptions, Solved, Surface, reconstruct, reconstruct_light,
 };

@@ -7,7 +7,8 @@ use common::lit::{Lit, Quad, box_quads, quad};
 use glam::Vec3;
 use unbake::brdf::specular_d_roughness;
 use unbake::highlight::{LEVELS, LOBES};
-use unbake::lighting::{Environment, Gaze, Levels, Reflector};
+use unbake::radiance::Environment;
+use unbake::specular::{Gaze, Levels, Reflector};
 
 const ROUGHNESS: [f32; 5] = [0.05, 0.2, 0.5, 0.8, 1.0];
 
@@ -100,7 +101,7 @@ fn converged_reflection_is_the_quadrature_of_the_model() {
     let lit = scene();
     let bake = lit.bake();
     let reflector = Reflector {
-        bake: &bake,
+        lit: &bake.lit,
         rays_per_lobe: 64,
         emitter_samples: 64,
         model: unbake::brdf::Reflectance::Paper,
@@ -132,7 +133,7 @@ fn one_set_of_rays_serves_every_level() {
     let lit = scene();
     let bake = lit.bake();
     let reflector = Reflector {
-        bake: &bake,
+        lit: &bake.lit,
         rays_per_lobe: 32,
         emitter_samples: 64,
         model: unbake::brdf::Reflectance::Paper,
@@ -179,7 +180,7 @@ fn the_diffuse_factor_is_that_of_the_light_that_arrives() {
     let bake = lit.bake();
     let model = unbake::brdf::Reflectance::Burley;
     let reflector = Reflector {
-        bake: &bake,
+        lit: &bake.lit,
         rays_per_lobe: 16,
         emitter_samples: 64,
         model,
@@ -241,7 +242,7 @@ fn differences_of_the_table_are_the_kernels_derivative() {
     let lit = scene();
     let bake = lit.bake();
     let reflector = Reflector {
-        bake: &bake,
+        lit: &bake.lit,
         rays_per_lobe: 64,
         emitter_samples: 128,
         model: unbake::brdf::Reflectance::Paper,
@@ -283,7 +284,7 @@ fn extremes_of_roughness_and_view_stay_finite() {
     let lit = scene();
     let bake = lit.bake();
     let reflector = Reflector {
-        bake: &bake,
+        lit: &bake.lit,
         rays_per_lobe: 8,
         emitter_samples: 8,
         model: unbake::brdf::Reflectance::Paper,

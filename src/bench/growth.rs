@@ -8,7 +8,7 @@ use super::irt_rates::{bare_closest, rays_of};
 use super::{Ground, interleaved, median, timed};
 use crate::Result;
 use crate::geometry::Mesh;
-use crate::lighting::{Estimator, IrtOptions};
+use crate::irradiance::{Estimator, IrtOptions};
 use crate::pipeline::bake_irradiance_texels;
 use crate::progress::Progress;
 use crate::texture::Texels;

@@ -6,9 +6,9 @@
 //! the plain estimators are scaled up from runs of neighbouring texels; the pipeline's bake is run
 //! whole, because its filter looks at neighbours.
 
-use super::ground::relative_errors;
+use super::fixture::relative_errors;
 use super::{Ground, timed};
-use crate::lighting::{Estimator, IrtOptions};
+use crate::irradiance::{Estimator, IrtOptions};
 use crate::pipeline::{SolveOptions, reconstruct_light};
 use crate::progress::Progress;
 use crate::texture::Texels;

@@ -1,9 +1,9 @@
 //! The paper's neural irradiance field beside the texture: error at the reference's texels, and
 //! time.
 
-use super::ground::relative_errors;
+use super::fixture::relative_errors;
 use super::{ErrorPoint, Ground, Reference, timed};
-use crate::lighting::{Nirf, NirfCost, NirfOptions, train_nirf};
+use crate::irradiance::{Nirf, NirfCost, NirfOptions, train_nirf};
 use crate::progress::Progress;
 use crate::texture::Texels;
 use glam::Vec3;

@@ -9,7 +9,7 @@ use super::{Ground, interleaved};
 use crate::error::{Error, Result};
 use crate::formats::atomic_write;
 use crate::geometry::Mesh;
-use crate::lighting::{Estimator, IrtOptions};
+use crate::irradiance::{Estimator, IrtOptions};
 use crate::progress::Progress;
 use crate::texture::Texels;
 use crate::trace::{BATCH, EmbreeTracer, Hit, Ray, Tracer};
@@ -118,7 +118,7 @@ pub(super) fn rays_of(
         occluded: Mutex::default(),
     };
     let receiver = |k: usize| ground.surface.receiver(texels, ids[k]);
-    let _ = crate::lighting::bake_irradiance(
+    let _ = crate::irradiance::bake_irradiance(
         &ground.bake(&recording),
         ids.len(),
         receiver,

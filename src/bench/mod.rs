@@ -8,7 +8,7 @@
 
 mod child;
 mod damage;
-mod ground;
+mod fixture;
 mod growth;
 mod irt;
 mod irt_error;
@@ -23,7 +23,7 @@ mod tsdr;
 
 pub use child::{Outcome, Runner};
 pub use damage::{CONDITIONS, Damage, write_damaged};
-pub use ground::Ground;
+pub use fixture::Ground;
 pub use growth::{Growth, TextureGrowth, ThreadGrowth, TriangleGrowth};
 pub use irt::{IrtBench, IrtReport, bench_irt};
 pub use irt_error::{ErrorPoint, Reference};

@@ -7,7 +7,7 @@
 //! (albedo, roughness, novel views).
 
 use super::child::{Outcome, Runner};
-use super::ground::relative_errors;
+use super::fixture::relative_errors;
 use super::irt_error::reference;
 use super::plot::{Chart, Series, svg};
 use super::{Ground, Reference};

@@ -10,10 +10,10 @@
 use crate::Result;
 use crate::gbuffer::Orientation;
 use crate::image::{Plane, RgbPlane, Wrap};
-use crate::lighting::{
-    Bake, Emitters, Environment, Estimator, IrtOptions, LightField, Receiver, bake_irradiance,
-};
+use crate::irradiance::{Bake, Estimator, IrtOptions, Receiver, bake_irradiance};
+use crate::lights::{Emitters, LitScene};
 use crate::progress::Progress;
+use crate::radiance::{Environment, LightField};
 use crate::solution::Solution;
 use crate::texture::{Texels, fill_uncovered};
 use crate::trace::EmbreeTracer;
@@ -112,14 +112,13 @@ pub fn follow_light(
             Environment::black(),
         );
         let emitters = Emitters::new(&mesh, &field, &tracer, &[]);
-        let bake = Bake {
+        let bake = Bake::from(LitScene {
             mesh: &mesh,
             tracer: &tracer,
             field: &field,
             emitters: &emitters,
             offset: (hi - lo).length() * 1e-5,
-            bounce: None,
-        };
+        });
         let options = IrtOptions {
             estimator: Estimator::Cosine,
             rays: if bounce == 0 { RAYS } else { RAYS / 4 },

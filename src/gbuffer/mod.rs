@@ -2,11 +2,9 @@
 //! of a surface point.
 
 mod clipping;
-mod gains;
 mod observe;
 mod view_buffer;
 
 pub use clipping::clipped_pixels;
-pub use gains::{ViewGains, estimate_gains};
 pub use observe::{Observation, ObservedView, Observer, Orientation};
 pub use view_buffer::{ViewBuffer, pixel_rays};

@@ -9,11 +9,12 @@ use super::{Candidate, LOBES};
 use crate::brdf::Reflectance;
 use crate::gbuffer::{Observation, Observer, ViewBuffer};
 use crate::image::bilinear_taps;
-use crate::lighting::{Bake, Gaze, Levels, Reflector};
+use crate::lights::LitScene;
 use crate::math::luminance;
 use crate::parallel;
 use crate::progress::Progress;
 use crate::sampling::{SobolSequence, hash_u64};
+use crate::specular::{Gaze, Levels, Reflector};
 use crate::trace::{Hit, Ray};
 use glam::{Vec2, Vec3};
 use std::ops::Range;
@@ -159,7 +160,7 @@ const REACH: f32 = 2.5;
 /// candidates with fewer than two clean sights are dropped.
 #[must_use]
 pub fn gather_evidence(
-    bake: &Bake,
+    lit: &LitScene,
     observer: &Observer,
     candidates: &[Candidate],
     normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
@@ -175,7 +176,7 @@ pub fn gather_evidence(
     let rays = AtomicU64::new(0);
     let rays_per_lobe = rays_per_lobe.div_ceil(FOOTPRINT as u32);
     let reflector = Reflector {
-        bake,
+        lit,
         rays_per_lobe,
         emitter_samples: rays_per_lobe * 12 / 5,
         model: Reflectance::Paper,
@@ -222,7 +223,7 @@ pub fn gather_evidence(
                 count: seen.len() as u32,
             });
         }
-        let gazes = footprints.gazes(bake, normals);
+        let gazes = footprints.gazes(lit, normals);
         let row = MODELS.len() * levels.len();
         let mut specular = vec![Vec3::ZERO; gazes.len() * row];
         let mut diffuse = vec![[0.0; 3]; gazes.len()];
@@ -283,11 +284,11 @@ impl Footprints {
     /// [`FOOTPRINT`] gazes per sight; where another surface is met, the one at its point.
     fn gazes(
         &self,
-        bake: &Bake,
+        lit: &LitScene,
         normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
     ) -> Vec<Gaze> {
         let mut hits = vec![Hit::miss(); self.rays.len()];
-        bake.tracer.closest(&self.rays, &mut hits);
+        lit.tracer.closest(&self.rays, &mut hits);
         let gaze = |(k, (ray, hit)): (usize, (&Ray, &Hit))| {
             let (centre, reach) = self.centres[k / FOOTPRINT];
             let (half, turn) = (k % FOOTPRINT / HALF, (k % HALF) as u32);

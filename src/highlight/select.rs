@@ -7,7 +7,7 @@
 
 use crate::brdf::fresnel;
 use crate::gbuffer::ObservedView;
-use crate::lighting::Bake;
+use crate::lights::LitScene;
 use crate::math::luminance;
 use crate::sampling::hash_u64;
 use crate::trace::{Hit, Ray};
@@ -47,7 +47,7 @@ pub struct Candidate {
 /// `None` for surfaces without material (emitters, unlabelled).
 #[must_use]
 pub fn select_points(
-    bake: &Bake,
+    lit: &LitScene,
     views: &[ObservedView],
     normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
     class: &(dyn Fn(u32, Vec3) -> Option<u16> + Sync),
@@ -57,7 +57,7 @@ pub fn select_points(
         let per_view: Vec<Vec<Candidate>> = views
             .par_iter()
             .enumerate()
-            .map(|(i, v)| candidates(bake, i, v, normals, class, options))
+            .map(|(i, v)| candidates(lit, i, v, normals, class, options))
             .collect();
         let mut classes: BTreeMap<u16, Vec<Candidate>> = BTreeMap::new();
         for c in per_view.into_iter().flatten() {
@@ -101,7 +101,7 @@ pub fn select_points(
 }
 
 fn candidates(
-    bake: &Bake,
+    lit: &LitScene,
     index: usize,
     view: &ObservedView,
     normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
@@ -138,7 +138,7 @@ fn candidates(
             let mirror = d + n * (2.0 * n_v);
             let order = hash_u64(options.seed, hash_u64(index as u64, (y * w + x) as u64));
             rays.push(Ray::new(
-                position + face * bake.offset,
+                position + face * lit.offset,
                 mirror,
                 f32::INFINITY,
             ));
@@ -152,9 +152,9 @@ fn candidates(
             kept.push((c, n_v, luminance(view.radiance[(x, y)])));
         }
         let mut hits = vec![Hit::miss(); rays.len()];
-        bake.tracer.closest(&rays, &mut hits);
+        lit.tracer.closest(&rays, &mut hits);
         for (k, (mut c, n_v, own)) in kept.iter().copied().enumerate() {
-            let mirrored = luminance(bake.field.arriving(
+            let mirrored = luminance(lit.field.arriving(
                 &hits[k],
                 Vec3::from_array(rays[k].direction),
                 0.05,

@@ -4,12 +4,12 @@
 use crate::brdf::Reflectance;
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::image::{Plane, RgbPlane};
-use crate::lighting::{Gaze, Levels, Reflector};
 use crate::math::luminance;
 use crate::optim::weighted_median;
 use crate::parallel;
 use crate::progress::Progress;
 use crate::sampling::hash_u64;
+use crate::specular::{Gaze, Levels, Reflector};
 use crate::texture::Texels;
 use crate::trace::Hit;
 use glam::{Vec2, Vec3};
@@ -131,7 +131,7 @@ pub fn estimate_albedo(
                 mesh.face_normal(t) * orientation.sign(t),
                 &mut seen,
             );
-            crate::lighting::prefer_clean(&mut seen);
+            crate::observed::prefer_clean(&mut seen);
             looks.clear();
             let mut mean_share = 0.0;
             let sharpest = seen

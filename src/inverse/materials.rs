@@ -8,9 +8,9 @@
 //! by one value (cross-validation); of two such, the one that explains more. Between two colours,
 //! where a texel holds both materials, the roughness is in between.
 
-use super::disagreement::{Disagreement, diffuse_radiance, points_by_class};
-use super::place::{self, Field};
 use super::roughness::{GroupFit, fit, held_out};
+use super::spatial_roughness::{self, Field};
+use super::view_residual::{Disagreement, diffuse_radiance, points_by_class};
 use crate::brdf::Reflectance;
 use crate::highlight::Evidence;
 use crate::math::luminance;
@@ -141,7 +141,8 @@ impl Materials {
                     let halves =
                         [0, 1].map(|half| Disagreement::of_half(evidence, model, points, half));
                     let least = least + PLACE_GAIN - DIVISION_GAIN;
-                    let (field, _) = place::by_place(&whole, &positions, &table, &halves, least)?;
+                    let (field, _) =
+                        spatial_roughness::by_place(&whole, &positions, &table, &halves, least)?;
                     Some(Division::Place(field))
                 });
                 (whole.class, Class { whole, division })

@@ -2,21 +2,19 @@
 //! refinement.
 
 mod albedo;
+mod albedo_palette;
 mod class_prior;
 mod confidence;
-mod disagreement;
 mod materials;
-mod matte;
-mod mixtures;
-mod paint;
-mod place;
+mod mixed_pixels;
+mod robust_cg;
 mod roughness;
-mod unmix;
+mod spatial_roughness;
+mod view_residual;
 
 pub use albedo::{AlbedoEstimate, DiffuseShading, estimate_albedo, specular_image};
+pub use albedo_palette::{Paint, Painting};
 pub use confidence::albedo_error;
 pub use materials::{DIVISION_GAIN, Materials, Places};
-pub use matte::{WIDE, WideLobes};
-pub use paint::{Paint, Painting};
+pub use mixed_pixels::{UnmixReport, Unmixing};
 pub use roughness::{GroupFit, choose_model, fit_groups};
-pub use unmix::{UnmixReport, Unmixing};

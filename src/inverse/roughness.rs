@@ -1,10 +1,10 @@
 //! Stage II: one roughness per class by a pooled search over the evidence.
 //!
-//! The disagreement of the views ([`super::disagreement`]), summed over the points of a group, is
+//! The disagreement of the views ([`super::view_residual`]), summed over the points of a group, is
 //! tabulated at all levels; its global minimum is the answer and its depth the confidence (method
 //! §12.3 point 7).
 
-use super::disagreement::{Disagreement, points_by_class};
+use super::view_residual::{Disagreement, points_by_class};
 use crate::brdf::Reflectance;
 use crate::highlight::Evidence;
 

@@ -5,7 +5,8 @@
 //! Nothing here can make a run fail: a disk without room is only noted.
 
 use crate::formats::atomic_write;
-use crate::lighting::{Fusion, Irradiance};
+use crate::irradiance::Irradiance;
+use crate::observed::Fusion;
 use crate::progress::Progress;
 use bytemuck::{NoUninit, Pod};
 use std::path::{Path, PathBuf};

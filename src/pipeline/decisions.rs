@@ -1,30 +1,21 @@
 //! Model only what a scene requires: each choice is made from evidence, says why, and can be
 //! forced.
 
-use super::budget::Workload;
+use super::time_budget::Workload;
 use super::{Quality, SolveOptions, Switch};
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::geometry::Mesh;
 use crate::highlight::Evidence;
-use crate::inverse::{Materials, Paint, WIDE, choose_model, fit_groups};
-use crate::lighting::Environment;
+use crate::inverse::{Materials, Paint, choose_model, fit_groups};
+use crate::observed::Sizes;
 use crate::progress::Progress;
+use crate::radiance::Environment;
 use crate::sampling::{Discrete, KeyedRng};
 use crate::scene::{RoomGrid, Scene};
+use crate::specular::WIDE;
 use crate::trace::{Hit, Tracer};
 use std::collections::BTreeSet;
 use std::time::Instant;
-
-/// Sides of the textures, texels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Sizes {
-    /// Albedo, radiance, emission, labels.
-    pub albedo: usize,
-    /// Roughness.
-    pub roughness: usize,
-    /// Irradiance.
-    pub irradiance: usize,
-}
 
 /// Surface points that are asked how sharply the photographs see them.
 const POINTS: usize = 20_000;

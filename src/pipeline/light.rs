@@ -4,18 +4,20 @@
 //! (emitters) and what surfaces no camera sees send out (the class's albedo times their
 //! irradiance); the full bake then uses both.
 
-use super::budget::{samples_for, split_samples};
 use super::decisions::{choose_environment, report_emission};
-use super::{SolveOptions, Surface, Switch, surface::coverage};
+use super::time_budget::{samples_for, split_samples};
+use super::{SolveOptions, Switch};
 use crate::geometry::{Mesh, clusters};
 use crate::image::{Plane, RgbPlane};
-use crate::lighting::{
-    Bake, Budget, EmissionEvidence, Emitters, Environment, Irradiance, IrtOptions, LightField,
-    PARTS, Patch, Receiver, bake_irradiance, bake_surface, detect_emissive, spread,
+use crate::irradiance::{
+    Budget, Irradiance, IrtOptions, PARTS, Patch, Receiver, bake_irradiance, bake_surface, spread,
 };
+use crate::lights::{EmissionEvidence, Emitters, LitScene, detect_emissive};
 use crate::math::luminance;
+use crate::observed::{Surface, coverage};
 use crate::optim::median;
 use crate::progress::Progress;
+use crate::radiance::{Environment, LightField};
 use crate::texture::{Texels, fill_uncovered};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -198,7 +200,7 @@ pub fn bake_irradiance_texels(
         filter: options.irradiance_filter,
         seed: options.seed,
     };
-    let bake = surface.bake(field, emitters);
+    let bake = surface.lit(field, emitters).into();
     let (patches, importance) = (patches(surface, texels), importance(surface, texels));
     let receiver = |i: usize| surface.receiver(texels, i);
     progress.stage("irradiance", texels.len() as u64, |p| {
@@ -238,16 +240,15 @@ pub fn patches(surface: &Surface, texels: &Texels) -> Vec<Patch> {
 }
 
 impl Surface<'_> {
-    /// What irradiance bakes take, in the light of `field` and `emitters`.
+    /// The scene as rays meet it, in the light of `field` and `emitters`.
     #[must_use]
-    pub fn bake<'b>(&'b self, field: &'b LightField, emitters: &'b Emitters) -> Bake<'b> {
-        Bake {
+    pub fn lit<'b>(&'b self, field: &'b LightField, emitters: &'b Emitters) -> LitScene<'b> {
+        LitScene {
             mesh: &self.scene.mesh,
             tracer: &self.tracer,
             field,
             emitters,
             offset: self.offset,
-            bounce: None,
         }
     }
 
@@ -401,7 +402,7 @@ fn bake(
     progress: &Progress,
 ) -> Irradiance {
     bake_irradiance(
-        &surface.bake(field, emitters),
+        &surface.lit(field, emitters).into(),
         texels.len(),
         |i| surface.receiver(texels, i),
         options,
@@ -576,8 +577,8 @@ fn complete_radiance(surface: &Surface, irradiance: &RgbPlane, emissive: &[bool]
 
 #[cfg(test)]
 mod tests {
-    use super::super::surface::tests::{box_scene, unseen};
     use super::*;
+    use crate::observed::surface_tests::{box_scene, unseen};
 
     /// What nobody sees sends out its class's share of what it receives: all of it at most,
     /// whatever glints its class shows elsewhere, and nothing in the dark.

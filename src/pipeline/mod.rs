@@ -1,26 +1,24 @@
 //! The order of the stages, from a scene folder to a reconstruction.
 
-mod balance;
-mod budget;
 mod checkpoint;
 mod decisions;
-mod labels;
 mod light;
+mod missing_light;
 mod neural;
+mod observe;
 mod options;
 mod painted;
 mod presets;
-mod second_pass;
 mod solve;
-mod surface;
+mod time_budget;
 
-pub(crate) use budget::rounds_worth;
-pub use budget::{Budget, parse_seconds};
+pub use crate::switch::Switch;
 pub use checkpoint::{Checkpoints, Kept};
-pub use decisions::Sizes;
 pub(crate) use light::texture_of;
 pub use light::{Light, bake_irradiance_texels, reconstruct_light};
-pub use options::{Fit, SolveOptions, Switch};
+pub use observe::observe;
+pub use options::{Fit, SolveOptions};
 pub use presets::{Quality, SolveRequest};
 pub use solve::{Solved, reconstruct};
-pub use surface::Surface;
+pub(crate) use time_budget::rounds_worth;
+pub use time_budget::{Budget, parse_seconds};

@@ -1,10 +1,13 @@
 //! Irradiance from the paper's neural field in place of the texture's rays: its lighting ablation
 //! (method §3.2).
 
-use super::{SolveOptions, Surface};
-use crate::lighting::{Emitters, Irradiance, LightField, NirfOptions, PARTS, train_nirf};
+use super::SolveOptions;
+use crate::irradiance::{Irradiance, NirfOptions, PARTS, train_nirf};
+use crate::lights::Emitters;
 use crate::math::luminance;
+use crate::observed::Surface;
 use crate::progress::Progress;
+use crate::radiance::LightField;
 use crate::texture::Texels;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -22,7 +25,7 @@ pub(super) fn field_at_texels(
     progress: &Progress,
 ) -> Irradiance {
     let training = NirfOptions::of_run(epochs, options.seed);
-    let bake = surface.bake(field, emitters);
+    let bake = surface.lit(field, emitters).into();
     let (nirf, cost) = progress.stage("neural irradiance field", u64::from(epochs), |p| {
         train_nirf(
             &bake,

@@ -3,22 +3,10 @@
 
 use super::{Budget, Checkpoints, Quality};
 use crate::brdf::Reflectance;
-use crate::lighting::Estimator;
+use crate::irradiance::Estimator;
+use crate::switch::Switch;
 use crate::{Error, Result};
-use serde::{Deserialize, Serialize};
-
-/// A choice that the program makes from the evidence unless it is forced.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum Switch {
-    /// As the evidence (or the preset) says.
-    #[default]
-    Auto,
-    /// Always.
-    On,
-    /// Never.
-    Off,
-}
+use serde::Serialize;
 
 /// Textures whose size is a bound that the photographs' resolution may lower; otherwise the size is
 /// exact.

@@ -5,8 +5,9 @@
 //! one place, less light arrives there than was baked: the wall shows the irradiance.
 
 use super::decisions::report_paint;
-use super::{Light, SolveOptions, Surface, Switch};
+use super::{Light, SolveOptions, Switch};
 use crate::inverse::{AlbedoEstimate, Painting};
+use crate::observed::Surface;
 use crate::progress::Progress;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;

@@ -2,11 +2,11 @@
 //!
 //! The numbers are read off the curve that `unbake bench tradeoff` measures (docs/tradeoff.svg).
 
-use super::budget::parse_seconds;
+use super::time_budget::parse_seconds;
 use super::{Budget, Checkpoints, Fit, SolveOptions, Switch};
 use crate::brdf::Reflectance;
 use crate::highlight::LEVELS;
-use crate::lighting::Estimator;
+use crate::irradiance::Estimator;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 

@@ -1,10 +1,9 @@
 //! The main job: light, then materials.
 
 use super::decisions::{choose_matte, choose_rooms, report_materials, report_matte};
+use super::missing_light::add_missing_light;
 use super::painted::settle_paint;
-use super::second_pass::add_missing_light;
-use super::surface::coverage;
-use super::{Light, SolveOptions, Surface, Switch, reconstruct_light};
+use super::{Light, SolveOptions, Switch, observe, reconstruct_light};
 use crate::Result;
 use crate::brdf::{F0, Reflectance};
 use crate::highlight::{
@@ -12,13 +11,14 @@ use crate::highlight::{
 };
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::inverse::{
-    AlbedoEstimate, DIVISION_GAIN, DiffuseShading, GroupFit, Materials, Places, Unmixing, WIDE,
-    WideLobes, choose_model, estimate_albedo, fit_groups, specular_image,
+    AlbedoEstimate, DIVISION_GAIN, DiffuseShading, GroupFit, Materials, Places, Unmixing,
+    choose_model, estimate_albedo, fit_groups, specular_image,
 };
-use crate::lighting::Reflector;
+use crate::observed::{Surface, coverage};
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::solution::Solution;
+use crate::specular::{Reflector, WIDE, WideLobes};
 use crate::texture::{Texels, fill_uncovered};
 use crate::trace::Hit;
 use glam::{Vec2, Vec3};
@@ -50,9 +50,9 @@ pub struct Solved {
 /// Unusable options, unreadable or unusable images and labels.
 pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -> Result<Solved> {
     options.validate()?;
-    let surface = Surface::observe(scene, options, progress)?;
+    let surface = observe(scene, options, progress)?;
     let mut light = reconstruct_light(&surface, options, progress);
-    let bake = surface.bake(&light.field, &light.emitters);
+    let lit = surface.lit(&light.field, &light.emitters);
     let labels = surface.texels.scatter(&surface.labels, 0);
     let normals = |t: u32, p: Vec3| surface.normals_at(t, p);
     let label_at = |t: u32, p: Vec3| surface.nearest(&labels, t, p);
@@ -65,7 +65,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
             highlights: options.evidence_points,
             seed: options.seed,
         };
-        select_points(&bake, &surface.views, &normals, &class, &select)
+        select_points(&lit, &surface.views, &normals, &class, &select)
     });
     let (evidence, matte) = progress.stage("specular samples", evidence.len() as u64, |p| {
         let levels = roughness_levels(options.roughness_levels);
@@ -75,7 +75,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         };
         let gather = |some: &[Candidate]| {
             gather_evidence(
-                &bake,
+                &lit,
                 &surface.observer(),
                 some,
                 &normals,
@@ -186,7 +186,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         None => options.specular_rays,
     };
     let reflector = Reflector {
-        bake: &bake,
+        lit: &lit,
         rays_per_lobe: specular_rays,
         emitter_samples: specular_rays.div_ceil(2),
         model,

@@ -7,10 +7,12 @@ use super::edges::pixels_at_edges;
 use crate::gbuffer::pixel_rays;
 use crate::geometry::Camera;
 use crate::image::{Plane, RgbPlane, Wrap};
-use crate::lighting::{Bake, Emitters, Environment, Gaze, Levels, LightField, Reflector};
+use crate::lights::{Emitters, LitScene};
 use crate::math::luminance;
+use crate::radiance::{Environment, LightField};
 use crate::sampling::hash_u64;
 use crate::solution::Solution;
+use crate::specular::{Gaze, Levels, Reflector};
 use crate::trace::{EmbreeTracer, Hit, Ray, Tracer};
 use crate::{Error, Result};
 use glam::{Vec2, Vec3};
@@ -200,17 +202,16 @@ impl<'a> HybridRenderer<'a> {
             .filter_map(|p| Some((p.gaze?, p.roughness)))
             .unzip();
         let mut specular = vec![Vec3::ZERO; gazes.len()];
-        let bake = Bake {
+        let lit = LitScene {
             mesh: &self.solution.mesh,
             tracer: &self.tracer,
             field: &self.field,
             emitters: &self.emitters,
             offset: self.offset,
-            bounce: None,
         };
         let (model, seed) = (self.solution.reflectance, self.options.seed);
         Reflector {
-            bake: &bake,
+            lit: &lit,
             rays_per_lobe,
             emitter_samples,
             model,

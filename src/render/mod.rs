@@ -14,7 +14,6 @@ mod lighting_change;
 mod options;
 pub mod path_tracer;
 mod point_light;
-mod portals;
 mod relight;
 mod tone;
 mod viewpoints;

@@ -2,13 +2,13 @@
 //! and changes to the latter two.
 
 use super::path_tracer::{self, Surface, SurfaceModel};
-use super::portals::find_portals;
 use super::{IesProfile, PointLight, Shape};
 use crate::brdf::{Material, Reflectance};
 use crate::error::Result;
 use crate::geometry::Mesh;
 use crate::image::{RgbPlane, Wrap};
-use crate::lighting::Environment;
+use crate::lights::portals::find_portals;
+use crate::radiance::Environment;
 use crate::solution::Solution;
 use crate::trace::Tracer;
 use glam::{DVec3, Vec2, Vec3};

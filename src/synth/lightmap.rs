@@ -11,7 +11,7 @@ use super::atlas::Atlas;
 use super::model::buried;
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane, Wrap};
-use crate::lighting::{Irradiance, PARTS, Patch, SurfaceFilter};
+use crate::irradiance::{Irradiance, PARTS, Patch, SurfaceFilter};
 use crate::progress::Progress;
 use crate::render::{IndirectCache, IrradiancePoint, PathTracer};
 use crate::texture::{Texels, fill_uncovered};

@@ -4,7 +4,9 @@ use glam::{DVec3, Vec2, Vec3};
 use unbake::gbuffer::Orientation;
 use unbake::geometry::Mesh;
 use unbake::image::Plane;
-use unbake::lighting::{Bake, Emitters, Environment, LightField, Receiver};
+use unbake::irradiance::{Bake, Receiver};
+use unbake::lights::{Emitters, LitScene};
+use unbake::radiance::{Environment, LightField};
 use unbake::trace::{EmbreeTracer, Tracer};
 
 /// Texels along a quad's cell of the atlas: a multiple of the coarsest mip's texels, so that no
@@ -214,17 +216,21 @@ impl Lit {
         }
     }
 
-    /// What the estimators take.
+    /// What irradiance bakes take.
     pub fn bake(&self) -> Bake<'_> {
+        self.lit().into()
+    }
+
+    /// What gathering rays take.
+    pub fn lit(&self) -> LitScene<'_> {
         let (lo, hi) = self.mesh.bounds();
         let offset = (hi - lo).length() * 1e-5;
-        Bake {
+        LitScene {
             mesh: &self.mesh,
             tracer: &self.tracer,
             field: &self.field,
             emitters: &self.emitters,
             offset,
-            bounce: None,
         }
     }
 }

@@ -1,0 +1,426 @@
+//! Albedo of texels that no view sees clean: thin bars, leaves, fringes, everything at edges.
+//!
+//! A pixel at an edge shows several surfaces at once. How much of each is known from the mesh, so
+//! such pixels are linear equations in the albedos of the texels they cover: I = Σ w E A / π + what
+//! is known (specular parts, lamps, sky, texels seen clean elsewhere). The equations of all views
+//! are solved together for the texels without a clean look, by conjugate gradients on the normal
+//! equations, with the albedo of clean texels of the same class nearby as the prior. Residuals
+//! beyond the noise lose weight (Cauchy), and where the equations as a whole fit badly (mesh or
+//! poses are off) their noise is taken to be what they show, so that the prior decides.
+
+use super::class_prior::class_prior;
+use super::robust_cg::{Mixtures, Pixel};
+use super::{AlbedoEstimate, DiffuseShading};
+use crate::gbuffer::{ObservedView, Observer, Orientation, pixel_rays};
+use crate::image::{Plane, RgbPlane, Wrap};
+use crate::math::luminance;
+use crate::parallel;
+use crate::radiance::LightField;
+use crate::texture::Texels;
+use crate::trace::{Hit, Tracer};
+use glam::{Vec2, Vec3};
+use std::collections::HashMap;
+use std::f32::consts::FRAC_1_PI;
+
+/// Rays per pixel along each axis.
+const GRID: usize = 4;
+/// Terms kept in memory at most (16 bytes each); beyond it pixels are skipped evenly.
+const MOST_TERMS: usize = 64 << 20;
+/// Relative error of a pixel that is none of the unknowns' making: irradiance, specular part,
+/// camera.
+const MODEL_ERROR: f32 = 0.04;
+/// Error of coverage from `GRID`² rays, as a share of the contrast within the pixel.
+const COVERAGE_ERROR: f32 = 0.1;
+/// Side of a piece of surface with one albedo, at most, as a power of two of texels.
+const MOST_LEVELS: f32 = 6.0;
+
+/// What the equations are made from.
+pub struct Unmixing<'a> {
+    /// The views.
+    pub observer: Observer<'a>,
+    /// Side of each triangle the cameras see.
+    pub orientation: &'a Orientation,
+    /// Visibility.
+    pub tracer: &'a dyn Tracer,
+    /// Lamps, sky and far sides.
+    pub field: &'a LightField,
+    /// Covered texels of the albedo atlas.
+    pub texels: &'a Texels,
+    /// Class per texel.
+    pub labels: &'a [u16],
+    /// Irradiance per texel.
+    pub irradiance: &'a (dyn Fn(usize) -> Vec3 + Sync),
+    /// Specular radiance at the pixel centres of every view.
+    pub specular: &'a [RgbPlane],
+    /// Specular radiance of a texel seen at cosine n·v where no pixel tells: (texel, cosine).
+    pub specular_guess: &'a (dyn Fn(usize, f32) -> Vec3 + Sync),
+    /// How the diffuse part depends on the view.
+    pub shading: DiffuseShading<'a>,
+}
+
+/// How many equations and unknowns there were, and how well they fit.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct UnmixReport {
+    /// Pixels at edges that were used.
+    pub pixels: usize,
+    /// Texels solved for.
+    pub texels: usize,
+    /// Factor by which the residuals exceed the noise assumed, at least 1.
+    pub misfit: f32,
+    /// Rays traced.
+    pub rays: u64,
+}
+
+const KNOWN: u32 = u32::MAX;
+
+impl Unmixing<'_> {
+    /// Replaces the values of texels without a clean look in `albedo`.
+    pub fn solve(&self, albedo: &mut AlbedoEstimate) -> UnmixReport {
+        let texels = self.texels;
+        let ids: Vec<u32> = (0..texels.len())
+            .filter(|&i| {
+                !albedo.clean[i] && !self.field.is_emissive(texels.point[i].triangle as usize)
+            })
+            .map(|i| i as u32)
+            .collect();
+        if ids.is_empty() {
+            return UnmixReport::default();
+        }
+        let (unknown, sizes) = self.patches(albedo, &ids);
+        let mean_over = |of: &dyn Fn(usize, usize) -> Vec3| {
+            let mut sum = vec![Vec3::ZERO; sizes.len()];
+            for (k, &i) in ids.iter().enumerate() {
+                sum[unknown[i as usize] as usize] += of(k, i as usize);
+            }
+            sum.into_iter()
+                .zip(&sizes)
+                .map(|(s, n)| s / *n as f32)
+                .collect::<Vec<Vec3>>()
+        };
+        let expected = class_prior(albedo, texels, self.observer.mesh, self.labels, &ids);
+        let mean = mean_over(&|k, _| expected[k].0);
+        let variance = mean_over(&|k, _| Vec3::splat(expected[k].1));
+        let prior: Vec<(Vec3, f32)> = mean
+            .into_iter()
+            .zip(variance)
+            .map(|(m, v)| (m, v.x))
+            .collect();
+        let light = mean_over(&|_, i| (self.irradiance)(i) * FRAC_1_PI);
+        let start = mean_over(&|k, i| {
+            if albedo.error[i].is_finite() {
+                albedo.value[i].clamp(Vec3::ZERO, Vec3::ONE)
+            } else {
+                expected[k].0
+            }
+        });
+        let (equations, rays) = self.equations(albedo, &unknown, &light, &start);
+        let (solution, precision, misfit) = equations.solve(&light, &prior, start);
+        for &i in &ids {
+            let (i, u) = (i as usize, unknown[i as usize] as usize);
+            albedo.value[i] = solution[u];
+            if albedo.error[i].is_finite() {
+                albedo.error[i] = precision[u].sqrt().recip();
+            }
+        }
+        UnmixReport {
+            pixels: equations.pixel.len(),
+            texels: ids.len(),
+            misfit,
+            rays,
+        }
+    }
+
+    /// The unknowns: pieces of surface about as large as the sharpest pixel that sees them, of one
+    /// class and one main direction. Texels may be far smaller, and most of those would lie between
+    /// the rays. Unknown of every texel, and the texels of every unknown.
+    fn patches(&self, albedo: &AlbedoEstimate, ids: &[u32]) -> (Vec<u32>, Vec<u32>) {
+        let (texels, mesh) = (self.texels, self.observer.mesh);
+        let mut unknown = vec![KNOWN; texels.len()];
+        let mut sizes = Vec::new();
+        let mut known: HashMap<(u16, u8, u32, u32, u32), u32> = HashMap::new();
+        for &i in ids {
+            let i = i as usize;
+            let t = texels.point[i].triangle as usize;
+            let normal = mesh.face_normal(t) * self.orientation.sign(t);
+            let axis = normal.abs().max_position();
+            let side = 2 * axis as u8 + u8::from(normal[axis] < 0.0);
+            let texel = texels.texel_area(mesh, t).sqrt().max(f32::MIN_POSITIVE);
+            let level = ((albedo.footprint[i] / texel)
+                .max(0.5)
+                .log2()
+                .ceil()
+                .min(MOST_LEVELS - 1.0) as i32
+                + 1) as u32;
+            let (x, y) = (
+                texels.cell[i] % texels.width as u32,
+                texels.cell[i] / texels.width as u32,
+            );
+            let next = sizes.len() as u32;
+            let u = *known
+                .entry((self.labels[i], side, level, x >> level, y >> level))
+                .or_insert(next);
+            if u == next {
+                sizes.push(0);
+            }
+            sizes[u as usize] += 1;
+            unknown[i] = u;
+        }
+        (unknown, sizes)
+    }
+
+    fn equations(
+        &self,
+        albedo: &AlbedoEstimate,
+        unknown: &[u32],
+        light: &[Vec3],
+        start: &[Vec3],
+    ) -> (Mixtures, u64) {
+        let mut cells = Plane::filled(self.texels.width, self.texels.height, KNOWN);
+        for (i, &c) in self.texels.cell.iter().enumerate() {
+            cells.data[c as usize] = i as u32;
+        }
+        let edges: usize = self
+            .observer
+            .views
+            .iter()
+            .map(|v| v.clean.data.iter().filter(|c| !**c).count())
+            .sum();
+        let stride = edges * GRID * GRID / MOST_TERMS + 1;
+        let rows: Vec<(usize, usize)> = self
+            .observer
+            .views
+            .iter()
+            .enumerate()
+            .flat_map(|(v, view)| (0..view.clean.height).map(move |y| (v, y)))
+            .collect();
+        let parts = parallel::map_chunks(rows.len(), 4, |range| {
+            let mut out = Mixtures::default();
+            let mut rays = 0;
+            for &(v, y) in &rows[range] {
+                rays += self.row(
+                    v,
+                    y,
+                    stride,
+                    (albedo, unknown, light, start),
+                    &cells,
+                    &mut out,
+                );
+            }
+            (out, rays)
+        });
+        let (mut all, mut rays) = (Mixtures::default(), 0);
+        for (p, r) in parts {
+            let base = all.term.len();
+            all.pixel.extend(p.pixel);
+            all.end.extend(p.end.iter().map(|e| base + e));
+            all.term.extend(p.term);
+            rays += r;
+        }
+        (all, rays)
+    }
+
+    /// Appends the equations of the edge pixels in row `y` of view `v`.
+    fn row(
+        &self,
+        v: usize,
+        y: usize,
+        stride: usize,
+        (albedo, unknown, light, start): (&AlbedoEstimate, &[u32], &[Vec3], &[Vec3]),
+        cells: &Plane<u32>,
+        out: &mut Mixtures,
+    ) -> u64 {
+        const SAMPLES: usize = GRID * GRID;
+        let view = &self.observer.views[v];
+        // a clean pixel tells of unknowns too where a texel's look was too far off its centre to be
+        // clean
+        let shows_unknown = |x: usize| {
+            let t = view.buffer.triangle[(x, y)];
+            if t == Hit::MISS {
+                return false;
+            }
+            let (u, v) = self
+                .observer
+                .mesh
+                .barycentrics(t as usize, view.buffer.position(x, y));
+            let texel = self.texel(cells, t, u, v);
+            texel != KNOWN && unknown[texel as usize] != KNOWN
+        };
+        let usable = |x: usize| {
+            (!view.clean[(x, y)] || shows_unknown(x))
+                && view.valid.as_ref().is_none_or(|m| m[(x, y)])
+                && view.radiance[(x, y)].is_finite()
+                && (x + 7 * y).is_multiple_of(stride)
+        };
+        let columns: Vec<usize> = (0..view.clean.width).filter(|&x| usable(x)).collect();
+        let rays = pixel_rays(&view.buffer.camera, y, columns.iter().copied(), GRID);
+        let mut hits = vec![Hit::miss(); rays.len()];
+        self.tracer.closest(&rays, &mut hits);
+        for (k, &x) in columns.iter().enumerate() {
+            let begin = out.term.len();
+            let mut known = Vec3::ZERO;
+            let (mut sum, mut square) = (0.0, 0.0);
+            for (ray, hit) in rays[k * SAMPLES..]
+                .iter()
+                .zip(&hits[k * SAMPLES..])
+                .take(SAMPLES)
+            {
+                let direction = Vec3::from_array(ray.direction);
+                let shown = self.shown(view, v, (x, y), direction, hit, cells);
+                let radiance = match shown {
+                    Shown::Radiance(l) => {
+                        known += l / SAMPLES as f32;
+                        l
+                    }
+                    Shown::Texel {
+                        texel,
+                        factor,
+                        specular,
+                    } => {
+                        let weight = factor / SAMPLES as f32;
+                        known += specular / SAMPLES as f32;
+                        match unknown[texel] {
+                            KNOWN => {
+                                let l = (self.irradiance)(texel)
+                                    * FRAC_1_PI
+                                    * albedo.value[texel]
+                                    * factor;
+                                known += l / SAMPLES as f32;
+                                l + specular
+                            }
+                            u => {
+                                let mean = luminance(light[u as usize]).max(f32::MIN_POSITIVE);
+                                let weight =
+                                    weight * luminance((self.irradiance)(texel)) * FRAC_1_PI / mean;
+                                match out.term[begin..].iter_mut().find(|t| t.0 == u) {
+                                    Some(t) => t.1 += weight,
+                                    None => out.term.push((u, weight)),
+                                }
+                                light[u as usize] * start[u as usize] * factor + specular
+                            }
+                        }
+                    }
+                };
+                sum += luminance(radiance);
+                square += luminance(radiance).powi(2);
+            }
+            if out.term.len() == begin || !known.is_finite() {
+                out.term.truncate(begin);
+                continue;
+            }
+            let mean = sum / SAMPLES as f32;
+            let contrast2 = (square / SAMPLES as f32 - mean * mean).max(0.0);
+            let level = luminance(view.radiance[(x, y)]).max(mean);
+            let variance = (MODEL_ERROR * level).powi(2)
+                + COVERAGE_ERROR.powi(2) * contrast2
+                + f32::MIN_POSITIVE;
+            out.pixel.push(Pixel {
+                rest: view.radiance[(x, y)] - known,
+                variance,
+            });
+            out.end.push(out.term.len());
+        }
+        rays.len() as u64
+    }
+
+    /// The covered texel at a surface point.
+    fn texel(&self, cells: &Plane<u32>, triangle: u32, u: f32, v: f32) -> u32 {
+        *cells.nearest(
+            self.observer.mesh.uv(triangle as usize, u, v)
+                * Vec2::new(cells.width as f32, cells.height as f32),
+        )
+    }
+
+    /// What one ray through pixel `at` shows.
+    fn shown(
+        &self,
+        view: &ObservedView,
+        v: usize,
+        at: (usize, usize),
+        direction: Vec3,
+        hit: &Hit,
+        cells: &Plane<u32>,
+    ) -> Shown {
+        let mesh = self.observer.mesh;
+        let t = hit.triangle as usize;
+        if hit.triangle == Hit::MISS || self.field.is_emissive(t) {
+            return Shown::Radiance(self.field.arriving(hit, direction, 0.0));
+        }
+        let normal = mesh.face_normal(t) * self.orientation.sign(t);
+        let n_v = -normal.dot(direction);
+        let texel = self.texel(cells, hit.triangle, hit.u, hit.v);
+        if n_v <= 0.0 || texel == KNOWN {
+            return Shown::Radiance(self.field.arriving(hit, direction, 0.0));
+        }
+        let texel = texel as usize;
+        let position = view.buffer.camera.position + direction * hit.t;
+        let specular = self
+            .specular_near(view, v, at, position, normal)
+            .unwrap_or_else(|| (self.specular_guess)(texel, n_v));
+        let factor = self
+            .shading
+            .model
+            .diffuse_factor(n_v, (self.shading.roughness)(texel));
+        Shown::Texel {
+            texel,
+            factor,
+            specular,
+        }
+    }
+
+    /// Specular radiance at the pixel centre around `at` that sees the same surface nearest to
+    /// `position`.
+    fn specular_near(
+        &self,
+        view: &ObservedView,
+        v: usize,
+        at: (usize, usize),
+        position: Vec3,
+        normal: Vec3,
+    ) -> Option<Vec3> {
+        let b = &view.buffer;
+        let (w, h) = (b.triangle.width as i64, b.triangle.height as i64);
+        let mut best: Option<(f32, (usize, usize))> = None;
+        for dy in -1..=1 {
+            for dx in -1..=1 {
+                let (x, y) = (at.0 as i64 + dx, at.1 as i64 + dy);
+                let x = if b.wrap() == Wrap::Repeat {
+                    x.rem_euclid(w)
+                } else {
+                    x
+                };
+                if x < 0 || x >= w || y < 0 || y >= h {
+                    continue;
+                }
+                let x = x as usize;
+                let t = b.triangle[(x, y as usize)];
+                if t == Hit::MISS {
+                    continue;
+                }
+                let other =
+                    self.observer.mesh.face_normal(t as usize) * self.orientation.sign(t as usize);
+                if other.dot(normal) < 0.9 {
+                    continue;
+                }
+                let step = b.position(x, y as usize) - position;
+                let d = step.length();
+                if normal.dot(step).abs() < 0.2 * d + 1e-4 * b.distance[(x, y as usize)]
+                    && best.is_none_or(|m| d < m.0)
+                {
+                    best = Some((d, (x, y as usize)));
+                }
+            }
+        }
+        best.map(|(_, p)| self.specular[v][p])
+    }
+}
+
+/// What a ray shows: a radiance, or a texel's diffuse part `factor · E · A / π` and its specular
+/// radiance.
+enum Shown {
+    Radiance(Vec3),
+    Texel {
+        texel: usize,
+        factor: f32,
+        specular: Vec3,
+    },
+}

@@ -1,0 +1,21 @@
+//! Lights: which surfaces emit, the openings through which the environment shines in (portals), and
+//! how both are sampled from any point of the scene (next event estimation).
+
+mod emission;
+mod emitters;
+mod light_sampler;
+mod lit_scene;
+mod portal_grid;
+pub mod portals;
+mod primitives;
+mod sampler_cache;
+mod shadow_rays;
+
+pub use emission::{EmissionEvidence, detect_emissive};
+pub use emitters::{EmitterSample, Emitters};
+pub use light_sampler::LampChoice;
+pub use lit_scene::LitScene;
+pub(crate) use portal_grid::Hull;
+pub(crate) use primitives::PORTAL;
+pub(crate) use sampler_cache::SharedChoices;
+pub(crate) use shadow_rays::{Aimed, Aiming, Picks};

@@ -1,0 +1,19 @@
+//! What the photographs see of the geometry: fused radiance and labels on the atlas, exposure and
+//! white balance of the views.
+
+mod fusion;
+mod gains;
+mod labels;
+mod photometric;
+mod surface;
+
+pub(crate) use fusion::prefer_clean;
+pub use fusion::{Fusion, UNSEEN, fuse_radiance};
+pub use gains::{ViewGains, estimate_gains};
+pub(crate) use labels::complete_labels;
+pub(crate) use photometric::{balance_views, leave_out_clipped_sky};
+pub(crate) use surface::coverage;
+pub use surface::{Sizes, Surface};
+
+#[cfg(test)]
+pub(crate) use surface::tests as surface_tests;

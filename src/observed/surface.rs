@@ -1,0 +1,196 @@
+//! Geometry with what the photographs see of it: the ground every later stage stands on. Built by
+//! the pipeline's stage `observe`.
+
+use super::Fusion;
+use crate::gbuffer::{ObservedView, Observer, Orientation};
+use crate::geometry::Mesh;
+use crate::image::Plane;
+use crate::scene::Scene;
+use crate::texture::Texels;
+use crate::trace::EmbreeTracer;
+use glam::Vec3;
+
+/// Sides of the textures, texels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sizes {
+    /// Albedo, radiance, emission, labels.
+    pub albedo: usize,
+    /// Roughness.
+    pub roughness: usize,
+    /// Irradiance.
+    pub irradiance: usize,
+}
+
+/// Mesh, acceleration structure, views and their fused observations on the atlas.
+pub struct Surface<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Embree.
+    pub tracer: EmbreeTracer,
+    /// Training views.
+    pub views: Vec<ObservedView>,
+    /// Side of each triangle the cameras see.
+    pub orientation: Orientation,
+    /// Sizes of the textures.
+    pub sizes: Sizes,
+    /// Covered texels of the albedo atlas.
+    pub texels: Texels,
+    /// Fused radiance and label votes of `texels`.
+    pub fusion: Fusion,
+    /// Class per texel after the vote and filling; 0 only without any label.
+    pub labels: Vec<u16>,
+    /// Mean radiance of each triangle's far side, zero where unseen.
+    pub back: Vec<Vec3>,
+    /// Distance by which rays start above a surface, metres.
+    pub offset: f32,
+}
+
+impl Surface<'_> {
+    /// Finds the observations of surface points.
+    #[must_use]
+    pub fn observer(&self) -> Observer<'_> {
+        Observer {
+            mesh: &self.scene.mesh,
+            views: &self.views,
+        }
+    }
+
+    /// The mesh with every triangle wound so that its front is the side the cameras see. Vertices
+    /// between turned and unturned triangles are doubled, so that vertex normals agree with their
+    /// faces.
+    #[must_use]
+    pub fn oriented_mesh(&self) -> Mesh {
+        let mut mesh = self.scene.mesh.clone();
+        let mut turned: Vec<Option<u32>> = vec![None; mesh.positions.len()];
+        for (t, corners) in mesh.triangles.iter_mut().enumerate() {
+            if self.orientation.sign(t) > 0.0 {
+                continue;
+            }
+            for c in corners.iter_mut() {
+                let i = *c as usize;
+                *c = *turned[i].get_or_insert_with(|| {
+                    mesh.positions.push(mesh.positions[i]);
+                    mesh.uvs.push(mesh.uvs[i]);
+                    mesh.normals.push(-mesh.normals[i]);
+                    (mesh.positions.len() - 1) as u32
+                });
+            }
+            corners.swap(1, 2);
+        }
+        mesh
+    }
+
+    /// Shading and geometric normal at the point of a triangle nearest to `position`, on the side
+    /// the cameras see.
+    #[must_use]
+    pub fn normals_at(&self, triangle: u32, position: Vec3) -> (Vec3, Vec3) {
+        let (u, v) = self.scene.mesh.barycentrics(triangle as usize, position);
+        self.normals(triangle as usize, u, v)
+    }
+
+    /// Atlas coordinate of the point of a triangle nearest to `position`.
+    #[must_use]
+    pub fn uv_at(&self, triangle: u32, position: Vec3) -> glam::Vec2 {
+        let (u, v) = self.scene.mesh.barycentrics(triangle as usize, position);
+        self.scene.mesh.uv(triangle as usize, u, v)
+    }
+
+    /// The texel of an atlas texture of any size at the point of a triangle nearest to `position`.
+    #[must_use]
+    pub fn nearest<T: Copy>(&self, plane: &Plane<T>, triangle: u32, position: Vec3) -> T {
+        *plane.nearest(
+            self.uv_at(triangle, position)
+                * glam::Vec2::new(plane.width as f32, plane.height as f32),
+        )
+    }
+
+    /// Shading and geometric normal at a surface point, on the side the cameras see.
+    #[must_use]
+    pub fn normals(&self, triangle: usize, u: f32, v: f32) -> (Vec3, Vec3) {
+        let sign = self.orientation.sign(triangle);
+        (
+            self.scene.mesh.shading_normal(triangle, u, v) * sign,
+            self.scene.mesh.face_normal(triangle) * sign,
+        )
+    }
+}
+
+/// A plane of texel validity for the covered texels of `texels`.
+pub(crate) fn coverage(texels: &Texels) -> Plane<bool> {
+    texels.scatter(&vec![true; texels.len()], false)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use glam::{DVec3, Vec2};
+
+    /// A box of 4 × 3 × 5 m seen from inside: floor, ceiling and four walls, two triangles and a
+    /// cell of the atlas each.
+    pub fn box_scene() -> Scene {
+        let size = Vec3::new(4.0, 3.0, 5.0);
+        let [x, y, z] = [Vec3::X * size.x, Vec3::Y * size.y, Vec3::Z * size.z];
+        let walls = [
+            (Vec3::ZERO, z, x),
+            (y, x, z),
+            (Vec3::ZERO, y, z),
+            (x, z, y),
+            (Vec3::ZERO, x, y),
+            (z, y, x),
+        ];
+        let mut mesh = Mesh::default();
+        for (i, (corner, u, v)) in walls.into_iter().enumerate() {
+            let first = mesh.positions.len() as u32;
+            let cell = Vec2::new((i % 3) as f32, (i / 3) as f32);
+            for (a, b) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
+                mesh.positions.push(corner + u * a + v * b);
+                mesh.uvs
+                    .push((cell + Vec2::new(0.1 + 0.8 * a, 0.1 + 0.8 * b)) / 3.0);
+                mesh.normals.push(u.cross(v).normalize());
+            }
+            mesh.triangles
+                .extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+        }
+        Scene::from_parts(
+            std::path::PathBuf::new(),
+            DVec3::ZERO,
+            mesh,
+            Vec::new(),
+            Vec::new(),
+        )
+    }
+
+    /// The surface of a scene of which no view sees anything: what is seen is up to the test.
+    pub fn unseen(scene: &Scene, side: usize) -> Surface<'_> {
+        let texels = Texels::rasterize(&scene.mesh, side, side);
+        let (n, triangles) = (texels.len(), scene.mesh.triangles.len());
+        let fusion = Fusion {
+            radiance: vec![Vec3::ZERO; n],
+            clean: vec![false; n],
+            peak: vec![Vec3::ZERO; n],
+            views: vec![0; n],
+            label: vec![0; n],
+            floor: vec![f32::INFINITY; n],
+        };
+        Surface {
+            scene,
+            tracer: EmbreeTracer::new(&scene.mesh).expect("Embree"),
+            views: Vec::new(),
+            orientation: Orientation::of_winding(triangles),
+            sizes: Sizes {
+                albedo: side,
+                roughness: side,
+                irradiance: side,
+            },
+            labels: texels
+                .point
+                .iter()
+                .map(|p| 1 + p.triangle as u16 / 2)
+                .collect(),
+            texels,
+            fusion,
+            back: vec![Vec3::ZERO; triangles],
+            offset: 7e-5,
+        }
+    }
+}

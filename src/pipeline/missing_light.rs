@@ -1,0 +1,513 @@
+//! Light that the first pass could not know of, added once materials are known.
+//!
+//! The bake takes every texel to send the radiance that cameras saw in all directions alike.
+//! Photographs look at floors and tables from above and mostly past their reflections; the robust
+//! mean over views drops what is left of those. A dielectric sends out a twentieth of the light it
+//! receives by specular reflection, a dark floor more than a quarter of all it sends out. And
+//! surfaces that face away from every camera, like the upper side of a hanging lamp, are black to
+//! it. So, with materials known, every texel sends out what its material does: E A / π to all
+//! sides; where the specular lobe is wide, its flux E ρ / π as well, ρ being its hemispherical
+//! reflectance under even light; where it is narrow, towards every receiver what it mirrors there
+//! ([`SpecularBounce`]). Far sides that nobody saw get what their class reflects. The difference to
+//! the first pass is baked at a low resolution and added to E.
+
+use super::Light;
+use super::light::{coarse_texels, patches, texture_of};
+use crate::brdf::Reflectance;
+use crate::image::{Plane, Wrap};
+use crate::inverse::AlbedoEstimate;
+use crate::irradiance::Bake;
+use crate::irradiance::{
+    Estimator, Irradiance, IrtOptions, Receiver, SurfaceFilter, bake_irradiance,
+};
+use crate::math::luminance;
+use crate::observed::Surface;
+use crate::optim::median;
+use crate::progress::Progress;
+use crate::radiance::{Environment, LightField};
+use crate::specular::{Glossy, Reflector, SpecularBounce, WIDE, WideLobes};
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::f32::consts::FRAC_1_PI;
+
+/// Rays per texel for the difference: it is a few percent of the whole, and so is its noise.
+const RAYS: u32 = 256;
+/// Of so many rays that meet narrow lobes one is followed further: what these send is a small part
+/// even of the difference.
+const ONE_IN: u32 = 2;
+/// Rays per far side at most, and for all far sides: rays that meet many of them average their
+/// noise.
+const FAR_SIDE_RAYS: u32 = 32;
+const ALL_FAR_SIDES: usize = 1 << 24;
+/// Albedo of far sides of which nothing is known.
+const UNKNOWN_ALBEDO: f32 = 0.5;
+/// The first pass may be off by this factor at most: what goes beyond is a lack of samples, not of
+/// light.
+const LIMITS: (f32, f32) = (0.7, 1.5);
+
+/// Adds the missing light to the irradiance and takes it out of the albedo, whose product stays.
+/// Returns the mean relative change of irradiance and the rays traced.
+pub(super) fn add_missing_light(
+    surface: &Surface,
+    light: &mut Light,
+    albedo: &mut AlbedoEstimate,
+    (model, lobes, roughness): (Reflectance, &WideLobes, &(dyn Fn(usize) -> f32 + Sync)),
+    seed: u64,
+    progress: &Progress,
+) -> (f32, u64) {
+    let mesh = &surface.scene.mesh;
+    let texels = &surface.texels;
+    let irradiance = |i: usize| texels.lookup(mesh, &light.irradiance, i);
+    let known = |i: usize| {
+        !light.emissive[texels.point[i].triangle as usize] && albedo.error[i].is_finite()
+    };
+    let glossy = |i: usize| known(i) && roughness(i) < WIDE;
+    let missing: Vec<Vec3> = (0..texels.len())
+        .into_par_iter()
+        .map(|i| {
+            if !known(i) {
+                return Vec3::ZERO;
+            }
+            let specular = Vec3::splat(if glossy(i) {
+                0.0
+            } else {
+                lobes.mean_response(roughness(i))
+            });
+            if albedo.clean[i] {
+                let sent = irradiance(i)
+                    * (albedo.value[i].clamp(Vec3::ZERO, Vec3::ONE) + specular)
+                    * FRAC_1_PI;
+                sent - light.radiance.data[texels.cell[i] as usize]
+            } else {
+                // the first pass took the diffuse part of these from their class
+                irradiance(i) * specular * FRAC_1_PI
+            }
+        })
+        .collect();
+    let none = Plane::filled(texels.width, texels.height, false);
+    let (far_sides, far_rays) = unseen_far_sides(surface, light, albedo, seed, progress);
+    let field = LightField::new(
+        mesh,
+        &surface.orientation,
+        texture_of(texels, &missing),
+        &none,
+        &[],
+        far_sides,
+        Environment::from_map(Plane::filled(2, 1, Vec3::ZERO)),
+    );
+    let coarse = coarse_texels(surface);
+    let options = IrtOptions {
+        estimator: Estimator::Cosine,
+        rays: RAYS,
+        emitter_samples: 0,
+        seed: seed ^ 2,
+        ..IrtOptions::default()
+    };
+    // where a lobe is narrow: its roughness, and 1
+    let lobe = |i: usize| {
+        if glossy(i) {
+            Vec3::new(roughness(i), 1.0, 0.0)
+        } else {
+            Vec3::ZERO
+        }
+    };
+    let narrow = texture_of(
+        texels,
+        &(0..texels.len())
+            .into_par_iter()
+            .map(lobe)
+            .collect::<Vec<_>>(),
+    );
+    let first_pass = surface.lit(&light.field, &light.emitters);
+    let bounce = SpecularBounce {
+        reflector: Reflector {
+            lit: &first_pass,
+            rays_per_lobe: 1,
+            emitter_samples: 1,
+            model,
+            seed: seed ^ 4,
+        },
+        surface: &|hit| {
+            let (t, size) = (
+                hit.triangle as usize,
+                Vec2::new(narrow.width as f32, narrow.height as f32),
+            );
+            let lobe = *narrow.nearest(mesh.uv(t, hit.u, hit.v) * size);
+            (lobe.y > 0.5).then(|| {
+                let (normal, face_normal) = surface.normals(t, hit.u, hit.v);
+                Glossy {
+                    normal,
+                    face_normal,
+                    roughness: lobe.x / lobe.y,
+                }
+            })
+        },
+        one_in: ONE_IN,
+    };
+    let bake = Bake {
+        lit: surface.lit(&field, &light.emitters),
+        bounce: Some(&bounce),
+    };
+    let more = bake_irradiance(
+        &bake,
+        coarse.len(),
+        |i| surface.receiver(&coarse, i),
+        &options,
+        progress,
+    );
+    let rays = more.rays;
+    // relative, it is smooth wherever the surface is, so that its noise can be filtered away
+    let relative = |i: usize, more: Vec3| {
+        let e = coarse.lookup(mesh, &light.irradiance, i);
+        // (parts one by one: of the few rays that find something very bright, most is chance)
+        Vec3::from_array(std::array::from_fn(|c| {
+            if e[c] > 0.0 {
+                1.0 + more[c] / e[c]
+            } else {
+                1.0
+            }
+        }))
+        .clamp(Vec3::splat(LIMITS.0), Vec3::splat(LIMITS.1))
+    };
+    let relative = Irradiance {
+        value: more
+            .value
+            .par_iter()
+            .enumerate()
+            .map(|(i, v)| relative(i, *v))
+            .collect(),
+        parts: more
+            .parts
+            .par_iter()
+            .enumerate()
+            .map(|(i, h)| h.map(|v| relative(i, v)))
+            .collect(),
+        ..more
+    };
+    let patches = patches(surface, &coarse);
+    let ratio = SurfaceFilter::new(&patches, &surface.tracer).filter(&relative, |_| 1.0);
+    let ratio = texture_of(&coarse, &ratio.value);
+    let before = &light.irradiance;
+    let size = Vec2::new(
+        ratio.width as f32 / before.width as f32,
+        ratio.height as f32 / before.height as f32,
+    );
+    let after = Plane {
+        width: before.width,
+        height: before.height,
+        data: (0..before.data.len())
+            .into_par_iter()
+            .map(|k| {
+                let at = Vec2::new(
+                    (k % before.width) as f32 + 0.5,
+                    (k / before.width) as f32 + 0.5,
+                );
+                before.data[k] * ratio.bilinear(at * size, Wrap::Clamp)
+            })
+            .collect(),
+    };
+    let change = |i: usize| {
+        let (a, b) = (
+            texels.lookup(mesh, before, i),
+            texels.lookup(mesh, &after, i),
+        );
+        Vec3::from_array(std::array::from_fn(|c| {
+            if b[c] > 0.0 { a[c] / b[c] } else { 1.0 }
+        }))
+    };
+    let changes: Vec<Vec3> = (0..texels.len()).into_par_iter().map(change).collect();
+    let mut mean = 0.0f64;
+    for (i, c) in changes.iter().enumerate() {
+        albedo.value[i] *= *c;
+        albedo.error[i] *= luminance(*c);
+        mean += f64::from(1.0 / luminance(*c) - 1.0);
+    }
+    light.irradiance = after;
+    ((mean / changes.len().max(1) as f64) as f32, rays + far_rays)
+}
+
+/// Radiance of the far sides of triangles that no view sees from there: the median albedo of their
+/// class under the light that comes in. Zero for all others.
+fn unseen_far_sides(
+    surface: &Surface,
+    light: &Light,
+    albedo: &AlbedoEstimate,
+    seed: u64,
+    progress: &Progress,
+) -> (Vec<Vec3>, u64) {
+    let (mesh, texels) = (&surface.scene.mesh, &surface.texels);
+    let mut label_of = vec![0u16; mesh.triangles.len()];
+    let mut members: BTreeMap<u16, Vec<f32>> = BTreeMap::new();
+    for i in 0..texels.len() {
+        let t = texels.point[i].triangle as usize;
+        label_of[t] = surface.labels[i];
+        if albedo.clean[i] && albedo.error[i].is_finite() && !light.emissive[t] {
+            members
+                .entry(surface.labels[i])
+                .or_default()
+                .push(luminance(albedo.value[i]).clamp(0.0, 1.0));
+        }
+    }
+    let usual: BTreeMap<u16, f32> = members
+        .into_iter()
+        .filter_map(|(label, values)| Some((label, median(values)?)))
+        .collect();
+    let unseen: Vec<u32> = (0..mesh.triangles.len() as u32)
+        .filter(|&t| surface.back[t as usize] == Vec3::ZERO)
+        .collect();
+    let receiver = |k: usize| {
+        let t = unseen[k] as usize;
+        let normal = -mesh.face_normal(t) * surface.orientation.sign(t);
+        Receiver {
+            position: mesh.position(t, 1.0 / 3.0, 1.0 / 3.0),
+            normal,
+            face_normal: normal,
+            key: t as u64,
+        }
+    };
+    let rays = (ALL_FAR_SIDES / unseen.len().max(1)).clamp(2, FAR_SIDE_RAYS as usize) as u32;
+    let options = IrtOptions {
+        estimator: Estimator::Cosine,
+        rays,
+        emitter_samples: 0,
+        seed: seed ^ 3,
+        ..IrtOptions::default()
+    };
+    let bake = surface.lit(&light.field, &light.emitters).into();
+    let received = bake_irradiance(&bake, unseen.len(), receiver, &options, progress);
+    let mut out = vec![Vec3::ZERO; mesh.triangles.len()];
+    for (&t, e) in unseen.iter().zip(&received.value) {
+        let albedo = usual
+            .get(&label_of[t as usize])
+            .copied()
+            .unwrap_or(UNKNOWN_ALBEDO);
+        out[t as usize] = *e * (albedo * FRAC_1_PI);
+    }
+    (out, received.rays)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::brdf::{fresnel, smith_g1};
+    use crate::lights::Emitters;
+    use crate::observed::surface_tests::{box_scene, unseen};
+    use std::f32::consts::PI;
+
+    const SIDE: usize = 384;
+    const ALBEDO: f32 = 0.6;
+
+    /// One side of the box: the radiance of its first pass, and whether its material is known,
+    /// which it then is.
+    struct Wall {
+        radiance: f32,
+        known: bool,
+        albedo: f32,
+        roughness: f32,
+    }
+
+    /// A texel after the second pass: its irradiance beside π, which was that of the first, its
+    /// albedo, its place, and its side of the box.
+    struct After {
+        gain: f32,
+        albedo: f32,
+        place: Vec3,
+        wall: usize,
+    }
+
+    /// The second pass in a box that its first pass found to receive π everywhere.
+    fn second_pass(wall: impl Fn(usize) -> Wall + Sync) -> Vec<After> {
+        let scene = box_scene();
+        let surface = unseen(&scene, SIDE);
+        let (mesh, n) = (&scene.mesh, surface.texels.len());
+        let number = |i: usize| surface.texels.point[i].triangle as usize / 2;
+        let radiance = texture_of(
+            &surface.texels,
+            &(0..n)
+                .map(|i| Vec3::splat(wall(number(i)).radiance))
+                .collect::<Vec<_>>(),
+        );
+        let none = Plane::filled(SIDE, SIDE, false);
+        let field = LightField::new(
+            mesh,
+            &surface.orientation,
+            radiance.clone(),
+            &none,
+            &[],
+            Vec::new(),
+            Environment::black(),
+        );
+        let emitters = Emitters::new(mesh, &field, &surface.tracer, &[]);
+        let mut light = Light {
+            field,
+            emitters,
+            emissive: vec![false; mesh.triangles.len()],
+            radiance,
+            texels: surface.texels.clone(),
+            irradiance: Plane::filled(SIDE, SIDE, Vec3::splat(PI)),
+            error: vec![0.0; n],
+            rays: 0,
+        };
+        let mut albedo = AlbedoEstimate {
+            value: (0..n)
+                .map(|i| Vec3::splat(wall(number(i)).albedo))
+                .collect(),
+            error: (0..n)
+                .map(|i| {
+                    if wall(number(i)).known {
+                        0.1
+                    } else {
+                        f32::INFINITY
+                    }
+                })
+                .collect(),
+            looks: vec![1.0; n],
+            specular_share: vec![0.0; n],
+            clean: vec![true; n],
+            footprint: vec![0.01; n],
+        };
+        let (model, roughness) = (Reflectance::Paper, |i: usize| wall(number(i)).roughness);
+        let material = (
+            model,
+            &WideLobes::new(model),
+            &roughness as &(dyn Fn(usize) -> f32 + Sync),
+        );
+        let (_, rays) = add_missing_light(
+            &surface,
+            &mut light,
+            &mut albedo,
+            material,
+            1,
+            &Progress::silent(),
+        );
+        assert!(rays > 0);
+        let of = |i: usize| After {
+            gain: surface.texels.lookup(mesh, &light.irradiance, i).x / PI,
+            albedo: albedo.value[i].x,
+            place: surface.texels.position(mesh, i),
+            wall: number(i),
+        };
+        (0..n).map(of).collect()
+    }
+
+    /// A furnace whose first pass sends out `radiance`, and the specular reflectance of its walls;
+    /// `known` are those whose material is.
+    fn furnace(radiance: f32, known: impl Fn(usize) -> bool + Sync) -> (Vec<After>, f32) {
+        let wall = |w: usize| Wall {
+            radiance,
+            known: known(w),
+            albedo: ALBEDO,
+            roughness: 0.8,
+        };
+        (
+            second_pass(wall),
+            WideLobes::new(Reflectance::Paper).mean_response(0.8),
+        )
+    }
+
+    /// With diffuse radiance alone the specular part is missing: E grows by ρ, and what is
+    /// reflected diffusely stays.
+    #[test]
+    fn a_furnace_gets_the_light_its_walls_mirror() {
+        // as photographed past all reflections; with a highlight taken for light; black; far too
+        // bright
+        for radiance in [ALBEDO, 0.8, 0.0, 2.0] {
+            let (texels, specular) = furnace(radiance, |_| true);
+            assert!(specular > 0.01 && specular < 0.1, "{specular}");
+            let expected = (1.0 + ALBEDO + specular - radiance).clamp(LIMITS.0, LIMITS.1);
+            for After {
+                gain: e,
+                albedo,
+                place: p,
+                ..
+            } in texels
+            {
+                assert!(
+                    (e / expected - 1.0).abs() < 2e-3,
+                    "radiance {radiance}, {p}: {e} for {expected}"
+                );
+                assert!(
+                    (albedo * e / ALBEDO - 1.0).abs() < 1e-4,
+                    "radiance {radiance}, {p}: albedo {albedo}"
+                );
+            }
+        }
+    }
+
+    /// If only the ceiling's material is known, the floor gets its share of that by the ceiling's
+    /// form factor.
+    #[test]
+    fn missing_light_falls_off_as_form_factors_say() {
+        let (texels, specular) = furnace(0.0, |wall| wall == 1);
+        // of a rectangle from the point below its corner, x and y in units of the height
+        let corner = |x: f32, y: f32| {
+            let half =
+                |x: f32, y: f32| x / (1.0 + x * x).sqrt() * (y / (1.0 + x * x).sqrt()).atan();
+            (half(x, y) + half(y, x)) / (2.0 * PI)
+        };
+        let height = 3.0;
+        let (mut square, mut count) = (0.0, 0);
+        for After {
+            gain: e, place: p, ..
+        } in texels.iter().filter(|t| t.wall == 0)
+        {
+            let [x, z] = [p.x, p.z].map(|v| v / height);
+            let [far_x, far_z] = [4.0 / height - x, 5.0 / height - z];
+            let share = corner(x, z) + corner(far_x, z) + corner(x, far_z) + corner(far_x, far_z);
+            let expected = 1.0 + (ALBEDO + specular) * share;
+            assert!((e / expected - 1.0).abs() < 0.03, "{p}: {e} for {expected}");
+            square += (e / expected - 1.0).powi(2);
+            count += 1;
+        }
+        let rms = (square / count as f32).sqrt();
+        assert!(count > 400 && rms < 0.006, "{count} texels, rms {rms}");
+    }
+
+    /// A mirror for a ceiling shows the shining wall upside down: the floor gets what Fresnel and
+    /// masking leave of that image, most of it beside the opposite wall. Sent out to all sides
+    /// alike, the same light would be spread.
+    #[test]
+    fn a_mirror_sends_its_light_where_the_image_is_seen() {
+        const RADIANCE: f32 = 20.0;
+        let texels = second_pass(|w| Wall {
+            radiance: if w == 2 { RADIANCE } else { 0.0 },
+            known: w == 1,
+            albedo: 0.0,
+            roughness: crate::brdf::MIN_ROUGHNESS,
+        });
+        let image = |p: Vec3| {
+            // the wall x = 0, mirrored at y = 3: cosines at the floor and at the ceiling are the
+            // same
+            let (steps, mut sum) = (60, 0.0);
+            for k in 0..steps * steps {
+                let [y, z] = [k / steps, k % steps].map(|i| (i as f32 + 0.5) / steps as f32);
+                let d = Vec3::new(0.0, 3.0 + 3.0 * y, 5.0 * z) - p;
+                let (d2, cosine) = (d.length_squared(), d.y / d.length());
+                let response =
+                    fresnel(cosine) * smith_g1(cosine, crate::brdf::MIN_ROUGHNESS).powi(2);
+                sum += response * cosine * (p.x / d.length()) / d2;
+            }
+            sum * 15.0 / (steps * steps) as f32
+        };
+        let (mut square, mut count, mut most, mut sums) = (0.0, 0, 0.0f32, [0.0f32; 2]);
+        for t in texels.iter().filter(|t| t.wall == 0) {
+            let (got, expected) = (t.gain - 1.0, RADIANCE * image(t.place) * FRAC_1_PI);
+            assert!(
+                (got - expected).abs() < 0.25 * expected + 0.01,
+                "{}: {got} for {expected}",
+                t.place
+            );
+            square += (got - expected).powi(2);
+            most = most.max(expected);
+            sums = [sums[0] + got, sums[1] + expected];
+            count += 1;
+        }
+        let (rms, share) = ((square / count as f32).sqrt(), sums[0] / sums[1]);
+        assert!(
+            count > 5000 && most > 0.05 && rms < 0.08 * most,
+            "{count} texels, rms {rms} of {most}"
+        );
+        assert!((share - 1.0).abs() < 0.03, "{share} of the light");
+    }
+}

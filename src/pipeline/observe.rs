@@ -1,0 +1,228 @@
+//! The first stage: the training views are read, the exposure of each is taken out, and what they
+//! see is fused on the atlas.
+
+use super::SolveOptions;
+use super::decisions::choose_sizes;
+use crate::Result;
+use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer, clipped_pixels};
+use crate::image::{Plane, RgbPlane};
+use crate::observed::{
+    Surface, balance_views, complete_labels, fuse_radiance, leave_out_clipped_sky,
+};
+use crate::progress::Progress;
+use crate::scene::{Scene, Split};
+use crate::texture::Texels;
+use crate::trace::{EmbreeTracer, Hit};
+use glam::Vec3;
+use std::time::Instant;
+
+/// Reads the training views and fuses what they see.
+///
+/// # Errors
+/// Unreadable or unusable images and labels.
+pub fn observe<'a>(
+    scene: &'a Scene,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<Surface<'a>> {
+    let tracer = EmbreeTracer::new(&scene.mesh)?;
+    let train: Vec<_> = scene
+        .views
+        .iter()
+        .filter(|v| v.split == Split::Train)
+        .collect();
+    let mut clipped = Vec::with_capacity(train.len());
+    let mut views = progress.stage("views", train.len() as u64, |p| {
+        train
+            .iter()
+            .map(|view| {
+                let full = scene.load_radiance(view)?;
+                let ceiling = clipped_pixels(&full).map(|c| any_of(&c, options.photo_reduction));
+                let radiance = reduced(full, options.photo_reduction);
+                let labels = scene.load_labels(view)?;
+                let valid = scene
+                    .load_mask(view)?
+                    .map(|m| all_valid(&m, options.photo_reduction));
+                let buffer = ViewBuffer::trace(
+                    &view.camera.resized(radiance.width, radiance.height),
+                    &tracer,
+                );
+                let mut clean = buffer.clean_pixels(&scene.mesh, labels.as_ref());
+                if let Some(at) = &ceiling {
+                    // a lower bound: used only where no other look is at hand
+                    clean
+                        .data
+                        .iter_mut()
+                        .zip(&at.data)
+                        .for_each(|(clean, clipped)| *clean &= !clipped);
+                    let share =
+                        at.data.iter().filter(|c| **c).count() as f64 / at.data.len() as f64;
+                    p.note(format!(
+                        "{}: {:.2} % of the pixels are clipped",
+                        view.stem,
+                        100.0 * share
+                    ));
+                }
+                clipped.push(ceiling);
+                p.advance(1);
+                Ok(ObservedView {
+                    buffer,
+                    radiance,
+                    clean,
+                    labels,
+                    valid,
+                })
+            })
+            .collect::<Result<Vec<_>>>()
+    })?;
+    let orientation = Orientation::vote(
+        &scene.mesh,
+        &views.iter().map(|v| &v.buffer).collect::<Vec<_>>(),
+    );
+    if orientation.flipped() > 0 {
+        progress.note(format!(
+            "{} of {} triangles are seen from behind their winding; their normals are turned",
+            orientation.flipped(),
+            scene.mesh.triangles.len()
+        ));
+    }
+    leave_out_clipped_sky(&mut views, &clipped);
+    drop(clipped);
+    balance_views(scene, &mut views, &orientation, options.exposure, progress);
+    let sizes = choose_sizes(
+        &Observer {
+            mesh: &scene.mesh,
+            views: &views,
+        },
+        &orientation,
+        options,
+        progress,
+    );
+    let texels = Texels::rasterize(&scene.mesh, sizes.albedo, sizes.albedo);
+    let begin = Instant::now();
+    let fusion = options.checkpoints.reuse("radiance", progress, || {
+        progress.stage("radiance", texels.len() as u64, |p| {
+            fuse_radiance(
+                &Observer {
+                    mesh: &scene.mesh,
+                    views: &views,
+                },
+                &orientation,
+                &texels,
+                p,
+            )
+        })
+    });
+    if let Some(budget) = &options.budget {
+        budget.fused(begin.elapsed().as_secs_f64());
+    }
+    let labels = complete_labels(&scene.mesh, &texels, &fusion);
+    let back = back_radiance(scene, &views, &orientation);
+    let (lo, hi) = scene.mesh.bounds();
+    // a tenth of a millimetre in a ten-metre room, well above the rounding of positions
+    let offset = (hi - lo).length() * 1e-5;
+    Ok(Surface {
+        scene,
+        tracer,
+        views,
+        orientation,
+        sizes,
+        texels,
+        fusion,
+        labels,
+        back,
+        offset,
+    })
+}
+
+/// A photograph at a `factor`-th of its size: means of blocks, those at the far edges cut off.
+fn reduced(image: RgbPlane, factor: usize) -> RgbPlane {
+    if factor <= 1 {
+        return image;
+    }
+    let factor = within(&image, factor);
+    let gain = 1.0 / (factor * factor) as f32;
+    blocks(&image.map(|v| *v * gain), factor, |a, b| a + b)
+}
+
+/// A mask at the size of [`reduced`]: a block may be used if all of it may.
+fn all_valid(mask: &Plane<bool>, factor: usize) -> Plane<bool> {
+    blocks(mask, factor, |a, b| a && b)
+}
+
+/// Marks at the size of [`reduced`]: a block is marked if any of it is.
+fn any_of(marks: &Plane<bool>, factor: usize) -> Plane<bool> {
+    blocks(marks, factor, |a, b| a || b)
+}
+
+/// The factor, but no more than leaves one block.
+fn within<T>(image: &Plane<T>, factor: usize) -> usize {
+    factor.clamp(1, image.width.min(image.height).max(1))
+}
+
+/// Square blocks of pixels joined into one each; at least one block however large the factor.
+fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) -> Plane<T> {
+    let factor = within(image, factor);
+    let (width, height) = (image.width / factor, image.height / factor);
+    let block = |i: usize| {
+        let (x, y) = (i % width * factor, i / width * factor);
+        (1..factor * factor).fold(image[(x, y)], |sum, k| {
+            join(sum, image[(x + k % factor, y + k / factor)])
+        })
+    };
+    Plane {
+        width,
+        height,
+        data: (0..width * height).map(block).collect(),
+    }
+}
+
+/// Mean radiance per triangle of pixels that see it from the side away from its orientation.
+fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientation) -> Vec<Vec3> {
+    let n = scene.mesh.triangles.len();
+    let mut sum = vec![Vec3::ZERO; n];
+    let mut count = vec![0u32; n];
+    for v in views {
+        let b = &v.buffer;
+        let (w, h): (usize, usize) = (b.triangle.width, b.triangle.height);
+        for y in 0..h {
+            for x in 0..w {
+                let t = b.triangle[(x, y)];
+                if t == Hit::MISS {
+                    continue;
+                }
+                let t = t as usize;
+                let d = b
+                    .camera
+                    .direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+                if scene.mesh.face_normal(t).dot(d) * orientation.sign(t) > 0.0 {
+                    sum[t] += v.radiance[(x, y)];
+                    count[t] += 1;
+                }
+            }
+        }
+    }
+    sum.iter()
+        .zip(&count)
+        .map(|(s, c)| if *c > 0 { *s / *c as f32 } else { Vec3::ZERO })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reduced_photograph_keeps_its_brightness_even_beyond_its_size() {
+        let image = Plane::filled(4, 2, Vec3::new(3.0, 2.0, 1.0));
+        for (factor, size) in [(0, (4, 2)), (1, (4, 2)), (2, (2, 1)), (100, (2, 1))] {
+            let small = reduced(image.clone(), factor);
+            assert_eq!((small.width, small.height), size, "factor {factor}");
+            assert!(
+                small.data.iter().all(|v| *v == image.data[0]),
+                "factor {factor}: {:?}",
+                small.data[0]
+            );
+        }
+    }
+}

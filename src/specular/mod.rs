@@ -1,0 +1,11 @@
+//! Specular reflection of the light field: at surface points ([`Reflector`]), along the rays of an
+//! irradiance bake ([`SpecularBounce`]), and its directional average ([`WideLobes`]).
+
+mod directional_albedo;
+mod reflector;
+mod specular_bounce;
+
+pub use directional_albedo::{WIDE, WideLobes};
+pub use reflector::{Gaze, Levels, Reflector};
+pub(crate) use specular_bounce::Bounces;
+pub use specular_bounce::{Glossy, SpecularBounce};
