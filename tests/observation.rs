@@ -5,12 +5,11 @@ mod common;
 
 use common::lit::{Quad, box_quads, mesh_of};
 use glam::{Mat3, Quat, Vec3};
-use unbake::gbuffer::{
-    Observation, ObservedView, Observer, Orientation, ViewBuffer, estimate_gains,
-};
+use unbake::gbuffer::{Observation, ObservedView, Observer, Orientation, ViewBuffer};
 use unbake::geometry::{Camera, Lens, Mesh, Projection};
 use unbake::image::Plane;
 use unbake::math::luminance;
+use unbake::observed::estimate_gains;
 use unbake::observed::{Fusion, UNSEEN, fuse_radiance};
 use unbake::progress::Progress;
 use unbake::sampling::KeyedRng;

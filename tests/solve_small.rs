@@ -12,7 +12,7 @@ use unbake::formats;
 use unbake::image::Plane;
 use unbake::irradiance::Estimator;
 use unbake::pipeline::{
-    Checkpoints, SolveOptions, Solved, Surface, reconstruct, reconstruct_light,
+    Checkpoints, SolveOptions, Solved, observe, reconstruct, reconstruct_light,
 };
 use unbake::progress::Progress;
 use unbake::scene::{LoadOptions, Scene, Split};
@@ -206,7 +206,7 @@ fn unseen_texels_send_out_no_more_than_they_receive() {
         irradiance_rays: 64,
         ..options()
     };
-    let surface = Surface::observe(&scene, &options, &Progress::silent()).expect("observed");
+    let surface = observe(&scene, &options, &Progress::silent()).expect("observed");
     let light = reconstruct_light(&surface, &options, &Progress::silent());
     let (mut sent, mut received, mut excess, mut count) = (0.0, 0.0, 0.0, 0);
     let unseen = |i: &usize| {

@@ -1,7 +1,8 @@
 //! What can be typed.
 
 use super::config::Config;
-use super::pictures::{ExportVerb, Places};
+use super::frames::Places;
+use super::verbs::export::ExportVerb;
 use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveRequest;
 use crate::render::{RelightOptions, RenderOptions};

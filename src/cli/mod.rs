@@ -6,17 +6,18 @@
 //! pipe early is not a failure.
 
 mod args;
-mod bench;
 mod config;
-mod pictures;
+mod frames;
+mod inputs;
 mod progress;
+mod run_record;
 mod verbs;
 
 pub use args::{Cli, Global, Verb};
-pub use bench::BenchVerb;
 pub use config::Config;
-pub use pictures::Places;
+pub use frames::Places;
 pub use progress::{Bars, LogLines, Tee};
+pub use verbs::bench::BenchVerb;
 
 use crate::error::{Error, Result};
 use crate::progress::{Observer, Progress};
@@ -59,7 +60,7 @@ impl Context {
 /// Runs the program with the given arguments (the first is its name) and returns its exit code.
 #[must_use]
 pub fn run(arguments: Vec<OsString>) -> ExitCode {
-    let arguments = bench::with_json_file(arguments);
+    let arguments = verbs::bench::with_json_file(arguments);
     let command: Vec<String> = arguments
         .iter()
         .skip(1)

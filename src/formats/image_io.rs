@@ -3,9 +3,10 @@
 //! Values are scene-linear and returned as stored. A file's format is told by its first bytes,
 //! never by its name, and its size is judged before anything is allocated for it.
 
+use super::image_format::{ImageFormat, sniff};
 use super::whole::Aside;
-use super::{checked_size, exr_header, pixel_buffer, png_io};
-use crate::ffi::oiio::{self, OpenImage, Sample, Samples};
+use super::{checked_size, exr_header, pixel_buffer};
+use crate::ffi::oiio::{self, OpenImage, Samples};
 use crate::image::{Plane, RgbPlane};
 use crate::{Error, Result};
 use glam::{Vec2, Vec3};
@@ -14,7 +15,6 @@ use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
 use std::ffi::CStr;
 use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 /// Largest finite half-precision value.
@@ -22,102 +22,6 @@ const HALF_MAX: f32 = 65504.0;
 
 /// Channels a file may have before it is called damaged.
 const MAX_CHANNELS: i32 = 1024;
-
-/// Image formats the program knows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ImageFormat {
-    /// OpenEXR.
-    Exr,
-    /// Radiance HDR.
-    Hdr,
-    /// PNG.
-    Png,
-    /// JPEG.
-    Jpeg,
-}
-
-impl ImageFormat {
-    /// Whether values are scene-linear radiance rather than display-referred.
-    #[must_use]
-    pub fn is_linear(self) -> bool {
-        matches!(self, Self::Exr | Self::Hdr)
-    }
-
-    /// OpenImageIO's name of the reader.
-    fn reader(self) -> &'static CStr {
-        match self {
-            Self::Exr => c"openexr",
-            Self::Hdr => c"hdr",
-            Self::Png => c"png",
-            Self::Jpeg => c"jpeg",
-        }
-    }
-}
-
-/// What a file says of itself.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ImageInfo {
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Channels.
-    pub channels: usize,
-    /// File format.
-    pub format: ImageFormat,
-    /// How samples are stored.
-    pub sample: Sample,
-}
-
-/// Tells the format by the first bytes; errors name what was found instead.
-pub(super) fn sniff(path: &Path) -> Result<ImageFormat> {
-    let mut head = Vec::new();
-    let open = |e: std::io::Error| match e.kind() {
-        std::io::ErrorKind::NotFound => Error::input(
-            path,
-            "no such file; expected an image (check the path where it is named: transforms.json, a list of edits or lights)",
-        ),
-        _ => Error::input(path, format!("cannot be read: {e}")),
-    };
-    File::open(path)
-        .map_err(open)?
-        .take(32)
-        .read_to_end(&mut head)
-        .map_err(open)?;
-    let found = match head.as_slice() {
-        h if h.starts_with(&exr_header::MAGIC) => return Ok(ImageFormat::Exr),
-        h if h.starts_with(b"#?") => return Ok(ImageFormat::Hdr),
-        h if h.starts_with(b"\x89PNG") => return Ok(ImageFormat::Png),
-        [0xff, 0xd8, 0xff, ..] => return Ok(ImageFormat::Jpeg),
-        [] => "an empty file",
-        h if h.starts_with(b"version https://git-lfs") => "a Git LFS pointer (run `git lfs pull`)",
-        h if h.starts_with(b"II") || h.starts_with(b"MM") => "a TIFF or camera raw file",
-        _ => "something else",
-    };
-    Err(Error::input(
-        path,
-        format!("not an image: expected OpenEXR, Radiance HDR, PNG or JPEG, found {found}"),
-    ))
-}
-
-/// Size, channels and format of an image, from its header alone.
-pub fn image_info(path: impl AsRef<Path>) -> Result<ImageInfo> {
-    let path = path.as_ref();
-    match sniff(path)? {
-        ImageFormat::Png => png_io::info(path),
-        format => {
-            let image = open(path, format)?;
-            let (w, h, c) = image.size();
-            Ok(ImageInfo {
-                width: w as usize,
-                height: h as usize,
-                channels: c as usize,
-                format,
-                sample: image.sample(),
-            })
-        }
-    }
-}
 
 /// Opens an image after judging its header; the size is then within limits.
 pub(super) fn open(path: &Path, format: ImageFormat) -> Result<OpenImage> {

@@ -6,26 +6,31 @@
 
 mod exr_header;
 pub mod gltf;
+mod image_format;
 mod image_io;
 pub mod obj;
 mod picture;
 pub mod ply;
 mod png_io;
+mod probe;
 mod raw_mesh;
+mod read_mesh;
 mod text;
 mod whole;
 
 #[cfg(test)]
 mod tests;
 
+pub use image_format::{ImageFormat, ImageInfo};
 pub use image_io::{
-    ImageFormat, ImageInfo, image_info, read_plane, read_rgb, read_two_channels, write_plane_float,
-    write_plane_half, write_rgb_float, write_rgb_half, write_two_channels_float,
-    write_two_channels_half,
+    read_plane, read_rgb, read_two_channels, write_plane_float, write_plane_half, write_rgb_float,
+    write_rgb_half, write_two_channels_float, write_two_channels_half,
 };
 pub use picture::{encode_grey8, encode_rgb8, encode_webp8, srgb8_from_linear};
 pub use png_io::{read_labels, read_ldr, write_png_rgb8, write_png8, write_png16};
-pub use raw_mesh::{RawMesh, read_mesh};
+pub use probe::image_info;
+pub use raw_mesh::RawMesh;
+pub use read_mesh::read_mesh;
 pub use text::grouped;
 pub use whole::{Aside, atomic_write};
 

@@ -1,6 +1,7 @@
 //! PNG: class and room ids in and out, pictures for the report, display-referred photographs in.
 
-use super::image_io::{self, ImageFormat, ImageInfo};
+use super::image_format::{ImageFormat, ImageInfo, sniff};
+use super::image_io;
 use super::{MAX_PIXELS, atomic_write, checked_size, pixel_buffer};
 use crate::ffi::oiio::Sample;
 use crate::image::{Plane, RgbPlane};
@@ -67,7 +68,7 @@ pub(super) fn info(path: &Path) -> Result<ImageInfo> {
 }
 
 fn expect_png(path: &Path, what: &str) -> Result<()> {
-    match image_io::sniff(path)? {
+    match sniff(path)? {
         ImageFormat::Png => Ok(()),
         other => Err(Error::input(
             path,
@@ -184,7 +185,7 @@ fn write_png(
 /// are ignored.
 pub fn read_ldr(path: impl AsRef<Path>) -> Result<RgbPlane> {
     let path = path.as_ref();
-    match image_io::sniff(path)? {
+    match sniff(path)? {
         ImageFormat::Png => read_ldr_png(path),
         ImageFormat::Jpeg => {
             let image = image_io::open(path, ImageFormat::Jpeg)?;

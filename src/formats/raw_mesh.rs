@@ -1,6 +1,5 @@
 //! A mesh as a file holds it: not yet validated, in the file's own coordinates and precision.
 
-use super::{gltf, obj, ply};
 use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use std::path::Path;
@@ -73,29 +72,4 @@ impl RawMesh {
         }
         Ok(mesh)
     }
-}
-
-/// Reads a mesh; the extension decides the format (`.glb`, `.gltf`, `.obj`, `.ply`).
-pub fn read_mesh(path: &Path) -> Result<RawMesh> {
-    let extension = path
-        .extension()
-        .and_then(|e| e.to_str())
-        .unwrap_or_default()
-        .to_ascii_lowercase();
-    let parse: fn(&[u8], &Path) -> Result<RawMesh> = match extension.as_str() {
-        "glb" | "gltf" => gltf::mesh_from_gltf,
-        "obj" => obj::mesh_from_obj,
-        "ply" => ply::mesh_from_ply,
-        _ => {
-            return Err(Error::input(
-                path,
-                format!(
-                    "\".{extension}\" is no mesh format known here; convert to .glb, .gltf, .obj or .ply"
-                ),
-            ));
-        }
-    };
-    let bytes = std::fs::read(path)
-        .map_err(|e| Error::input(path, format!("the mesh cannot be read: {e}")))?;
-    parse(&bytes, path)
 }

@@ -1,5 +1,6 @@
 //! Loading a scene folder: every problem of every file is collected before anything is refused.
 
+use super::input_error::{as_input, limited};
 use super::mesh_prep::prepare_mesh;
 use super::transforms::{Frame, Model, Transforms, parse_usable};
 use super::{Class, LoadOptions, Scene, Split, View, rooms};
@@ -165,19 +166,6 @@ fn read_transforms(file: &Path) -> std::result::Result<(Transforms, Vec<Error>),
     parse_usable(text)
         .map(|(t, issues)| (t, named(issues)))
         .map_err(named)
-}
-
-/// One error for many, the first `max` of them in full.
-fn limited(mut issues: Vec<Error>, max: usize) -> Error {
-    let max = max.max(1);
-    if issues.len() > max {
-        let more = issues.len() - max;
-        issues.truncate(max);
-        issues.push(Error::Usage(format!(
-            "and {more} more problems of input; mend these first"
-        )));
-    }
-    Error::Inputs(issues)
 }
 
 /// The split of every frame; `None` for frames neither list names.
@@ -364,24 +352,6 @@ fn same_aspect(a: &ImageInfo, b: &ImageInfo) -> bool {
     );
     let expected = aw * bh / bw;
     (expected - ah).abs() <= 0.5 + 1e-9 || (ah * bw / bh - aw).abs() <= 0.5 + 1e-9
-}
-
-/// Reading input failed: exit code 2 and the place that named the file, whatever layer noticed.
-pub(super) fn as_input(e: Error, path: &Path, place: &str) -> Error {
-    match e {
-        Error::Input { path, message } => Error::Input {
-            path,
-            message: format!("{message} (named by {place})"),
-        },
-        Error::Io { path, source } => Error::Input {
-            path,
-            message: format!("{source}; the file is named by {place}"),
-        },
-        e @ (Error::Native(_) | Error::Failed(_)) => {
-            Error::input(path, format!("{e} (named by {place})"))
-        }
-        e => e,
-    }
 }
 
 /// Classes of a scene that declares none: every id in the label images.

@@ -2,6 +2,7 @@
 
 mod check;
 mod check_text;
+mod input_error;
 mod load;
 mod mesh_prep;
 mod pixels;

@@ -1,6 +1,6 @@
 //! Pixels of a view on demand: radiance, class ids and masks, checked as they are read.
 
-use super::load::as_input;
+use super::input_error::as_input;
 use super::{Scene, View};
 use crate::formats;
 use crate::image::{Plane, RgbPlane};

@@ -7,7 +7,7 @@
 //! the widest places down. All lengths scale with the storey's height, so a scene in other units
 //! gives the same rooms.
 
-use super::load::as_input;
+use super::input_error::as_input;
 use super::{RoomGrid, Scene};
 use crate::formats;
 use crate::image::Plane;

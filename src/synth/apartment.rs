@@ -4,15 +4,13 @@
 //! Each room is a box of its own whose doorways are short tunnels through the partition, so that no
 //! wall is seen from behind.
 
-use super::catalogue::{
-    self, CEILING, DOOR_FRAME, PARQUET, SKIRTING, TILED_FLOOR, WALL, WINDOW_FRAME,
-};
-use super::charts::{Builder, Chart, Finish};
+use super::catalogue::{CEILING, DOOR_FRAME, PARQUET, SKIRTING, TILED_FLOOR, WALL, WINDOW_FRAME};
+use super::charts::{Chart, Finish};
 use super::furniture;
 use super::pattern::Paint;
+use super::plan::{Decorator, Footprint, Room};
 use crate::sampling::KeyedRng;
 use glam::{Vec2, Vec3};
-use std::collections::BTreeMap;
 
 /// Thickness of partitions and depth of window reveals, metres.
 const WALL_THICKNESS: f32 = 0.16;
@@ -23,20 +21,6 @@ const SILL: f32 = 0.9;
 const WINDOW: Vec2 = Vec2::new(1.5, 1.3);
 const SKIRTING_HEIGHT: f32 = 0.09;
 const SKIRTING_DEPTH: f32 = 0.014;
-
-/// A room of the plan.
-#[derive(Clone, Copy, Debug)]
-pub struct Room {
-    /// x of its west wall.
-    pub x: f32,
-    /// Extent (x, y, z); z starts at 0.
-    pub size: Vec3,
-    /// 0 living room, 1 bedroom, 2 kitchen.
-    pub kind: usize,
-}
-
-/// What a room's furniture occupies: no camera stands here. Low and high corner in the x-z plane.
-pub type Footprint = (Vec2, Vec2);
 
 /// An apartment before packing.
 pub struct Apartment {
@@ -50,72 +34,6 @@ pub struct Apartment {
     pub portals: Vec<[Vec3; 3]>,
     /// Where furniture stands, world coordinates.
     pub footprints: Vec<Footprint>,
-}
-
-/// Builds one room's contents: charts, paints per (room, class), footprints.
-pub struct Decorator {
-    /// Geometry under construction.
-    pub builder: Builder,
-    /// Random numbers of the room.
-    pub rng: KeyedRng,
-    /// Occupied floor.
-    pub footprints: Vec<Footprint>,
-    paints: Vec<Paint>,
-    paint_of: BTreeMap<u16, usize>,
-    portals: Vec<[Vec3; 3]>,
-}
-
-impl Decorator {
-    /// The room's finish of a class.
-    pub fn finish(&mut self, class: u16) -> Finish {
-        let (paints, rng) = (&mut self.paints, &mut self.rng);
-        let material = *self.paint_of.entry(class).or_insert_with(|| {
-            paints.push(catalogue::paint(class, rng));
-            paints.len() - 1
-        });
-        Finish {
-            material,
-            class,
-            emission: Vec3::ZERO,
-        }
-    }
-
-    /// A finish of a class with colours of its own.
-    pub fn own_finish(&mut self, class: u16) -> Finish {
-        self.paints.push(catalogue::paint(class, &mut self.rng));
-        Finish {
-            material: self.paints.len() - 1,
-            class,
-            emission: Vec3::ZERO,
-        }
-    }
-
-    /// A lamp of the given radiance.
-    pub fn lamp(&mut self, radiance: Vec3) -> Finish {
-        Finish {
-            emission: radiance,
-            ..self.finish(catalogue::LAMP)
-        }
-    }
-
-    /// Marks floor as occupied: local corners of an axis-aligned rectangle.
-    pub fn occupy(&mut self, low: Vec2, high: Vec2) {
-        let corners = [
-            low,
-            high,
-            Vec2::new(low.x, high.y),
-            Vec2::new(high.x, low.y),
-        ]
-        .map(|c| self.builder.world(Vec3::new(c.x, 0.0, c.y)))
-        .map(|p| Vec2::new(p.x, p.z));
-        let fold = |f: fn(Vec2, Vec2) -> Vec2| corners.iter().copied().fold(corners[0], f);
-        self.footprints.push((fold(Vec2::min), fold(Vec2::max)));
-    }
-
-    /// Uniform in a range.
-    pub fn uniform(&mut self, low: f32, high: f32) -> f32 {
-        low + (high - low) * self.rng.next_f32()
-    }
 }
 
 impl Apartment {
@@ -144,14 +62,7 @@ impl Apartment {
         // all rooms share the z of their doorways: measured from the shallowest room's south wall
         let shallowest = out.rooms.iter().fold(f32::INFINITY, |m, r| m.min(r.size.z));
         for i in 0..rooms {
-            let mut d = Decorator {
-                builder: Builder::new(),
-                rng: KeyedRng::new(seed, 2000 + i as u64),
-                footprints: Vec::new(),
-                paints: Vec::new(),
-                paint_of: BTreeMap::new(),
-                portals: Vec::new(),
-            };
+            let mut d = Decorator::new(KeyedRng::new(seed, 2000 + i as u64));
             let room = out.rooms[i];
             let doors = [(i > 0), (i + 1 < rooms)];
             d.builder_at(Vec3::new(room.x, 0.0, 0.0), |d| {
@@ -183,24 +94,6 @@ impl Apartment {
                 let outside = (*low - p).max(p - *high).max(Vec2::ZERO);
                 outside.length() > clearance
             })
-    }
-}
-
-impl Decorator {
-    /// Runs `f` with the builder moved.
-    pub fn builder_at(&mut self, translation: Vec3, f: impl FnOnce(&mut Self)) {
-        self.builder_turned(translation, 0.0, f);
-    }
-
-    /// Runs `f` with the builder moved and turned about y.
-    pub fn builder_turned(&mut self, translation: Vec3, yaw: f32, f: impl FnOnce(&mut Self)) {
-        let mut builder = std::mem::take(&mut self.builder);
-        builder.at(translation, yaw, |b| {
-            std::mem::swap(&mut self.builder, b);
-            f(self);
-            std::mem::swap(&mut self.builder, b);
-        });
-        self.builder = builder;
     }
 }
 

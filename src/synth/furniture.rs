@@ -3,11 +3,11 @@
 //! Local coordinates: y up, pieces stand at the origin on the floor and face −z (their back is at
 //! +z).
 
-use super::apartment::Decorator;
 use super::catalogue::{
     BED_FRAME, BEDDING, BOOK, BOWL, CABINET, CHAIR, CUSHION, FRUIT, LAMP_STAND, ORNAMENT, PICTURE,
     PICTURE_FRAME, PILLOW, PLANT, PLANT_POT, RUG, SHELF, SOFA, SPLASHBACK, TABLE, VASE, WORKTOP,
 };
+use super::plan::Decorator;
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, PI};
 

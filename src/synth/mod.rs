@@ -19,6 +19,7 @@ mod lightmap;
 mod model;
 mod output;
 mod pattern;
+mod plan;
 mod truth;
 mod views;
 

@@ -210,7 +210,7 @@ fn rooms(d: &Described<'_>) -> (Plane<u16>, Value) {
     let id = |i: usize| {
         let x = low.x + ((i % columns) as f32 + 0.5) * ROOM_CELL;
         let gap = |x0: f32, x1: f32| (x0 - x).max(x - x1).max(0.0);
-        let distance = |r: &super::apartment::Room| gap(r.x, r.x + r.size.x);
+        let distance = |r: &super::plan::Room| gap(r.x, r.x + r.size.x);
         let nearest = d
             .apartment
             .rooms

@@ -1,7 +1,7 @@
 //! `unbake bench`: what can be measured, and where the figures go.
 
-use super::verbs::read_scene;
-use super::{Config, Context};
+use super::super::inputs::read_scene;
+use super::super::{Config, Context};
 use crate::bench::{
     IrtBench, KernelBench, RobustnessBench, Runner, TradeoffBench, TsdrBench, bench_irt,
     bench_kernel, bench_robustness, bench_tradeoff, bench_tsdr,
@@ -170,7 +170,7 @@ impl Outputs {
 }
 
 /// Runs one measurement.
-pub(super) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
+pub(in crate::cli) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
     match what {
         BenchVerb::Irt {
             scene,
@@ -278,7 +278,7 @@ fn solve_options(context: &Context) -> SolveOptions {
 
 /// After the verb `bench`, turns `--json FILE` into `--json-file FILE`: everywhere else `--json` is
 /// a switch that takes no value.
-pub(super) fn with_json_file(arguments: Vec<OsString>) -> Vec<OsString> {
+pub(in crate::cli) fn with_json_file(arguments: Vec<OsString>) -> Vec<OsString> {
     let verb = arguments.iter().position(|a| a == "bench");
     let Some(verb) = verb.filter(|&v| v <= 1 || arguments[1].to_string_lossy().starts_with('-'))
     else {
@@ -317,7 +317,7 @@ mod tests {
     #[test]
     fn every_knob_of_the_trade_is_a_flag_of_solve() {
         use clap::CommandFactory;
-        let command = super::super::Cli::command();
+        let command = crate::cli::Cli::command();
         let solve = command.find_subcommand("solve").expect("verb");
         for (knob, values) in crate::bench::KNOBS {
             for value in *values {

@@ -1,0 +1,26 @@
+//! What verbs read: scenes and solutions, with their warnings on the way.
+
+use super::Context;
+use crate::Result;
+use crate::edit::load_edited;
+use crate::progress::Progress;
+use crate::scene::Scene;
+use crate::solution::Solution;
+use std::path::Path;
+
+/// Reads a scene and shows its warnings.
+pub(super) fn read_scene(path: &Path, context: &Context) -> Result<Scene> {
+    let scene = context.progress.stage("reading the scene", 1, |_| {
+        Scene::load(path, &context.config.scene)
+    })?;
+    for warning in &scene.warnings {
+        context.progress.note(warning);
+    }
+    Ok(scene)
+}
+
+/// A solution with its edits applied, if it has any.
+pub(super) fn read_solution(out: &Path, progress: &Progress) -> Result<Solution> {
+    progress.note(format!("reading {}", out.display()));
+    load_edited(out, progress)
+}

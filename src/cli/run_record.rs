@@ -1,0 +1,54 @@
+//! What is written down of a run: its inputs, options and versions.
+
+use super::Context;
+use crate::error::{Error, Result};
+use crate::report::{InputFile, RunRecord, SceneSummary, Versions};
+use crate::scene::Scene;
+use serde_json::json;
+
+/// A hash of everything the result depends on: inputs, options, seed and this very program.
+pub(super) fn run_key(inputs: &[InputFile], context: &Context) -> Result<String> {
+    let program = std::env::current_exe()
+        .and_then(std::fs::read)
+        .map_err(|e| Error::Failed(format!("reading this program: {e}")))?;
+    let program = blake3::hash(&program).to_hex().to_string();
+    let all = json!([
+        inputs,
+        options_of(context)?,
+        context.seed(),
+        Versions::current(),
+        program
+    ]);
+    Ok(blake3::hash(all.to_string().as_bytes())
+        .to_hex()
+        .to_string())
+}
+
+/// The options as asked for and in effect.
+fn options_of(context: &Context) -> Result<serde_json::Value> {
+    let config = serde_json::to_value(&context.config)
+        .map_err(|e| Error::Failed(format!("options: {e}")))?;
+    let effective = context
+        .config
+        .solve
+        .options(context.seed(), context.recorder.started());
+    Ok(json!({"scene": config["scene"], "solve": config["solve"], "effective": effective}))
+}
+
+/// What has been measured so far, with what is known about the run besides.
+pub(super) fn record(
+    scene: &Scene,
+    inputs: Vec<InputFile>,
+    context: &Context,
+) -> Result<RunRecord> {
+    let options = options_of(context)?;
+    Ok(RunRecord {
+        command: context.command.clone(),
+        versions: Versions::current(),
+        scene: SceneSummary::of(scene),
+        options,
+        seed: context.seed(),
+        inputs,
+        ..context.recorder.record()
+    })
+}

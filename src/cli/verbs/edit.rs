@@ -1,0 +1,99 @@
+//! `unbake edit`.
+
+use super::super::Context;
+use super::super::inputs::read_scene;
+use crate::edit::{EDITED, EDITS, EditList, apply_to_folder};
+use crate::error::{Error, Result};
+use serde_json::json;
+use std::path::Path;
+use std::time::Instant;
+
+/// `unbake edit`.
+pub(in crate::cli) fn edit(
+    out: &Path,
+    edits: Option<&Path>,
+    scene: Option<&Path>,
+    clear: bool,
+    context: &Context,
+) -> Result<()> {
+    let list = out.join(EDITS);
+    if clear {
+        for (path, removed) in [
+            (&list, std::fs::remove_file(&list)),
+            (&out.join(EDITED), std::fs::remove_dir_all(out.join(EDITED))),
+        ] {
+            if let Err(e) = removed
+                && e.kind() != std::io::ErrorKind::NotFound
+            {
+                return Err(Error::io(path, e));
+            }
+        }
+        return context.result(
+            &format!("{}: no edits any more\n", out.display()),
+            &json!({"out": out, "edits": 0}),
+        );
+    }
+    let before = std::fs::read(&list).ok();
+    if let Some(file) = edits {
+        let mut taken = EditList::read(file)?;
+        if taken.anchor(file)? {
+            taken.save(&list)?;
+        } else {
+            let text = std::fs::read(file).map_err(|e| Error::io(file, e))?;
+            crate::formats::atomic_write(&list, &text)?;
+        }
+    } else if !list.is_file() {
+        return Err(Error::Usage(format!(
+            "{} does not exist: give the edits with --edits FILE",
+            list.display()
+        )));
+    }
+    let done = apply_list(out, &list, scene, context);
+    if done.is_err() && edits.is_some() {
+        // a list that cannot be applied must not stand in the way of the next `render`
+        match before {
+            Some(bytes) => crate::formats::atomic_write(&list, &bytes)?,
+            None => std::fs::remove_file(&list).map_err(|e| Error::io(&list, e))?,
+        }
+    }
+    done
+}
+
+fn apply_list(out: &Path, list: &Path, scene: Option<&Path>, context: &Context) -> Result<()> {
+    let classes: Vec<(u16, String)> = match scene {
+        Some(path) => read_scene(path, context)?
+            .classes
+            .into_iter()
+            .map(|c| (c.id, c.name))
+            .collect(),
+        None => Vec::new(),
+    };
+    // names are turned into ids once, so that the list can be applied where the scene is not at
+    // hand
+    let mut resolved = EditList::read(list)?;
+    if resolved.name_classes(&classes) {
+        resolved.save(list)?;
+    }
+    let clock = Instant::now();
+    let edited = apply_to_folder(out, &classes, context.seed(), &context.progress)?;
+    let mut text = String::new();
+    for (i, n) in edited.texels.iter().enumerate() {
+        text.push_str(&format!("edit {i}: {n} texels\n"));
+    }
+    let bounces: Vec<String> = edited
+        .bounces
+        .iter()
+        .map(|b| format!("{:.2} %", 100.0 * b))
+        .collect();
+    text.push_str(&format!(
+        "light followed over {} bounces (change of irradiance {}), {:.1} s\n{}\n",
+        bounces.len(),
+        bounces.join(", "),
+        clock.elapsed().as_secs_f64(),
+        out.join(EDITED).display()
+    ));
+    context.result(
+        &text,
+        &json!({"out": out, "texels": edited.texels, "bounces": edited.bounces}),
+    )
+}

@@ -1,0 +1,76 @@
+//! `unbake eval`.
+
+use super::super::Context;
+use super::super::inputs::read_scene;
+use super::super::run_record::record;
+use crate::error::{Error, Result};
+use crate::evaluate::{evaluate, terminal_table};
+use crate::render::{HybridOptions, HybridRenderer};
+use crate::report::{self, Photographer, RunRecord, hash_inputs, write_report};
+use crate::solution::Solution;
+use std::path::Path;
+
+pub(in crate::cli) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<()> {
+    let solution = context
+        .progress
+        .stage("reading the solution", 1, |_| Solution::load(out))?;
+    let scene = read_scene(scene_path, context)?;
+    if (scene.origin - solution.origin).length() > 1e-6 {
+        let message = format!(
+            "was reconstructed from a scene centred at {}, but {} is centred at {}; give the scene it was made from",
+            solution.origin,
+            scene_path.display(),
+            scene.origin
+        );
+        return Err(Error::input(out, message));
+    }
+    let renderer = HybridRenderer::new(
+        &solution,
+        HybridOptions {
+            seed: context.seed(),
+            ..HybridOptions::default()
+        },
+    )?;
+    let photographer = Photographer::new(&scene, &solution)?;
+    let shown: Vec<&str> = report::shown_views(&scene)
+        .iter()
+        .map(|v| v.stem.as_str())
+        .collect();
+    let mut pictures = Vec::new();
+    let mut failed = None;
+    let evaluation = evaluate(
+        &scene,
+        &renderer,
+        &context.config.eval,
+        Some(out),
+        &context.progress,
+        &mut |seen| {
+            if shown.contains(&seen.view.stem.as_str()) {
+                match photographer.view(seen.view, seen.rendered, seen.truth) {
+                    Ok(view) => pictures.push(view),
+                    Err(e) => failed = Some(e),
+                }
+            }
+        },
+    )?;
+    failed.map_or(Ok(()), Err)?;
+    // the report tells of the run that made the solution; without its manifest, of this one
+    let record = match RunRecord::read_manifest(out) {
+        Some(record) => record,
+        None => record(&scene, hash_inputs(&scene)?, context)?,
+    };
+    context.progress.stage("report", 1, |_| {
+        write_report(
+            out,
+            &scene,
+            &solution,
+            &renderer,
+            &record,
+            Some(&evaluation),
+            pictures,
+        )
+    })?;
+    let json =
+        serde_json::to_value(&evaluation).map_err(|e| Error::Failed(format!("scores: {e}")))?;
+    context.result(&terminal_table(&evaluation), &json)
+}

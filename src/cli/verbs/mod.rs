@@ -1,0 +1,67 @@
+//! The verbs, a file each: each reads its input, calls the library and prints the result.
+
+pub(super) mod bench;
+mod check;
+mod edit;
+mod eval;
+pub(super) mod export;
+mod relight;
+mod render;
+mod solve;
+mod synth;
+mod view;
+
+use super::{Context, Verb};
+use crate::error::{Error, Result};
+
+/// Runs one verb and returns the exit code of a run that did not fail.
+pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
+    match verb {
+        Verb::Synth { out, .. } => synth::synthesise(required(out)?, context),
+        Verb::Check { scene, .. } => return check::check_scene(required(scene)?, context),
+        Verb::Solve { scene, out, .. } => solve::solve(required(scene)?, required(out)?, context),
+        Verb::Render { out, places, .. } => render::render(required(out)?, places, context),
+        Verb::Edit {
+            out,
+            edits,
+            scene,
+            clear,
+            ..
+        } => edit::edit(
+            required(out)?,
+            edits.as_deref(),
+            scene.as_deref(),
+            *clear,
+            context,
+        ),
+        Verb::Export { out, places, .. } => export::export(required(out)?, places, context),
+        Verb::Relight {
+            out,
+            places,
+            lights,
+            against,
+            list_lamps,
+            ..
+        } => relight::relight(
+            required(out)?,
+            places,
+            lights.as_deref(),
+            against.as_deref(),
+            *list_lamps,
+            context,
+        ),
+        Verb::Eval { out, scene, .. } => eval::eval(required(out)?, required(scene)?, context),
+        Verb::Bench { what } => bench::run(what, context),
+        Verb::View { out, scene, .. } => {
+            view::view_in_browser(required(out)?, scene.as_deref(), context)
+        }
+    }?;
+    Ok(0)
+}
+
+/// clap guarantees presence unless `--print-config` was given, which never gets here.
+fn required<T>(value: &Option<T>) -> Result<&T> {
+    value
+        .as_ref()
+        .ok_or_else(|| Error::Usage("an argument is missing; see --help".into()))
+}

@@ -1,0 +1,73 @@
+//! `unbake solve`.
+
+use super::super::Context;
+use super::super::inputs::read_scene;
+use super::super::run_record::{record, run_key};
+use crate::error::{Error, Result};
+use crate::pipeline::{Checkpoints, reconstruct};
+use crate::render::{HybridOptions, HybridRenderer};
+use crate::report::{hash_inputs, write_report};
+use crate::solution::{AsideFolder, SaveOptions};
+use serde_json::json;
+use std::path::Path;
+use std::time::Duration;
+
+pub(in crate::cli) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
+    if out
+        .canonicalize()
+        .is_ok_and(|o| scene_path.canonicalize().is_ok_and(|s| o == s))
+    {
+        return Err(Error::Usage(format!(
+            "{}: is the scene itself; give another folder to --out",
+            out.display()
+        )));
+    }
+    let scene = read_scene(scene_path, context)?;
+    // before the long run: is there a place for the result?
+    drop(AsideFolder::new(out)?);
+    let options = context
+        .config
+        .solve
+        .options(context.seed(), context.recorder.started());
+    let progress = &context.progress;
+    let inputs = hash_inputs(&scene)?;
+    let mut options = options;
+    if options.budget.is_none() {
+        options.checkpoints = Checkpoints::new(out, &run_key(&inputs, context)?);
+    }
+    let solution = reconstruct(&scene, &options, progress)?.solution;
+    progress.stage("writing the textures", 1, |_| {
+        solution.save(out, &SaveOptions::default())
+    })?;
+    let mut record = record(&scene, inputs, context)?;
+    progress.stage("report", 1, |_| {
+        // one sample per pixel is enough for pictures of this size; `unbake eval` renders at full
+        // quality
+        let renderer = HybridRenderer::new(
+            &solution,
+            HybridOptions {
+                supersampling: 1,
+                ..HybridOptions::default()
+            },
+        )?;
+        write_report(out, &scene, &solution, &renderer, &record, None, Vec::new())
+    })?;
+    record.measure(&context.recorder);
+    record.write_manifest(out)?;
+    options.checkpoints.finish();
+    let s = &solution;
+    let text = format!(
+        "albedo {}x{}, roughness {}x{}, irradiance {}x{} in {} ({:.2} GiB at most, {} threads)\nreport: {}\n",
+        s.albedo.width,
+        s.albedo.height,
+        s.roughness.width,
+        s.roughness.height,
+        s.irradiance.width,
+        s.irradiance.height,
+        crate::cli::progress::seconds(Duration::from_secs_f64(record.wall_seconds)),
+        record.peak_bytes as f64 / (1u64 << 30) as f64,
+        record.machine.threads,
+        out.join("report.html").display()
+    );
+    context.result(&text, &json!({"out": out, "run": record}))
+}

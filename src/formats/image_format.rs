@@ -1,0 +1,86 @@
+//! Which format an image file has, by its first bytes, and what its header states.
+
+use super::exr_header;
+use crate::ffi::oiio::Sample;
+use crate::{Error, Result};
+use std::ffi::CStr;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// Image formats the program knows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageFormat {
+    /// OpenEXR.
+    Exr,
+    /// Radiance HDR.
+    Hdr,
+    /// PNG.
+    Png,
+    /// JPEG.
+    Jpeg,
+}
+
+impl ImageFormat {
+    /// Whether values are scene-linear radiance rather than display-referred.
+    #[must_use]
+    pub fn is_linear(self) -> bool {
+        matches!(self, Self::Exr | Self::Hdr)
+    }
+
+    /// OpenImageIO's name of the reader.
+    pub(super) fn reader(self) -> &'static CStr {
+        match self {
+            Self::Exr => c"openexr",
+            Self::Hdr => c"hdr",
+            Self::Png => c"png",
+            Self::Jpeg => c"jpeg",
+        }
+    }
+}
+
+/// What a file says of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImageInfo {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Channels.
+    pub channels: usize,
+    /// File format.
+    pub format: ImageFormat,
+    /// How samples are stored.
+    pub sample: Sample,
+}
+
+/// Tells the format by the first bytes; errors name what was found instead.
+pub(super) fn sniff(path: &Path) -> Result<ImageFormat> {
+    let mut head = Vec::new();
+    let open = |e: std::io::Error| match e.kind() {
+        std::io::ErrorKind::NotFound => Error::input(
+            path,
+            "no such file; expected an image (check the path where it is named: transforms.json, a list of edits or lights)",
+        ),
+        _ => Error::input(path, format!("cannot be read: {e}")),
+    };
+    File::open(path)
+        .map_err(open)?
+        .take(32)
+        .read_to_end(&mut head)
+        .map_err(open)?;
+    let found = match head.as_slice() {
+        h if h.starts_with(&exr_header::MAGIC) => return Ok(ImageFormat::Exr),
+        h if h.starts_with(b"#?") => return Ok(ImageFormat::Hdr),
+        h if h.starts_with(b"\x89PNG") => return Ok(ImageFormat::Png),
+        [0xff, 0xd8, 0xff, ..] => return Ok(ImageFormat::Jpeg),
+        [] => "an empty file",
+        h if h.starts_with(b"version https://git-lfs") => "a Git LFS pointer (run `git lfs pull`)",
+        h if h.starts_with(b"II") || h.starts_with(b"MM") => "a TIFF or camera raw file",
+        _ => "something else",
+    };
+    Err(Error::input(
+        path,
+        format!("not an image: expected OpenEXR, Radiance HDR, PNG or JPEG, found {found}"),
+    ))
+}

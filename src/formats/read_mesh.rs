@@ -1,0 +1,31 @@
+//! Reads a mesh of any known format: a new format gets a file of its own and a line here.
+
+use super::raw_mesh::RawMesh;
+use super::{gltf, obj, ply};
+use crate::{Error, Result};
+use std::path::Path;
+
+/// Reads a mesh; the extension decides the format (`.glb`, `.gltf`, `.obj`, `.ply`).
+pub fn read_mesh(path: &Path) -> Result<RawMesh> {
+    let extension = path
+        .extension()
+        .and_then(|e| e.to_str())
+        .unwrap_or_default()
+        .to_ascii_lowercase();
+    let parse: fn(&[u8], &Path) -> Result<RawMesh> = match extension.as_str() {
+        "glb" | "gltf" => gltf::mesh_from_gltf,
+        "obj" => obj::mesh_from_obj,
+        "ply" => ply::mesh_from_ply,
+        _ => {
+            return Err(Error::input(
+                path,
+                format!(
+                    "\".{extension}\" is no mesh format known here; convert to .glb, .gltf, .obj or .ply"
+                ),
+            ));
+        }
+    };
+    let bytes = std::fs::read(path)
+        .map_err(|e| Error::input(path, format!("the mesh cannot be read: {e}")))?;
+    parse(&bytes, path)
+}
