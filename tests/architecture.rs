@@ -62,7 +62,14 @@ const TABLE: &[(&str, &[&str])] = &[
     ),
     (
         "synth",
-        &["scene", "radiance", "render", "solution", "vocabulary"],
+        &[
+            "scene",
+            "irradiance",
+            "radiance",
+            "render",
+            "solution",
+            "vocabulary",
+        ],
     ),
     (
         "render",
