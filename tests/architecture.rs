@@ -98,13 +98,23 @@ const TABLE: &[(&str, &[&str])] = &[
     ),
     (
         "highlight",
-        &["scene", "lights", "specular", "gbuffer", "vocabulary"],
+        &[
+            "scene",
+            "observed",
+            "lights",
+            "specular",
+            "gbuffer",
+            "vocabulary",
+        ],
     ),
     (
         "irradiance",
         &["lights", "specular", "radiance", "vocabulary"],
     ),
-    ("specular", &["lights", "radiance", "vocabulary"]),
+    (
+        "specular",
+        &["observed", "lights", "radiance", "vocabulary"],
+    ),
     ("lights", &["radiance", "vocabulary"]),
     ("radiance", &["gbuffer", "vocabulary"]),
     ("observed", &["gbuffer", "scene", "vocabulary"]),

@@ -10,7 +10,7 @@ use unbake::brdf::Reflectance;
 use unbake::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
 use unbake::geometry::{Camera, Projection};
 use unbake::image::Plane;
-use unbake::inverse::{AlbedoEstimate, DiffuseShading, Unmixing, estimate_albedo};
+use unbake::inverse::{AlbedoEstimate, TexelReflectance, Unmixing, estimate_albedo};
 use unbake::progress::Progress;
 use unbake::radiance::{Environment, LightField};
 use unbake::texture::Texels;
@@ -124,18 +124,14 @@ fn bars(label_of_bars: u16, shift: Vec3) -> (f32, f32, usize) {
         .iter()
         .map(|v| v.radiance.map(|_| Vec3::ZERO))
         .collect();
-    let roughness = |_: usize| 1.0f32;
-    let shading = || DiffuseShading {
-        model: Reflectance::Paper,
-        roughness: &roughness,
-    };
+    let reflectance = TexelReflectance::new(Reflectance::Paper, vec![1.0; texels.len()]);
     let mut albedo: AlbedoEstimate = estimate_albedo(
         &observer(),
         &specular,
         &orientation,
         &texels,
         &irradiance,
-        &shading(),
+        &reflectance,
         &Progress::silent(),
     );
     // the charts of the bars are eighty times as fine across as along: what a bar's two sides get
@@ -174,10 +170,9 @@ fn bars(label_of_bars: u16, shift: Vec3) -> (f32, f32, usize) {
         field: &field,
         texels: &texels,
         labels: &labels,
-        irradiance: &|_| Vec3::splat(PI),
+        irradiance: &vec![Vec3::splat(PI); texels.len()],
         specular: &specular,
-        specular_guess: &|_, _| Vec3::ZERO,
-        shading: shading(),
+        reflectance: &reflectance,
     }
     .solve(&mut albedo);
     assert!(report.pixels > 500 && report.misfit >= 1.0, "{report:?}");

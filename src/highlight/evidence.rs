@@ -7,10 +7,11 @@
 
 use super::{Candidate, LOBES};
 use crate::brdf::Reflectance;
-use crate::gbuffer::{Observation, Observer, ViewBuffer};
+use crate::gbuffer::{Observation, ViewBuffer};
 use crate::image::bilinear_taps;
 use crate::lights::LitScene;
 use crate::math::luminance;
+use crate::observed::Surface;
 use crate::parallel;
 use crate::progress::Progress;
 use crate::sampling::{SobolSequence, hash_u64};
@@ -161,14 +162,14 @@ const REACH: f32 = 2.5;
 #[must_use]
 pub fn gather_evidence(
     lit: &LitScene,
-    observer: &Observer,
+    surface: &Surface,
     candidates: &[Candidate],
-    normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
     tabulation: Tabulation,
     seed: u64,
     progress: &Progress,
 ) -> Evidence {
     const CHUNK: usize = 64;
+    let observer = surface.observer();
     let Tabulation {
         levels,
         rays_per_lobe,
@@ -188,7 +189,7 @@ pub fn gather_evidence(
         let mut seen: Vec<Observation> = Vec::new();
         for i in range.clone() {
             let c = &candidates[i];
-            let (normal, face_normal) = normals(c.triangle, c.position);
+            let (normal, face_normal) = surface.normals_at(c.triangle, c.position);
             observer.observe(c.position, face_normal, &mut seen);
             seen.retain(|o| o.clean && o.n_v > 0.12);
             if seen.len() < 2 {
@@ -223,7 +224,7 @@ pub fn gather_evidence(
                 count: seen.len() as u32,
             });
         }
-        let gazes = footprints.gazes(lit, normals);
+        let gazes = footprints.gazes(lit, surface);
         let row = MODELS.len() * levels.len();
         let mut specular = vec![Vec3::ZERO; gazes.len() * row];
         let mut diffuse = vec![[0.0; 3]; gazes.len()];
@@ -282,11 +283,7 @@ impl Footprints {
     }
 
     /// [`FOOTPRINT`] gazes per sight; where another surface is met, the one at its point.
-    fn gazes(
-        &self,
-        lit: &LitScene,
-        normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
-    ) -> Vec<Gaze> {
+    fn gazes(&self, lit: &LitScene, surface: &Surface) -> Vec<Gaze> {
         let mut hits = vec![Hit::miss(); self.rays.len()];
         lit.tracer.closest(&self.rays, &mut hits);
         let gaze = |(k, (ray, hit)): (usize, (&Ray, &Hit))| {
@@ -302,7 +299,7 @@ impl Footprints {
                     ..centre
                 };
             }
-            let (normal, face_normal) = normals(hit.triangle, position);
+            let (normal, face_normal) = surface.normals_at(hit.triangle, position);
             let turned = normal.dot(direction) >= 0.0 || face_normal.dot(direction) >= 0.0;
             if turned {
                 Gaze {

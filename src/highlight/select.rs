@@ -6,9 +6,9 @@
 //! answer honest.
 
 use crate::brdf::fresnel;
-use crate::gbuffer::ObservedView;
 use crate::lights::LitScene;
 use crate::math::luminance;
+use crate::observed::{ClassMap, Surface};
 use crate::sampling::hash_u64;
 use crate::trace::{Hit, Ray};
 use glam::{Vec2, Vec3};
@@ -43,21 +43,23 @@ pub struct Candidate {
     order: u64,
 }
 
-/// Selects points per class. `class(triangle, position)` names the class of a surface point, or
-/// `None` for surfaces without material (emitters, unlabelled).
+/// Selects points per class; surfaces without material (emitters) have none.
 #[must_use]
 pub fn select_points(
     lit: &LitScene,
-    views: &[ObservedView],
-    normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
-    class: &(dyn Fn(u32, Vec3) -> Option<u16> + Sync),
+    surface: &Surface,
+    classes: &ClassMap,
     options: &SelectOptions,
 ) -> Vec<Candidate> {
-    let by_class = |class: &(dyn Fn(u32, Vec3) -> Option<u16> + Sync), options: &SelectOptions| {
-        let per_view: Vec<Vec<Candidate>> = views
-            .par_iter()
-            .enumerate()
-            .map(|(i, v)| candidates(lit, i, v, normals, class, options))
+    let search = Search {
+        lit,
+        surface,
+        classes,
+    };
+    let by_class = |common: &BTreeSet<u16>, options: &SelectOptions| {
+        let per_view: Vec<Vec<Candidate>> = (0..surface.views.len())
+            .into_par_iter()
+            .map(|i| search.candidates(i, common, options))
             .collect();
         let mut classes: BTreeMap<u16, Vec<Candidate>> = BTreeMap::new();
         for c in per_view.into_iter().flatten() {
@@ -65,16 +67,15 @@ pub fn select_points(
         }
         classes
     };
-    let mut classes = by_class(class, options);
+    let mut classes = by_class(&BTreeSet::new(), options);
     let enough = options.even + options.highlights;
     let common: BTreeSet<u16> = classes
         .iter()
         .filter(|(_, c)| c.len() >= enough)
         .map(|(class, _)| *class)
         .collect();
-    let class_if_rare = |t: u32, p: Vec3| class(t, p).filter(|c| !common.contains(c));
     classes.extend(by_class(
-        &class_if_rare,
+        &common,
         &SelectOptions {
             stride: 1,
             ..*options
@@ -100,68 +101,80 @@ pub fn select_points(
     chosen
 }
 
-fn candidates(
-    lit: &LitScene,
-    index: usize,
-    view: &ObservedView,
-    normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
-    class: &(dyn Fn(u32, Vec3) -> Option<u16> + Sync),
-    options: &SelectOptions,
-) -> Vec<Candidate> {
-    let b = &view.buffer;
-    let (w, h) = (b.triangle.width, b.triangle.height);
-    let stride = options.stride.max(1);
-    let mut found = Vec::new();
-    let mut rays = Vec::new();
-    let mut kept: Vec<(Candidate, f32, f32)> = Vec::new();
-    for y in (index % stride..h).step_by(stride) {
-        rays.clear();
-        kept.clear();
-        for x in (0..w).step_by(stride) {
-            let t = b.triangle[(x, y)];
-            if t == Hit::MISS
-                || !view.clean[(x, y)]
-                || view.valid.as_ref().is_some_and(|v| !v[(x, y)])
-            {
-                continue;
+/// What candidates are searched with.
+struct Search<'a> {
+    lit: &'a LitScene<'a>,
+    surface: &'a Surface<'a>,
+    classes: &'a ClassMap<'a>,
+}
+
+impl Search<'_> {
+    /// The candidates of one view in all classes but the `common` ones.
+    fn candidates(
+        &self,
+        index: usize,
+        common: &BTreeSet<u16>,
+        options: &SelectOptions,
+    ) -> Vec<Candidate> {
+        let (lit, view) = (self.lit, &self.surface.views[index]);
+        let b = &view.buffer;
+        let (w, h) = (b.triangle.width, b.triangle.height);
+        let stride = options.stride.max(1);
+        let mut found = Vec::new();
+        let mut rays = Vec::new();
+        let mut kept: Vec<(Candidate, f32, f32)> = Vec::new();
+        for y in (index % stride..h).step_by(stride) {
+            rays.clear();
+            kept.clear();
+            for x in (0..w).step_by(stride) {
+                let t = b.triangle[(x, y)];
+                if t == Hit::MISS
+                    || !view.clean[(x, y)]
+                    || view.valid.as_ref().is_some_and(|v| !v[(x, y)])
+                {
+                    continue;
+                }
+                let d = b
+                    .camera
+                    .direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+                let position = b.camera.position + d * b.distance[(x, y)];
+                let (n, face) = self.surface.normals_at(t, position);
+                let n_v = -n.dot(d);
+                let own_class = self.classes.material(t, position);
+                let Some(own_class) = own_class
+                    .filter(|c| !common.contains(c))
+                    .filter(|_| n_v > 0.05 && face.dot(d) < 0.0)
+                else {
+                    continue;
+                };
+                let mirror = d + n * (2.0 * n_v);
+                let order = hash_u64(options.seed, hash_u64(index as u64, (y * w + x) as u64));
+                rays.push(Ray::new(
+                    position + face * lit.offset,
+                    mirror,
+                    f32::INFINITY,
+                ));
+                let c = Candidate {
+                    triangle: t,
+                    position,
+                    class: own_class,
+                    strength: 0.0,
+                    order,
+                };
+                kept.push((c, n_v, luminance(view.radiance[(x, y)])));
             }
-            let d = b
-                .camera
-                .direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
-            let position = b.camera.position + d * b.distance[(x, y)];
-            let (n, face) = normals(t, position);
-            let n_v = -n.dot(d);
-            let Some(own_class) = class(t, position).filter(|_| n_v > 0.05 && face.dot(d) < 0.0)
-            else {
-                continue;
-            };
-            let mirror = d + n * (2.0 * n_v);
-            let order = hash_u64(options.seed, hash_u64(index as u64, (y * w + x) as u64));
-            rays.push(Ray::new(
-                position + face * lit.offset,
-                mirror,
-                f32::INFINITY,
-            ));
-            let c = Candidate {
-                triangle: t,
-                position,
-                class: own_class,
-                strength: 0.0,
-                order,
-            };
-            kept.push((c, n_v, luminance(view.radiance[(x, y)])));
+            let mut hits = vec![Hit::miss(); rays.len()];
+            lit.tracer.closest(&rays, &mut hits);
+            for (k, (mut c, n_v, own)) in kept.iter().copied().enumerate() {
+                let mirrored = luminance(lit.field.arriving(
+                    &hits[k],
+                    Vec3::from_array(rays[k].direction),
+                    0.05,
+                ));
+                c.strength = fresnel(n_v) * mirrored / own.max(1e-12);
+                found.push(c);
+            }
         }
-        let mut hits = vec![Hit::miss(); rays.len()];
-        lit.tracer.closest(&rays, &mut hits);
-        for (k, (mut c, n_v, own)) in kept.iter().copied().enumerate() {
-            let mirrored = luminance(lit.field.arriving(
-                &hits[k],
-                Vec3::from_array(rays[k].direction),
-                0.05,
-            ));
-            c.strength = fresnel(n_v) * mirrored / own.max(1e-12);
-            found.push(c);
-        }
+        found
     }
-    found
 }

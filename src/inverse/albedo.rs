@@ -1,20 +1,15 @@
 //! Stage I in closed form: a texel's albedo is π/E times its diffuse radiance, the robust mean over
 //! views of the observed radiance less the specular part.
 
-use crate::brdf::Reflectance;
-use crate::gbuffer::{ObservedView, Observer, Orientation};
-use crate::image::{Plane, RgbPlane};
+use super::TexelReflectance;
+use crate::gbuffer::{Observer, Orientation};
+use crate::image::RgbPlane;
 use crate::math::luminance;
 use crate::optim::weighted_median;
 use crate::parallel;
 use crate::progress::Progress;
-use crate::sampling::hash_u64;
-use crate::specular::{Gaze, Levels, Reflector};
 use crate::texture::Texels;
-use crate::trace::Hit;
-use glam::{Vec2, Vec3};
-use rayon::prelude::*;
-use std::sync::atomic::{AtomicU64, Ordering};
+use glam::Vec3;
 
 /// Albedo per covered texel.
 #[derive(Clone, Debug, Default)]
@@ -35,78 +30,6 @@ pub struct AlbedoEstimate {
     pub footprint: Vec<f32>,
 }
 
-/// Specular radiance at every pixel of a view, given roughness per surface point. Where
-/// `known(triangle, position, n·v)` knows it, no ray is traced. Returns the image and the rays
-/// traced.
-#[must_use]
-pub fn specular_image(
-    reflector: &Reflector,
-    view: &ObservedView,
-    view_index: usize,
-    normals: &(dyn Fn(u32, Vec3) -> (Vec3, Vec3) + Sync),
-    roughness: &(dyn Fn(u32, Vec3) -> f32 + Sync),
-    known: &(dyn Fn(u32, Vec3, f32) -> Option<Vec3> + Sync),
-) -> (RgbPlane, u64) {
-    let b = &view.buffer;
-    let (w, h) = (b.triangle.width, b.triangle.height);
-    let mut image = Plane::filled(w, h, Vec3::ZERO);
-    let rays = AtomicU64::new(0);
-    image
-        .data
-        .par_chunks_mut(w)
-        .enumerate()
-        .for_each(|(y, row)| {
-            let mut gazes = Vec::with_capacity(w);
-            let mut levels = Vec::with_capacity(w);
-            let mut columns = Vec::with_capacity(w);
-            for (x, out) in row.iter_mut().enumerate() {
-                let t = b.triangle[(x, y)];
-                if t == Hit::MISS {
-                    continue;
-                }
-                let d = b
-                    .camera
-                    .direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
-                let position = b.camera.position + d * b.distance[(x, y)];
-                let (normal, face_normal) = normals(t, position);
-                if face_normal.dot(d) >= 0.0 {
-                    continue;
-                }
-                if let Some(value) = known(t, position, -normal.dot(d)) {
-                    *out = value;
-                    continue;
-                }
-                gazes.push(Gaze {
-                    position,
-                    normal,
-                    face_normal,
-                    view: -d,
-                    key: hash_u64(view_index as u64, (y * w + x) as u64),
-                    turn: 0,
-                });
-                levels.push(roughness(t, position));
-                columns.push(x);
-            }
-            let mut out = vec![Vec3::ZERO; gazes.len()];
-            rays.fetch_add(
-                reflector.reflect(&gazes, Levels::Own(&levels), &mut out),
-                Ordering::Relaxed,
-            );
-            for (x, value) in columns.into_iter().zip(out) {
-                row[x] = value;
-            }
-        });
-    (image, rays.into_inner())
-}
-
-/// How the diffuse part depends on the view.
-pub struct DiffuseShading<'a> {
-    /// Reflection model.
-    pub model: Reflectance,
-    /// Roughness of covered texel i.
-    pub roughness: &'a (dyn Fn(usize) -> f32 + Sync),
-}
-
 /// Estimates albedo from views whose specular part is `specular[v]` (same size as view v's image).
 #[must_use]
 pub fn estimate_albedo(
@@ -115,7 +38,7 @@ pub fn estimate_albedo(
     orientation: &Orientation,
     texels: &Texels,
     irradiance: &RgbPlane,
-    shading: &DiffuseShading,
+    reflectance: &TexelReflectance,
     progress: &Progress,
 ) -> AlbedoEstimate {
     const CHUNK: usize = 2048;
@@ -144,7 +67,7 @@ pub fn estimate_albedo(
                 // where the specular part is a large share, its own error is too
                 let share = luminance(s) / luminance(o.radiance).max(1e-12);
                 let w = (sharpest / o.footprint).powi(4) * o.n_v / (1.0 + (share / 0.15).powi(2));
-                let factor = shading.model.diffuse_factor(o.n_v, (shading.roughness)(i));
+                let factor = reflectance.diffuse_factor(i, o.n_v);
                 mean_share += w * share.min(1.0);
                 looks.push(((o.radiance - s) / factor, w));
             }

@@ -10,8 +10,8 @@
 
 use super::class_prior::class_prior;
 use super::robust_cg::{Mixtures, Pixel};
-use super::{AlbedoEstimate, DiffuseShading};
-use crate::gbuffer::{ObservedView, Observer, Orientation, pixel_rays};
+use super::{AlbedoEstimate, TexelReflectance};
+use crate::gbuffer::{Observer, Orientation, pixel_rays};
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::math::luminance;
 use crate::parallel;
@@ -49,13 +49,11 @@ pub struct Unmixing<'a> {
     /// Class per texel.
     pub labels: &'a [u16],
     /// Irradiance per texel.
-    pub irradiance: &'a (dyn Fn(usize) -> Vec3 + Sync),
+    pub irradiance: &'a [Vec3],
     /// Specular radiance at the pixel centres of every view.
     pub specular: &'a [RgbPlane],
-    /// Specular radiance of a texel seen at cosine n·v where no pixel tells: (texel, cosine).
-    pub specular_guess: &'a (dyn Fn(usize, f32) -> Vec3 + Sync),
-    /// How the diffuse part depends on the view.
-    pub shading: DiffuseShading<'a>,
+    /// How texels reflect; where no pixel tells, their specular part is that in even light.
+    pub reflectance: &'a TexelReflectance,
 }
 
 /// How many equations and unknowns there were, and how well they fit.
@@ -72,6 +70,30 @@ pub struct UnmixReport {
 }
 
 const KNOWN: u32 = u32::MAX;
+/// Rays per pixel.
+const SAMPLES: usize = GRID * GRID;
+
+/// What the equations are written with besides the scene.
+struct State<'a> {
+    albedo: &'a AlbedoEstimate,
+    /// Unknown of every texel, or [`KNOWN`].
+    unknown: &'a [u32],
+    /// E/π per unknown.
+    light: &'a [Vec3],
+    /// First guess per unknown.
+    start: &'a [Vec3],
+    /// Covered texel of every cell of the atlas, or [`KNOWN`].
+    cells: Plane<u32>,
+    /// Of so many pixels one is used.
+    stride: usize,
+}
+
+/// A pixel of a view.
+#[derive(Clone, Copy)]
+struct Place {
+    v: usize,
+    at: (usize, usize),
+}
 
 impl Unmixing<'_> {
     /// Replaces the values of texels without a clean look in `albedo`.
@@ -105,7 +127,7 @@ impl Unmixing<'_> {
             .zip(variance)
             .map(|(m, v)| (m, v.x))
             .collect();
-        let light = mean_over(&|_, i| (self.irradiance)(i) * FRAC_1_PI);
+        let light = mean_over(&|_, i| self.irradiance[i] * FRAC_1_PI);
         let start = mean_over(&|k, i| {
             if albedo.error[i].is_finite() {
                 albedo.value[i].clamp(Vec3::ZERO, Vec3::ONE)
@@ -186,6 +208,14 @@ impl Unmixing<'_> {
             .map(|v| v.clean.data.iter().filter(|c| !**c).count())
             .sum();
         let stride = edges * GRID * GRID / MOST_TERMS + 1;
+        let state = State {
+            albedo,
+            unknown,
+            light,
+            start,
+            cells,
+            stride,
+        };
         let rows: Vec<(usize, usize)> = self
             .observer
             .views
@@ -197,14 +227,7 @@ impl Unmixing<'_> {
             let mut out = Mixtures::default();
             let mut rays = 0;
             for &(v, y) in &rows[range] {
-                rays += self.row(
-                    v,
-                    y,
-                    stride,
-                    (albedo, unknown, light, start),
-                    &cells,
-                    &mut out,
-                );
+                rays += self.row(v, y, &state, &mut out);
             }
             (out, rays)
         });
@@ -220,16 +243,7 @@ impl Unmixing<'_> {
     }
 
     /// Appends the equations of the edge pixels in row `y` of view `v`.
-    fn row(
-        &self,
-        v: usize,
-        y: usize,
-        stride: usize,
-        (albedo, unknown, light, start): (&AlbedoEstimate, &[u32], &[Vec3], &[Vec3]),
-        cells: &Plane<u32>,
-        out: &mut Mixtures,
-    ) -> u64 {
-        const SAMPLES: usize = GRID * GRID;
+    fn row(&self, v: usize, y: usize, state: &State, out: &mut Mixtures) -> u64 {
         let view = &self.observer.views[v];
         // a clean pixel tells of unknowns too where a texel's look was too far off its centre to be
         // clean
@@ -242,84 +256,97 @@ impl Unmixing<'_> {
                 .observer
                 .mesh
                 .barycentrics(t as usize, view.buffer.position(x, y));
-            let texel = self.texel(cells, t, u, v);
-            texel != KNOWN && unknown[texel as usize] != KNOWN
+            let texel = self.texel(&state.cells, t, u, v);
+            texel != KNOWN && state.unknown[texel as usize] != KNOWN
         };
         let usable = |x: usize| {
             (!view.clean[(x, y)] || shows_unknown(x))
                 && view.valid.as_ref().is_none_or(|m| m[(x, y)])
                 && view.radiance[(x, y)].is_finite()
-                && (x + 7 * y).is_multiple_of(stride)
+                && (x + 7 * y).is_multiple_of(state.stride)
         };
         let columns: Vec<usize> = (0..view.clean.width).filter(|&x| usable(x)).collect();
         let rays = pixel_rays(&view.buffer.camera, y, columns.iter().copied(), GRID);
         let mut hits = vec![Hit::miss(); rays.len()];
         self.tracer.closest(&rays, &mut hits);
         for (k, &x) in columns.iter().enumerate() {
-            let begin = out.term.len();
-            let mut known = Vec3::ZERO;
-            let (mut sum, mut square) = (0.0, 0.0);
-            for (ray, hit) in rays[k * SAMPLES..]
+            let samples = k * SAMPLES..(k + 1) * SAMPLES;
+            let shown = rays[samples.clone()]
                 .iter()
-                .zip(&hits[k * SAMPLES..])
-                .take(SAMPLES)
-            {
-                let direction = Vec3::from_array(ray.direction);
-                let shown = self.shown(view, v, (x, y), direction, hit, cells);
-                let radiance = match shown {
-                    Shown::Radiance(l) => {
-                        known += l / SAMPLES as f32;
-                        l
-                    }
-                    Shown::Texel {
-                        texel,
-                        factor,
-                        specular,
-                    } => {
-                        let weight = factor / SAMPLES as f32;
-                        known += specular / SAMPLES as f32;
-                        match unknown[texel] {
-                            KNOWN => {
-                                let l = (self.irradiance)(texel)
-                                    * FRAC_1_PI
-                                    * albedo.value[texel]
-                                    * factor;
-                                known += l / SAMPLES as f32;
-                                l + specular
-                            }
-                            u => {
-                                let mean = luminance(light[u as usize]).max(f32::MIN_POSITIVE);
-                                let weight =
-                                    weight * luminance((self.irradiance)(texel)) * FRAC_1_PI / mean;
-                                match out.term[begin..].iter_mut().find(|t| t.0 == u) {
-                                    Some(t) => t.1 += weight,
-                                    None => out.term.push((u, weight)),
-                                }
-                                light[u as usize] * start[u as usize] * factor + specular
-                            }
-                        }
-                    }
-                };
-                sum += luminance(radiance);
-                square += luminance(radiance).powi(2);
-            }
-            if out.term.len() == begin || !known.is_finite() {
-                out.term.truncate(begin);
-                continue;
-            }
-            let mean = sum / SAMPLES as f32;
-            let contrast2 = (square / SAMPLES as f32 - mean * mean).max(0.0);
-            let level = luminance(view.radiance[(x, y)]).max(mean);
-            let variance = (MODEL_ERROR * level).powi(2)
-                + COVERAGE_ERROR.powi(2) * contrast2
-                + f32::MIN_POSITIVE;
-            out.pixel.push(Pixel {
-                rest: view.radiance[(x, y)] - known,
-                variance,
-            });
-            out.end.push(out.term.len());
+                .zip(&hits[samples])
+                .map(|(ray, hit)| {
+                    let direction = Vec3::from_array(ray.direction);
+                    self.shown(Place { v, at: (x, y) }, direction, hit, &state.cells)
+                });
+            self.equation(shown, view.radiance[(x, y)], state, out);
         }
         rays.len() as u64
+    }
+
+    /// Appends the equation of one pixel whose rays show `shown`: what is known moves to the right
+    /// side, each unknown gets the sum of its weights.
+    fn equation(
+        &self,
+        shown: impl Iterator<Item = Shown>,
+        observed: Vec3,
+        state: &State,
+        out: &mut Mixtures,
+    ) {
+        let begin = out.term.len();
+        let mut known = Vec3::ZERO;
+        let (mut sum, mut square) = (0.0, 0.0);
+        for shown in shown {
+            let radiance = match shown {
+                Shown::Radiance(l) => {
+                    known += l / SAMPLES as f32;
+                    l
+                }
+                Shown::Texel {
+                    texel,
+                    factor,
+                    specular,
+                } => {
+                    let weight = factor / SAMPLES as f32;
+                    known += specular / SAMPLES as f32;
+                    match state.unknown[texel] {
+                        KNOWN => {
+                            let l = self.irradiance[texel]
+                                * FRAC_1_PI
+                                * state.albedo.value[texel]
+                                * factor;
+                            known += l / SAMPLES as f32;
+                            l + specular
+                        }
+                        u => {
+                            let mean = luminance(state.light[u as usize]).max(f32::MIN_POSITIVE);
+                            let weight =
+                                weight * luminance(self.irradiance[texel]) * FRAC_1_PI / mean;
+                            match out.term[begin..].iter_mut().find(|t| t.0 == u) {
+                                Some(t) => t.1 += weight,
+                                None => out.term.push((u, weight)),
+                            }
+                            state.light[u as usize] * state.start[u as usize] * factor + specular
+                        }
+                    }
+                }
+            };
+            sum += luminance(radiance);
+            square += luminance(radiance).powi(2);
+        }
+        if out.term.len() == begin || !known.is_finite() {
+            out.term.truncate(begin);
+            return;
+        }
+        let mean = sum / SAMPLES as f32;
+        let contrast2 = (square / SAMPLES as f32 - mean * mean).max(0.0);
+        let level = luminance(observed).max(mean);
+        let variance =
+            (MODEL_ERROR * level).powi(2) + COVERAGE_ERROR.powi(2) * contrast2 + f32::MIN_POSITIVE;
+        out.pixel.push(Pixel {
+            rest: observed - known,
+            variance,
+        });
+        out.end.push(out.term.len());
     }
 
     /// The covered texel at a surface point.
@@ -330,17 +357,9 @@ impl Unmixing<'_> {
         )
     }
 
-    /// What one ray through pixel `at` shows.
-    fn shown(
-        &self,
-        view: &ObservedView,
-        v: usize,
-        at: (usize, usize),
-        direction: Vec3,
-        hit: &Hit,
-        cells: &Plane<u32>,
-    ) -> Shown {
-        let mesh = self.observer.mesh;
+    /// What one ray through a pixel shows.
+    fn shown(&self, pixel: Place, direction: Vec3, hit: &Hit, cells: &Plane<u32>) -> Shown {
+        let (mesh, view) = (self.observer.mesh, &self.observer.views[pixel.v]);
         let t = hit.triangle as usize;
         if hit.triangle == Hit::MISS || self.field.is_emissive(t) {
             return Shown::Radiance(self.field.arriving(hit, direction, 0.0));
@@ -354,12 +373,12 @@ impl Unmixing<'_> {
         let texel = texel as usize;
         let position = view.buffer.camera.position + direction * hit.t;
         let specular = self
-            .specular_near(view, v, at, position, normal)
-            .unwrap_or_else(|| (self.specular_guess)(texel, n_v));
-        let factor = self
-            .shading
-            .model
-            .diffuse_factor(n_v, (self.shading.roughness)(texel));
+            .specular_near(pixel, position, normal)
+            .unwrap_or_else(|| {
+                self.reflectance
+                    .even_specular(texel, n_v, self.irradiance[texel])
+            });
+        let factor = self.reflectance.diffuse_factor(texel, n_v);
         Shown::Texel {
             texel,
             factor,
@@ -367,17 +386,11 @@ impl Unmixing<'_> {
         }
     }
 
-    /// Specular radiance at the pixel centre around `at` that sees the same surface nearest to
+    /// Specular radiance at the pixel centre around `pixel` that sees the same surface nearest to
     /// `position`.
-    fn specular_near(
-        &self,
-        view: &ObservedView,
-        v: usize,
-        at: (usize, usize),
-        position: Vec3,
-        normal: Vec3,
-    ) -> Option<Vec3> {
-        let b = &view.buffer;
+    fn specular_near(&self, pixel: Place, position: Vec3, normal: Vec3) -> Option<Vec3> {
+        let Place { v, at } = pixel;
+        let b = &self.observer.views[v].buffer;
         let (w, h) = (b.triangle.width as i64, b.triangle.height as i64);
         let mut best: Option<(f32, (usize, usize))> = None;
         for dy in -1..=1 {

@@ -1,5 +1,5 @@
-//! From light and observations to materials: stage I albedo, stage II roughness, stage III
-//! refinement.
+//! From light and observations to materials: roughness per class from highlights, albedo in closed
+//! form, mixed pixels at edges, the palette of painted classes, and what is known of the errors.
 
 mod albedo;
 mod albedo_palette;
@@ -7,14 +7,16 @@ mod class_prior;
 mod confidence;
 mod materials;
 mod mixed_pixels;
+mod reflectance;
 mod robust_cg;
 mod roughness;
 mod spatial_roughness;
 mod view_residual;
 
-pub use albedo::{AlbedoEstimate, DiffuseShading, estimate_albedo, specular_image};
+pub use albedo::{AlbedoEstimate, estimate_albedo};
 pub use albedo_palette::{Paint, Painting};
 pub use confidence::albedo_error;
 pub use materials::{DIVISION_GAIN, Materials, Places};
 pub use mixed_pixels::{UnmixReport, Unmixing};
+pub use reflectance::TexelReflectance;
 pub use roughness::{GroupFit, choose_model, fit_groups};

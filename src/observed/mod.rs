@@ -1,19 +1,21 @@
 //! What the photographs see of the geometry: fused radiance and labels on the atlas, exposure and
 //! white balance of the views.
 
+mod class_map;
 mod fusion;
 mod gains;
 mod labels;
 mod photometric;
 mod surface;
 
+pub use class_map::ClassMap;
 pub(crate) use fusion::prefer_clean;
 pub use fusion::{Fusion, UNSEEN, fuse_radiance};
 pub use gains::{ViewGains, estimate_gains};
 pub(crate) use labels::complete_labels;
 pub(crate) use photometric::{balance_views, leave_out_clipped_sky};
-pub(crate) use surface::coverage;
 pub use surface::{Sizes, Surface};
+pub(crate) use surface::{coverage, filled};
 
 #[cfg(test)]
 pub(crate) use surface::tests as surface_tests;

@@ -6,7 +6,7 @@ use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::geometry::Mesh;
 use crate::image::Plane;
 use crate::scene::Scene;
-use crate::texture::Texels;
+use crate::texture::{Texels, fill_uncovered};
 use crate::trace::EmbreeTracer;
 use glam::Vec3;
 
@@ -118,6 +118,11 @@ impl Surface<'_> {
 /// A plane of texel validity for the covered texels of `texels`.
 pub(crate) fn coverage(texels: &Texels) -> Plane<bool> {
     texels.scatter(&vec![true; texels.len()], false)
+}
+
+/// A value per covered texel as a texture, filled outside charts.
+pub(crate) fn filled(texels: &Texels, values: &[f32]) -> Plane<f32> {
+    fill_uncovered(&texels.scatter(values, 0.0), &coverage(texels))
 }
 
 #[cfg(test)]

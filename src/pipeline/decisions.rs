@@ -3,6 +3,7 @@
 
 use super::time_budget::Workload;
 use super::{Quality, SolveOptions, Switch};
+use crate::brdf::Reflectance;
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::geometry::Mesh;
 use crate::highlight::Evidence;
@@ -327,6 +328,29 @@ fn class_name(scene: &Scene, id: u16) -> String {
     scene
         .class(id)
         .map_or_else(|| format!("class {id}"), |c| c.name.clone())
+}
+
+/// Says which reflection model explains the views, with the disagreement of each.
+pub(super) fn report_model(
+    model: Reflectance,
+    scores: &[(Reflectance, f64)],
+    options: &SolveOptions,
+    progress: &Progress,
+) {
+    let list: Vec<String> = scores
+        .iter()
+        .map(|(m, s)| format!("{m:?} {:.3} %", 100.0 * s))
+        .collect();
+    let forced = options.reflectance.is_some();
+    let why = if forced {
+        "--reflectance".to_owned()
+    } else {
+        format!(
+            "the simplest of those that explain the views; disagreement {}",
+            list.join(", ")
+        )
+    };
+    progress.decide("reflection model", format!("{model:?}"), why, forced);
 }
 
 /// Says which classes have more than one roughness.

@@ -14,8 +14,8 @@
 use super::Light;
 use super::light::{coarse_texels, patches, texture_of};
 use crate::brdf::Reflectance;
-use crate::image::{Plane, Wrap};
-use crate::inverse::AlbedoEstimate;
+use crate::image::{Plane, RgbPlane, Wrap};
+use crate::inverse::{AlbedoEstimate, TexelReflectance};
 use crate::irradiance::Bake;
 use crate::irradiance::{
     Estimator, Irradiance, IrtOptions, Receiver, SurfaceFilter, bake_irradiance,
@@ -25,7 +25,9 @@ use crate::observed::Surface;
 use crate::optim::median;
 use crate::progress::Progress;
 use crate::radiance::{Environment, LightField};
-use crate::specular::{Glossy, Reflector, SpecularBounce, WIDE, WideLobes};
+use crate::specular::{Glossy, Reflector, SpecularBounce, WIDE};
+use crate::texture::Texels;
+use crate::trace::Hit;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -46,33 +48,95 @@ const UNKNOWN_ALBEDO: f32 = 0.5;
 /// light.
 const LIMITS: (f32, f32) = (0.7, 1.5);
 
+/// What adding the missing light did.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MissingLight {
+    /// Mean relative change of the irradiance.
+    pub change: f32,
+    /// Rays traced.
+    pub rays: u64,
+}
+
 /// Adds the missing light to the irradiance and takes it out of the albedo, whose product stays.
-/// Returns the mean relative change of irradiance and the rays traced.
 pub(super) fn add_missing_light(
     surface: &Surface,
     light: &mut Light,
     albedo: &mut AlbedoEstimate,
-    (model, lobes, roughness): (Reflectance, &WideLobes, &(dyn Fn(usize) -> f32 + Sync)),
+    reflectance: &TexelReflectance,
     seed: u64,
     progress: &Progress,
-) -> (f32, u64) {
-    let mesh = &surface.scene.mesh;
+) -> MissingLight {
     let texels = &surface.texels;
-    let irradiance = |i: usize| texels.lookup(mesh, &light.irradiance, i);
-    let known = |i: usize| {
-        !light.emissive[texels.point[i].triangle as usize] && albedo.error[i].is_finite()
+    let none = Plane::filled(texels.width, texels.height, false);
+    let (far_sides, far_rays) = unseen_far_sides(surface, light, albedo, seed, progress);
+    let field = LightField::new(
+        &surface.scene.mesh,
+        &surface.orientation,
+        texture_of(
+            texels,
+            &unsent_radiance(surface, light, albedo, reflectance),
+        ),
+        &none,
+        &[],
+        far_sides,
+        Environment::from_map(Plane::filled(2, 1, Vec3::ZERO)),
+    );
+    let glossy = |i: usize| is_known(surface, light, albedo, i) && reflectance.roughness[i] < WIDE;
+    // where a lobe is narrow: its roughness, and 1
+    let lobe = |i: usize| {
+        if glossy(i) {
+            Vec3::new(reflectance.roughness[i], 1.0, 0.0)
+        } else {
+            Vec3::ZERO
+        }
     };
-    let glossy = |i: usize| known(i) && roughness(i) < WIDE;
-    let missing: Vec<Vec3> = (0..texels.len())
+    let lobes: Vec<Vec3> = (0..texels.len()).into_par_iter().map(lobe).collect();
+    let narrow = texture_of(texels, &lobes);
+    let coarse = coarse_texels(surface);
+    let more = Gathering {
+        surface,
+        light,
+        field,
+        narrow,
+        model: reflectance.model,
+        coarse: &coarse,
+    }
+    .bake(seed, progress);
+    let rays = more.rays;
+    let ratio = relative_change(surface, light, more, &coarse);
+    let change = apply(surface, light, albedo, &ratio);
+    MissingLight {
+        change,
+        rays: rays + far_rays,
+    }
+}
+
+/// Whether the material of texel `i` is known.
+fn is_known(surface: &Surface, light: &Light, albedo: &AlbedoEstimate, i: usize) -> bool {
+    let triangle = surface.texels.point[i].triangle as usize;
+    !light.emissive[triangle] && albedo.error[i].is_finite()
+}
+
+/// Radiance that texels send to all sides beyond what the first pass took them to send.
+fn unsent_radiance(
+    surface: &Surface,
+    light: &Light,
+    albedo: &AlbedoEstimate,
+    reflectance: &TexelReflectance,
+) -> Vec<Vec3> {
+    let (mesh, texels) = (&surface.scene.mesh, &surface.texels);
+    let irradiance = |i: usize| texels.lookup(mesh, &light.irradiance, i);
+    let roughness = &reflectance.roughness;
+    (0..texels.len())
         .into_par_iter()
         .map(|i| {
-            if !known(i) {
+            if !is_known(surface, light, albedo, i) {
                 return Vec3::ZERO;
             }
-            let specular = Vec3::splat(if glossy(i) {
+            let specular = Vec3::splat(if roughness[i] < WIDE {
                 0.0
             } else {
-                lobes.mean_response(roughness(i))
+                reflectance.lobes.mean_response(roughness[i])
             });
             if albedo.clean[i] {
                 let sent = irradiance(i)
@@ -84,80 +148,78 @@ pub(super) fn add_missing_light(
                 irradiance(i) * specular * FRAC_1_PI
             }
         })
-        .collect();
-    let none = Plane::filled(texels.width, texels.height, false);
-    let (far_sides, far_rays) = unseen_far_sides(surface, light, albedo, seed, progress);
-    let field = LightField::new(
-        mesh,
-        &surface.orientation,
-        texture_of(texels, &missing),
-        &none,
-        &[],
-        far_sides,
-        Environment::from_map(Plane::filled(2, 1, Vec3::ZERO)),
-    );
-    let coarse = coarse_texels(surface);
-    let options = IrtOptions {
-        estimator: Estimator::Cosine,
-        rays: RAYS,
-        emitter_samples: 0,
-        seed: seed ^ 2,
-        ..IrtOptions::default()
-    };
-    // where a lobe is narrow: its roughness, and 1
-    let lobe = |i: usize| {
-        if glossy(i) {
-            Vec3::new(roughness(i), 1.0, 0.0)
-        } else {
-            Vec3::ZERO
-        }
-    };
-    let narrow = texture_of(
-        texels,
-        &(0..texels.len())
-            .into_par_iter()
-            .map(lobe)
-            .collect::<Vec<_>>(),
-    );
-    let first_pass = surface.lit(&light.field, &light.emitters);
-    let bounce = SpecularBounce {
-        reflector: Reflector {
-            lit: &first_pass,
-            rays_per_lobe: 1,
-            emitter_samples: 1,
-            model,
-            seed: seed ^ 4,
-        },
-        surface: &|hit| {
-            let (t, size) = (
-                hit.triangle as usize,
-                Vec2::new(narrow.width as f32, narrow.height as f32),
-            );
-            let lobe = *narrow.nearest(mesh.uv(t, hit.u, hit.v) * size);
-            (lobe.y > 0.5).then(|| {
-                let (normal, face_normal) = surface.normals(t, hit.u, hit.v);
-                Glossy {
-                    normal,
-                    face_normal,
-                    roughness: lobe.x / lobe.y,
-                }
-            })
-        },
-        one_in: ONE_IN,
-    };
-    let bake = Bake {
-        lit: surface.lit(&field, &light.emitters),
-        bounce: Some(&bounce),
-    };
-    let more = bake_irradiance(
-        &bake,
-        coarse.len(),
-        |i| surface.receiver(&coarse, i),
-        &options,
-        progress,
-    );
-    let rays = more.rays;
-    // relative, it is smooth wherever the surface is, so that its noise can be filtered away
+        .collect()
+}
+
+/// What the missing light is gathered from.
+struct Gathering<'a> {
+    surface: &'a Surface<'a>,
+    light: &'a Light,
+    /// What is sent to all sides beyond the first pass.
+    field: LightField,
+    /// Roughness and coverage of narrow lobes on the atlas.
+    narrow: RgbPlane,
+    model: Reflectance,
+    coarse: &'a Texels,
+}
+
+impl Gathering<'_> {
+    /// Irradiance that the first pass lacks, per coarse texel.
+    fn bake(&self, seed: u64, progress: &Progress) -> Irradiance {
+        let (surface, light) = (self.surface, self.light);
+        let options = IrtOptions {
+            estimator: Estimator::Cosine,
+            rays: RAYS,
+            emitter_samples: 0,
+            seed: seed ^ 2,
+            ..IrtOptions::default()
+        };
+        let first_pass = surface.lit(&light.field, &light.emitters);
+        let bounce = SpecularBounce {
+            reflector: Reflector {
+                lit: &first_pass,
+                rays_per_lobe: 1,
+                emitter_samples: 1,
+                model: self.model,
+                seed: seed ^ 4,
+            },
+            surface: &|hit| self.glossy(hit),
+            one_in: ONE_IN,
+        };
+        let bake = Bake {
+            lit: surface.lit(&self.field, &light.emitters),
+            bounce: Some(&bounce),
+        };
+        let receiver = |i: usize| surface.receiver(self.coarse, i);
+        bake_irradiance(&bake, self.coarse.len(), receiver, &options, progress)
+    }
+
+    /// The narrow lobe at a hit, if there is one.
+    fn glossy(&self, hit: &Hit) -> Option<Glossy> {
+        let size = Vec2::new(self.narrow.width as f32, self.narrow.height as f32);
+        let t = hit.triangle as usize;
+        let uv = self.surface.scene.mesh.uv(t, hit.u, hit.v);
+        let lobe = *self.narrow.nearest(uv * size);
+        (lobe.y > 0.5).then(|| {
+            let (normal, face_normal) = self.surface.normals(t, hit.u, hit.v);
+            Glossy {
+                normal,
+                face_normal,
+                roughness: lobe.x / lobe.y,
+            }
+        })
+    }
+}
+
+/// Factor on the irradiance that adds `more`, filtered over the surface: relative, it is smooth
+/// wherever the surface is.
+fn relative_change(
+    surface: &Surface,
+    light: &Light,
+    more: Irradiance,
+    coarse: &Texels,
+) -> RgbPlane {
+    let mesh = &surface.scene.mesh;
     let relative = |i: usize, more: Vec3| {
         let e = coarse.lookup(mesh, &light.irradiance, i);
         // (parts one by one: of the few rays that find something very bright, most is chance)
@@ -185,9 +247,20 @@ pub(super) fn add_missing_light(
             .collect(),
         ..more
     };
-    let patches = patches(surface, &coarse);
+    let patches = patches(surface, coarse);
     let ratio = SurfaceFilter::new(&patches, &surface.tracer).filter(&relative, |_| 1.0);
-    let ratio = texture_of(&coarse, &ratio.value);
+    texture_of(coarse, &ratio.value)
+}
+
+/// Multiplies the irradiance by `ratio` and divides the albedo by what that changes; returns the
+/// mean relative change.
+fn apply(
+    surface: &Surface,
+    light: &mut Light,
+    albedo: &mut AlbedoEstimate,
+    ratio: &RgbPlane,
+) -> f32 {
+    let (mesh, texels) = (&surface.scene.mesh, &surface.texels);
     let before = &light.irradiance;
     let size = Vec2::new(
         ratio.width as f32 / before.width as f32,
@@ -224,7 +297,7 @@ pub(super) fn add_missing_light(
         mean += f64::from(1.0 / luminance(*c) - 1.0);
     }
     light.irradiance = after;
-    ((mean / changes.len().max(1) as f64) as f32, rays + far_rays)
+    (mean / changes.len().max(1) as f64) as f32
 }
 
 /// Radiance of the far sides of triangles that no view sees from there: the median albedo of their
@@ -367,17 +440,13 @@ mod tests {
             clean: vec![true; n],
             footprint: vec![0.01; n],
         };
-        let (model, roughness) = (Reflectance::Paper, |i: usize| wall(number(i)).roughness);
-        let material = (
-            model,
-            &WideLobes::new(model),
-            &roughness as &(dyn Fn(usize) -> f32 + Sync),
-        );
-        let (_, rays) = add_missing_light(
+        let roughness = (0..n).map(|i| wall(number(i)).roughness).collect();
+        let reflectance = TexelReflectance::new(Reflectance::Paper, roughness);
+        let MissingLight { rays, .. } = add_missing_light(
             &surface,
             &mut light,
             &mut albedo,
-            material,
+            &reflectance,
             1,
             &Progress::silent(),
         );
@@ -402,7 +471,7 @@ mod tests {
         };
         (
             second_pass(wall),
-            WideLobes::new(Reflectance::Paper).mean_response(0.8),
+            crate::specular::WideLobes::new(Reflectance::Paper).mean_response(0.8),
         )
     }
 

@@ -1,7 +1,10 @@
 //! The order of the stages, from a scene folder to a reconstruction.
 
+mod albedo;
+mod assemble;
 mod checkpoint;
 mod decisions;
+mod highlights;
 mod light;
 mod missing_light;
 mod neural;
@@ -9,16 +12,22 @@ mod observe;
 mod options;
 mod painted;
 mod presets;
+mod reflections;
+mod roughness;
 mod solve;
 mod time_budget;
 
 pub use crate::switch::Switch;
+pub use albedo::{SolvedAlbedo, solve_albedo};
 pub use checkpoint::{Checkpoints, Kept};
+pub use highlights::{Highlights, gather_highlights};
 pub(crate) use light::texture_of;
 pub use light::{Light, bake_irradiance_texels, reconstruct_light};
 pub use observe::observe;
 pub use options::{Fit, SolveOptions};
 pub use presets::{Quality, SolveRequest};
+pub use reflections::{Reflections, trace_reflections};
+pub use roughness::{Roughness, fit_roughness};
 pub use solve::{Solved, reconstruct};
 pub(crate) use time_budget::rounds_worth;
 pub use time_budget::{Budget, parse_seconds};

@@ -2,10 +2,12 @@
 //! irradiance bake ([`SpecularBounce`]), and its directional average ([`WideLobes`]).
 
 mod directional_albedo;
+mod images;
 mod reflector;
 mod specular_bounce;
 
 pub use directional_albedo::{WIDE, WideLobes};
+pub use images::{SpecularImages, TracedImage, WideRule};
 pub use reflector::{Gaze, Levels, Reflector};
 pub(crate) use specular_bounce::Bounces;
 pub use specular_bounce::{Glossy, SpecularBounce};

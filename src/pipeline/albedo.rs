@@ -1,0 +1,122 @@
+//! Stage "albedo": in closed form where views see texels clean, from mixed pixels where they do not,
+//! and what is known of its error.
+
+use super::{Light, Reflections, SolveOptions};
+use crate::inverse::{AlbedoEstimate, TexelReflectance, Unmixing, estimate_albedo};
+use crate::observed::Surface;
+use crate::progress::Progress;
+use crate::switch::Switch;
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+
+/// Albedo and the rays that it took.
+pub struct SolvedAlbedo {
+    /// The estimate per covered texel.
+    pub albedo: AlbedoEstimate,
+    /// Rays traced.
+    pub rays: u64,
+}
+
+/// Solves for the albedo of every covered texel.
+#[must_use]
+pub fn solve_albedo(
+    surface: &Surface,
+    light: &Light,
+    reflections: &Reflections,
+    reflectance: &TexelReflectance,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> SolvedAlbedo {
+    let mut albedo = progress.stage("albedo", surface.texels.len() as u64, |p| {
+        estimate_albedo(
+            &surface.observer(),
+            &reflections.images,
+            &surface.orientation,
+            &surface.texels,
+            &light.irradiance,
+            reflectance,
+            p,
+        )
+    });
+    let affordable = || {
+        let budget = options.budget.as_ref();
+        budget.is_none_or(|b| b.allows_edges(progress))
+    };
+    let rays = if options.edges != Switch::Off && affordable() {
+        solve_edges(
+            surface,
+            light,
+            reflections,
+            reflectance,
+            &mut albedo,
+            progress,
+        )
+    } else {
+        0
+    };
+    SolvedAlbedo { albedo, rays }
+}
+
+/// Solves for the albedo of texels without a clean look; returns the rays traced.
+fn solve_edges(
+    surface: &Surface,
+    light: &Light,
+    reflections: &Reflections,
+    reflectance: &TexelReflectance,
+    albedo: &mut AlbedoEstimate,
+    progress: &Progress,
+) -> u64 {
+    let texels = &surface.texels;
+    let report = progress.stage("albedo at edges", 0, |_| {
+        let irradiance: Vec<Vec3> = (0..texels.len())
+            .into_par_iter()
+            .map(|i| texels.lookup(&surface.scene.mesh, &light.irradiance, i))
+            .collect();
+        let unmixing = Unmixing {
+            observer: surface.observer(),
+            orientation: &surface.orientation,
+            tracer: &surface.tracer,
+            field: &light.field,
+            texels,
+            labels: &surface.labels,
+            irradiance: &irradiance,
+            specular: &reflections.images,
+            reflectance,
+        };
+        unmixing.solve(albedo)
+    });
+    progress.note(format!(
+        "{} pixels at edges tell of {} texels that no view sees clean (misfit {:.2})",
+        report.pixels, report.texels, report.misfit
+    ));
+    report.rays
+}
+
+/// Standard error of the albedo per covered texel, with what irradiance and geometry contribute.
+pub(super) fn albedo_errors(surface: &Surface, light: &Light, albedo: &AlbedoEstimate) -> Vec<f32> {
+    let (texels, mesh) = (&surface.texels, &surface.scene.mesh);
+    // beyond the charts of the irradiance texture nothing is known of its error
+    let noise = light.texels.scatter(&light.error, 1.0);
+    let size = Vec2::new(noise.width as f32, noise.height as f32);
+    let irradiance_error = |i: usize| {
+        let p = texels.point[i];
+        noise
+            .nearest(mesh.uv(p.triangle as usize, p.u, p.v) * size)
+            .clamp(0.0, 1.0)
+    };
+    let footprint = |i: usize| {
+        let side = texels
+            .texel_area(mesh, texels.point[i].triangle as usize)
+            .sqrt();
+        albedo.footprint[i] / side.max(f32::MIN_POSITIVE)
+    };
+    let reflects = |i: usize| !light.emissive[texels.point[i].triangle as usize];
+    crate::inverse::albedo_error(
+        albedo,
+        texels,
+        &surface.labels,
+        irradiance_error,
+        footprint,
+        reflects,
+    )
+}
