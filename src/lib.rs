@@ -27,6 +27,7 @@ pub mod observed;
 pub mod optim;
 pub mod parallel;
 pub mod pipeline;
+pub mod prepare;
 pub mod progress;
 pub mod radiance;
 pub mod render;

@@ -119,6 +119,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ("radiance", &["gbuffer", "vocabulary"]),
     ("observed", &["gbuffer", "scene", "vocabulary"]),
     ("gbuffer", &["scene", "vocabulary"]),
+    ("prepare", &["scene", "vocabulary"]),
     ("solution", &["vocabulary"]),
     ("scene", &["vocabulary"]),
     ("brdf", &["math", "sampling", "ffi"]),

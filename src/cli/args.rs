@@ -5,6 +5,7 @@ use super::frames::Places;
 use super::verbs::export::ExportVerb;
 use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveRequest;
+use crate::prepare::PrepareOptions;
 use crate::render::{RelightOptions, RenderOptions};
 use crate::scene::LoadOptions;
 use crate::synth::SynthOptions;
@@ -74,6 +75,25 @@ pub enum Verb {
         /// The apartment's options.
         #[command(flatten)]
         options: SynthOptions,
+    },
+    /// Make a scene folder from what a device or program exports: poses, photographs, mesh, labels,
+    /// rooms.
+    Prepare {
+        /// The capture's folder or file; its kind before it where looking does not tell (`unbake
+        /// prepare colmap DIR`).
+        #[arg(required_unless_present = "print_config", num_args = 1..=2, value_name = "[SOURCE] DIR")]
+        what: Vec<PathBuf>,
+        /// Folder for the scene; created if need be.
+        #[arg(
+            long,
+            short,
+            required_unless_present = "print_config",
+            value_name = "SCENE"
+        )]
+        out: Option<PathBuf>,
+        /// How the capture is read.
+        #[command(flatten)]
+        options: PrepareOptions,
     },
     /// Say what is understood of a scene and everything that is wrong with it.
     Check {
@@ -235,6 +255,7 @@ impl Cli {
         };
         match &self.verb {
             Some(Verb::Synth { options, .. }) => config.synth = options.clone(),
+            Some(Verb::Prepare { options, .. }) => config.prepare = options.clone(),
             Some(Verb::Check { load, .. }) => config.scene = load.clone(),
             Some(Verb::Solve { options, load, .. }) => {
                 (config.solve, config.scene) = (options.clone(), load.clone())

@@ -8,6 +8,7 @@ use super::verbs::export::ExportVerb;
 use crate::error::{Error, Result};
 use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveRequest;
+use crate::prepare::PrepareOptions;
 use crate::render::{RelightOptions, RenderOptions};
 use crate::scene::LoadOptions;
 use crate::synth::SynthOptions;
@@ -33,6 +34,8 @@ pub struct Config {
     pub json: bool,
     /// How a scene is read, by every verb that reads one.
     pub scene: LoadOptions,
+    /// Options of `unbake prepare`.
+    pub prepare: PrepareOptions,
     /// Options of `unbake synth`.
     pub synth: SynthOptions,
     /// Options of `unbake solve`.
@@ -166,6 +169,7 @@ impl Config {
 pub fn tables_of(verb: &str) -> &'static [&'static str] {
     match verb {
         "synth" => &["synth"],
+        "prepare" => &["prepare"],
         "check" => &["scene"],
         "solve" => &["solve", "scene"],
         "eval" => &["eval", "scene"],

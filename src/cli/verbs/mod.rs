@@ -5,6 +5,7 @@ mod check;
 mod edit;
 mod eval;
 pub(super) mod export;
+mod prepare;
 mod relight;
 mod render;
 mod solve;
@@ -18,6 +19,7 @@ use crate::error::{Error, Result};
 pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
     match verb {
         Verb::Synth { out, .. } => synth::synthesise(required(out)?, context),
+        Verb::Prepare { what, out, .. } => prepare::run(what, required(out)?, context),
         Verb::Check { scene, .. } => return check::check_scene(required(scene)?, context),
         Verb::Solve { scene, out, .. } => solve::solve(required(scene)?, required(out)?, context),
         Verb::Render { out, places, .. } => render::render(required(out)?, places, context),

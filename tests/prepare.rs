@@ -1,0 +1,72 @@
+//! `unbake prepare` on the real captures beside the repository (`../shared/captures`, or
+//! `$UNBAKE_SHARED/captures`); skipped with a message where they are absent.
+
+use std::path::PathBuf;
+use unbake::prepare::{PrepareOptions, Prepared, prepare};
+use unbake::progress::Progress;
+use unbake::scene::{LoadOptions, Scene};
+
+fn capture(name: &str) -> Option<PathBuf> {
+    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared");
+    let root = std::env::var_os("UNBAKE_SHARED").map_or(beside, PathBuf::from);
+    let path = root.join("captures").join(name);
+    if path.exists() {
+        return Some(path);
+    }
+    eprintln!("skipped: {} is not here", path.display());
+    None
+}
+
+fn prepared(path: &std::path::Path, out: &std::path::Path) -> Prepared {
+    let options = PrepareOptions {
+        link: true,
+        ..PrepareOptions::default()
+    };
+    prepare(None, path, out, &options, &Progress::silent()).expect("prepared")
+}
+
+fn load(path: &std::path::Path) -> Scene {
+    let options = LoadOptions {
+        ldr: true,
+        ..LoadOptions::default()
+    };
+    Scene::load(path, &options).expect("a scene that loads")
+}
+
+#[test]
+fn the_zind_tour_equals_the_scene_made_by_hand() {
+    let (Some(tour), Some(by_hand)) = (capture("zind-sample-tour"), capture("zind-scene")) else {
+        return;
+    };
+    let dir = tempfile::tempdir().expect("folder");
+    let out = dir.path().join("scene");
+    let made = prepared(&tour, &out);
+    assert_eq!((made.kind, made.frames, made.rooms), ("zind", 32, 15));
+    let (ours, theirs) = (load(&out), load(&by_hand));
+    assert_eq!(ours.views.len(), theirs.views.len());
+    for (a, b) in ours.views.iter().zip(&theirs.views) {
+        assert_eq!((&a.stem, a.split), (&b.stem, b.split));
+        let place = |s: &Scene, p: glam::Vec3| s.origin + p.as_dvec3();
+        let apart = place(&ours, a.camera.position) - place(&theirs, b.camera.position);
+        assert!(apart.length() < 1e-3, "{}: {apart}", a.stem);
+        let turned = a.camera.world_from_camera - b.camera.world_from_camera;
+        let largest = turned
+            .to_cols_array()
+            .iter()
+            .fold(0.0f32, |m, x| m.max(x.abs()));
+        assert!(largest < 1e-5, "{}: {largest}", a.stem);
+        let labels = |v: &unbake::scene::View| {
+            unbake::formats::read_labels(v.label_path.as_ref().expect("labels")).expect("ids")
+        };
+        let (p, q) = (labels(a), labels(b));
+        let other = p.data.iter().zip(&q.data).filter(|(x, y)| x != y).count();
+        // rays that graze an edge may fall to either side
+        assert!(other * 10_000 < p.data.len(), "{}: {other} pixels", a.stem);
+    }
+    let area = |s: &Scene| {
+        (0..s.mesh.triangles.len())
+            .map(|t| s.mesh.area(t))
+            .sum::<f32>()
+    };
+    assert!((area(&ours) / area(&theirs) - 1.0).abs() < 1e-4);
+}
