@@ -48,6 +48,7 @@ fn furnace(albedo: f32, radiance: f32) -> Solution {
         emission: grey(48, 0.0),
         confidence: Plane::filled(48, 48, Vec2::ZERO),
         irradiance_error: None,
+        lamps: Vec::new(),
         labels,
         rooms: Plane::filled(48, 48, 1),
         environment: Plane::filled(4, 2, Vec3::ZERO),

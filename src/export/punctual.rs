@@ -1,13 +1,12 @@
 //! Lamps as point lights, for programs that do not light by emissive surfaces.
 
-use crate::render::{LampGroup, World, lamp_groups};
-use crate::solution::{PunctualLight, Solution};
+use crate::solution::{Lamp, PunctualLight, Solution};
 use glam::{DVec3, Vec3};
 
 /// A point light per lamp that sends out as much light.
 #[must_use]
 pub fn punctual_lights(solution: &Solution) -> Vec<PunctualLight> {
-    let light = |g: &LampGroup| {
+    let light = |g: &Lamp| {
         let brightest = g
             .radiance
             .iter()
@@ -28,11 +27,8 @@ pub fn punctual_lights(solution: &Solution) -> Vec<PunctualLight> {
                 .map(|c| f64::from((c / brightest).clamp(0.0, 1.0))),
             // π · L · area over the full sphere
             intensity: f64::from(0.25 * brightest * g.area),
-            position: (DVec3::from_array(g.position) + front).to_array(),
+            position: (DVec3::from_array(g.centre) + front).to_array(),
         }
     };
-    lamp_groups(&World::new(solution), solution.origin)
-        .iter()
-        .map(light)
-        .collect()
+    solution.lamps.iter().map(light).collect()
 }

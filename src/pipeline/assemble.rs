@@ -5,7 +5,7 @@ use super::{Light, Roughness};
 use crate::image::{Plane, Wrap};
 use crate::inverse::AlbedoEstimate;
 use crate::observed::{Surface, filled};
-use crate::solution::Solution;
+use crate::solution::{Solution, find_lamps};
 use crate::texture::fill_uncovered;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -81,14 +81,18 @@ pub(super) fn assemble(
         height: size,
         data,
     };
+    let mesh = surface.oriented_mesh();
+    let emission = texels.scatter(&emission, Vec3::ZERO);
+    let origin = surface.scene.origin;
     Solution {
-        mesh: surface.oriented_mesh(),
-        origin: surface.scene.origin,
+        lamps: find_lamps(&mesh, &emission, origin),
+        mesh,
+        origin,
         albedo: albedo_plane,
         roughness,
         irradiance: light.irradiance.clone(),
         radiance: light.radiance.clone(),
-        emission: texels.scatter(&emission, Vec3::ZERO),
+        emission,
         confidence: texels.scatter(&confidence, Vec2::splat(1e4)),
         irradiance_error: Some(light.texels.scatter(&light.error, 0.0)),
         rooms: rooms.clone(),

@@ -18,6 +18,7 @@ use crate::observed::{Surface, coverage};
 use crate::optim::median;
 use crate::progress::Progress;
 use crate::radiance::{Environment, LightField};
+use crate::solution::lamp_gap;
 use crate::texture::{Texels, fill_uncovered};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -27,10 +28,6 @@ use std::time::Instant;
 
 /// Side of the coarse irradiance texture relative to the full one.
 const COARSE: usize = 4;
-
-/// Emitting triangles are one lamp if they lie at most this far apart, as a share of the scene's
-/// diagonal: a few centimetres in a flat.
-const LAMP_GAP: f32 = 0.002;
 
 /// How much brighter than expected a texel seen only at edges may be before its radiance counts as
 /// a mixture with a brighter surface.
@@ -455,12 +452,6 @@ fn without_halos(mesh: &Mesh, mut emissive: Vec<bool>, sure: &[bool], label: &[u
             .for_each(|&t| emissive[t as usize] = false);
     }
     emissive
-}
-
-/// Distance up to which emitting triangles are one lamp, metres.
-fn lamp_gap(mesh: &Mesh) -> f32 {
-    let (low, high) = mesh.bounds();
-    LAMP_GAP * (high - low).length()
 }
 
 /// Whether covered texel `i` lies on a triangle marked in `emissive`.

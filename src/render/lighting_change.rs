@@ -1,9 +1,10 @@
 //! Changed light: which lamps burn, how, where; what is added; what lies outside.
 
-use super::{Added, LampGroup, World};
+use super::{Added, World};
 use crate::error::{Error, Result};
 use crate::image::{Plane, RgbPlane};
 use crate::math::luminance;
+use crate::solution::Lamp;
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use std::f32::consts::{PI, TAU};
@@ -143,13 +144,13 @@ impl Lighting {
 
     /// Names lamps by their places instead of their numbers, for another solution of the same
     /// scene.
-    pub fn by_place(&mut self, groups: &[LampGroup]) {
+    pub fn by_place(&mut self, groups: &[Lamp]) {
         for change in &mut self.lamps {
             if let Some(group) = change
                 .group
                 .and_then(|id| groups.iter().find(|g| g.id == id))
             {
-                change.near = Some(group.position);
+                change.near = Some(group.centre);
                 change.group = None;
             }
         }
@@ -159,10 +160,10 @@ impl Lighting {
     ///
     /// # Errors
     /// A lamp is named that does not exist; the panorama cannot be read.
-    pub fn apply(&self, world: &mut World<'_>, groups: &[LampGroup]) -> Result<()> {
+    pub fn apply(&self, world: &mut World<'_>, groups: &[Lamp]) -> Result<()> {
         let mut moves = Vec::new();
         for change in &self.lamps {
-            let chosen: Vec<&LampGroup> = match (change.group, change.near) {
+            let chosen: Vec<&Lamp> = match (change.group, change.near) {
                 (Some(id), _) => match groups.iter().find(|g| g.id == id) {
                     Some(g) => vec![g],
                     None => {
@@ -173,9 +174,8 @@ impl Lighting {
                     }
                 },
                 (None, Some(p)) => {
-                    let distance = |g: &&LampGroup| {
-                        (DVec3::from_array(g.position) - DVec3::from_array(p)).length()
-                    };
+                    let distance =
+                        |g: &&Lamp| (DVec3::from_array(g.centre) - DVec3::from_array(p)).length();
                     groups
                         .iter()
                         .min_by(|a, b| distance(a).total_cmp(&distance(b)))
@@ -290,7 +290,8 @@ pub fn mean_luminance(map: &RgbPlane) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::render::{SurfaceModel, lamp_groups};
+    use crate::render::SurfaceModel;
+    use crate::solution::find_lamps;
     use crate::solution::tests::small_solution;
 
     #[test]
@@ -305,7 +306,7 @@ mod tests {
         )
         .expect("writes");
         let mut world = World::new(&solution);
-        let groups = lamp_groups(&world, solution.origin);
+        let groups = find_lamps(&solution.mesh, &solution.emission, solution.origin);
         Lighting::read(&path)
             .expect("valid")
             .apply(&mut world, &groups)

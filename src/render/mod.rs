@@ -9,7 +9,6 @@ pub mod denoise;
 mod edges;
 mod hybrid;
 mod ies;
-mod lamps;
 mod lighting_change;
 mod options;
 pub mod path_tracer;
@@ -22,7 +21,6 @@ mod world;
 pub use cameras::{FileCameras, NamedCamera, cameras_of_scene, read_cameras, smooth_path};
 pub use hybrid::{HybridOptions, HybridRenderer, RenderedView, ViewRenderer};
 pub use ies::IesProfile;
-pub use lamps::{LampGroup, lamp_groups};
 pub use lighting_change::{EnvironmentChange, LampChange, Lighting, daylight, mean_luminance};
 pub use options::{FrameOptions, RenderOptions, Renderer, Show, Video, Views};
 pub use path_tracer::{

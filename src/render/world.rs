@@ -9,23 +9,12 @@ use crate::geometry::Mesh;
 use crate::image::{RgbPlane, Wrap};
 use crate::lights::portals::find_portals;
 use crate::radiance::Environment;
-use crate::solution::Solution;
+use crate::solution::{Solution, triangle_emission};
 use crate::trace::Tracer;
 use glam::{DVec3, Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 use std::f32::consts::{PI, TAU};
 use std::path::PathBuf;
-
-/// Points of a triangle at which its emission is looked up.
-const POINTS: [(f32, f32); 7] = [
-    (0.34, 0.33),
-    (0.6, 0.2),
-    (0.2, 0.6),
-    (0.2, 0.2),
-    (0.46, 0.46),
-    (0.46, 0.08),
-    (0.08, 0.46),
-];
 
 /// A lamp that the scene does not have. Positions in the coordinates of the scene's file, metres.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -116,14 +105,7 @@ impl<'a> World<'a> {
     #[must_use]
     pub fn new(solution: &'a Solution) -> Self {
         let mesh = solution.mesh.clone();
-        let emission = &solution.emission;
-        let size = Vec2::new(emission.width as f32, emission.height as f32);
-        let mean: Vec<Vec3> = (0..mesh.triangles.len())
-            .map(|t| {
-                let at = |&(u, v): &(f32, f32)| *emission.nearest(mesh.uv(t, u, v) * size);
-                POINTS.iter().map(at).sum::<Vec3>() / POINTS.len() as f32
-            })
-            .collect();
+        let mean = triangle_emission(&mesh, &solution.emission);
         let gain = mean
             .iter()
             .map(|m| {

@@ -2,9 +2,11 @@
 //! export read.
 
 mod glb;
+mod lamps;
 mod store;
 
 pub use glb::{GlbOptions, PunctualLight, scene_glb};
+pub use lamps::{LIGHTS, Lamp, LampKind, find_lamps, lamp_gap, triangle_emission};
 pub use store::{AsideFolder, FILES, SaveOptions};
 
 use crate::brdf::Reflectance;
@@ -45,6 +47,8 @@ pub struct Solution {
     pub environment: RgbPlane,
     /// The reflection model that albedo and roughness belong to.
     pub reflectance: Reflectance,
+    /// Its lamps, most powerful first: every program numbers them by this list.
+    pub lamps: Vec<Lamp>,
 }
 
 #[cfg(test)]
@@ -105,6 +109,7 @@ pub(crate) mod tests {
             rooms: Plane::filled(16, 16, 1),
             environment: ramp(8, 4, 3.0),
             reflectance: Reflectance::Burley,
+            lamps: Vec::new(),
         }
     }
 }

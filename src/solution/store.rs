@@ -6,6 +6,7 @@
 
 use super::Solution;
 use super::glb::{GlbOptions, read_glb_mesh, scene_glb};
+use super::lamps::{self, LIGHTS};
 use crate::error::{Error, Result};
 use crate::formats::{read_labels, read_plane, read_rgb, read_two_channels};
 use crate::formats::{
@@ -16,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 /// Files of a solution in the order in which they are renamed into place; `scene.glb` last, as the
 /// mark of completeness.
-pub const FILES: [&str; 10] = [
+pub const FILES: [&str; 11] = [
     "albedo.exr",
     "roughness.exr",
     "irradiance.exr",
@@ -26,6 +27,7 @@ pub const FILES: [&str; 10] = [
     "labels.png",
     "rooms.png",
     "environment.exr",
+    LIGHTS,
     "scene.glb",
 ];
 
@@ -65,7 +67,10 @@ impl Solution {
             }
             write_png16(at("labels.png"), &self.labels)?;
             write_png16(at("rooms.png"), &self.rooms)?;
-            write_radiometric(&at("environment.exr"), &self.environment)
+            write_radiometric(&at("environment.exr"), &self.environment)?;
+            let path = at(LIGHTS);
+            std::fs::write(&path, lamps::encode(&self.lamps)?)
+                .map_err(|e| Error::io(folder.join(LIGHTS), e))
         };
         let (glb, textures) = rayon::join(glb, textures);
         textures.and(glb)?;
@@ -88,7 +93,7 @@ impl Solution {
         let missing: Vec<Error> = FILES
             .iter()
             .map(|name| folder.join(name))
-            .filter(|path| !path.is_file())
+            .filter(|path| !path.is_file() && !path.ends_with(LIGHTS))
             .map(|path| {
                 Error::input(
                     path,
@@ -101,7 +106,7 @@ impl Solution {
         }
         let (mesh, origin, reflectance) = read_glb_mesh(&folder.join("scene.glb"))?;
         let rgb = |name: &str| read_rgb(folder.join(name));
-        let solution = Self {
+        let mut solution = Self {
             mesh,
             origin,
             albedo: rgb("albedo.exr")?,
@@ -118,7 +123,9 @@ impl Solution {
             rooms: read_labels(folder.join("rooms.png"))?,
             environment: rgb("environment.exr")?,
             reflectance,
+            lamps: Vec::new(),
         };
+        solution.lamps = lamps::read(folder, &solution)?;
         Ok(solution)
     }
 

@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
 use crate::render::Environment;
-use crate::solution::Solution;
+use crate::solution::{Solution, find_lamps};
 use crate::texture::{Texels, fill_uncovered};
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use std::f32::consts::{PI, TAU};
@@ -50,14 +50,16 @@ fn assemble(apartment: &Apartment, mesh: Mesh, texture: &Plane<Vec4>) -> Solutio
         .collect();
     let sky = sky(apartment);
     let black = || Plane::filled(4, 4, Vec3::ZERO);
+    let emission = texels.scatter(&emitted, Vec3::ZERO);
     Solution {
+        lamps: find_lamps(&mesh, &emission, DVec3::ZERO),
         mesh,
         origin: DVec3::ZERO,
         albedo: fill_uncovered(&texture.map(|t| t.truncate()), &covered),
         roughness: fill_uncovered(&texture.map(|t| t.w), &covered),
         irradiance: black(),
         radiance: black(),
-        emission: texels.scatter(&emitted, Vec3::ZERO),
+        emission,
         confidence: Plane::filled(4, 4, Vec2::ZERO),
         irradiance_error: None,
         labels: texels.scatter(&labels, 0),
@@ -91,7 +93,7 @@ mod tests {
     use crate::geometry::{Camera, Projection};
     use crate::progress::Progress;
     use crate::render::{Adaptive, Noise};
-    use crate::render::{PathTracer, PathTracerOptions, Stage, TraceSettings, World, lamp_groups};
+    use crate::render::{PathTracer, PathTracerOptions, Stage, TraceSettings, World};
     use crate::trace::EmbreeTracer;
 
     /// The same pictures come from the apartment's own model and from its truth as a solution:
@@ -128,7 +130,7 @@ mod tests {
             .render(&camera, 0, &Progress::silent())
             .radiance();
         let mut world = World::new(&truth);
-        assert!(!lamp_groups(&world, truth.origin).is_empty());
+        assert!(!truth.lamps.is_empty());
         let stage = Stage::new(&mut world).expect("embree");
         let goal = Adaptive {
             first: 64,

@@ -2,7 +2,7 @@
 //! and kept.
 
 use super::encode::{self, gzip};
-use super::lamps::{self, Lamp, Shares};
+use super::lamps::{self, Shares, Slider};
 use super::probes::{self, Probe};
 use super::{inspect, photos::Photos};
 use crate::error::{Error, Result};
@@ -57,7 +57,7 @@ pub struct Content {
     scene: Option<Scene>,
     name: String,
     tracer: EmbreeTracer,
-    lamps: Vec<Lamp>,
+    lamps: Vec<Slider>,
     probes: Vec<Probe>,
     exposure: f32,
     photos: Photos,
@@ -88,7 +88,7 @@ impl Content {
             return Err(Error::input(&scene.folder, message));
         }
         let tracer = EmbreeTracer::new(&solution.mesh)?;
-        let lamps = lamps::lamps(&solution);
+        let lamps = lamps::sliders(&solution);
         let probes = probes::place(&solution, &tracer);
         let from_record = record
             .map(|r| r.scene.name.clone())
@@ -145,6 +145,7 @@ impl Content {
             "classes": self.classes(),
             "rooms": s.rooms.data.iter().copied().max().unwrap_or(0),
             "lamps": self.lamps.iter().map(|l| self.lamp(l)).collect::<Vec<_>>(),
+            "lights": self.solution.lamps.iter().map(light).collect::<Vec<_>>(),
             "probes": {"levels": probes::LEVELS, "places": probes},
             "cameras": self.cameras(),
         })
@@ -165,14 +166,14 @@ impl Content {
         })
     }
 
-    fn lamp(&self, lamp: &Lamp) -> Value {
+    fn lamp(&self, lamp: &Slider) -> Value {
         let outside = lamp.triangles.is_empty();
         let name = if outside {
             lamp.name.clone()
         } else {
             format!("{} ({})", lamp.name, self.class_name(lamp.class))
         };
-        json!({"name": name, "outside": outside, "centre": lamp.centre.to_array(), "triangles": lamp.triangles.len()})
+        json!({"name": name, "ids": lamp.ids, "outside": outside, "centre": lamp.centre.to_array(), "triangles": lamp.triangles.len()})
     }
 
     /// Classes by falling area, with their mean material: what an edit starts from.
@@ -366,6 +367,11 @@ fn exposure(solution: &Solution) -> f32 {
         sum >= 0.95 * whole
     });
     white.map_or(0.0, |b| -b.0.log2()).clamp(-60.0, 60.0)
+}
+
+/// A lamp of `lights.json` as the page names it, in the file's coordinates.
+fn light(lamp: &crate::solution::Lamp) -> Value {
+    json!({"id": lamp.id, "kind": lamp.kind, "centre": lamp.centre, "area": lamp.area, "power": lamp.power})
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
-//! Lamps as a person counts them, and the share of the light on every texel that comes directly
-//! from each.
+//! Sliders of the page for the solution's lamps, and the share of the light on every texel that
+//! comes directly from each.
 //!
 //! With the shares, the page can dim and brighten lamps at once: a texel's irradiance is multiplied
 //! by 1 + Σ (s − 1)(f + (1 − Σf) g), where s is the lamp's slider, f the directly received share
@@ -7,21 +7,19 @@
 //! part of the bounces. All sliders at s give exactly s times the light.
 
 use super::encode::gzip;
-use crate::geometry::{Mesh, clusters};
+use crate::geometry::Mesh;
 use crate::image::{Plane, Wrap};
 use crate::math::{Frame, luminance};
 use crate::sampling::{Discrete, KeyedRng, square_to_cosine_hemisphere, square_to_triangle};
-use crate::solution::Solution;
+use crate::solution::{Lamp, Solution, triangle_emission};
 use crate::texture::{Texels, fill_uncovered};
 use crate::trace::{Ray, Tracer};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 
-/// Lamps with a slider of their own; the smaller ones join the nearest of these.
-const MAX_LAMPS: usize = 11;
-/// Parts closer than this (metres) belong to the same lamp: bulb, shade and ring.
-const REACH: f32 = 0.08;
+/// Sliders of lamps: the strongest have one of their own, the last is for all others.
+const SLIDERS: usize = 11;
 /// Longest side of the share textures.
 const SIDE: usize = 256;
 /// Shadow rays per texel, divided among the lamps.
@@ -31,11 +29,13 @@ const SKY_RAYS: usize = 64;
 /// Texels per parallel piece.
 const CHUNK: usize = 32;
 
-/// A group of emitting triangles, or the light from outside.
+/// One or several lamps of the solution, or the light from outside.
 #[derive(Clone, Debug)]
-pub struct Lamp {
+pub struct Slider {
     /// What the page calls it.
     pub name: String,
+    /// Numbers of its lamps in `lights.json`; empty for the light from outside.
+    pub ids: Vec<usize>,
     /// Emitting triangles; empty for the light from outside.
     pub triangles: Vec<u32>,
     /// Middle of its bounding box.
@@ -46,52 +46,40 @@ pub struct Lamp {
     pub class: u16,
 }
 
-/// The lamps of a solution, the strongest first; light from outside, if there is any, comes last.
+/// The sliders of a solution in the order of its lamps' numbers; light from outside, if there is
+/// any, comes last.
 #[must_use]
-pub fn lamps(solution: &Solution) -> Vec<Lamp> {
-    let mesh = &solution.mesh;
-    let emitting: Vec<u32> = (0..mesh.triangles.len() as u32)
-        .into_par_iter()
-        .filter(|&t| emitted(solution, t as usize) > 0.0)
+pub fn sliders(solution: &Solution) -> Vec<Slider> {
+    let lamps = &solution.lamps;
+    let own = if lamps.len() <= SLIDERS {
+        lamps.len()
+    } else {
+        SLIDERS - 1
+    };
+    let mut out: Vec<Slider> = lamps[..own]
+        .iter()
+        .map(|l| slider(solution, format!("Lamp {}", l.id), std::slice::from_ref(l)))
         .collect();
-    let mut lamps: Vec<Lamp> = clusters(mesh, &emitting, REACH)
-        .into_iter()
-        .map(|group| lamp(solution, group))
-        .filter(|l| l.power > 0.0)
-        .collect();
-    lamps.sort_by(|a, b| {
-        b.power
-            .total_cmp(&a.power)
-            .then(a.triangles[0].cmp(&b.triangles[0]))
-    });
-    let rest = lamps.split_off(lamps.len().min(MAX_LAMPS));
-    for small in rest {
-        let near = |l: &&mut Lamp| l.centre.distance_squared(small.centre);
-        if let Some(host) = lamps.iter_mut().min_by(|a, b| near(a).total_cmp(&near(b))) {
-            host.triangles.extend(small.triangles);
-            host.power += small.power;
-        }
-    }
-    for (i, lamp) in lamps.iter_mut().enumerate() {
-        lamp.triangles.sort_unstable();
-        lamp.name = format!("Lamp {}", i + 1);
+    if let [first, .., last] = &lamps[own..] {
+        let name = format!("Lamps {} to {}", first.id, last.id);
+        out.push(slider(solution, name, &lamps[own..]));
     }
     if solution.environment.data.iter().any(|v| *v != Vec3::ZERO) {
-        let name = "Light from outside".to_owned();
-        lamps.push(Lamp {
-            name,
+        out.push(Slider {
+            name: "Light from outside".to_owned(),
+            ids: Vec::new(),
             triangles: Vec::new(),
             centre: Vec3::ZERO,
             power: 0.0,
             class: 0,
         });
     }
-    lamps
+    out
 }
 
 /// Number of the lamp of every vertex, counted from 1; 0 where nothing emits.
 #[must_use]
-pub fn lamp_of_vertices(mesh: &Mesh, lamps: &[Lamp]) -> Vec<u8> {
+pub fn lamp_of_vertices(mesh: &Mesh, lamps: &[Slider]) -> Vec<u8> {
     let mut out = vec![0; mesh.positions.len()];
     for (i, lamp) in lamps.iter().enumerate() {
         for &t in &lamp.triangles {
@@ -103,28 +91,17 @@ pub fn lamp_of_vertices(mesh: &Mesh, lamps: &[Lamp]) -> Vec<u8> {
     out
 }
 
-/// Mean emitted luminance of a triangle.
-fn emitted(solution: &Solution, t: usize) -> f32 {
-    let e = &solution.emission;
-    let size = Vec2::new(e.width as f32, e.height as f32);
-    let points = [(0.33, 0.33), (0.6, 0.2), (0.2, 0.6), (0.2, 0.2)];
-    points
-        .iter()
-        .map(|&(u, v)| luminance(*e.nearest(solution.mesh.uv(t, u, v) * size)))
-        .sum::<f32>()
-        / points.len() as f32
-}
-
-fn lamp(solution: &Solution, triangles: Vec<u32>) -> Lamp {
+fn slider(solution: &Solution, name: String, lamps: &[Lamp]) -> Slider {
     let mesh = &solution.mesh;
+    let mut triangles: Vec<u32> = lamps
+        .iter()
+        .flat_map(|l| l.triangles.iter().copied())
+        .collect();
+    triangles.sort_unstable();
     let corners = || triangles.iter().flat_map(|&t| mesh.corners(t as usize));
     let (low, high) = corners().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| {
         (l.min(p), h.max(p))
     });
-    let power = triangles
-        .iter()
-        .map(|&t| emitted(solution, t as usize) * mesh.area(t as usize) * PI)
-        .sum();
     let largest = triangles
         .iter()
         .max_by(|a, b| mesh.area(**a as usize).total_cmp(&mesh.area(**b as usize)));
@@ -134,11 +111,12 @@ fn lamp(solution: &Solution, triangles: Vec<u32>) -> Lamp {
             .labels
             .nearest(mesh.uv(t as usize, 0.33, 0.33) * size)
     });
-    Lamp {
-        name: String::new(),
+    Slider {
+        name,
+        ids: lamps.iter().map(|l| l.id).collect(),
         triangles,
         centre: 0.5 * (low + high),
-        power,
+        power: lamps.iter().map(Lamp::strength).sum(),
         class,
     }
 }
@@ -158,18 +136,19 @@ pub struct Shares {
 
 /// Traces the direct light of every lamp to every texel.
 #[must_use]
-pub fn shares(solution: &Solution, lamps: &[Lamp], tracer: &dyn Tracer) -> Shares {
+pub fn shares(solution: &Solution, lamps: &[Slider], tracer: &dyn Tracer) -> Shares {
     let mesh = &solution.mesh;
     let (width, height) = (
         solution.irradiance.width.clamp(1, SIDE),
         solution.irradiance.height.clamp(1, SIDE),
     );
     let texels = Texels::rasterize(mesh, width, height);
+    let emission = triangle_emission(mesh, &solution.emission);
     let tables: Vec<Option<Discrete>> = lamps
         .iter()
         .map(|l| {
             let weight =
-                |&t: &u32| f64::from(emitted(solution, t as usize) * mesh.area(t as usize));
+                |&t: &u32| f64::from(luminance(emission[t as usize]) * mesh.area(t as usize));
             Discrete::new(&l.triangles.iter().map(weight).collect::<Vec<f64>>())
         })
         .collect();
@@ -236,7 +215,7 @@ pub fn shares(solution: &Solution, lamps: &[Lamp], tracer: &dyn Tracer) -> Share
 /// Everything needed to gather direct light at texels.
 struct Gather<'a> {
     solution: &'a Solution,
-    lamps: &'a [Lamp],
+    lamps: &'a [Slider],
     tables: &'a [Option<Discrete>],
     tracer: &'a dyn Tracer,
     offset: f32,
@@ -333,6 +312,7 @@ impl Gather<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::solution::find_lamps;
     use crate::trace::BruteForce;
     use glam::DVec3;
 
@@ -372,6 +352,7 @@ mod tests {
             }
         }
         Solution {
+            lamps: find_lamps(&mesh, &emission, DVec3::ZERO),
             mesh,
             origin: DVec3::ZERO,
             albedo: Plane::filled(8, 8, Vec3::splat(0.5)),
@@ -390,7 +371,7 @@ mod tests {
 
     #[test]
     fn lamps_are_counted_as_a_person_would() {
-        let found = lamps(&room(4.0));
+        let found = sliders(&room(4.0));
         assert_eq!(found.len(), 2, "two quads of two triangles each, no sky");
         assert_eq!((found[0].triangles.len(), found[0].class), (2, 3));
         assert!(found[0].centre.x > 0.0, "the stronger first");
@@ -404,9 +385,26 @@ mod tests {
     }
 
     #[test]
+    fn sliders_bear_the_numbers_of_the_stored_list() {
+        let mut solution = room(4.0);
+        let few = sliders(&solution);
+        assert_eq!(few[0].ids, [1]);
+        assert_eq!(few[1].name, "Lamp 2");
+        let lamp = solution.lamps[1].clone();
+        solution
+            .lamps
+            .extend((3..=20).map(|id| Lamp { id, ..lamp.clone() }));
+        let many = sliders(&solution);
+        assert_eq!(many.len(), SLIDERS);
+        assert_eq!(many[SLIDERS - 1].name, "Lamps 11 to 20");
+        let ids: Vec<usize> = many.iter().flat_map(|s| s.ids.iter().copied()).collect();
+        assert_eq!(ids, (1..=20).collect::<Vec<_>>());
+    }
+
+    #[test]
     fn shares_follow_the_inverse_square_law() {
         let solution = room(4.0);
-        let found = lamps(&solution);
+        let found = sliders(&solution);
         let shares = shares(&solution, &found, &BruteForce::new(&solution.mesh));
         let mut planes = Vec::new();
         std::io::Read::read_to_end(
@@ -433,12 +431,13 @@ mod tests {
     fn a_dark_scene_has_no_lamps() {
         let mut solution = room(1.0);
         solution.emission.data.fill(Vec3::ZERO);
-        assert!(lamps(&solution).is_empty());
+        solution.lamps = find_lamps(&solution.mesh, &solution.emission, solution.origin);
+        assert!(sliders(&solution).is_empty());
         solution.environment.data[3] = Vec3::ONE;
-        assert_eq!(lamps(&solution).len(), 1);
+        assert_eq!(sliders(&solution).len(), 1);
         let outside = shares(
             &solution,
-            &lamps(&solution),
+            &sliders(&solution),
             &BruteForce::new(&solution.mesh),
         );
         assert!((outside.bounce[0] - 1.0).abs() < 1e-6);

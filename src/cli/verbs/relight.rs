@@ -8,10 +8,10 @@ use crate::export::FrameWriter;
 use crate::geometry::Camera;
 use crate::image::RgbPlane;
 use crate::render::{
-    Adaptive, Exposure, LampChange, LampGroup, Lighting, NamedCamera, Noise, PathTracerOptions,
-    Stage, TraceSettings, World, daylight, lamp_groups, mean_luminance,
+    Adaptive, Exposure, LampChange, Lighting, NamedCamera, Noise, PathTracerOptions, Stage,
+    TraceSettings, World, daylight, mean_luminance,
 };
-use crate::solution::Solution;
+use crate::solution::{Lamp, Solution};
 use glam::Vec3;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -38,7 +38,7 @@ pub(in crate::cli) fn relight(
         ));
     }
     let solution = read_solution(out, progress)?;
-    let groups = lamp_groups(&World::new(&solution), solution.origin);
+    let groups = solution.lamps.clone();
     if list {
         return list_lamps(&groups, context);
     }
@@ -125,10 +125,10 @@ fn compare_relit(
     context: &Context,
 ) -> Result<()> {
     let options = &context.config.relight;
-    let own = lamp_groups(&World::new(solutions[0]), solutions[0].origin);
+    let own = &solutions[0].lamps;
     let mut images: [Vec<RgbPlane>; 2] = [Vec::new(), Vec::new()];
     for (k, solution) in solutions.iter().enumerate() {
-        let groups = lamp_groups(&World::new(solution), solution.origin);
+        let groups = &solution.lamps;
         let mut lighting = lighting.clone();
         if k == 1 {
             lighting.by_place(&own);
@@ -230,11 +230,7 @@ fn display_psnr(a: &RgbPlane, b: &RgbPlane, factor: f32) -> f64 {
 }
 
 /// The lighting file with the flags' changes after it.
-fn changed_light(
-    groups: &[LampGroup],
-    lights: Option<&Path>,
-    context: &Context,
-) -> Result<Lighting> {
+fn changed_light(groups: &[Lamp], lights: Option<&Path>, context: &Context) -> Result<Lighting> {
     let options = &context.config.relight;
     let mut lighting = lights.map_or_else(|| Ok(Lighting::default()), Lighting::read)?;
     if !(options.lamps.is_finite() && options.lamps >= 0.0) {
@@ -292,16 +288,18 @@ fn changed_light(
     Ok(lighting)
 }
 
-fn list_lamps(groups: &[LampGroup], context: &Context) -> Result<()> {
+fn list_lamps(groups: &[Lamp], context: &Context) -> Result<()> {
     let mut text = String::from(
         "lamp     x       y       z  metres   area m²      power   radiance (r g b)\n",
     );
     for g in groups {
-        let [x, y, z] = g.position;
+        let [x, y, z] = g.centre;
         let [r, gr, b] = g.radiance;
         text.push_str(&format!(
             "{:4} {x:7.2} {y:7.2} {z:7.2} {:9.4} {:10.4}   {r:.3} {gr:.3} {b:.3}\n",
-            g.id, g.area, g.power
+            g.id,
+            g.area,
+            g.strength()
         ));
     }
     if groups.is_empty() {
