@@ -2,7 +2,7 @@
 
 use super::config::Config;
 use super::frames::Places;
-use super::verbs::export::ExportVerb;
+use super::verb_args::ExportVerb;
 use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveRequest;
 use crate::prepare::PrepareOptions;
@@ -145,7 +145,7 @@ pub enum Verb {
     Bench {
         /// What to measure.
         #[command(subcommand)]
-        what: super::BenchVerb,
+        what: super::verb_args::BenchVerb,
     },
     /// Novel views of a reconstruction: panoramas or pinhole frames from cameras, views of a scene
     /// or along a smooth path.

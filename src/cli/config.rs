@@ -4,7 +4,7 @@
 //! values: the file is read into the same structures, and each flag that was really typed replaces
 //! its key. Nothing is merged as text.
 
-use super::verbs::export::ExportVerb;
+use super::verb_args::ExportVerb;
 use crate::error::{Error, Result};
 use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveRequest;

@@ -1,6 +1,6 @@
 //! Where frames come from and go to: the options that all verbs share that make pictures.
 
-use super::Context;
+use super::context::Context;
 use super::inputs::read_scene;
 use crate::Result;
 use crate::export::FrameWriter;

@@ -1,6 +1,6 @@
 //! What verbs read: scenes and solutions, with their warnings on the way.
 
-use super::Context;
+use super::context::Context;
 use crate::Result;
 use crate::edit::load_edited;
 use crate::progress::Progress;

@@ -7,17 +7,21 @@
 
 mod args;
 mod config;
+mod context;
 mod frames;
 mod inputs;
 mod progress;
 mod run_record;
+mod verb_args;
 mod verbs;
 
 pub use args::{Cli, Global, Verb};
 pub use config::Config;
+pub use context::Context;
+use context::print;
 pub use frames::Places;
 pub use progress::{Bars, LogLines, Tee};
-pub use verbs::bench::BenchVerb;
+pub use verb_args::BenchVerb;
 
 use crate::error::{Error, Result};
 use crate::progress::{Observer, Progress};
@@ -27,35 +31,6 @@ use std::ffi::OsString;
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use std::sync::Arc;
-
-/// What a verb works with besides its own arguments.
-pub struct Context {
-    /// The effective configuration.
-    pub config: Config,
-    /// Where long work reports to.
-    pub progress: Progress,
-    /// Measures the run.
-    pub recorder: Arc<Recorder>,
-    /// The arguments as typed.
-    pub command: Vec<String>,
-}
-
-impl Context {
-    /// The seed of a verb that has none of its own.
-    #[must_use]
-    pub fn seed(&self) -> u64 {
-        self.config.seed.unwrap_or(0)
-    }
-
-    /// Prints a verb's result: `text` for people or `json` for machines.
-    pub fn result(&self, text: &str, json: &serde_json::Value) -> Result<()> {
-        if self.config.json {
-            print(&format!("{json:#}\n"))
-        } else {
-            print(text)
-        }
-    }
-}
 
 /// Runs the program with the given arguments (the first is its name) and returns its exit code.
 #[must_use]
@@ -156,15 +131,6 @@ fn version() -> String {
         crate::trace::embree_version(),
         crate::formats::version()
     )
-}
-
-/// Writes to stdout; a closed pipe is the reader's choice and not an error.
-fn print(text: &str) -> Result<()> {
-    let mut out = std::io::stdout().lock();
-    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Error::io("stdout", e)),
-        _ => Ok(()),
-    }
 }
 
 #[cfg(test)]

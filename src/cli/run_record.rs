@@ -1,6 +1,6 @@
 //! What is written down of a run: its inputs, options and versions.
 
-use super::Context;
+use super::context::Context;
 use crate::error::{Error, Result};
 use crate::report::{InputFile, RunRecord, SceneSummary, Versions};
 use crate::scene::Scene;

@@ -1,7 +1,8 @@
 //! What a reconstruction computes with: every number in effect, after presets, measurements and the
 //! user's wishes are settled.
 
-use super::{Budget, Checkpoints, Quality};
+use super::quality::Quality;
+use super::{Budget, Checkpoints};
 use crate::brdf::Reflectance;
 use crate::irradiance::Estimator;
 use crate::switch::Switch;

@@ -2,6 +2,7 @@
 //!
 //! The numbers are read off the curve that `unbake bench tradeoff` measures (docs/tradeoff.svg).
 
+use super::quality::Quality;
 use super::time_budget::parse_seconds;
 use super::{Budget, Checkpoints, Fit, SolveOptions, Switch};
 use crate::brdf::Reflectance;
@@ -9,19 +10,6 @@ use crate::highlight::LEVELS;
 use crate::irradiance::Estimator;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
-
-/// A preset of samples, resolutions and refinement.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum Quality {
-    /// A quick look: half the texture resolution, a quarter of the samples.
-    Draft,
-    /// The default.
-    #[default]
-    Standard,
-    /// Four times the samples of the default.
-    High,
-}
 
 impl SolveOptions {
     /// The numbers of a preset.

@@ -2,8 +2,9 @@
 
 use super::apartment::Apartment;
 use super::catalogue::CLASSES;
+use super::glb;
+use super::options::{SynthOptions, SynthSummary};
 use super::views::SynthView;
-use super::{SynthOptions, SynthSummary, glb};
 use crate::error::{Error, Result};
 use crate::formats;
 use crate::geometry::Mesh;

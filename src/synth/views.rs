@@ -1,7 +1,7 @@
 //! Where the panoramas are taken: at eye height, in free space, spread over every room.
 
-use super::SynthOptions;
 use super::apartment::Apartment;
+use super::options::SynthOptions;
 use crate::error::{Error, Result};
 use crate::geometry::{Camera, Projection};
 use crate::sampling::KeyedRng;

@@ -1,102 +1,16 @@
 //! `unbake bench`: what can be measured, and where the figures go.
 
-use super::super::inputs::read_scene;
-use super::super::{Config, Context};
-use crate::bench::{
-    IrtBench, KernelBench, RobustnessBench, Runner, TradeoffBench, TsdrBench, bench_irt,
-    bench_kernel, bench_robustness, bench_tradeoff, bench_tsdr,
-};
+use crate::bench::{Runner, bench_irt, bench_kernel, bench_robustness, bench_tradeoff, bench_tsdr};
+use crate::cli::config::Config;
+use crate::cli::context::Context;
+use crate::cli::inputs::read_scene;
+use crate::cli::verb_args::{BenchVerb, Outputs, Work};
 use crate::error::{Error, Result};
 use crate::formats::{Aside, atomic_write};
 use crate::pipeline::SolveOptions;
-use clap::{Args, Subcommand};
 use serde::Serialize;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-
-/// The measurements.
-#[derive(Subcommand, Clone, Debug)]
-pub enum BenchVerb {
-    /// Irradiance: rays per second beside a bare Embree loop, error against time, growth with
-    /// texels, triangles and threads.
-    Irt {
-        /// Scene folder (or its transforms.json).
-        #[arg(value_name = "SCENE")]
-        scene: PathBuf,
-        /// What is measured.
-        #[command(flatten)]
-        bench: IrtBench,
-        /// Where the figures go.
-        #[command(flatten)]
-        outputs: Outputs,
-    },
-    /// Accuracy against time and memory over presets and knobs, each point a reconstruction of its
-    /// own.
-    Tradeoff {
-        /// Scene folder (or its transforms.json), with ground truth.
-        #[arg(value_name = "SCENE")]
-        scene: PathBuf,
-        /// What is measured.
-        #[command(flatten)]
-        bench: TradeoffBench,
-        /// Where reconstructions go.
-        #[command(flatten)]
-        work: Work,
-        /// Where the figures go.
-        #[command(flatten)]
-        outputs: Outputs,
-    },
-    /// The whole reconstruction at the paper's resolutions beside the times published for TSDR and
-    /// the paper.
-    Tsdr {
-        /// Scene folder (or its transforms.json).
-        #[arg(value_name = "SCENE")]
-        scene: PathBuf,
-        /// What is measured.
-        #[command(flatten)]
-        bench: TsdrBench,
-        /// Where the reconstruction goes.
-        #[command(flatten)]
-        work: Work,
-        /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
-        #[arg(long, value_name = "FILE")]
-        json_file: Option<PathBuf>,
-    },
-    /// What damaged input costs: wrong labels, exposure drift, clipping, pose and geometry noise,
-    /// each beside the clean scene.
-    Robustness {
-        /// Scene folder (or its transforms.json), with ground truth.
-        #[arg(value_name = "SCENE")]
-        scene: PathBuf,
-        /// What is measured.
-        #[command(flatten)]
-        bench: RobustnessBench,
-        /// Where damaged scenes and reconstructions go.
-        #[command(flatten)]
-        work: Work,
-        /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
-        #[arg(long, value_name = "FILE")]
-        json_file: Option<PathBuf>,
-    },
-    /// Evaluations per second of the reflection kernel beside the scalar reference and the
-    /// machine's limits.
-    Kernel {
-        /// What is measured.
-        #[command(flatten)]
-        bench: KernelBench,
-        /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
-        #[arg(long, value_name = "FILE")]
-        json_file: Option<PathBuf>,
-    },
-}
-
-/// Where the reconstructions of a benchmark go.
-#[derive(Args, Clone, Debug, Default)]
-pub struct Work {
-    /// Keep the reconstructions in a new folder instead of removing each after it is scored.
-    #[arg(long, value_name = "FOLDER")]
-    pub keep: Option<PathBuf>,
-}
 
 impl Work {
     fn runner(&self, scene: &Path, context: &Context) -> Result<Runner> {
@@ -119,17 +33,6 @@ impl Work {
             toml::to_string(&config).map_err(|e| Error::Failed(format!("options: {e}")))?;
         Runner::new(scene, work, self.keep.is_some(), &config)
     }
-}
-
-/// Where the figures go besides the terminal.
-#[derive(Args, Clone, Debug, Default)]
-pub struct Outputs {
-    /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
-    #[arg(long, value_name = "FILE")]
-    pub json_file: Option<PathBuf>,
-    /// Draw the curves into an SVG file.
-    #[arg(long, value_name = "FILE")]
-    pub plot: Option<PathBuf>,
 }
 
 impl Outputs {
@@ -170,7 +73,7 @@ impl Outputs {
 }
 
 /// Runs one measurement.
-pub(in crate::cli) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
+pub(crate) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
     match what {
         BenchVerb::Irt {
             scene,
@@ -278,7 +181,7 @@ fn solve_options(context: &Context) -> SolveOptions {
 
 /// After the verb `bench`, turns `--json FILE` into `--json-file FILE`: everywhere else `--json` is
 /// a switch that takes no value.
-pub(in crate::cli) fn with_json_file(arguments: Vec<OsString>) -> Vec<OsString> {
+pub(crate) fn with_json_file(arguments: Vec<OsString>) -> Vec<OsString> {
     let verb = arguments.iter().position(|a| a == "bench");
     let Some(verb) = verb.filter(|&v| v <= 1 || arguments[1].to_string_lossy().starts_with('-'))
     else {

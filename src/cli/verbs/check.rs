@@ -1,11 +1,11 @@
 //! `unbake check`.
 
-use super::super::Context;
+use crate::cli::context::Context;
 use crate::error::{Error, Result};
 use crate::scene::check;
 use std::path::Path;
 
-pub(in crate::cli) fn check_scene(path: &Path, context: &Context) -> Result<u8> {
+pub(crate) fn check_scene(path: &Path, context: &Context) -> Result<u8> {
     let report = context.progress.stage("checking the scene", 1, |_| {
         check(path, &context.config.scene)
     });

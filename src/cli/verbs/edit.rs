@@ -1,7 +1,7 @@
 //! `unbake edit`.
 
-use super::super::Context;
-use super::super::inputs::read_scene;
+use crate::cli::context::Context;
+use crate::cli::inputs::read_scene;
 use crate::edit::{EDITED, EDITS, EditList, apply_to_folder};
 use crate::error::{Error, Result};
 use serde_json::json;
@@ -9,7 +9,7 @@ use std::path::Path;
 use std::time::Instant;
 
 /// `unbake edit`.
-pub(in crate::cli) fn edit(
+pub(crate) fn edit(
     out: &Path,
     edits: Option<&Path>,
     scene: Option<&Path>,

@@ -1,8 +1,8 @@
 //! `unbake eval`.
 
-use super::super::Context;
-use super::super::inputs::read_scene;
-use super::super::run_record::record;
+use crate::cli::context::Context;
+use crate::cli::inputs::read_scene;
+use crate::cli::run_record::record;
 use crate::error::{Error, Result};
 use crate::evaluate::{evaluate, terminal_table};
 use crate::render::{HybridOptions, HybridRenderer};
@@ -10,7 +10,7 @@ use crate::report::{self, Photographer, RunRecord, hash_inputs, write_report};
 use crate::solution::Solution;
 use std::path::Path;
 
-pub(in crate::cli) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<()> {
+pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<()> {
     let solution = context
         .progress
         .stage("reading the solution", 1, |_| Solution::load(out))?;

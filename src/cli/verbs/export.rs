@@ -1,29 +1,14 @@
 //! `unbake export`.
 
-use super::super::Context;
-use super::super::frames::Places;
-use super::super::inputs::read_solution;
+use crate::cli::context::Context;
+use crate::cli::frames::Places;
+use crate::cli::inputs::read_solution;
 use crate::error::Result;
-use crate::export::ExportOptions;
-use crate::render::FrameOptions;
-use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::Path;
 
-/// Options of `unbake export`: the formats, and the cameras that go with them.
-#[derive(clap::Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
-pub struct ExportVerb {
-    /// Formats.
-    #[command(flatten)]
-    pub formats: ExportOptions,
-    /// Cameras.
-    #[command(flatten)]
-    pub frames: FrameOptions,
-}
-
 /// `unbake export`.
-pub(in crate::cli) fn export(out: &Path, places: &Places, context: &Context) -> Result<()> {
+pub(crate) fn export(out: &Path, places: &Places, context: &Context) -> Result<()> {
     let options = &context.config.export;
     let solution = read_solution(out, &context.progress)?;
     let cameras = places.frames(&options.frames, &solution, context)?;

@@ -12,7 +12,8 @@ mod solve;
 mod synth;
 mod view;
 
-use super::{Context, Verb};
+use super::args::Verb;
+use super::context::Context;
 use crate::error::{Error, Result};
 
 /// Runs one verb and returns the exit code of a run that did not fail.

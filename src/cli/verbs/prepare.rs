@@ -1,13 +1,13 @@
 //! `unbake prepare`: which source, and the account of what was made.
 
-use super::super::Context;
+use crate::cli::context::Context;
 use crate::error::{Error, Result};
 use crate::prepare;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
 /// Runs the verb: `what` is `[SOURCE] DIR`.
-pub(in crate::cli) fn run(what: &[PathBuf], out: &Path, context: &Context) -> Result<()> {
+pub(crate) fn run(what: &[PathBuf], out: &Path, context: &Context) -> Result<()> {
     let (source, dir) = match what {
         [dir] => (None, dir),
         [source, dir] => (Some(source.to_string_lossy().into_owned()), dir),

@@ -1,8 +1,8 @@
 //! `unbake relight`.
 
-use super::super::Context;
-use super::super::frames::{Places, report, traced};
-use super::super::inputs::read_solution;
+use crate::cli::context::Context;
+use crate::cli::frames::{Places, report, traced};
+use crate::cli::inputs::read_solution;
 use crate::error::{Error, Result};
 use crate::export::FrameWriter;
 use crate::geometry::Camera;
@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// `unbake relight`.
-pub(in crate::cli) fn relight(
+pub(crate) fn relight(
     out: &Path,
     places: &Places,
     lights: Option<&Path>,

@@ -1,8 +1,8 @@
 //! `unbake render`.
 
-use super::super::Context;
-use super::super::frames::{Places, report, traced};
-use super::super::inputs::read_solution;
+use crate::cli::context::Context;
+use crate::cli::frames::{Places, report, traced};
+use crate::cli::inputs::read_solution;
 use crate::error::{Error, Result};
 use crate::export::FrameWriter;
 use crate::render::{
@@ -13,7 +13,7 @@ use std::path::Path;
 use std::time::Instant;
 
 /// `unbake render`.
-pub(in crate::cli) fn render(out: &Path, places: &Places, context: &Context) -> Result<()> {
+pub(crate) fn render(out: &Path, places: &Places, context: &Context) -> Result<()> {
     let options = context.config.render.clone();
     let progress = &context.progress;
     if options.supersampling == 0 || options.supersampling > 16 || options.samples == 0 {

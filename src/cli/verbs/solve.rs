@@ -1,8 +1,8 @@
 //! `unbake solve`.
 
-use super::super::Context;
-use super::super::inputs::read_scene;
-use super::super::run_record::{record, run_key};
+use crate::cli::context::Context;
+use crate::cli::inputs::read_scene;
+use crate::cli::run_record::{record, run_key};
 use crate::error::{Error, Result};
 use crate::pipeline::{Checkpoints, reconstruct};
 use crate::render::{HybridOptions, HybridRenderer};
@@ -12,7 +12,7 @@ use serde_json::json;
 use std::path::Path;
 use std::time::Duration;
 
-pub(in crate::cli) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
+pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
     if out
         .canonicalize()
         .is_ok_and(|o| scene_path.canonicalize().is_ok_and(|s| o == s))

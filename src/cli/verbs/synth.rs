@@ -1,13 +1,13 @@
 //! `unbake synth`.
 
-use super::super::Context;
+use crate::cli::context::Context;
 use crate::error::Result;
 use crate::synth::generate;
 use serde_json::json;
 use std::path::Path;
 use std::time::Duration;
 
-pub(in crate::cli) fn synthesise(out: &Path, context: &Context) -> Result<()> {
+pub(crate) fn synthesise(out: &Path, context: &Context) -> Result<()> {
     let mut options = context.config.synth.clone();
     options.seed = context.config.seed.unwrap_or(options.seed);
     let made = generate(&options, out, &context.progress)?;

@@ -1,7 +1,7 @@
 //! `unbake view`.
 
-use super::super::Context;
-use super::super::inputs::read_scene;
+use crate::cli::context::Context;
+use crate::cli::inputs::read_scene;
 use crate::error::{Error, Result};
 use crate::report::RunRecord;
 use crate::solution::Solution;
@@ -9,7 +9,7 @@ use crate::view;
 use serde_json::json;
 use std::path::Path;
 
-pub(in crate::cli) fn view_in_browser(
+pub(crate) fn view_in_browser(
     out: &Path,
     scene_path: Option<&Path>,
     context: &Context,

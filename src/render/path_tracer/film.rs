@@ -1,8 +1,8 @@
 //! From samples to pixels: sums with their variance and first-hit features, and which pixels need
 //! more samples.
 
-use super::transport::{Feature, Sums};
-use super::{Adaptive, Noise};
+use super::options::{Adaptive, Noise};
+use super::wave::{Feature, Sums};
 use crate::brdf::Material;
 use crate::image::{Plane, RgbPlane};
 use crate::math::luminance;

@@ -6,7 +6,7 @@
 //! waste its samples on the lamps of the next. Every light keeps a share of every table: selection
 //! changes the variance, never the expectation.
 
-use super::{Environment, SurfaceModel};
+use super::scene::{Environment, SurfaceModel};
 use crate::geometry::Mesh;
 use crate::math::luminance;
 use crate::parallel::map_chunks;

@@ -16,82 +16,29 @@
 
 mod film;
 mod lights;
+mod options;
 mod scene;
+mod tracer;
 mod transport;
+mod wave;
 
 pub use film::Frame;
+pub use options::{Adaptive, Noise, PathTracerOptions};
 pub use scene::{BlackEnvironment, Environment, IndirectCache, KnownLight, Surface, SurfaceModel};
+pub use tracer::PathTracer;
 
-use super::PointLight;
-use crate::brdf::{Material, Reflectance};
-use crate::geometry::{Camera, Mesh};
+use crate::brdf::Material;
+use crate::geometry::Camera;
 use crate::parallel::map_chunks;
 use crate::progress::Progress;
 use crate::sampling::{SobolSequence, hash_u64};
-use crate::trace::{Hit, Ray, Tracer};
+use crate::trace::{Hit, Ray};
 use film::{PixelAccumulator, PixelResult, assemble, noisy_pixels};
 use glam::{Vec2, Vec3};
-use lights::Lights;
 use rayon::prelude::*;
 use std::f32::consts::PI;
-use transport::{Following, Lobes, Path, PathKey, Sums, Vertex, WAVEFRONT, Wave};
-
-/// Settings of the path tracer.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PathTracerOptions {
-    /// Samples per pixel.
-    pub samples: u32,
-    /// Surface interactions after which a path ends for certain; Russian roulette ends most long
-    /// before.
-    pub max_bounces: u32,
-    /// First bounce at which Russian roulette may end a path.
-    pub roulette_from: u32,
-    /// Seed of all numbers.
-    pub seed: u64,
-    /// Leave out the specular lobe (tests, furnace).
-    pub lambertian: bool,
-    /// Shade with the triangles' own normals (comparison with renderers that treat smooth normals
-    /// otherwise).
-    pub flat: bool,
-    /// Largest luminance a single indirect contribution may have; biased, off by default.
-    pub clamp: Option<f32>,
-}
-
-impl Default for PathTracerOptions {
-    fn default() -> Self {
-        Self {
-            samples: 64,
-            max_bounces: 64,
-            roulette_from: 3,
-            seed: 0,
-            lambertian: false,
-            flat: false,
-            clamp: None,
-        }
-    }
-}
-
-/// When [`PathTracer::render_adaptive`] is content.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Adaptive {
-    /// Samples every pixel gets at least.
-    pub first: u32,
-    /// Samples no pixel exceeds.
-    pub most: u32,
-    /// Standard error, relative to the local brightness, at which a block of pixels is done.
-    pub error: f32,
-    /// Of what.
-    pub noise: Noise,
-}
-
-/// The part of the light whose standard error [`Adaptive`] watches.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Noise {
-    /// All that surfaces reflect.
-    Reflected,
-    /// The specular lobe's part alone; samples after the first pass follow no other.
-    Specular,
-}
+use transport::WAVEFRONT;
+use wave::{Following, Lobes, Path, PathKey, Sums, Vertex, Wave};
 
 /// A point whose irradiance is wanted.
 #[derive(Clone, Copy, Debug)]
@@ -104,58 +51,7 @@ pub struct IrradiancePoint {
     pub normal: Vec3,
 }
 
-/// A scene ready to be rendered.
-pub struct PathTracer<'a> {
-    mesh: &'a Mesh,
-    tracer: &'a dyn Tracer,
-    surfaces: &'a dyn SurfaceModel,
-    environment: &'a dyn Environment,
-    lights: Lights,
-    points: Vec<PointLight>,
-    reflectance: Reflectance,
-    options: PathTracerOptions,
-    /// Offset of ray origins relative to the largest coordinate involved.
-    offset_floor: f32,
-}
-
-impl<'a> PathTracer<'a> {
-    /// Prepares a scene: collects its lights and builds the tables they are sampled by.
-    #[must_use]
-    pub fn new(
-        mesh: &'a Mesh,
-        tracer: &'a dyn Tracer,
-        surfaces: &'a dyn SurfaceModel,
-        environment: &'a dyn Environment,
-        options: PathTracerOptions,
-    ) -> Self {
-        let lights = Lights::new(mesh, surfaces, environment, tracer, options.seed);
-        let (low, high) = mesh.bounds();
-        let offset_floor = 0.01 * (high - low).max_element();
-        Self {
-            mesh,
-            tracer,
-            surfaces,
-            environment,
-            lights,
-            points: Vec::new(),
-            reflectance: surfaces.reflectance(),
-            options,
-            offset_floor,
-        }
-    }
-
-    /// Adds lights without extent.
-    #[must_use]
-    pub fn with_points(mut self, points: Vec<PointLight>) -> Self {
-        self.points = points;
-        self
-    }
-
-    /// Sets the samples per pixel.
-    pub fn set_samples(&mut self, samples: u32) {
-        self.options.samples = samples.max(1);
-    }
-
+impl PathTracer<'_> {
     /// Renders a camera; `key` tells views apart. Advances `progress` by the number of pixels.
     #[must_use]
     pub fn render(&self, camera: &Camera, key: u64, progress: &Progress) -> Frame {

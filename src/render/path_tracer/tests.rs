@@ -1,11 +1,13 @@
 //! Closed forms and an independent brute-force estimator for the path tracer.
 
 use super::*;
+use crate::geometry::Mesh;
 use crate::geometry::Projection;
 use crate::image::RgbPlane;
 use crate::math::luminance;
 use crate::sampling::KeyedRng;
 use crate::trace::BruteForce;
+use crate::trace::Tracer;
 use glam::Mat3;
 
 /// Constant material and emission per triangle.

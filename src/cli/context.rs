@@ -1,0 +1,46 @@
+//! What every verb works with: configuration, progress, the record of the run, and where results go.
+
+use super::config::Config;
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use crate::report::Recorder;
+use std::io::Write;
+use std::sync::Arc;
+
+/// What a verb works with besides its own arguments.
+pub struct Context {
+    /// The effective configuration.
+    pub config: Config,
+    /// Where long work reports to.
+    pub progress: Progress,
+    /// Measures the run.
+    pub recorder: Arc<Recorder>,
+    /// The arguments as typed.
+    pub command: Vec<String>,
+}
+
+impl Context {
+    /// The seed of a verb that has none of its own.
+    #[must_use]
+    pub fn seed(&self) -> u64 {
+        self.config.seed.unwrap_or(0)
+    }
+
+    /// Prints a verb's result: `text` for people or `json` for machines.
+    pub fn result(&self, text: &str, json: &serde_json::Value) -> Result<()> {
+        if self.config.json {
+            print(&format!("{json:#}\n"))
+        } else {
+            print(text)
+        }
+    }
+}
+
+/// Writes to stdout; a closed pipe is the reader's choice and not an error.
+pub(super) fn print(text: &str) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Error::io("stdout", e)),
+        _ => Ok(()),
+    }
+}

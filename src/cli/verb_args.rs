@@ -1,0 +1,115 @@
+//! Arguments of the verbs that have many: export and bench.
+
+use crate::bench::{IrtBench, KernelBench, RobustnessBench, TradeoffBench, TsdrBench};
+use crate::export::ExportOptions;
+use crate::render::FrameOptions;
+use clap::{Args, Subcommand};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Options of `unbake export`: the formats, and the cameras that go with them.
+#[derive(clap::Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct ExportVerb {
+    /// Formats.
+    #[command(flatten)]
+    pub formats: ExportOptions,
+    /// Cameras.
+    #[command(flatten)]
+    pub frames: FrameOptions,
+}
+
+/// The measurements.
+#[derive(Subcommand, Clone, Debug)]
+pub enum BenchVerb {
+    /// Irradiance: rays per second beside a bare Embree loop, error against time, growth with
+    /// texels, triangles and threads.
+    Irt {
+        /// Scene folder (or its transforms.json).
+        #[arg(value_name = "SCENE")]
+        scene: PathBuf,
+        /// What is measured.
+        #[command(flatten)]
+        bench: IrtBench,
+        /// Where the figures go.
+        #[command(flatten)]
+        outputs: Outputs,
+    },
+    /// Accuracy against time and memory over presets and knobs, each point a reconstruction of its
+    /// own.
+    Tradeoff {
+        /// Scene folder (or its transforms.json), with ground truth.
+        #[arg(value_name = "SCENE")]
+        scene: PathBuf,
+        /// What is measured.
+        #[command(flatten)]
+        bench: TradeoffBench,
+        /// Where reconstructions go.
+        #[command(flatten)]
+        work: Work,
+        /// Where the figures go.
+        #[command(flatten)]
+        outputs: Outputs,
+    },
+    /// The whole reconstruction at the paper's resolutions beside the times published for TSDR and
+    /// the paper.
+    Tsdr {
+        /// Scene folder (or its transforms.json).
+        #[arg(value_name = "SCENE")]
+        scene: PathBuf,
+        /// What is measured.
+        #[command(flatten)]
+        bench: TsdrBench,
+        /// Where the reconstruction goes.
+        #[command(flatten)]
+        work: Work,
+        /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
+        #[arg(long, value_name = "FILE")]
+        json_file: Option<PathBuf>,
+    },
+    /// What damaged input costs: wrong labels, exposure drift, clipping, pose and geometry noise,
+    /// each beside the clean scene.
+    Robustness {
+        /// Scene folder (or its transforms.json), with ground truth.
+        #[arg(value_name = "SCENE")]
+        scene: PathBuf,
+        /// What is measured.
+        #[command(flatten)]
+        bench: RobustnessBench,
+        /// Where damaged scenes and reconstructions go.
+        #[command(flatten)]
+        work: Work,
+        /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
+        #[arg(long, value_name = "FILE")]
+        json_file: Option<PathBuf>,
+    },
+    /// Evaluations per second of the reflection kernel beside the scalar reference and the
+    /// machine's limits.
+    Kernel {
+        /// What is measured.
+        #[command(flatten)]
+        bench: KernelBench,
+        /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
+        #[arg(long, value_name = "FILE")]
+        json_file: Option<PathBuf>,
+    },
+}
+
+/// Where the reconstructions of a benchmark go.
+#[derive(Args, Clone, Debug, Default)]
+pub struct Work {
+    /// Keep the reconstructions in a new folder instead of removing each after it is scored.
+    #[arg(long, value_name = "FOLDER")]
+    pub keep: Option<PathBuf>,
+}
+
+/// Where the figures go besides the terminal.
+#[derive(Args, Clone, Debug, Default)]
+pub struct Outputs {
+    /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
+    #[arg(long, value_name = "FILE")]
+    pub json_file: Option<PathBuf>,
+    /// Draw the curves into an SVG file.
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
+}

@@ -1,0 +1,62 @@
+//! The path tracer's scene: what is traced, and the tables its lights are sampled by.
+
+use super::lights::Lights;
+use super::options::PathTracerOptions;
+use super::scene::{Environment, SurfaceModel};
+use crate::brdf::Reflectance;
+use crate::geometry::Mesh;
+use crate::render::point_light::PointLight;
+use crate::trace::Tracer;
+
+/// A scene ready to be rendered.
+pub struct PathTracer<'a> {
+    pub(super) mesh: &'a Mesh,
+    pub(super) tracer: &'a dyn Tracer,
+    pub(super) surfaces: &'a dyn SurfaceModel,
+    pub(super) environment: &'a dyn Environment,
+    pub(super) lights: Lights,
+    pub(super) points: Vec<PointLight>,
+    pub(super) reflectance: Reflectance,
+    pub(super) options: PathTracerOptions,
+    /// Offset of ray origins relative to the largest coordinate involved.
+    pub(super) offset_floor: f32,
+}
+
+impl<'a> PathTracer<'a> {
+    /// Prepares a scene: collects its lights and builds the tables they are sampled by.
+    #[must_use]
+    pub fn new(
+        mesh: &'a Mesh,
+        tracer: &'a dyn Tracer,
+        surfaces: &'a dyn SurfaceModel,
+        environment: &'a dyn Environment,
+        options: PathTracerOptions,
+    ) -> Self {
+        let lights = Lights::new(mesh, surfaces, environment, tracer, options.seed);
+        let (low, high) = mesh.bounds();
+        let offset_floor = 0.01 * (high - low).max_element();
+        Self {
+            mesh,
+            tracer,
+            surfaces,
+            environment,
+            lights,
+            points: Vec::new(),
+            reflectance: surfaces.reflectance(),
+            options,
+            offset_floor,
+        }
+    }
+
+    /// Adds lights without extent.
+    #[must_use]
+    pub fn with_points(mut self, points: Vec<PointLight>) -> Self {
+        self.points = points;
+        self
+    }
+
+    /// Sets the samples per pixel.
+    pub fn set_samples(&mut self, samples: u32) {
+        self.options.samples = samples.max(1);
+    }
+}
