@@ -127,7 +127,7 @@ pub fn evaluate(
                 None => renderer.render(&view.camera)?,
             };
             if let Some(aside) = &aside {
-                files.extend(write_view(&aside.folder, &view.stem, &rendered)?);
+                files.extend(write_view(aside.path(), &view.stem, &rendered)?);
             }
             let truth = ground_truth(scene, view)?;
             let accumulator = if view.split == Split::Test {
@@ -168,7 +168,7 @@ pub fn evaluate(
     if let (Some(folder), Some(aside)) = (folder, &aside) {
         let json = serde_json::to_vec_pretty(&evaluation)
             .map_err(|e| Error::Failed(format!("metrics.json: {e}")))?;
-        let path = aside.folder.join("metrics.json");
+        let path = aside.path().join("metrics.json");
         std::fs::write(&path, json).map_err(|e| Error::io(&path, e))?;
         files.push("metrics.json".into());
         aside.publish(&folder.join("eval"), &files)?;

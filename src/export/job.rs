@@ -92,21 +92,21 @@ pub fn export(
                     lightmap: options.lightmap,
                     webp: options.webp,
                 };
-                let path = aside.folder.join("scene.glb");
+                let path = aside.path().join("scene.glb");
                 std::fs::write(&path, scene_glb(solution, &glb)?)
                     .map_err(|e| Error::io(&path, e))?;
                 files.push("scene.glb".to_owned());
             }
-            Format::Usd => files.extend(write_usd(&aside.folder, solution)?),
+            Format::Usd => files.extend(write_usd(aside.path(), solution)?),
             Format::Mitsuba => files.extend(write_mitsuba(
-                &aside.folder,
+                aside.path(),
                 solution,
                 cameras,
                 options.mitsuba_diffuse,
             )?),
         }
     }
-    let path = aside.folder.join("cameras.json");
+    let path = aside.path().join("cameras.json");
     let text = format!("{:#}\n", camera_file(cameras, solution.origin));
     std::fs::write(&path, text).map_err(|e| Error::io(&path, e))?;
     files.push("cameras.json".into());

@@ -7,6 +7,7 @@
 
 use super::raw_mesh::{Part, RawMesh};
 use crate::{Error, Result};
+use base64::engine::Engine;
 use glam::{DMat4, DQuat, DVec3, Vec2, Vec3};
 use serde::Deserialize;
 use std::path::Path;
@@ -234,30 +235,26 @@ fn load_buffer(
     })
 }
 
+/// Padding and line breaks as they come: what exporters write differs in both.
 fn decode_base64(text: &str) -> Option<Vec<u8>> {
-    let (mut out, mut bits, mut held) = (Vec::with_capacity(text.len() / 4 * 3), 0u32, 0u32);
-    for c in text
+    use base64::alphabet::STANDARD;
+    use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
+    const LENIENT: GeneralPurpose = GeneralPurpose::new(
+        &STANDARD,
+        GeneralPurposeConfig::new()
+            .with_decode_padding_mode(DecodePaddingMode::Indifferent)
+            .with_decode_allow_trailing_bits(true),
+    );
+    let text: Vec<u8> = text
         .bytes()
         .filter(|c| !c.is_ascii_whitespace())
-        .take_while(|&c| c != b'=')
-    {
-        let value = match c {
-            b'A'..=b'Z' => c - b'A',
-            b'a'..=b'z' => c - b'a' + 26,
-            b'0'..=b'9' => c - b'0' + 52,
-            b'+' | b'-' => 62,
-            b'/' | b'_' => 63,
-            _ => return None,
-        };
-        bits = (bits << 6) | u32::from(value);
-        held += 6;
-        if held >= 8 {
-            held -= 8;
-            out.push((bits >> held) as u8);
-            bits &= (1 << held) - 1;
-        }
-    }
-    Some(out)
+        .map(|c| match c {
+            b'-' => b'+', // the alphabet for addresses
+            b'_' => b'/',
+            c => c,
+        })
+        .collect();
+    LENIENT.decode(text).ok()
 }
 
 fn decode_percent(uri: &str) -> String {
@@ -600,30 +597,12 @@ mod tests {
             .iter()
             .flat_map(|f| f.to_le_bytes())
             .collect();
-        let text = encode_base64(&floats);
+        let text = base64::prelude::BASE64_STANDARD.encode(&floats);
         format!(
             r#"{{"asset":{{"version":"2.0"}},"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1],"translation":[10000,0,0]}},{{"mesh":0{matrix}}}],
             "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":{count},"type":"VEC3"}}],
             "bufferViews":[{{"buffer":0,"byteLength":36}}],"buffers":[{{"byteLength":36,"uri":"data:application/octet-stream;base64,{text}"}}]}}"#
         )
-    }
-
-    fn encode_base64(bytes: &[u8]) -> String {
-        const ALPHABET: &[u8; 64] =
-            b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-        bytes
-            .chunks(3)
-            .flat_map(|c| {
-                let w = c.iter().fold(0u32, |w, &b| (w << 8) | u32::from(b)) << (8 * (3 - c.len()));
-                (0..4).map(move |i| {
-                    if i <= c.len() {
-                        ALPHABET[(w >> (18 - 6 * i)) as usize & 63] as char
-                    } else {
-                        '='
-                    }
-                })
-            })
-            .collect()
     }
 
     #[test]

@@ -1,23 +1,24 @@
 //! Files that appear whole or not at all: written aside in the same folder, then renamed.
 
 use crate::{Error, Result};
-use std::fs::{self, OpenOptions};
+use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use tempfile::TempPath;
 
 /// A file being written beside its final place. Dropped without [`Aside::finish`], it disappears.
 #[derive(Debug)]
 pub struct Aside {
-    temporary: PathBuf,
+    temporary: TempPath,
     target: PathBuf,
-    finished: bool,
 }
 
 impl Aside {
     /// Makes an empty file beside `target`, in the same folder, so that the later rename cannot
     /// cross file systems.
+    ///
+    /// # Errors
+    /// If `target` names no file, is a folder, or its folder cannot be written to.
     pub fn new(target: impl AsRef<Path>) -> Result<Self> {
-        static COUNT: AtomicU64 = AtomicU64::new(0);
         let target = target.as_ref().to_path_buf();
         let Some(name) = target.file_name() else {
             return Err(Error::Failed(format!(
@@ -31,33 +32,22 @@ impl Aside {
                 target.display()
             )));
         }
-        loop {
-            let mut hidden = std::ffi::OsString::from(".");
-            // The number keeps threads apart, the process id other runs.
-            hidden.push(name);
-            hidden.push(format!(
-                ".{}-{}.part",
-                std::process::id(),
-                COUNT.fetch_add(1, Ordering::Relaxed)
-            ));
-            let temporary = target.with_file_name(hidden);
-            match OpenOptions::new()
-                .write(true)
-                .create_new(true)
-                .open(&temporary)
-            {
-                Ok(_) => {
-                    return Ok(Self {
-                        temporary,
-                        target,
-                        finished: false,
-                    });
-                }
-                // Left over from a killed run that had the same process id.
-                Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {}
-                Err(e) => return Err(Error::io(&target, e)),
-            }
+        let mut hidden = std::ffi::OsString::from(".");
+        hidden.push(name);
+        hidden.push(".");
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(&hidden).suffix(".part");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            // what any new file gets: everyone's, less the user's mask
+            builder.permissions(fs::Permissions::from_mode(0o666));
         }
+        let temporary = builder
+            .tempfile_in(folder_of(&target))
+            .map_err(|e| Error::io(&target, e))?
+            .into_temp_path();
+        Ok(Self { temporary, target })
     }
 
     /// Where to write.
@@ -67,23 +57,29 @@ impl Aside {
     }
 
     /// Puts the file in its place, replacing what was there.
-    pub fn finish(mut self) -> Result<()> {
-        fs::rename(&self.temporary, &self.target).map_err(|e| Error::io(&self.target, e))?;
-        self.finished = true;
-        Ok(())
+    ///
+    /// # Errors
+    /// If the file system refuses; the file written aside is then removed.
+    pub fn finish(self) -> Result<()> {
+        let Self { temporary, target } = self;
+        temporary
+            .persist(&target)
+            .map_err(|e| Error::io(&target, e.error))
     }
 }
 
-impl Drop for Aside {
-    fn drop(&mut self) {
-        if !self.finished {
-            // Nothing better to do if this fails as well: the write's own error is on its way.
-            let _ = fs::remove_file(&self.temporary);
-        }
+/// The folder that `file` lies in; the current one if its path does not say.
+fn folder_of(file: &Path) -> &Path {
+    match file.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
     }
 }
 
 /// Writes `bytes` to `path`, whole or not at all.
+///
+/// # Errors
+/// If `path` is a folder, or its folder cannot be written to.
 pub fn atomic_write(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
     let path = path.as_ref();
     let aside = Aside::new(path)?;

@@ -13,7 +13,7 @@ use crate::formats::{
     write_plane_half, write_png16, write_rgb_float, write_rgb_half, write_two_channels_half,
 };
 use crate::image::RgbPlane;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Files of a solution in the order in which they are renamed into place; `scene.glb` last, as the
 /// mark of completeness.
@@ -49,7 +49,7 @@ impl Solution {
     pub fn save(&self, folder: &Path, options: &SaveOptions) -> Result<()> {
         self.check_finite()?;
         let aside = AsideFolder::new(folder)?;
-        let at = |name: &str| aside.folder.join(name);
+        let at = |name: &str| aside.path().join(name);
         let glb = || {
             let bytes = scene_glb(self, &options.glb)?;
             std::fs::write(at("scene.glb"), bytes)
@@ -188,39 +188,42 @@ fn remove_if_there(path: &Path) -> Result<()> {
     }
 }
 
-/// A hidden sibling folder for files in the making; removed when dropped.
+/// A hidden folder for files in the making; removed when dropped.
 #[derive(Debug)]
 pub struct AsideFolder {
-    /// Where to write.
-    pub folder: PathBuf,
+    folder: tempfile::TempDir,
 }
 
 impl AsideFolder {
     /// Creates `target` and an empty hidden folder in it.
+    ///
+    /// # Errors
+    /// If `target` is a file or cannot be written to.
     pub fn new(target: &Path) -> Result<Self> {
-        let folder = target.join(format!(".writing-{}", std::process::id()));
-        if folder.exists() {
-            std::fs::remove_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
-        }
-        std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
+        std::fs::create_dir_all(target).map_err(|e| Error::io(target, e))?;
+        let folder = tempfile::Builder::new()
+            .prefix(".writing-")
+            .tempdir_in(target)
+            .map_err(|e| Error::io(target, e))?;
         Ok(Self { folder })
     }
 
+    /// Where to write.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
     /// Renames the named files into `target`, in order.
+    ///
+    /// # Errors
+    /// If the file system refuses one; those before it have then been renamed.
     pub fn publish<N: AsRef<Path>>(&self, target: &Path, names: &[N]) -> Result<()> {
         for name in names {
             let to = target.join(name);
-            std::fs::rename(self.folder.join(name), &to).map_err(|e| Error::io(&to, e))?;
+            std::fs::rename(self.path().join(name), &to).map_err(|e| Error::io(&to, e))?;
         }
         Ok(())
-    }
-}
-
-impl Drop for AsideFolder {
-    fn drop(&mut self) {
-        // nothing useful can be done about a failure here, and what matters has been renamed
-        // already
-        let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
 
