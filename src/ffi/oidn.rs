@@ -180,8 +180,8 @@ impl Denoiser {
         }
         let mut output = vec![Vec3::ZERO; color.len()];
         let f = &self.functions;
-        // SAFETY: the device is live and committed, the name NUL-terminated.
         let filter = Filter {
+            // SAFETY: the device is live and committed, the name NUL-terminated.
             raw: unsafe { (f.new_filter)(self.device, c"RTLightmap".as_ptr()) },
             release: f.release_filter,
         };
