@@ -30,6 +30,25 @@ fn help_and_version_are_results() {
 }
 
 #[test]
+fn shells_and_man_know_every_verb() {
+    for shell in ["bash", "zsh", "fish"] {
+        let out = unbake(&["completions", shell]);
+        assert_eq!(out.status.code(), Some(0), "{shell}");
+        assert!(text(&out.stdout).contains("relight"), "{shell}");
+    }
+    let page = text(&unbake(&["man"]).stdout);
+    assert!(page.contains(".TH") && page.contains("relight"), "{page}");
+    let folder = tempfile::tempdir().expect("temp");
+    let to = folder.path().to_string_lossy().into_owned();
+    assert_eq!(unbake(&["man", "--to", &to]).status.code(), Some(0));
+    let solve = std::fs::read_to_string(folder.path().join("unbake-solve.1")).expect("a page");
+    assert!(
+        solve.contains("albedo\\-size") && solve.contains("threads"),
+        "{solve}"
+    );
+}
+
+#[test]
 fn wrong_usage_is_2_and_says_what_to_do() {
     for arguments in [
         &[][..],

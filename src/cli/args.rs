@@ -239,6 +239,20 @@ pub enum Verb {
         #[command(flatten)]
         load: LoadOptions,
     },
+    /// Print the completion script of a shell: bash, elvish, fish, powershell or zsh.
+    #[command(hide = true)]
+    Completions {
+        /// The shell.
+        #[arg(value_name = "SHELL")]
+        shell: clap_complete::Shell,
+    },
+    /// Print the manual page in roff, or write one per verb into a folder.
+    #[command(hide = true)]
+    Man {
+        /// Folder for unbake.1, unbake-solve.1 and so on.
+        #[arg(long, value_name = "FOLDER")]
+        to: Option<PathBuf>,
+    },
 }
 
 impl Cli {
@@ -273,7 +287,7 @@ impl Cli {
             Some(Verb::Relight { options, load, .. }) => {
                 (config.relight, config.scene) = (options.clone(), load.clone())
             }
-            Some(Verb::Bench { .. }) | None => {}
+            Some(Verb::Bench { .. } | Verb::Completions { .. } | Verb::Man { .. }) | None => {}
             Some(Verb::View { options, load, .. }) => {
                 (config.view, config.scene) = (options.clone(), load.clone())
             }

@@ -41,7 +41,7 @@ impl Lens {
 /// How directions map to pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {
-    /// Full panorama: design §1.1.
+    /// Full panorama: docs/scene-format.md.
     Equirectangular,
     /// Perspective image.
     Pinhole(Lens),

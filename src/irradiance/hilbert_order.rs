@@ -1,6 +1,6 @@
 //! The order in which the rays of one point are traced: neighbours in direction side by side, so
 //! that they meet the same nodes and triangles while these are at hand (a seventh more closest hits
-//! per second, a fifth more occlusion queries; CHANGELOG).
+//! per second, a fifth more occlusion queries; docs/lab/rays.md).
 
 /// Sorts points of the unit square along a Hilbert curve through square cells.
 pub(crate) struct Sweep {

@@ -365,7 +365,7 @@ impl Bundle {
                 }
                 let (hit, cosine) = (&self.hits[k], self.cosines[k]);
                 // a single texel: the mean over the ray's cone mixes charts and gains nothing
-                // beside this many rays (CHANGELOG)
+                // beside this many rays (docs/lab/irradiance.md)
                 let (address, facing) =
                     lit.field
                         .address(hit, Vec3::from_array(self.rays[k].direction), 0.0);

@@ -27,7 +27,8 @@ const DISC: f32 = 2.35;
 /// Relative differences that never separate two texels.
 const INDIFFERENT: f32 = 2e-3;
 /// Squared differences, in variances beyond the one that noise explains, from which texels have
-/// nothing in common. A kernel that falls faster picks neighbours by their noise (CHANGELOG).
+/// nothing in common. A kernel that falls faster picks neighbours by their noise
+/// (docs/lab/irradiance.md).
 const DIFFERENT: f32 = 16.0;
 /// A turn of the normal that counts as much as the reach.
 const TURN: f32 = 4.0;
@@ -37,7 +38,7 @@ const RIDGE: f32 = 1e-4;
 const PLAUSIBLE: f32 = 4.0;
 /// How far irradiance departs from the regression, relative: as much of a texel's own estimate is
 /// mixed in as its noise, beside this, deserves. Measured over texels of few and of many samples
-/// alike (CHANGELOG).
+/// alike (docs/lab/irradiance.md).
 const UNEVEN: f32 = 0.008;
 /// Variance of the mean of the parts of a net as a share of that of unrelated parts that differ as
 /// much: they complement each other.
@@ -437,7 +438,7 @@ impl From<&Noise> for Told {
 /// Mean of each part over the disc, without texels that the other parts find different beyond their
 /// noise. Texels count by the square root of their samples: if all counted alike, noisy ones would
 /// spoil what many samples bought; if by their precision, one or two would decide, however uneven
-/// the surface (CHANGELOG).
+/// the surface (docs/lab/irradiance.md).
 struct Guide<'a> {
     own: &'a Noise,
     told: &'a [Told],

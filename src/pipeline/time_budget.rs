@@ -52,7 +52,7 @@ const SPECULAR: [f64; 2] = [1.0, 4096.0];
 const USUAL_SAMPLES: f64 = 160.0;
 
 /// Samples per irradiance texel from which a second round pays, and for every further one
-/// (CHANGELOG).
+/// (docs/lab/irradiance.md).
 const WORTH_SECOND: f64 = 18.0;
 const WORTH_FURTHER: f64 = 24.0;
 

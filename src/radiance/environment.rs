@@ -41,7 +41,7 @@ fn camera(width: usize, height: usize) -> Camera {
 }
 
 impl Environment {
-    /// An environment from an equirectangular map in world axes (design §1.1 with the identity
+    /// An environment from an equirectangular map in world axes (docs/scene-format.md, identity
     /// pose).
     #[must_use]
     pub fn from_map(map: RgbPlane) -> Self {

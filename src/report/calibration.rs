@@ -1,7 +1,7 @@
 //! Stated against actual errors as a drawing: both axes logarithmic, the diagonal is calibrated.
 
 use crate::evaluate::Calibration;
-use std::fmt::Write;
+use maud::{Markup, html};
 
 /// Side of the square plot and its margin in SVG units.
 const SIDE: f64 = 260.0;
@@ -14,57 +14,49 @@ fn along(x: f64) -> f64 {
 }
 
 /// One plot; the area of a point is its bin's share of the pixels.
-pub(super) fn plot(out: &mut String, name: &str, c: &Calibration) -> std::fmt::Result {
+pub(super) fn plot(name: &str, c: &Calibration) -> Markup {
     let size = SIDE + MARGIN + 12.0;
-    write!(
-        out,
-        "<svg viewBox=\"0 0 {size} {size}\" width=\"{size}\" height=\"{size}\" role=\"img\" aria-label=\"calibration of {name}\" \
-         font-size=\"10\" fill=\"currentColor\"><g transform=\"translate({MARGIN} 8)\">\
-         <rect width=\"{SIDE}\" height=\"{SIDE}\" fill=\"none\" stroke=\"currentColor\" stroke-opacity=\"0.4\"/>\
-         <path d=\"M0 {SIDE}L{SIDE} 0\" stroke=\"currentColor\" stroke-dasharray=\"4 3\" stroke-opacity=\"0.6\"/>"
-    )?;
-    for tick in [0.001, 0.01, 0.1, 1.0] {
-        let (x, y) = (along(tick), SIDE - along(tick));
-        write!(
-            out,
-            "<text x=\"{x:.0}\" y=\"{:.0}\" text-anchor=\"middle\">{tick}</text><text x=\"-6\" y=\"{:.0}\" text-anchor=\"end\">{tick}</text>",
-            SIDE + 14.0,
-            y + 3.0
-        )?;
-    }
-    let points: Vec<(f64, f64, f64)> = c
+    let points: Vec<[f64; 3]> = c
         .bins
         .iter()
         .map(|b| {
-            (
-                along(b.stated),
-                SIDE - along(b.actual),
-                b.pixels as f64 / c.all.pixels.max(1) as f64,
-            )
+            let share = b.pixels as f64 / c.all.pixels.max(1) as f64;
+            [along(b.stated), SIDE - along(b.actual), share]
         })
         .collect();
     let line: Vec<String> = points
         .iter()
-        .map(|p| format!("{:.1} {:.1}", p.0, p.1))
+        .map(|[x, y, _]| format!("{x:.1} {y:.1}"))
         .collect();
-    write!(
-        out,
-        "<path d=\"M{}\" fill=\"none\" stroke=\"#0072b2\" stroke-width=\"1.5\"/>",
-        line.join("L")
-    )?;
-    for (x, y, share) in points {
-        write!(
-            out,
-            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{:.1}\" fill=\"#0072b2\"/>",
-            2.0 + 12.0 * share.sqrt()
-        )?;
+    html! {
+        svg viewBox={ "0 0 " (size) " " (size) } width=(size) height=(size) role="img"
+            aria-label={ "calibration of " (name) } font-size="10" fill="currentColor" {
+            g transform={ "translate(" (MARGIN) " 8)" } {
+                (axes())
+                path d={ "M" (line.join("L")) } fill="none" stroke="#0072b2" stroke-width="1.5" {}
+                @for [x, y, share] in points {
+                    circle cx=(format!("{x:.1}")) cy=(format!("{y:.1}"))
+                        r=(format!("{:.1}", 2.0 + 12.0 * share.sqrt())) fill="#0072b2" {}
+                }
+                text x=(0.5 * SIDE) y=(SIDE + 30.0) text-anchor="middle" {
+                    "stated standard error, " (name)
+                }
+                text transform={ "translate(-32 " (0.5 * SIDE) ") rotate(-90)" }
+                    text-anchor="middle" { "actual" }
+            }
+        }
     }
-    writeln!(
-        out,
-        "<text x=\"{:.0}\" y=\"{:.0}\" text-anchor=\"middle\">stated standard error, {name}</text>\
-         <text transform=\"translate(-32 {:.0}) rotate(-90)\" text-anchor=\"middle\">actual</text></g></svg>",
-        0.5 * SIDE,
-        SIDE + 30.0,
-        0.5 * SIDE
-    )
+}
+
+/// Frame, diagonal and ticks at the powers of ten.
+fn axes() -> Markup {
+    html! {
+        rect width=(SIDE) height=(SIDE) fill="none" stroke="currentColor" stroke-opacity="0.4" {}
+        path d={ "M0 " (SIDE) "L" (SIDE) " 0" } stroke="currentColor" stroke-dasharray="4 3"
+            stroke-opacity="0.6" {}
+        @for tick in [0.001, 0.01, 0.1, 1.0] {
+            text x=(format!("{:.0}", along(tick))) y=(SIDE + 14.0) text-anchor="middle" { (tick) }
+            text x="-6" y=(format!("{:.0}", SIDE - along(tick) + 3.0)) text-anchor="end" { (tick) }
+        }
+    }
 }

@@ -2,15 +2,17 @@
 //!
 //! Style, script and pictures are embedded; nothing is fetched. The page follows the reader's light
 //! or dark preference and works without the script (the comparison slider then stands at the
-//! middle).
+//! middle). The markup is written with `maud`, which escapes every text it is given.
 
-use super::jpeg::encode_jpeg;
+use super::jpeg::{Picture, encode_jpeg};
 use super::pictures::{CONFIDENCE_RANGE, Captioned, ERROR_RANGE, ViewPictures, inferno};
 use super::record::{RunRecord, StageRecord};
+use crate::Result;
 use crate::evaluate::{Evaluation, ImageScores, MaterialScores, SplitScores};
 use crate::formats::grouped;
 use crate::scene::Split;
-use std::fmt::Write;
+use base64::prelude::{BASE64_STANDARD, Engine};
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 /// Quality of the embedded pictures: artefacts stay invisible at the size at which they are shown.
 const QUALITY: u8 = 86;
@@ -27,21 +29,6 @@ pub struct Page<'a> {
     pub atlas: &'a [Captioned],
     /// Exposure of the radiance pictures, stops.
     pub exposure: f32,
-}
-
-/// Text made safe for HTML.
-fn escaped(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            c => out.push(c),
-        }
-    }
-    out
 }
 
 /// Large counts in words people compare: "61.4 M".
@@ -72,31 +59,21 @@ fn bytes(n: u64) -> String {
     }
 }
 
-/// The page as HTML.
-#[must_use]
-pub fn page(page: &Page<'_>) -> String {
-    let mut out = String::new();
-    // writing to a String cannot fail
-    let _ = write_page(&mut out, page);
-    out
+fn decibels(x: f64) -> String {
+    format!("{x:.2} dB")
 }
 
-fn write_page(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
+/// A number, or a dash where there is none.
+fn or_dash(x: Option<f64>, decimals: usize) -> String {
+    x.map_or_else(|| "–".to_owned(), |x| format!("{x:.decimals$}"))
+}
+
+/// The page as HTML.
+///
+/// # Errors
+/// If a picture cannot be encoded (sides of 0 or beyond 65,535 pixels).
+pub fn page(p: &Page<'_>) -> Result<String> {
     let r = p.record;
-    let name = escaped(&r.scene.name);
-    writeln!(
-        out,
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width, \
-         initial-scale=1\">\n<title>{name}: unbake report</title>\n<link rel=\"icon\" href=\"data:,\">\n<style>\n{}</style>\n</head>\n\
-         <body>\n<main>\n<header>\n<h1>{name}</h1>\n<p>Reconstructed by unbake {} from {} photographs of {} × {} pixels and a mesh of {} \
-         triangles.</p>",
-        include_str!("page.css"),
-        escaped(&r.versions.unbake),
-        r.scene.training_views,
-        r.scene.image_size[0],
-        r.scene.image_size[1],
-        grouped(r.scene.triangles as u64),
-    )?;
     let sections = [
         ("evaluation", "Evaluation", p.evaluation.is_some()),
         ("views", "Views", !p.views.is_empty()),
@@ -109,532 +86,560 @@ fn write_page(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
         ("stages", "Stages", !r.stages.is_empty()),
         ("run", "Run", true),
     ];
-    out.push_str("<nav>");
-    for (id, title, _) in sections.iter().filter(|s| s.2) {
-        write!(out, "<a href=\"#{id}\">{title}</a>")?;
-    }
-    out.push_str("</nav>\n</header>\n");
-    summary(out, p)?;
-    if let Some(evaluation) = p.evaluation {
-        evaluation_section(out, evaluation)?;
-    }
-    views_section(out, p)?;
-    maps_section(out, p)?;
-    decisions_section(out, r)?;
-    stages_section(out, &r.stages)?;
-    run_section(out, r)?;
-    writeln!(
-        out,
-        "<footer>unbake {} · Embree {} · OpenImageIO {}</footer>\n</main>\n<dialog><img alt=\"\"><p><span></span><span>← → \
-         Esc</span></p></dialog>\n<script>\n{}</script>\n</body>\n</html>",
-        escaped(&r.versions.unbake),
-        escaped(&r.versions.embree),
-        escaped(&r.versions.openimageio),
-        include_str!("page.js")
-    )
-}
-
-fn tile(out: &mut String, main: bool, value: &str, label: &str) -> std::fmt::Result {
-    writeln!(
-        out,
-        "<div class=\"tile{}\"><b>{value}</b><span>{label}</span></div>",
-        if main { " main" } else { "" }
-    )
-}
-
-fn summary(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
-    let r = p.record;
-    out.push_str("<div class=\"tiles\">\n");
-    let scored = p.evaluation.and_then(|e| {
-        e.test
-            .as_ref()
-            .map(|t| ("novel views", t))
-            .or(e.train.as_ref().map(|t| ("re-rendering", t)))
-    });
-    if let Some((label, split)) = scored {
-        tile(
-            out,
-            true,
-            &format!("{:.2} dB", split.rendering.psnr_of_mean_mse),
-            label,
-        )?;
-        if let Some(m) = &split.materials {
-            tile(
-                out,
-                true,
-                &format!("{:.2} dB", m.albedo.linear.psnr_of_mean_mse),
-                "albedo, no alignment",
-            )?;
-            tile(
-                out,
-                true,
-                &format!("{:.2} dB", m.roughness.fipt.psnr_of_mean_mse),
-                "roughness, FIPT protocol",
-            )?;
+    let markup = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { (r.scene.name) ": unbake report" }
+                link rel="icon" href="data:,";
+                style { (PreEscaped(include_str!("page.css"))) }
+            }
+            body {
+                main {
+                    header {
+                        h1 { (r.scene.name) }
+                        (made_from(r))
+                        nav {
+                            @for (id, title, _) in sections.iter().filter(|s| s.2) {
+                                a href={ "#" (id) } { (title) }
+                            }
+                        }
+                    }
+                    (summary(p))
+                    @if let Some(evaluation) = p.evaluation { (evaluation_section(evaluation)) }
+                    (views_section(p)?)
+                    (maps_section(p)?)
+                    (decisions_section(r))
+                    (stages_section(&r.stages))
+                    (run_section(r))
+                    (footer(r))
+                }
+                dialog { img alt=""; p { span {} span { "← → Esc" } } }
+                script { (PreEscaped(include_str!("page.js"))) }
+            }
         }
-    } else {
-        for (split, label) in [
-            (Split::Test, "novel views shown"),
-            (Split::Train, "training views shown"),
-        ] {
-            let shown: Vec<f64> = p
-                .views
-                .iter()
-                .filter(|v| v.split == split)
-                .map(|v| v.psnr)
-                .collect();
-            if !shown.is_empty() {
-                tile(
-                    out,
-                    true,
-                    &format!("{:.2} dB", shown.iter().sum::<f64>() / shown.len() as f64),
-                    label,
-                )?;
+    };
+    Ok(markup.into_string())
+}
+
+fn made_from(r: &RunRecord) -> Markup {
+    let [width, height] = r.scene.image_size;
+    html! {
+        p {
+            "Reconstructed by unbake " (r.versions.unbake) " from " (r.scene.training_views)
+            " photographs of " (width) " × " (height) " pixels and a mesh of "
+            (grouped(r.scene.triangles as u64)) " triangles."
+        }
+    }
+}
+
+fn footer(r: &RunRecord) -> Markup {
+    html! {
+        footer {
+            "unbake " (r.versions.unbake) " · Embree " (r.versions.embree)
+            " · OpenImageIO " (r.versions.openimageio)
+        }
+    }
+}
+
+fn tile(main: bool, value: &str, label: &str) -> Markup {
+    html! { div.tile.main[main] { b { (value) } span { (label) } } }
+}
+
+fn summary(p: &Page<'_>) -> Markup {
+    let r = p.record;
+    let threads = format!("processor time, {} threads", r.machine.threads);
+    let views = format!("{} + {}", r.scene.training_views, r.scene.held_out_views);
+    html! {
+        div.tiles {
+            (score_tiles(p))
+            (tile(false, &duration(r.wall_seconds), "wall time"))
+            (tile(false, &duration(r.cpu_seconds), &threads))
+            (tile(false, &bytes(r.peak_bytes), "peak memory"))
+            @if r.rays > 0 { (tile(false, &short(r.rays), "rays traced")) }
+            (tile(false, &views, "training + held-out views"))
+        }
+    }
+}
+
+/// The scores of an evaluation or, without one, of the views that are shown.
+fn score_tiles(p: &Page<'_>) -> Markup {
+    let scored = p.evaluation.and_then(|e| {
+        let test = e.test.as_ref().map(|t| ("novel views", t));
+        test.or(e.train.as_ref().map(|t| ("re-rendering", t)))
+    });
+    let shown = [
+        (Split::Test, "novel views shown"),
+        (Split::Train, "training views shown"),
+    ]
+    .map(|(split, label)| {
+        let of_split = p.views.iter().filter(|v| v.split == split);
+        let scores: Vec<f64> = of_split.map(|v| v.psnr).collect();
+        (scores.iter().sum::<f64>() / scores.len() as f64, label)
+    });
+    html! {
+        @if let Some((label, split)) = scored {
+            (tile(true, &decibels(split.rendering.psnr_of_mean_mse), label))
+            @if let Some(m) = &split.materials {
+                @let albedo = decibels(m.albedo.linear.psnr_of_mean_mse);
+                @let roughness = decibels(m.roughness.fipt.psnr_of_mean_mse);
+                (tile(true, &albedo, "albedo, no alignment"))
+                (tile(true, &roughness, "roughness, FIPT protocol"))
+            }
+        } @else {
+            @for (mean, label) in shown.iter().filter(|s| s.0.is_finite()) {
+                (tile(true, &decibels(*mean), label))
             }
         }
     }
-    tile(out, false, &duration(r.wall_seconds), "wall time")?;
-    tile(
-        out,
-        false,
-        &duration(r.cpu_seconds),
-        &format!("processor time, {} threads", r.machine.threads),
-    )?;
-    tile(out, false, &bytes(r.peak_bytes), "peak memory")?;
-    if r.rays > 0 {
-        tile(out, false, &short(r.rays), "rays traced")?;
-    }
-    tile(
-        out,
-        false,
-        &format!("{} + {}", r.scene.training_views, r.scene.held_out_views),
-        "training + held-out views",
-    )?;
-    out.push_str("</div>\n");
-    Ok(())
 }
 
-fn evaluation_section(out: &mut String, evaluation: &Evaluation) -> std::fmt::Result {
-    out.push_str("<section id=\"evaluation\">\n<h2>Evaluation</h2>\n");
-    command(out, "unbake eval OUT --scene SCENE")?;
-    for (title, kind, split) in [
-        ("Held-out views", "novel views", &evaluation.test),
-        ("Training views", "re-rendering", &evaluation.train),
-    ] {
-        if let Some(split) = split {
-            split_tables(out, title, kind, split)?;
+fn evaluation_section(evaluation: &Evaluation) -> Markup {
+    html! {
+        section #evaluation {
+            h2 { "Evaluation" }
+            (command("unbake eval OUT --scene SCENE"))
+            @if let Some(split) = &evaluation.test {
+                (split_tables("Held-out views", "novel views", split))
+            }
+            @if let Some(split) = &evaluation.train {
+                (split_tables("Training views", "re-rendering", split))
+            }
+            details {
+                summary { "What the figures mean" }
+                ul.notes { @for line in &evaluation.protocols { li { (line) } } }
+            }
         }
     }
-    out.push_str("<details><summary>What the figures mean</summary><ul class=\"notes\">\n");
-    for line in &evaluation.protocols {
-        writeln!(out, "<li>{}</li>", escaped(line))?;
-    }
-    out.push_str("</ul></details>\n</section>\n");
-    Ok(())
 }
 
 /// The command whose result a section shows.
-fn command(out: &mut String, text: &str) -> std::fmt::Result {
-    writeln!(
-        out,
-        "<p class=\"command\">from <code>{}</code></p>",
-        escaped(text)
-    )
+fn command(text: &str) -> Markup {
+    html! { p.command { "from " code { (text) } } }
 }
 
-fn split_tables(
-    out: &mut String,
-    title: &str,
-    kind: &str,
-    split: &SplitScores,
-) -> std::fmt::Result {
-    writeln!(
-        out,
-        "<h3>{title} <small>{} images</small></h3>\n<div class=\"wrap\"><table><thead><tr><th></th><th>PSNR of mean MSE</th><th>mean \
-         PSNR</th><th>SSIM</th><th>MSE</th></tr></thead><tbody>",
-        split.views.len()
-    )?;
-    score_row(out, kind, &split.rendering)?;
-    if let Some(m) = &split.materials {
-        score_row(out, "albedo, linear (no alignment)", &m.albedo.linear)?;
-        score_row(out, "albedo, FIPT", &m.albedo.fipt)?;
-        score_row(out, "albedo, TexIR (one scale per view)", &m.albedo.texir)?;
-        score_row(out, "roughness, linear", &m.roughness.linear)?;
-        score_row(
-            out,
-            "roughness, FIPT (clamped to [0.2, 1])",
-            &m.roughness.fipt,
-        )?;
-    }
-    out.push_str("</tbody></table></div>\n");
-    if let Some(e) = &split.emission {
-        writeln!(
-            out,
-            "<p class=\"remark\">Emission: IoU {:.3}, log-L2 {:.4}, {:.3} of the true power where both emit.</p>",
-            e.iou, e.log_l2, e.power_ratio
-        )?;
-    }
-    if let Some(m) = &split.materials {
-        class_table(out, m)?;
-        calibration_section(out, m)?;
-    }
-    out.push_str(
-        "<details><summary>Every view</summary><div class=\"wrap\"><table><thead><tr><th>view</th><th>PSNR</th><th>SSIM</th>",
-    );
-    out.push_str(
-        "<th>albedo</th><th>albedo, TexIR</th><th>its scale</th><th>roughness</th><th>roughness, FIPT</th></tr></thead><tbody>\n",
-    );
-    let optional = |v: Option<f64>| v.map_or_else(|| "–".to_owned(), |v| format!("{v:.2}"));
-    for v in &split.views {
-        writeln!(
-            out,
-            "<tr><td>{}</td><td>{:.2}</td><td>{:.4}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
-            escaped(&v.stem),
-            v.psnr,
-            v.ssim,
-            optional(v.albedo_psnr),
-            optional(v.albedo_psnr_texir),
-            v.albedo_scale
-                .map_or_else(|| "–".to_owned(), |s| format!("{s:.3}")),
-            optional(v.roughness_psnr),
-            optional(v.roughness_psnr_fipt),
-        )?;
-    }
-    out.push_str("</tbody></table></div></details>\n");
-    Ok(())
+/// A row of table heads.
+fn heads(names: &[&str]) -> Markup {
+    html! { thead { tr { @for name in names { th { (name) } } } } }
 }
 
-fn score_row(out: &mut String, name: &str, s: &ImageScores) -> std::fmt::Result {
-    writeln!(
-        out,
-        "<tr><td>{name}</td><td>{:.2} dB</td><td>{:.2} dB</td><td>{:.4}</td><td>{:.5}</td></tr>",
-        s.psnr_of_mean_mse, s.mean_psnr, s.ssim, s.mse
-    )
+/// A row of cells.
+fn row(cells: &[String]) -> Markup {
+    html! { tr { @for cell in cells { td { (cell) } } } }
 }
 
-fn class_table(out: &mut String, m: &MaterialScores) -> std::fmt::Result {
-    writeln!(
-        out,
-        "<details open><summary>Every class</summary><div class=\"wrap\"><table><thead><tr><th>class</th><th>pixels</th><th>albedo</th>\
-         <th>roughness</th><th>median |ΔR|</th><th>bias of R</th><th>true R</th></tr></thead><tbody>"
-    )?;
-    for c in &m.classes {
-        writeln!(
-            out,
-            "<tr><td>{}</td><td>{}</td><td>{:.2} dB</td><td>{:.2} dB</td><td>{:.3}</td><td>{:+.3}</td><td>{:.3}</td></tr>",
-            escaped(&c.name),
-            grouped(c.pixels),
-            c.albedo_psnr,
-            c.roughness_psnr,
-            c.roughness_median_absolute_error,
-            c.roughness_bias,
-            c.roughness_truth
-        )?;
+fn split_tables(title: &str, kind: &str, split: &SplitScores) -> Markup {
+    let scores = ["", "PSNR of mean MSE", "mean PSNR", "SSIM", "MSE"];
+    html! {
+        h3 { (title) " " small { (split.views.len()) " images" } }
+        div.wrap {
+            table {
+                (heads(&scores))
+                tbody {
+                    (score_row(kind, &split.rendering))
+                    @if let Some(m) = &split.materials {
+                        (score_row("albedo, linear (no alignment)", &m.albedo.linear))
+                        (score_row("albedo, FIPT", &m.albedo.fipt))
+                        (score_row("albedo, TexIR (one scale per view)", &m.albedo.texir))
+                        (score_row("roughness, linear", &m.roughness.linear))
+                        (score_row("roughness, FIPT (clamped to [0.2, 1])", &m.roughness.fipt))
+                    }
+                }
+            }
+        }
+        @if let Some(e) = &split.emission {
+            p.remark {
+                (format!(
+                    "Emission: IoU {:.3}, log-L2 {:.4}, {:.3} of the true power where both emit.",
+                    e.iou, e.log_l2, e.power_ratio
+                ))
+            }
+        }
+        @if let Some(m) = &split.materials { (class_table(m)) (calibration_section(m)) }
+        (view_table(split))
     }
-    writeln!(
-        out,
-        "</tbody></table></div><p class=\"remark\">Median of |ΔR| over all pixels: {:.3}.</p></details>",
-        m.roughness_median_absolute_error
-    )
+}
+
+fn score_row(name: &str, s: &ImageScores) -> Markup {
+    row(&[
+        name.to_owned(),
+        decibels(s.psnr_of_mean_mse),
+        decibels(s.mean_psnr),
+        format!("{:.4}", s.ssim),
+        format!("{:.5}", s.mse),
+    ])
+}
+
+fn view_table(split: &SplitScores) -> Markup {
+    let names = [
+        "view",
+        "PSNR",
+        "SSIM",
+        "albedo",
+        "albedo, TexIR",
+        "its scale",
+        "roughness",
+        "roughness, FIPT",
+    ];
+    html! {
+        details {
+            summary { "Every view" }
+            div.wrap {
+                table {
+                    (heads(&names))
+                    tbody {
+                        @for v in &split.views {
+                            (row(&[
+                                v.stem.clone(),
+                                format!("{:.2}", v.psnr),
+                                format!("{:.4}", v.ssim),
+                                or_dash(v.albedo_psnr, 2),
+                                or_dash(v.albedo_psnr_texir, 2),
+                                or_dash(v.albedo_scale, 3),
+                                or_dash(v.roughness_psnr, 2),
+                                or_dash(v.roughness_psnr_fipt, 2),
+                            ]))
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn class_table(m: &MaterialScores) -> Markup {
+    let names = [
+        "class",
+        "pixels",
+        "albedo",
+        "roughness",
+        "median |ΔR|",
+        "bias of R",
+        "true R",
+    ];
+    let median = m.roughness_median_absolute_error;
+    html! {
+        details open {
+            summary { "Every class" }
+            div.wrap {
+                table {
+                    (heads(&names))
+                    tbody {
+                        @for c in &m.classes {
+                            (row(&[
+                                c.name.clone(),
+                                grouped(c.pixels),
+                                decibels(c.albedo_psnr),
+                                decibels(c.roughness_psnr),
+                                format!("{:.3}", c.roughness_median_absolute_error),
+                                format!("{:+.3}", c.roughness_bias),
+                                format!("{:.3}", c.roughness_truth),
+                            ]))
+                        }
+                    }
+                }
+            }
+            p.remark { "Median of |ΔR| over all pixels: " (format!("{median:.3}")) "." }
+        }
+    }
 }
 
 /// Does the stated standard error explain the actual one?
-fn calibration_section(out: &mut String, m: &MaterialScores) -> std::fmt::Result {
-    out.push_str(
-        "<details open><summary>Stated against actual error</summary><div class=\"wrap\">",
-    );
-    for (name, c) in [
+fn calibration_section(m: &MaterialScores) -> Markup {
+    let both = [
         ("albedo", &m.calibration.albedo),
         ("roughness", &m.calibration.roughness),
-    ] {
-        super::calibration::plot(out, name, c)?;
-    }
-    out.push_str("</div>");
-    for (name, c) in [
-        ("albedo", &m.calibration.albedo),
-        ("roughness", &m.calibration.roughness),
-    ] {
-        writeln!(
-            out,
-            "<p class=\"remark\">{name}: stated {:.4}, actual {:.4}; {:.0} % of the pixels within one stated standard error (68 % if \
-             Gaussian), {:.0} % within two (95 %); {} pixels stated as unobserved.</p>",
-            c.all.stated,
-            c.all.actual,
-            100.0 * c.all.within_1,
-            100.0 * c.all.within_2,
-            grouped(c.unobserved)
-        )?;
-    }
-    out.push_str("</details>\n");
-    Ok(())
-}
-
-fn data_url(picture: &super::jpeg::Picture) -> String {
-    format!(
-        "data:image/jpeg;base64,{}",
-        base64(&encode_jpeg(picture, QUALITY))
-    )
-}
-
-fn figure(out: &mut String, captioned: &Captioned) -> std::fmt::Result {
-    let caption = escaped(&captioned.caption);
-    let (w, h) = (captioned.picture.width, captioned.picture.height);
-    writeln!(
-        out,
-        "<figure><button type=\"button\" aria-label=\"enlarge {caption}\"><img src=\"{}\" alt=\"{caption}\" width=\"{w}\" \
-         height=\"{h}\"></button><figcaption>{caption}</figcaption></figure>",
-        data_url(&captioned.picture)
-    )
-}
-
-fn views_section(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
-    if p.views.is_empty() {
-        return Ok(());
-    }
-    writeln!(
-        out,
-        "<section id=\"views\">\n<h2>Views</h2>\n<p class=\"remark\">Photographs are shown in sRGB at {:+.1} EV, roughness as grey from 0 to \
-         1; errors are mean absolute differences of the channels (of re-renderings after clamp(x^(1/2.2))): 0{}{:.1}. Drag across a comparison; \
-         click a picture to enlarge it.</p>",
-        p.exposure,
-        scale_bar(),
-        ERROR_RANGE
-    )?;
-    for split in [Split::Test, Split::Train] {
-        for view in p.views.iter().filter(|v| v.split == split) {
-            view_section(out, view)?;
+    ];
+    html! {
+        details open {
+            summary { "Stated against actual error" }
+            div.wrap { @for (name, c) in both { (super::calibration::plot(name, c)) } }
+            @for (name, c) in both {
+                p.remark {
+                    (format!(
+                        "{name}: stated {:.4}, actual {:.4}; {:.0} % of the pixels within one \
+                         stated standard error (68 % if Gaussian), {:.0} % within two (95 %); {} \
+                         pixels stated as unobserved.",
+                        c.all.stated,
+                        c.all.actual,
+                        100.0 * c.all.within_1,
+                        100.0 * c.all.within_2,
+                        grouped(c.unobserved)
+                    ))
+                }
+            }
         }
     }
-    out.push_str("</section>\n");
-    Ok(())
 }
 
-fn view_section(out: &mut String, view: &ViewPictures) -> std::fmt::Result {
-    let kind = if view.split == Split::Test {
-        "held out"
-    } else {
-        "training"
+fn data_url(picture: &Picture) -> Result<String> {
+    let bytes = encode_jpeg(picture, QUALITY)?;
+    Ok(format!(
+        "data:image/jpeg;base64,{}",
+        BASE64_STANDARD.encode(bytes)
+    ))
+}
+
+fn figure(captioned: &Captioned) -> Result<Markup> {
+    let (picture, caption) = (&captioned.picture, &captioned.caption);
+    Ok(html! {
+        figure {
+            button type="button" aria-label={ "enlarge " (caption) } {
+                img src=(data_url(picture)?) alt=(caption) width=(picture.width)
+                    height=(picture.height);
+            }
+            figcaption { (caption) }
+        }
+    })
+}
+
+fn views_section(p: &Page<'_>) -> Result<Markup> {
+    if p.views.is_empty() {
+        return Ok(html! {});
+    }
+    Ok(html! {
+        section #views {
+            h2 { "Views" }
+            p.remark {
+                (format!("Photographs are shown in sRGB at {:+.1} EV", p.exposure))
+                ", roughness as grey from 0 to 1; errors are mean absolute differences of the \
+                 channels (of re-renderings after clamp(x^(1/2.2))): 0"
+                (scale_bar())
+                (format!("{ERROR_RANGE:.1}"))
+                ". Drag across a comparison; click a picture to enlarge it."
+            }
+            @for split in [Split::Test, Split::Train] {
+                @for view in p.views.iter().filter(|v| v.split == split) {
+                    (view_section(view)?)
+                }
+            }
+        }
+    })
+}
+
+fn view_section(view: &ViewPictures) -> Result<Markup> {
+    let kind = match view.split {
+        Split::Test => "held out",
+        Split::Train => "training",
     };
-    writeln!(
-        out,
-        "<section><h3>View {} <small>{kind} · {:.2} dB · SSIM {:.4}</small></h3>",
-        escaped(&view.stem),
-        view.psnr,
-        view.ssim
-    )?;
-    if let [photograph, rendering, ..] = &view.pictures[..] {
-        let (w, h) = (photograph.picture.width, photograph.picture.height);
-        writeln!(
-            out,
-            "<div class=\"compare\"><img src=\"{}\" alt=\"re-rendering\" width=\"{w}\" height=\"{h}\" style=\"height:auto\"><img \
-             class=\"top\" src=\"{}\" alt=\"photograph\" width=\"{w}\" height=\"{h}\" style=\"height:auto\"><div class=\"rule\"></div><span \
-             class=\"tag\" style=\"left:.5rem\">photograph</span><span class=\"tag\" style=\"right:.5rem\">re-rendering</span><input \
-             type=\"range\" min=\"0\" max=\"100\" value=\"50\" step=\"0.1\" aria-label=\"photograph against re-rendering\"></div>",
-            data_url(&rendering.picture),
-            data_url(&photograph.picture)
-        )?;
-    }
-    out.push_str("<div class=\"figures views\">\n");
-    for captioned in view.pictures.iter().skip(2) {
-        figure(out, captioned)?;
-    }
-    out.push_str("</div></section>\n");
-    Ok(())
+    let scores = format!("{kind} · {:.2} dB · SSIM {:.4}", view.psnr, view.ssim);
+    Ok(html! {
+        section {
+            h3 { "View " (view.stem) " " small { (scores) } }
+            @if let [photograph, rendering, ..] = &view.pictures[..] {
+                (comparison(&photograph.picture, &rendering.picture)?)
+            }
+            div.figures.views {
+                @for captioned in view.pictures.iter().skip(2) { (figure(captioned)?) }
+            }
+        }
+    })
 }
 
-fn maps_section(out: &mut String, p: &Page<'_>) -> std::fmt::Result {
+/// A photograph over its re-rendering, with a slider between them.
+fn comparison(photograph: &Picture, rendering: &Picture) -> Result<Markup> {
+    let (w, h) = (photograph.width, photograph.height);
+    Ok(html! {
+        div.compare {
+            img src=(data_url(rendering)?) alt="re-rendering" width=(w) height=(h)
+                style="height:auto";
+            img.top src=(data_url(photograph)?) alt="photograph" width=(w) height=(h)
+                style="height:auto";
+            div.rule {}
+            span.tag style="left:.5rem" { "photograph" }
+            span.tag style="right:.5rem" { "re-rendering" }
+            input type="range" min="0" max="100" value="50" step="0.1"
+                aria-label="photograph against re-rendering";
+        }
+    })
+}
+
+fn maps_section(p: &Page<'_>) -> Result<Markup> {
     if p.atlas.is_empty() {
-        return Ok(());
+        return Ok(html! {});
     }
-    writeln!(
-        out,
-        "<section id=\"maps\">\n<h2>Maps on the atlas</h2>\n<p class=\"remark\">Sizes are those of the files. Standard errors on a \
-         logarithmic scale, {}{}{}; grey is unobserved.</p>\n<div class=\"figures maps\">",
-        CONFIDENCE_RANGE.0,
-        scale_bar(),
-        CONFIDENCE_RANGE.1
-    )?;
-    for captioned in p.atlas {
-        figure(out, captioned)?;
-    }
-    out.push_str("</div>\n</section>\n");
-    Ok(())
+    Ok(html! {
+        section #maps {
+            h2 { "Maps on the atlas" }
+            p.remark {
+                "Sizes are those of the files. Standard errors on a logarithmic scale, "
+                (CONFIDENCE_RANGE.0) (scale_bar()) (CONFIDENCE_RANGE.1) "; grey is unobserved."
+            }
+            div.figures.maps { @for captioned in p.atlas { (figure(captioned)?) } }
+        }
+    })
 }
 
 /// The colour scale of error maps as a CSS gradient.
-fn scale_bar() -> String {
+fn scale_bar() -> Markup {
     let stops: Vec<String> = (0..=8)
         .map(|i| {
             let [r, g, b] = inferno(i as f32 / 8.0);
             format!("rgb({r} {g} {b})")
         })
         .collect();
-    format!(
-        "<span class=\"scale\" style=\"background:linear-gradient(90deg,{})\"></span>",
-        stops.join(",")
-    )
+    html! {
+        span.scale style={ "background:linear-gradient(90deg," (stops.join(",")) ")" } {}
+    }
 }
 
-fn decisions_section(out: &mut String, r: &RunRecord) -> std::fmt::Result {
+fn decisions_section(r: &RunRecord) -> Markup {
     if r.notes.is_empty() && r.decisions.is_empty() {
-        return Ok(());
+        return html! {};
     }
-    out.push_str("<section id=\"decisions\">\n<h2>What the program decided and noticed</h2>\n");
-    if !r.decisions.is_empty() {
-        out.push_str("<div class=\"wrap\"><table><thead><tr><th>what</th><th>decided</th><th>why</th></tr></thead><tbody>\n");
-        for d in &r.decisions {
-            let forced = if d.forced { "forced: " } else { "" };
-            let [what, decided, why] = [&d.what, &d.decided, &d.why].map(|s| escaped(s));
-            writeln!(
-                out,
-                "<tr><td>{what}</td><td>{decided}</td><td>{forced}{why}</td></tr>"
-            )?;
+    html! {
+        section #decisions {
+            h2 { "What the program decided and noticed" }
+            @if !r.decisions.is_empty() {
+                div.wrap.reasons {
+                    table {
+                        (heads(&["what", "decided", "why"]))
+                        tbody {
+                            @for d in &r.decisions {
+                                tr {
+                                    td { (d.what) }
+                                    td { (d.decided) }
+                                    td { @if d.forced { "forced: " } (d.why) }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+            ul.notes { @for note in &r.notes { li { (note) } } }
         }
-        out.push_str("</tbody></table></div>\n");
     }
-    out.push_str("<ul class=\"notes\">\n");
-    for note in &r.notes {
-        writeln!(out, "<li>{}</li>", escaped(note))?;
-    }
-    out.push_str("</ul>\n</section>\n");
-    Ok(())
 }
 
-fn stages_section(out: &mut String, stages: &[StageRecord]) -> std::fmt::Result {
+fn stages_section(stages: &[StageRecord]) -> Markup {
     if stages.is_empty() {
-        return Ok(());
+        return html! {};
     }
     let longest = stages.iter().map(|s| s.wall_seconds).fold(1e-9, f64::max);
-    out.push_str("<section id=\"stages\">\n<h2>Stages</h2>\n");
-    command(out, "unbake solve SCENE -o OUT")?;
-    out.push_str("<div class=\"wrap\"><table><thead><tr><th>stage</th><th>wall</th>");
-    out.push_str("<th>processor</th><th>cores busy</th><th>rays</th><th>rays/s</th><th></th></tr></thead><tbody>\n");
-    for s in stages {
-        let rays = if s.rays > 0 {
-            short(s.rays)
-        } else {
-            "–".into()
-        };
-        let speed = if s.rays > 0 && s.wall_seconds > 0.0 {
-            short((s.rays as f64 / s.wall_seconds) as u64)
-        } else {
-            "–".into()
-        };
-        writeln!(
-            out,
-            "<tr><td style=\"padding-left:{:.1}rem\">{}</td><td>{}</td><td>{}</td><td>{:.1}</td><td>{rays}</td><td>{speed}</td><td \
-             class=\"bar\"><svg viewBox=\"0 0 100 10\" preserveAspectRatio=\"none\" role=\"img\" aria-label=\"{:.1} seconds\"><rect \
-             class=\"wall\" width=\"{:.2}\" height=\"10\" rx=\".6\"/></svg></td></tr>",
-            0.8 + 1.1 * s.depth as f64,
-            escaped(&s.name),
-            duration(s.wall_seconds),
-            duration(s.cpu_seconds),
-            s.cpu_seconds / s.wall_seconds.max(1e-9),
-            s.wall_seconds,
-            100.0 * s.wall_seconds / longest
-        )?;
+    let names = [
+        "stage",
+        "wall",
+        "processor",
+        "cores busy",
+        "rays",
+        "rays/s",
+        "",
+    ];
+    html! {
+        section #stages {
+            h2 { "Stages" }
+            (command("unbake solve SCENE -o OUT"))
+            div.wrap {
+                table {
+                    (heads(&names))
+                    tbody { @for s in stages { (stage_row(s, longest)) } }
+                }
+            }
+        }
     }
-    out.push_str("</tbody></table></div>\n</section>\n");
-    Ok(())
 }
 
-fn run_section(out: &mut String, r: &RunRecord) -> std::fmt::Result {
-    out.push_str("<section id=\"run\">\n<h2>Run</h2>\n");
-    if !r.command.is_empty() {
-        let quoted: Vec<String> = r
-            .command
-            .iter()
-            .map(|a| {
-                if a.contains(char::is_whitespace) || a.is_empty() {
-                    format!("'{a}'")
-                } else {
-                    a.clone()
+fn stage_row(s: &StageRecord, longest: f64) -> Markup {
+    let traced = s.rays > 0;
+    let rays = traced.then(|| short(s.rays));
+    let speed =
+        (traced && s.wall_seconds > 0.0).then(|| short((s.rays as f64 / s.wall_seconds) as u64));
+    let indent = format!("padding-left:{:.1}rem", 0.8 + 1.1 * s.depth as f64);
+    let label = format!("{:.1} seconds", s.wall_seconds);
+    let width = format!("{:.2}", 100.0 * s.wall_seconds / longest);
+    html! {
+        tr {
+            td style=(indent) { (s.name) }
+            td { (duration(s.wall_seconds)) }
+            td { (duration(s.cpu_seconds)) }
+            td { (format!("{:.1}", s.cpu_seconds / s.wall_seconds.max(1e-9))) }
+            td { (rays.as_deref().unwrap_or("–")) }
+            td { (speed.as_deref().unwrap_or("–")) }
+            td.bar {
+                svg viewBox="0 0 100 10" preserveAspectRatio="none" role="img" aria-label=(label) {
+                    rect.wall width=(width) height="10" rx=".6" {}
                 }
-            })
-            .collect();
-        writeln!(out, "<pre>unbake {}</pre>", escaped(&quoted.join(" ")))?;
+            }
+        }
     }
-    out.push_str("<div class=\"wrap plain\"><table><tbody>\n");
+}
+
+/// The arguments as a line that a shell would take.
+fn command_line(arguments: &[String]) -> String {
+    let quoted: Vec<String> = arguments
+        .iter()
+        .map(|a| {
+            if a.contains(char::is_whitespace) || a.is_empty() {
+                format!("'{a}'")
+            } else {
+                a.clone()
+            }
+        })
+        .collect();
+    format!("unbake {}", quoted.join(" "))
+}
+
+fn run_section(r: &RunRecord) -> Markup {
     let rows = [
-        ("processor", escaped(&r.machine.cpu)),
+        ("processor", r.machine.cpu.clone()),
         ("threads", r.machine.threads.to_string()),
         ("memory", bytes(r.machine.memory_bytes)),
-        ("unbake", escaped(&r.versions.unbake)),
-        ("Embree", escaped(&r.versions.embree)),
-        ("OpenImageIO", escaped(&r.versions.openimageio)),
+        ("unbake", r.versions.unbake.clone()),
+        ("Embree", r.versions.embree.clone()),
+        ("OpenImageIO", r.versions.openimageio.clone()),
         ("seed", r.seed.to_string()),
     ];
-    for (name, value) in rows {
-        writeln!(out, "<tr><td>{name}</td><td>{value}</td></tr>")?;
-    }
-    out.push_str("</tbody></table></div>\n");
-    if !r.options.is_null() {
-        let options = serde_json::to_string_pretty(&r.options).unwrap_or_default();
-        writeln!(
-            out,
-            "<details><summary>Options in effect</summary><pre>{}</pre></details>",
-            escaped(&options)
-        )?;
-    }
-    if !r.inputs.is_empty() {
-        writeln!(
-            out,
-            "<details><summary>{} input files</summary><div class=\"wrap\"><table><tbody>",
-            r.inputs.len()
-        )?;
-        for i in &r.inputs {
-            writeln!(
-                out,
-                "<tr><td>{}</td><td>{} bytes</td><td><code title=\"BLAKE3 {}\">{}…</code></td></tr>",
-                escaped(&i.path),
-                grouped(i.bytes),
-                escaped(&i.blake3),
-                escaped(i.blake3.get(..16).unwrap_or(&i.blake3))
-            )?;
+    html! {
+        section #run {
+            h2 { "Run" }
+            @if !r.command.is_empty() { pre { (command_line(&r.command)) } }
+            div.wrap.plain {
+                table { tbody { @for (name, value) in rows { (row(&[name.to_owned(), value])) } } }
+            }
+            @if !r.options.is_null() {
+                details {
+                    summary { "Options in effect" }
+                    pre { (serde_json::to_string_pretty(&r.options).unwrap_or_default()) }
+                }
+            }
+            (input_files(r))
         }
-        out.push_str("</tbody></table></div></details>\n");
     }
-    out.push_str("</section>\n");
-    Ok(())
 }
 
-/// RFC 4648 base64 with padding.
-fn base64(bytes: &[u8]) -> String {
-    const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for chunk in bytes.chunks(3) {
-        let word = u32::from(chunk[0]) << 16
-            | u32::from(chunk.get(1).copied().unwrap_or(0)) << 8
-            | u32::from(chunk.get(2).copied().unwrap_or(0));
-        for i in 0..4 {
-            let padded = i > chunk.len();
-            out.push(if padded {
-                '='
-            } else {
-                char::from(ALPHABET[(word >> (18 - 6 * i) & 63) as usize])
-            });
+fn input_files(r: &RunRecord) -> Markup {
+    if r.inputs.is_empty() {
+        return html! {};
+    }
+    html! {
+        details {
+            summary { (r.inputs.len()) " input files" }
+            div.wrap {
+                table {
+                    tbody {
+                        @for i in &r.inputs {
+                            tr {
+                                td { (i.path) }
+                                td { (grouped(i.bytes)) " bytes" }
+                                td {
+                                    code title={ "BLAKE3 " (i.blake3) } {
+                                        (i.blake3.get(..16).unwrap_or(&i.blake3)) "…"
+                                    }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
         }
     }
-    out
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn base64_follows_the_rfcs_test_vectors() {
-        for (plain, encoded) in [
-            ("", ""),
-            ("f", "Zg=="),
-            ("fo", "Zm8="),
-            ("foo", "Zm9v"),
-            ("foob", "Zm9vYg=="),
-            ("foobar", "Zm9vYmFy"),
-        ] {
-            assert_eq!(base64(plain.as_bytes()), encoded);
-        }
-    }
 
     #[test]
     fn what_users_wrote_cannot_become_markup() {
@@ -653,7 +658,8 @@ mod tests {
             views: &[],
             atlas: &[],
             exposure: 0.0,
-        });
+        })
+        .expect("a page");
         assert!(!html.contains("<script>alert") && html.contains("a &lt; b &amp; &quot;c&quot;"));
         assert!(html.contains("x&lt;y") && html.contains("z&lt;w"));
         assert!(
@@ -663,9 +669,38 @@ mod tests {
     }
 
     #[test]
+    fn pictures_are_embedded_and_stand_beside_their_captions() {
+        let picture = |size| Captioned {
+            caption: "a <map>".into(),
+            picture: Picture {
+                width: size,
+                height: size,
+                rgb: vec![90; 3 * size * size],
+            },
+        };
+        let record = RunRecord::default();
+        let page_of = |atlas: &[Captioned]| {
+            page(&Page {
+                record: &record,
+                evaluation: None,
+                views: &[],
+                atlas,
+                exposure: 0.0,
+            })
+        };
+        let html = page_of(&[picture(8)]).expect("a page");
+        assert!(
+            html.contains("src=\"data:image/jpeg;base64,/9j/") && html.contains("a &lt;map&gt;")
+        );
+        assert!(page_of(&[picture(0)]).is_err(), "no picture of no pixels");
+    }
+
+    #[test]
     fn numbers_read_well() {
         assert_eq!(short(61_440_000), "61.4 M");
         assert_eq!(duration(125.0), "2 min 05 s");
         assert_eq!(bytes(3 << 30), "3.00 GiB");
+        assert_eq!(or_dash(Some(1.239), 2), "1.24");
+        assert_eq!(or_dash(None, 2), "–");
     }
 }

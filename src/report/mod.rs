@@ -82,5 +82,5 @@ pub fn write_report(
         atlas: &atlas,
         exposure: photographer.exposure(),
     };
-    atomic_write(folder.join("report.html"), html::page(&page).as_bytes())
+    atomic_write(folder.join("report.html"), html::page(&page)?.as_bytes())
 }

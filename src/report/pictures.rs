@@ -26,7 +26,7 @@ const MAP_SIDE: usize = 1024;
 pub(super) const ERROR_RANGE: f32 = 0.2;
 /// Standard errors the confidence map spans, on a logarithmic scale.
 pub(super) const CONFIDENCE_RANGE: (f32, f32) = (1e-3, 1.0);
-/// At and above this a confidence is "unobserved" (design §1.2).
+/// At and above this a confidence is "unobserved" (docs/outputs.md).
 const UNOBSERVED: f32 = 1e3;
 
 /// A picture with its caption.

@@ -42,8 +42,8 @@ pub struct Solution {
     pub labels: Plane<u16>,
     /// Room ids per texel, 0 = outside.
     pub rooms: Plane<u16>,
-    /// Radiance from directions without geometry: an equirectangular map in world axes (design §1.1
-    /// with the identity pose).
+    /// Radiance from directions without geometry: an equirectangular map in world axes
+    /// (docs/scene-format.md with the identity pose).
     pub environment: RgbPlane,
     /// The reflection model that albedo and roughness belong to.
     pub reflectance: Reflectance,

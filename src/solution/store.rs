@@ -45,7 +45,7 @@ pub struct SaveOptions {
 }
 
 impl Solution {
-    /// Writes the files of design §1.2 into `folder`, creating it if need be: all of them or none.
+    /// Writes the files of docs/outputs.md into `folder`, creating it if need be: all or none.
     pub fn save(&self, folder: &Path, options: &SaveOptions) -> Result<()> {
         self.check_finite()?;
         let aside = AsideFolder::new(folder)?;

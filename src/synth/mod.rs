@@ -90,7 +90,7 @@ fn photograph(
     Ok((frame, image))
 }
 
-/// Makes an apartment and writes its scene folder (design §1.1), whole or not at all.
+/// Makes an apartment and writes its scene folder (docs/scene-format.md), whole or not at all.
 pub fn generate(
     options: &SynthOptions,
     out_folder: &Path,

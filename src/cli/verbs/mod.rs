@@ -8,6 +8,7 @@ pub(super) mod export;
 mod prepare;
 mod relight;
 mod render;
+mod shell;
 mod solve;
 mod synth;
 mod view;
@@ -58,6 +59,8 @@ pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
         Verb::View { out, scene, .. } => {
             view::view_in_browser(required(out)?, scene.as_deref(), context)
         }
+        Verb::Completions { shell } => shell::completions(*shell),
+        Verb::Man { to } => shell::manual(to.as_deref(), context),
     }?;
     Ok(0)
 }
