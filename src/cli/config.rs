@@ -54,6 +54,9 @@ pub struct Config {
 
 impl Config {
     /// Reads a configuration file; a misspelt key is an error that names its line.
+    ///
+    /// # Errors
+    /// If the file cannot be read, is no TOML, or holds an unknown key or value.
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| {
             Error::input(
@@ -74,6 +77,9 @@ impl Config {
     ///
     /// `tables` are those the verb reads; `matches` are its matches, which contain the global flags
     /// as well.
+    ///
+    /// # Errors
+    /// If the result is no valid configuration.
     pub fn overlaid(&self, flags: &Self, tables: &[&str], matches: &ArgMatches) -> Result<Self> {
         let failed = |e: String| Error::Failed(format!("merging options: {e}"));
         let mut base = Table::try_from(self).map_err(|e| failed(e.to_string()))?;
@@ -102,6 +108,9 @@ impl Config {
 
     /// The configuration as TOML with each option's help above it; a verb restricts it to what it
     /// reads.
+    ///
+    /// # Errors
+    /// If the configuration cannot be written as TOML.
     pub fn documented(&self, command: &clap::Command, verb: Option<&str>) -> Result<String> {
         let failed = |e: String| Error::Failed(format!("printing the configuration: {e}"));
         let text = toml::to_string(self).map_err(|e| failed(e.to_string()))?;

@@ -27,6 +27,9 @@ impl Context {
     }
 
     /// Prints a verb's result: `text` for people or `json` for machines.
+    ///
+    /// # Errors
+    /// If stdout cannot be written to; a closed pipe is none.
     pub fn result(&self, text: &str, json: &serde_json::Value) -> Result<()> {
         if self.config.json {
             print(&format!("{json:#}\n"))

@@ -84,6 +84,10 @@ pub struct GroundTruth {
 /// With `folder` (the output folder of `solve`) writes `eval/metrics.json` and
 /// `eval/<stem>.{render,albedo,roughness}.exr`; files of an earlier evaluation are replaced only
 /// when all new ones are complete.
+///
+/// # Errors
+/// If a photograph, its labels or its truth cannot be read or do not fit, or `folder` cannot be
+/// written to.
 pub fn evaluate(
     scene: &Scene,
     renderer: &dyn ViewRenderer,
@@ -177,6 +181,9 @@ pub fn evaluate(
 }
 
 /// The working radiance of a view and which of its pixels count.
+///
+/// # Errors
+/// If the image or its mask cannot be read or does not fit the view.
 pub fn photograph(scene: &Scene, view: &View) -> Result<(RgbPlane, Plane<bool>)> {
     let image = scene.load_radiance(view)?;
     let valid = scene

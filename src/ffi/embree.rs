@@ -230,6 +230,9 @@ impl TriangleScene {
     ///
     /// Every index must be below `positions.len()` and every position finite; the caller has
     /// checked it, and it is checked again here because Embree would read out of bounds.
+    ///
+    /// # Errors
+    /// In the library's own words: Embree is missing, or refuses the scene.
     pub fn build(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Result<Self, String> {
         if triangles
             .iter()
@@ -406,6 +409,9 @@ impl Drop for TriangleScene {
 }
 
 /// Version of the Embree found at run time, without building a scene.
+///
+/// # Errors
+/// If Embree cannot be started.
 pub fn library_version() -> Result<String, String> {
     let (major, minor, patch) = Device::new()?.version();
     Ok(format!("{major}.{minor}.{patch}"))

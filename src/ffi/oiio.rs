@@ -68,6 +68,9 @@ fn load() -> Result<sys::ImageShim, String> {
 }
 
 /// OpenImageIO's run-time version, such as `2.5.18`; loads the library.
+///
+/// # Errors
+/// If the library is not found.
 pub fn version() -> Result<String, String> {
     // SAFETY: takes nothing, returns a number.
     let v = unsafe { shim()?.unbake_image_version() };
@@ -127,6 +130,9 @@ pub struct OpenImage {
 impl OpenImage {
     /// Opens `path` with the reader `format` (`openexr`, `hdr`, `jpeg`), whatever the file is
     /// called.
+    ///
+    /// # Errors
+    /// In the library's own words: the file is missing, damaged or of another format.
     pub fn open(path: &Path, format: &CStr) -> Result<Self, String> {
         let shim = shim()?;
         let name = c_path(path)?;
@@ -201,6 +207,9 @@ impl OpenImage {
     }
 
     /// Reads channels `channels` of every pixel into `out[offset..]`, pixels `step` floats apart.
+    ///
+    /// # Errors
+    /// If the file ends early or `out` is too short.
     pub fn read(
         &mut self,
         channels: std::ops::Range<usize>,
@@ -259,6 +268,9 @@ pub enum Samples<'a> {
 
 /// Writes an OpenEXR image of `width × height × names.len()` interleaved samples to `path`,
 /// ZIP-compressed.
+///
+/// # Errors
+/// If the sizes disagree or the file system refuses.
 pub fn write(
     path: &Path,
     width: usize,

@@ -13,6 +13,9 @@ pub const MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 const LIMIT: u64 = 4 << 20;
 
 /// Width and height of the data window of an OpenEXR file, or what is wrong with its header.
+///
+/// # Errors
+/// If the header is damaged, or its window is empty or too large.
 pub fn data_window(file: impl Read) -> Result<(i64, i64), String> {
     let mut bytes = Vec::new();
     file.take(LIMIT)

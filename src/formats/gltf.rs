@@ -116,6 +116,9 @@ const MAX_INSTANCES: usize = 1 << 20;
 
 /// Geometry of a `.glb` or `.gltf` from its bytes; neighbouring buffer files are looked up beside
 /// `path`.
+///
+/// # Errors
+/// If the file is damaged, asks for more bytes than there are, or holds no triangles.
 pub fn mesh_from_gltf(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     let fail = |m: String| Error::input(path, m);
     let (json, blob) = if bytes.starts_with(b"glTF") {

@@ -117,6 +117,9 @@ fn pick_rgb(path: &Path, image: &OpenImage) -> Result<[usize; 3]> {
 
 /// Reads an OpenEXR or Radiance HDR image as linear RGB: channels R, G, B by name, else the first
 /// three; one channel is grey.
+///
+/// # Errors
+/// If the file cannot be read, is damaged, or is of another format.
 pub fn read_rgb(path: impl AsRef<Path>) -> Result<RgbPlane> {
     let path = path.as_ref();
     let image = open_linear(path)?;
@@ -153,6 +156,9 @@ pub(super) fn read_rgb_channels(
 }
 
 /// Reads the first channel of an OpenEXR or Radiance HDR image.
+///
+/// # Errors
+/// If the file cannot be read, is damaged, or is of another format.
 pub fn read_plane(path: impl AsRef<Path>) -> Result<Plane<f32>> {
     let path = path.as_ref();
     let mut image = open_linear(path)?;
@@ -170,6 +176,9 @@ pub fn read_plane(path: impl AsRef<Path>) -> Result<Plane<f32>> {
 }
 
 /// Reads the first two channels of an OpenEXR image.
+///
+/// # Errors
+/// If the file cannot be read, is damaged, or has fewer channels.
 pub fn read_two_channels(path: impl AsRef<Path>) -> Result<Plane<Vec2>> {
     let path = path.as_ref();
     let mut image = open_linear(path)?;
@@ -195,6 +204,9 @@ const TWO: &[&CStr] = &[c"R", c"G"];
 
 /// Writes linear RGB in half precision. Returns how many values beyond ±65,504 were clamped; values
 /// that are not finite are an error and nothing is written.
+///
+/// # Errors
+/// If the file system refuses, or a value is not finite.
 pub fn write_rgb_half(path: impl AsRef<Path>, plane: &RgbPlane) -> Result<usize> {
     write_half(
         path.as_ref(),
@@ -206,6 +218,9 @@ pub fn write_rgb_half(path: impl AsRef<Path>, plane: &RgbPlane) -> Result<usize>
 }
 
 /// Writes linear RGB in single precision; values that are not finite are an error.
+///
+/// # Errors
+/// If the file system refuses, or a value is not finite.
 pub fn write_rgb_float(path: impl AsRef<Path>, plane: &RgbPlane) -> Result<()> {
     write_float(
         path.as_ref(),
@@ -217,16 +232,25 @@ pub fn write_rgb_float(path: impl AsRef<Path>, plane: &RgbPlane) -> Result<()> {
 }
 
 /// Writes one channel in half precision; as [`write_rgb_half`].
+///
+/// # Errors
+/// If the file system refuses, or a value is not finite.
 pub fn write_plane_half(path: impl AsRef<Path>, plane: &Plane<f32>) -> Result<usize> {
     write_half(path.as_ref(), plane.width, plane.height, GREY, &plane.data)
 }
 
 /// Writes one channel in single precision; values that are not finite are an error.
+///
+/// # Errors
+/// If the file system refuses, or a value is not finite.
 pub fn write_plane_float(path: impl AsRef<Path>, plane: &Plane<f32>) -> Result<()> {
     write_float(path.as_ref(), plane.width, plane.height, GREY, &plane.data)
 }
 
 /// Writes two channels, called R and G, in half precision; as [`write_rgb_half`].
+///
+/// # Errors
+/// If the file system refuses, or a value is not finite.
 pub fn write_two_channels_half(path: impl AsRef<Path>, plane: &Plane<Vec2>) -> Result<usize> {
     write_half(
         path.as_ref(),
@@ -239,6 +263,9 @@ pub fn write_two_channels_half(path: impl AsRef<Path>, plane: &Plane<Vec2>) -> R
 
 /// Writes two channels, called R and G, in single precision; values that are not finite are an
 /// error.
+///
+/// # Errors
+/// If the file system refuses, or a value is not finite.
 pub fn write_two_channels_float(path: impl AsRef<Path>, plane: &Plane<Vec2>) -> Result<()> {
     write_float(
         path.as_ref(),

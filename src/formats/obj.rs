@@ -7,6 +7,9 @@ use glam::{DVec3, Vec2, Vec3};
 use std::path::Path;
 
 /// Geometry of an OBJ file from its bytes; materials are ignored.
+///
+/// # Errors
+/// If the text is damaged, an index has no vertex, or there are no triangles.
 pub fn mesh_from_obj(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     let options = tobj::LoadOptions {
         triangulate: true,

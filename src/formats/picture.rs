@@ -15,11 +15,17 @@ pub fn srgb8_from_linear(linear: f32) -> u8 {
 }
 
 /// PNG bytes of 8-bit RGB pixels, row-major.
+///
+/// # Errors
+/// If the bytes do not match the size.
 pub fn encode_rgb8(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> {
     encode(width, height, rgb, png::ColorType::Rgb)
 }
 
 /// PNG bytes of 8-bit grey pixels, row-major.
+///
+/// # Errors
+/// If the bytes do not match the size.
 pub fn encode_grey8(width: usize, height: usize, grey: &[u8]) -> Result<Vec<u8>> {
     encode(width, height, grey, png::ColorType::Grayscale)
 }

@@ -71,6 +71,9 @@ impl PropertyAccess for Element {
 }
 
 /// Geometry of a PLY file from its bytes.
+///
+/// # Errors
+/// If the header or the data are damaged, an index has no vertex, or there are no triangles.
 pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     let fail = |m: String| Error::input(path, format!("{m}; export the mesh again"));
     let parser = Parser::<Element>::new();

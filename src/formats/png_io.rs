@@ -78,6 +78,9 @@ fn expect_png(path: &Path, what: &str) -> Result<()> {
 }
 
 /// Reads ids: greyscale of up to 16 bits as stored, or the indices of a palette.
+///
+/// # Errors
+/// If the file cannot be read, is no PNG, or has colours.
 pub fn read_labels(path: impl AsRef<Path>) -> Result<Plane<u16>> {
     let path = path.as_ref();
     expect_png(path, "ids per pixel")?;
@@ -116,6 +119,9 @@ pub fn read_labels(path: impl AsRef<Path>) -> Result<Plane<u16>> {
 }
 
 /// Writes ids as a 16-bit greyscale PNG.
+///
+/// # Errors
+/// If the file system refuses.
 pub fn write_png16(path: impl AsRef<Path>, plane: &Plane<u16>) -> Result<()> {
     let bytes: Vec<u8> = plane.data.iter().flat_map(|v| v.to_be_bytes()).collect();
     write_png(
@@ -129,6 +135,9 @@ pub fn write_png16(path: impl AsRef<Path>, plane: &Plane<u16>) -> Result<()> {
 }
 
 /// Writes 8-bit greyscale.
+///
+/// # Errors
+/// If the file system refuses.
 pub fn write_png8(path: impl AsRef<Path>, plane: &Plane<u8>) -> Result<()> {
     write_png(
         path.as_ref(),
@@ -141,6 +150,9 @@ pub fn write_png8(path: impl AsRef<Path>, plane: &Plane<u8>) -> Result<()> {
 }
 
 /// Writes 8-bit RGB, three bytes per pixel.
+///
+/// # Errors
+/// If the file system refuses, or the bytes do not match the size.
 pub fn write_png_rgb8(
     path: impl AsRef<Path>,
     width: usize,
@@ -183,6 +195,9 @@ fn write_png(
 
 /// Reads a display-referred PNG or JPEG and undoes the sRGB curve; transparency and colour profiles
 /// are ignored.
+///
+/// # Errors
+/// If the file cannot be read, is damaged, or is of another format.
 pub fn read_ldr(path: impl AsRef<Path>) -> Result<RgbPlane> {
     let path = path.as_ref();
     match sniff(path)? {

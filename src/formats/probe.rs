@@ -6,6 +6,9 @@ use crate::Result;
 use std::path::Path;
 
 /// Size, channels and format of an image, from its header alone.
+///
+/// # Errors
+/// If the file cannot be read or its header is damaged.
 pub fn image_info(path: impl AsRef<Path>) -> Result<ImageInfo> {
     let path = path.as_ref();
     match sniff(path)? {

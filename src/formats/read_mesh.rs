@@ -6,6 +6,9 @@ use crate::{Error, Result};
 use std::path::Path;
 
 /// Reads a mesh; the extension decides the format (`.glb`, `.gltf`, `.obj`, `.ply`).
+///
+/// # Errors
+/// If the file cannot be read, is damaged, or its extension is none of these.
 pub fn read_mesh(path: &Path) -> Result<RawMesh> {
     let extension = path
         .extension()

@@ -50,6 +50,9 @@ pub fn shown_views(scene: &Scene) -> Vec<&View> {
 ///
 /// `views` are pictures already taken (an evaluation takes them on its way, with ground truth);
 /// views that should be shown and are not among them are rendered here.
+///
+/// # Errors
+/// If a view cannot be read or rendered, or `folder` cannot be written to.
 pub fn write_report(
     folder: &Path,
     scene: &Scene,

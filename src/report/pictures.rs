@@ -66,6 +66,9 @@ pub struct Photographer<'a> {
 impl<'a> Photographer<'a> {
     /// Prepares for the views of `scene`; the exposure of all pictures is chosen from its first
     /// photograph.
+    ///
+    /// # Errors
+    /// If the ray structure cannot be built or the first photograph cannot be read.
     pub fn new(scene: &'a Scene, solution: &'a Solution) -> Result<Self> {
         let gain = match scene.views.first() {
             Some(view) => display_gain(&scene.load_radiance(view)?),
@@ -89,6 +92,9 @@ impl<'a> Photographer<'a> {
     }
 
     /// The pictures of one view from its rendering (at any size of the view's aspect).
+    ///
+    /// # Errors
+    /// If the photograph or its labels cannot be read.
     pub fn view(
         &self,
         view: &View,

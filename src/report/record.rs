@@ -161,6 +161,9 @@ impl RunRecord {
     }
 
     /// Writes `manifest.json` into `folder`.
+    ///
+    /// # Errors
+    /// If the folder cannot be written to.
     pub fn write_manifest(&self, folder: &Path) -> Result<()> {
         let path = folder.join("manifest.json");
         let json = serde_json::to_vec_pretty(self)
@@ -178,6 +181,9 @@ impl RunRecord {
 
 /// Hashes every file a scene consists of: `transforms.json`, the mesh, images, labels and masks;
 /// never anything under `gt/`.
+///
+/// # Errors
+/// If a file cannot be read.
 pub fn hash_inputs(scene: &Scene) -> Result<Vec<InputFile>> {
     use rayon::prelude::*;
     let transforms = scene.folder.join("transforms.json");

@@ -18,6 +18,9 @@ impl Scene {
     /// Pixels are not decoded, only the image headers are read; class ids are gathered from the
     /// label images if the file declares none. All problems are reported at once as
     /// [`Error::Inputs`].
+    ///
+    /// # Errors
+    /// Everything that is wrong with the scene at once, each with its file and place.
     pub fn load(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Self> {
         let path = path.as_ref();
         let file = if path.is_dir() {

@@ -40,6 +40,9 @@ const CREASE_DEGREES: f32 = 40.0;
 
 /// Validates and completes a mesh; returns it with its origin (file coordinates, y-up) and what was
 /// done.
+///
+/// # Errors
+/// If no triangle of the mesh can be used, or it cannot be unwrapped.
 pub fn prepare_mesh(
     mut raw: RawMesh,
     path: &Path,

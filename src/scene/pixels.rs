@@ -21,11 +21,17 @@ pub struct PixelStats {
 impl Scene {
     /// The view's radiance, exposure applied. NaN and infinite pixels are an error unless masked
     /// (see [`Scene::load_mask`]).
+    ///
+    /// # Errors
+    /// If the image cannot be read, does not fit the view, or holds such pixels.
     pub fn load_radiance(&self, view: &View) -> Result<RgbPlane> {
         self.load_radiance_with_stats(view).map(|(image, _)| image)
     }
 
     /// [`Scene::load_radiance`] with a count of what was mended.
+    ///
+    /// # Errors
+    /// As [`Scene::load_radiance`].
     pub fn load_radiance_with_stats(&self, view: &View) -> Result<(RgbPlane, PixelStats)> {
         let path = &view.image_path;
         let mut image = self.read_image(view)?;
@@ -75,6 +81,9 @@ impl Scene {
     }
 
     /// The view's class ids at the resolution of the file; `None` without labels. 0 is unlabelled.
+    ///
+    /// # Errors
+    /// If the file cannot be read, does not fit the view, or names an undeclared class.
     pub fn load_labels(&self, view: &View) -> Result<Option<Plane<u16>>> {
         let Some(path) = &view.label_path else {
             return Ok(None);
@@ -105,6 +114,9 @@ impl Scene {
     /// Which pixels of the view may be used (`true`), at the image's size; `None` if all may.
     ///
     /// Joins the mask file and, with `clamp_nan`, the pixels that are not finite.
+    ///
+    /// # Errors
+    /// If the file cannot be read or does not fit the view.
     pub fn load_mask(&self, view: &View) -> Result<Option<Plane<bool>>> {
         let mask = self.read_mask(view)?;
         if !self.options.clamp_nan {

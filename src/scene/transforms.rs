@@ -107,6 +107,9 @@ const RIGID_TOLERANCE: f64 = 1e-3;
 
 /// Reads the text of a `transforms.json`; on failure every problem found, each naming its place and
 /// the cure.
+///
+/// # Errors
+/// All problems, each naming its place and the cure.
 pub fn parse_transforms(text: &str) -> Result<Transforms, Vec<String>> {
     match parse_usable(text)? {
         (transforms, issues) if issues.is_empty() => Ok(transforms),

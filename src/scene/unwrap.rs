@@ -23,6 +23,9 @@ const MAX_SIDE: u32 = 16_384;
 ///
 /// Vertices along chart borders are duplicated; triangles keep their order. The same mesh gives the
 /// same atlas for any number of threads.
+///
+/// # Errors
+/// If the mesh cannot be flattened into an atlas of that size.
 pub fn unwrap_mesh(
     mesh: &Mesh,
     resolution: u32,

@@ -63,6 +63,9 @@ const LINEAR_MIPMAP_LINEAR: u32 = 9987;
 const CLAMP_TO_EDGE: u32 = 33071;
 
 /// The bytes of `scene.glb`.
+///
+/// # Errors
+/// If the mesh has no triangles, a texture cannot be encoded, or the file would exceed 4 GiB.
 pub fn scene_glb(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
     let mesh = &solution.mesh;
     if mesh.triangles.is_empty() || mesh.positions.is_empty() {

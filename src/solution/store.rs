@@ -46,6 +46,9 @@ pub struct SaveOptions {
 
 impl Solution {
     /// Writes the files of docs/outputs.md into `folder`, creating it if need be: all or none.
+    ///
+    /// # Errors
+    /// If the folder cannot be written to; what was there before then stays.
     pub fn save(&self, folder: &Path, options: &SaveOptions) -> Result<()> {
         self.check_finite()?;
         let aside = AsideFolder::new(folder)?;
@@ -83,6 +86,9 @@ impl Solution {
 
     /// Reads what [`Solution::save`] wrote. Textures come back at file precision (half), the mesh
     /// bit for bit.
+    ///
+    /// # Errors
+    /// If a file is missing, damaged, or does not fit the others.
     pub fn load(folder: &Path) -> Result<Self> {
         if !folder.is_dir() {
             return Err(Error::input(

@@ -91,6 +91,9 @@ fn photograph(
 }
 
 /// Makes an apartment and writes its scene folder (docs/scene-format.md), whole or not at all.
+///
+/// # Errors
+/// If an option is out of range, or the folder cannot be written to.
 pub fn generate(
     options: &SynthOptions,
     out_folder: &Path,

@@ -44,6 +44,9 @@ pub struct Described<'a> {
 
 impl FolderWriter {
     /// Begins a folder; refuses to replace one that `unbake synth` did not write.
+    ///
+    /// # Errors
+    /// If the folder holds something else or cannot be written to.
     pub fn new(target: &Path) -> Result<Self> {
         let occupied = target.is_file()
             || fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_some());
@@ -91,6 +94,9 @@ impl FolderWriter {
     }
 
     /// Writes a view's image, labels and ground truth.
+    ///
+    /// # Errors
+    /// If the file system refuses.
     pub fn view(&self, stem: &str, frame: &Frame, image: &RgbPlane) -> Result<()> {
         // emission counts where the pixel's centre is on a lamp: a pixel that a lamp only touches
         // has another class
@@ -132,6 +138,9 @@ impl FolderWriter {
     }
 
     /// Writes everything that is not a view's.
+    ///
+    /// # Errors
+    /// If the file system refuses.
     pub fn scene(&self, d: &Described<'_>) -> Result<()> {
         self.write("mesh.glb", &glb::glb(d.mesh))?;
         formats::write_rgb_half(
@@ -150,6 +159,9 @@ impl FolderWriter {
     }
 
     /// Moves the finished folder into place.
+    ///
+    /// # Errors
+    /// If the file system refuses.
     pub fn finish(self, summary: &SynthSummary) -> Result<()> {
         let text =
             serde_json::to_value(summary).map_err(|e| Error::Failed(format!("{MARK}: {e}")))?;

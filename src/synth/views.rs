@@ -24,6 +24,9 @@ const CLEARANCES: [f32; 4] = [0.45, 0.35, 0.25, 0.15];
 const CANDIDATES: usize = 200;
 
 /// Places all cameras, taking turns among the rooms and spreading the held-out ones evenly.
+///
+/// # Errors
+/// If there are more views than places.
 pub fn place(apartment: &Apartment, options: &SynthOptions) -> Result<Vec<SynthView>> {
     let mut placed: Vec<(usize, Vec2)> = Vec::new();
     let mut views = Vec::new();

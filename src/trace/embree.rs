@@ -27,6 +27,9 @@ impl EmbreeTracer {
     /// Triangles with a corner that is not finite (or beyond 1e12) are never hit ([`Self::skipped`]
     /// counts them), nor are those of zero area. An empty mesh is never hit. A vertex index out of
     /// range is an error.
+    ///
+    /// # Errors
+    /// If a vertex index is out of range, or Embree is missing or refuses the scene.
     pub fn new(mesh: &Mesh) -> Result<Self> {
         let count = mesh.positions.len();
         if let Some((t, tri)) = mesh

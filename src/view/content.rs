@@ -323,6 +323,9 @@ impl Content {
     }
 
     /// The photograph of a camera, or why there is none.
+    ///
+    /// # Errors
+    /// If the photograph cannot be read.
     pub fn photograph(&self, camera: usize, cap: usize) -> Result<Option<Arc<Vec<u8>>>> {
         let Some(scene) = self.scene.as_ref().filter(|s| camera < s.views.len()) else {
             return Ok(None);

@@ -151,6 +151,9 @@ fn reason(status: u16) -> &'static str {
 /// Understands a request head (without the empty line at its end), or says how to refuse it.
 ///
 /// `hosts` are the values of `Host` under which this server may be addressed, in lower case.
+///
+/// # Errors
+/// The answer that refuses the request.
 pub fn parse(head: &[u8], hosts: &[String]) -> Result<Request, Response> {
     let refuse = |status, message: &str| Err(Response::text(status, message));
     let Ok(head) = std::str::from_utf8(head) else {

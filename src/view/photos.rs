@@ -53,11 +53,17 @@ impl<K: PartialEq + Copy, V> Recent<K, V> {
 
 impl Photos {
     /// The pixels of view `i`.
+    ///
+    /// # Errors
+    /// If the photograph cannot be read.
     pub fn pixels(&self, scene: &Scene, i: usize) -> Result<Arc<RgbPlane>> {
         self.pixels.get(i, || scene.load_radiance(&scene.views[i]))
     }
 
     /// The photograph of view `i` as a panorama in its camera's axes, packed for the page.
+    ///
+    /// # Errors
+    /// If the photograph cannot be read.
     pub fn packed(&self, scene: &Scene, i: usize, cap: usize, scale: f32) -> Result<Arc<Vec<u8>>> {
         self.packed.get((i, cap), || {
             let pixels = self.pixels(scene, i)?;

@@ -18,6 +18,9 @@ use super::context::Context;
 use crate::error::{Error, Result};
 
 /// Runs one verb and returns the exit code of a run that did not fail.
+///
+/// # Errors
+/// Those of the verb: wrong usage, unusable input, or a failed run.
 pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
     match verb {
         Verb::Synth { out, .. } => synth::synthesise(required(out)?, context),

@@ -1,6 +1,7 @@
 //! `unbake completions SHELL` and `unbake man`: what shells and `man` know of the command line.
 
-use super::super::{Cli, Context, print};
+use crate::cli::args::Cli;
+use crate::cli::context::{Context, print};
 use crate::error::{Error, Result};
 use crate::formats::atomic_write;
 use clap::CommandFactory;
@@ -8,14 +9,14 @@ use clap_complete::Shell;
 use std::path::Path;
 
 /// Prints the completion script of a shell.
-pub(in crate::cli) fn completions(shell: Shell) -> Result<()> {
+pub(crate) fn completions(shell: Shell) -> Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(shell, &mut Cli::command(), "unbake", &mut script);
     print(&String::from_utf8_lossy(&script))
 }
 
 /// Prints the manual page or, with a folder, writes one for the program and one for every verb.
-pub(in crate::cli) fn manual(to: Option<&Path>, context: &Context) -> Result<()> {
+pub(crate) fn manual(to: Option<&Path>, context: &Context) -> Result<()> {
     let mut command = Cli::command();
     command.build(); // gives the verbs their full names and the global options
     let Some(folder) = to else {
