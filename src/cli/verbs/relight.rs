@@ -131,10 +131,10 @@ fn compare_relit(
         let groups = &solution.lamps;
         let mut lighting = lighting.clone();
         if k == 1 {
-            lighting.by_place(&own);
+            lighting.by_place(own);
         }
         let mut world = World::new(solution);
-        lighting.apply(&mut world, &groups)?;
+        lighting.apply(&mut world, groups)?;
         let stage = Stage::new(&mut world)?;
         let settings = TraceSettings {
             tracer: PathTracerOptions {
