@@ -3,7 +3,7 @@
 
 use glam::{DVec3, Mat3};
 use unbake::formats::write_rgb_float;
-use unbake::render::{LampChange, lamp_groups};
+use unbake::render::LampChange;
 use unbake::trace::EmbreeTracer;
 use unbake::{
     Camera, Lighting, PathTracer, PathTracerOptions, Progress, Projection, Solution, World,
@@ -22,7 +22,7 @@ fn main() -> unbake::Result<()> {
 
     let solution = Solution::load(out.as_ref())?;
     let mut world = World::new(&solution);
-    let lamps = lamp_groups(&world, solution.origin);
+    let lamps = &solution.lamps;
     let change = Lighting {
         lamps: vec![
             LampChange {
@@ -37,7 +37,7 @@ fn main() -> unbake::Result<()> {
         ],
         ..Lighting::default()
     };
-    change.apply(&mut world, &lamps)?;
+    change.apply(&mut world, lamps)?;
 
     let embree = EmbreeTracer::new(world.mesh())?;
     let options = PathTracerOptions::default();

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 /// How a photograph maps directions to pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Optics {
-    /// Full panorama of design §1.1.
+    /// Full panorama of docs/scene-format.md.
     Panorama,
     /// Perspective with OpenCV's k1 k2 p1 p2: what the solver models itself.
     Perspective(Perspective),

@@ -1,4 +1,4 @@
-//! `unbake prepare`: from what devices and programs export to a scene folder (design §1.1).
+//! `unbake prepare`: from what devices and programs export to a scene folder (docs/scene-format.md).
 //!
 //! One [`Importer`] per source, found by looking at the folder; it returns a [`Capture`] (posed
 //! photographs, a surface, rooms) and writes into an [`Account`] what it read, converted and
