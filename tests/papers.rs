@@ -152,8 +152,7 @@ fn files_that_architecture_names_exist() {
         if name.ends_with(".rs") {
             named += 1;
             let beside = root().join("src").join(name);
-            let moved = table.contains(" or `") && name.starts_with("pipeline/");
-            assert!(beside.exists() || moved, "docs/architecture.md: src/{name}");
+            assert!(beside.exists(), "docs/architecture.md: src/{name}");
         }
     }
     assert!(named > 15);
