@@ -5,6 +5,7 @@
 //! are not finite.
 
 mod exr_header;
+mod glb;
 pub mod gltf;
 mod image_format;
 mod image_io;
@@ -21,6 +22,7 @@ mod whole;
 #[cfg(test)]
 mod tests;
 
+pub use glb::GlbWriter;
 pub use image_format::{ImageFormat, ImageInfo};
 pub use image_io::{
     read_plane, read_rgb, read_two_channels, write_plane_float, write_plane_half, write_rgb_float,

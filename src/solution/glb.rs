@@ -9,7 +9,7 @@
 use super::Solution;
 use crate::brdf::Reflectance;
 use crate::error::{Error, Result};
-use crate::formats::{encode_rgb8, encode_webp8, srgb8_from_linear};
+use crate::formats::{GlbWriter, encode_rgb8, encode_webp8, srgb8_from_linear};
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
 use glam::{DVec3, Vec2, Vec3};
@@ -54,13 +54,19 @@ impl Default for GlbOptions {
     }
 }
 
-const FLOAT: u32 = 5126;
-const UNSIGNED_INT: u32 = 5125;
-const ARRAY_BUFFER: u32 = 34962;
-const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 const LINEAR: u32 = 9729;
 const LINEAR_MIPMAP_LINEAR: u32 = 9987;
 const CLAMP_TO_EDGE: u32 = 33071;
+
+/// The textures of a file, encoded.
+struct Pictures {
+    /// Name and bytes, in the order of their numbers.
+    images: Vec<(&'static str, Vec<u8>)>,
+    /// What the emissive texture is to be multiplied by, if the scene emits; its number is 2.
+    strength: Option<f32>,
+    /// What the lightmap is to be multiplied by, if there is one; it comes last.
+    lightmap: Option<f32>,
+}
 
 /// The bytes of `scene.glb`.
 ///
@@ -73,6 +79,60 @@ pub fn scene_glb(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
             "scene.glb cannot be written: the mesh has no triangles".into(),
         ));
     }
+    let pictures = encode_pictures(solution, options)?;
+    let mut glb = GlbWriter::default();
+    let indices = glb.triangles(&mesh.triangles);
+    let position = glb.positions(&mesh.positions, mesh.bounds());
+    let normals: Vec<Vec3> = mesh.normals.iter().map(|n| valid_normal(*n)).collect();
+    let normal = glb.vectors(&normals);
+    let uv = glb.uvs(&mesh.uvs);
+    let mut attributes = json!({"POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv});
+    if pictures.lightmap.is_some() {
+        attributes["TEXCOORD_1"] = json!(uv);
+    }
+    let mime = if options.webp {
+        "image/webp"
+    } else {
+        "image/png"
+    };
+    let images: Vec<Value> = pictures
+        .images
+        .iter()
+        .map(
+            |(name, bytes)| json!({"name": name, "mimeType": mime, "bufferView": glb.image(bytes)}),
+        )
+        .collect();
+    let textures: Vec<Value> = (0..images.len())
+        .map(|i| match options.webp {
+            true => json!({"sampler": 0, "extensions": {"EXT_texture_webp": {"source": i}}}),
+            false => json!({"sampler": 0, "source": i}),
+        })
+        .collect();
+    let mut root = json!({
+        "asset": {"version": "2.0", "generator": concat!("unbake ", env!("CARGO_PKG_VERSION"))},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [node(solution.origin, solution.reflectance)],
+        "meshes": [{"name": "scene", "primitives": [
+            {"attributes": attributes, "indices": indices, "material": 0},
+        ]}],
+        "images": images,
+        "textures": textures,
+        "samplers": [{
+            "magFilter": LINEAR,
+            "minFilter": LINEAR_MIPMAP_LINEAR,
+            "wrapS": CLAMP_TO_EDGE,
+            "wrapT": CLAMP_TO_EDGE,
+        }],
+        "materials": [material(&pictures)],
+    });
+    add_lights(&mut root, &options.lights);
+    name_extensions(&mut root, &pictures, options);
+    glb.finish(root)
+}
+
+/// Encodes the textures side by side.
+fn encode_pictures(solution: &Solution, options: &GlbOptions) -> Result<Pictures> {
     let strength = peak(&solution.emission);
     let (base, (orm, emissive)) = rayon::join(
         || base_colour(&solution.albedo, options),
@@ -87,50 +147,23 @@ pub fn scene_glb(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
             )
         },
     );
-    let (base, orm, emissive) = (base?, orm?, emissive?);
-
-    let mut binary = Binary::default();
-    let (low, high) = mesh.bounds();
-    let exact = |v: Vec3| v.as_dvec3().to_array();
-    let count = mesh.positions.len();
-    let indices = binary.accessor(
-        bytemuck::cast_slice(&mesh.triangles),
-        Some(ELEMENT_ARRAY_BUFFER),
-        json!({"componentType": UNSIGNED_INT, "count": mesh.triangles.len() * 3, "type": "SCALAR"}),
-    );
-    let position = binary.accessor(
-        bytemuck::cast_slice(&mesh.positions),
-        Some(ARRAY_BUFFER),
-        json!({"componentType": FLOAT, "count": count, "type": "VEC3", "min": exact(low), "max": exact(high)}),
-    );
-    let normals: Vec<Vec3> = mesh.normals.iter().map(|n| valid_normal(*n)).collect();
-    let vec3 = json!({"componentType": FLOAT, "count": count, "type": "VEC3"});
-    let normal = binary.accessor(bytemuck::cast_slice(&normals), Some(ARRAY_BUFFER), vec3);
-    let vec2 = json!({"componentType": FLOAT, "count": count, "type": "VEC2"});
-    let uv = binary.accessor(bytemuck::cast_slice(&mesh.uvs), Some(ARRAY_BUFFER), vec2);
-
-    let mut pictures = vec![("base colour", base), ("occlusion roughness metallic", orm)];
-    pictures.extend(emissive.map(|e| ("emissive", e)));
-    let lightmap_peak = peak(&solution.irradiance).filter(|_| options.lightmap);
-    if let Some(peak) = lightmap_peak {
-        pictures.push(("lightmap", light_map(&solution.irradiance, peak, options)?));
+    let mut images = vec![
+        ("base colour", base?),
+        ("occlusion roughness metallic", orm?),
+    ];
+    images.extend(emissive?.map(|e| ("emissive", e)));
+    let lightmap = peak(&solution.irradiance).filter(|_| options.lightmap);
+    if let Some(peak) = lightmap {
+        images.push(("lightmap", light_map(&solution.irradiance, peak, options)?));
     }
-    let mime = if options.webp {
-        "image/webp"
-    } else {
-        "image/png"
-    };
-    let images: Vec<Value> = pictures
-        .iter()
-        .map(|(name, bytes)| json!({"name": name, "mimeType": mime, "bufferView": binary.view(bytes, None)}))
-        .collect();
-    let textures: Vec<Value> = (0..images.len())
-        .map(|i| match options.webp {
-            true => json!({"sampler": 0, "extensions": {"EXT_texture_webp": {"source": i}}}),
-            false => json!({"sampler": 0, "source": i}),
-        })
-        .collect();
+    Ok(Pictures {
+        images,
+        strength,
+        lightmap,
+    })
+}
 
+fn material(pictures: &Pictures) -> Value {
     let mut material = json!({
         "name": "reconstruction",
         "doubleSided": true,
@@ -140,61 +173,73 @@ pub fn scene_glb(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
         },
         "occlusionTexture": {"index": 1},
     });
-    let mut root = json!({
-        "asset": {"version": "2.0", "generator": concat!("unbake ", env!("CARGO_PKG_VERSION"))},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [node(solution.origin, solution.reflectance)],
-        "meshes": [{"name": "scene", "primitives": [{
-            "attributes": {"POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv},
-            "indices": indices,
-            "material": 0,
-        }]}],
-        "accessors": binary.accessors,
-        "bufferViews": binary.views,
-        "buffers": [{"byteLength": binary.bytes.len()}],
-        "images": images,
-        "textures": textures,
-        "samplers": [{"magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR, "wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE}],
-    });
-    if let Some(peak) = lightmap_peak {
+    if let Some(peak) = pictures.lightmap {
         // glTF has no lightmap of its own: irradiance = linear texel · intensity
-        let extras = json!({"index": images.len() - 1, "texCoord": 1, "intensity": peak, "quantity": "irradiance"});
-        material["extras"] = json!({"lightmapTexture": extras});
-        root["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_1"] = json!(uv);
+        material["extras"] = json!({"lightmapTexture": {
+            "index": pictures.images.len() - 1,
+            "texCoord": 1,
+            "intensity": peak,
+            "quantity": "irradiance",
+        }});
     }
-    let mut extensions: Vec<&str> = Vec::new();
-    if let Some(strength) = strength {
-        extensions.push("KHR_materials_emissive_strength");
+    if let Some(strength) = pictures.strength {
         material["emissiveTexture"] = json!({"index": 2});
         material["emissiveFactor"] = json!([1.0, 1.0, 1.0]);
         material["extensions"] =
             json!({"KHR_materials_emissive_strength": {"emissiveStrength": f64::from(strength)}});
     }
-    if !options.lights.is_empty() {
-        extensions.push("KHR_lights_punctual");
-        let lights: Vec<Value> = (options.lights.iter())
-            .map(|l| json!({"type": "point", "name": l.name, "color": l.colour, "intensity": l.intensity}))
-            .collect();
-        let lamps = options.lights.iter().enumerate().map(
-            |(i, l)| json!({"name": l.name, "translation": l.position, "extensions": {"KHR_lights_punctual": {"light": i}}}),
-        );
-        let nodes: Vec<Value> = std::iter::once(root["nodes"][0].clone())
-            .chain(lamps)
-            .collect();
-        root["scenes"][0]["nodes"] = json!((0..nodes.len()).collect::<Vec<usize>>());
-        root["nodes"] = json!(nodes);
-        root["extensions"] = json!({"KHR_lights_punctual": {"lights": lights}});
+    material
+}
+
+/// A node per lamp beside the scene's.
+fn add_lights(root: &mut Value, lights: &[PunctualLight]) {
+    if lights.is_empty() {
+        return;
     }
+    let kinds: Vec<Value> = lights
+        .iter()
+        .map(|l| {
+            json!({
+                "type": "point",
+                "name": l.name,
+                "color": l.colour,
+                "intensity": l.intensity,
+            })
+        })
+        .collect();
+    let lamps = lights.iter().enumerate().map(|(i, l)| {
+        json!({
+            "name": l.name,
+            "translation": l.position,
+            "extensions": {"KHR_lights_punctual": {"light": i}},
+        })
+    });
+    let nodes: Vec<Value> = std::iter::once(root["nodes"][0].clone())
+        .chain(lamps)
+        .collect();
+    root["scenes"][0]["nodes"] = json!((0..nodes.len()).collect::<Vec<usize>>());
+    root["nodes"] = json!(nodes);
+    root["extensions"] = json!({"KHR_lights_punctual": {"lights": kinds}});
+}
+
+fn name_extensions(root: &mut Value, pictures: &Pictures, options: &GlbOptions) {
+    let used: Vec<&str> = [
+        (
+            pictures.strength.is_some(),
+            "KHR_materials_emissive_strength",
+        ),
+        (!options.lights.is_empty(), "KHR_lights_punctual"),
+        (options.webp, "EXT_texture_webp"),
+    ]
+    .into_iter()
+    .filter_map(|(uses, name)| uses.then_some(name))
+    .collect();
     if options.webp {
-        extensions.push("EXT_texture_webp");
         root["extensionsRequired"] = json!(["EXT_texture_webp"]);
     }
-    if !extensions.is_empty() {
-        root["extensionsUsed"] = json!(extensions);
+    if !used.is_empty() {
+        root["extensionsUsed"] = json!(used);
     }
-    root["materials"] = json!([material]);
-    container(&root, &binary.bytes)
 }
 
 fn node(origin: DVec3, reflectance: Reflectance) -> Value {
@@ -212,64 +257,6 @@ fn valid_normal(n: Vec3) -> Vec3 {
     } else {
         n.normalize_or(Vec3::Y)
     }
-}
-
-/// The binary chunk while it grows; every view starts at a multiple of four bytes.
-#[derive(Default)]
-struct Binary {
-    bytes: Vec<u8>,
-    views: Vec<Value>,
-    accessors: Vec<Value>,
-}
-
-impl Binary {
-    fn view(&mut self, content: &[u8], target: Option<u32>) -> usize {
-        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
-        let mut view =
-            json!({"buffer": 0, "byteOffset": self.bytes.len(), "byteLength": content.len()});
-        if let Some(target) = target {
-            view["target"] = json!(target);
-        }
-        self.bytes.extend_from_slice(content);
-        self.views.push(view);
-        self.views.len() - 1
-    }
-
-    fn accessor(&mut self, content: &[u8], target: Option<u32>, mut accessor: Value) -> usize {
-        accessor["bufferView"] = json!(self.view(content, target));
-        self.accessors.push(accessor);
-        self.accessors.len() - 1
-    }
-}
-
-/// Wraps JSON and binary into the GLB container: 12-byte header, two chunks padded to four bytes
-/// (spaces, zeros).
-fn container(root: &Value, binary: &[u8]) -> Result<Vec<u8>> {
-    let mut json =
-        serde_json::to_vec(root).map_err(|e| Error::Failed(format!("scene.glb: {e}")))?;
-    json.resize(json.len().next_multiple_of(4), b' ');
-    let padded = binary.len().next_multiple_of(4);
-    let total = 12 + 8 + json.len() + 8 + padded;
-    let word = |n: usize| {
-        u32::try_from(n).map(u32::to_le_bytes).map_err(|_| {
-            Error::Failed(
-                "scene.glb would exceed 4 GiB, the limit of the format; lower the texture size"
-                    .into(),
-            )
-        })
-    };
-    let mut out = Vec::with_capacity(total);
-    out.extend_from_slice(b"glTF");
-    out.extend_from_slice(&2u32.to_le_bytes());
-    out.extend_from_slice(&word(total)?);
-    out.extend_from_slice(&word(json.len())?);
-    out.extend_from_slice(b"JSON");
-    out.extend_from_slice(&json);
-    out.extend_from_slice(&word(padded)?);
-    out.extend_from_slice(b"BIN\0");
-    out.extend_from_slice(binary);
-    out.resize(total, 0);
-    Ok(out)
 }
 
 fn base_colour(albedo: &RgbPlane, options: &GlbOptions) -> Result<Vec<u8>> {

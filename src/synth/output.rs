@@ -142,7 +142,7 @@ impl FolderWriter {
     /// # Errors
     /// If the file system refuses.
     pub fn scene(&self, d: &Described<'_>) -> Result<()> {
-        self.write("mesh.glb", &glb::glb(d.mesh))?;
+        self.write("mesh.glb", &glb::glb(d.mesh)?)?;
         formats::write_rgb_half(
             self.path("gt/albedo_texture.exr"),
             &d.texture.map(|t| t.truncate()),
