@@ -10,7 +10,7 @@ use unbake::brdf::Reflectance;
 use unbake::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
 use unbake::geometry::{Camera, Projection};
 use unbake::image::Plane;
-use unbake::inverse::{AlbedoEstimate, TexelReflectance, Unmixing, estimate_albedo};
+use unbake::inverse::{AlbedoEstimate, Shading, TexelReflectance, Unmixing, estimate_albedo};
 use unbake::progress::Progress;
 use unbake::radiance::{Environment, LightField};
 use unbake::texture::Texels;
@@ -127,10 +127,12 @@ fn bars(label_of_bars: u16, shift: Vec3) -> (f32, f32, usize) {
     let reflectance = TexelReflectance::new(Reflectance::Paper, vec![1.0; texels.len()]);
     let mut albedo: AlbedoEstimate = estimate_albedo(
         &observer(),
-        &specular,
-        &orientation,
         &texels,
-        &irradiance,
+        &orientation,
+        Shading {
+            irradiance: &irradiance,
+            specular: &specular,
+        },
         &reflectance,
         &Progress::silent(),
     );

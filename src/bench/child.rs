@@ -42,27 +42,48 @@ pub struct Outcome {
     pub stages: Vec<(String, f64)>,
 }
 
-impl Runner {
-    /// Prepares a working folder `work` (its parent must exist) with `config`, the TOML text that
-    /// the child processes read.
+/// Where processes of their own work, and what they are told.
+#[derive(Clone, Debug)]
+pub struct Workplace {
+    /// The working folder; its parent must exist.
+    pub folder: PathBuf,
+    /// Whether what the processes write stays.
+    pub keep: bool,
+    /// The TOML text of the configuration that they read.
+    pub config: String,
+}
+
+impl Workplace {
+    /// Makes the working folder of a scene's reconstructions.
     ///
     /// # Errors
     /// A folder that cannot be made or written.
-    pub fn new(scene: &Path, work: &Path, keep: bool, config: &str) -> Result<Self> {
+    pub fn runner(&self, scene: &Path) -> Result<Runner> {
         let exe = std::env::current_exe()
             .map_err(|e| Error::Failed(format!("cannot find this program's own file: {e}")))?;
-        std::fs::create_dir(work).map_err(|e| Error::io(work, e))?;
-        let path = work.join("config.toml");
-        std::fs::write(&path, config).map_err(|e| Error::io(&path, e))?;
-        Ok(Self {
+        std::fs::create_dir(&self.folder).map_err(|e| Error::io(&self.folder, e))?;
+        let path = self.folder.join("config.toml");
+        std::fs::write(&path, &self.config).map_err(|e| Error::io(&path, e))?;
+        Ok(Runner {
             exe,
             scene: scene.to_path_buf(),
-            work: work.to_path_buf(),
+            work: self.folder.clone(),
             config: path,
-            keep,
+            keep: self.keep,
         })
     }
 
+    /// A folder of its own in this one.
+    #[must_use]
+    pub fn within(&self, name: &str) -> Self {
+        Self {
+            folder: self.folder.join(name),
+            ..self.clone()
+        }
+    }
+}
+
+impl Runner {
     /// The folder of the run called `name`.
     #[must_use]
     pub fn folder(&self, name: &str) -> PathBuf {

@@ -7,6 +7,7 @@ use super::{
     irt_oidn, irt_rates, timed,
 };
 use crate::Result;
+use crate::ffi::oidn::Denoiser;
 use crate::pipeline::SolveOptions;
 use crate::progress::Progress;
 use crate::report::{Machine, SceneSummary, Versions, machine, peak_bytes};
@@ -150,27 +151,72 @@ fn measure(
         Some(irt_oidn::open(bench.oidn.as_deref())?)
     };
     let ground = Ground::prepare(scene, options, progress)?;
-    let texels = &ground.light.texels;
     let rays = if bench.full { 2_000_000 } else { 500_000 };
     let rates = progress.stage("rays per second", 4, |p| {
-        irt_rates::measure(
-            &ground,
-            texels,
-            rays,
-            bench.repetitions,
-            bench.export_rays.as_deref(),
-            p,
-        )
+        let export = bench.export_rays.as_deref();
+        irt_rates::measure(&ground, rays, bench.repetitions, export, p)
     })?;
     let Some(denoiser) = denoiser else {
         return Ok(rates_alone(scene, &ground, options, rates));
     };
+    let errors = errors_against_time(&ground, bench, denoiser, progress)?;
+    let growth = if bench.no_growth {
+        Growth::default()
+    } else {
+        grow(&ground, bench, &errors.ours, progress)?
+    };
+    let uniform_2048 = errors
+        .points
+        .iter()
+        .find(|p| p.curve == "uniform" && p.rays == 2048)
+        .cloned();
+    let best = uniform_2048
+        .as_ref()
+        .and_then(|u| sooner(&errors.points, u.seconds, u.relative_rmse));
+    let one_percent = seconds_to_reach(&curve(&errors.points, "uniform"), 0.01)
+        .and_then(|seconds| sooner(&errors.points, seconds, 0.01));
+    Ok(IrtReport {
+        speedup_equal_rmse: best.as_ref().map(|b| b.times),
+        speedup_curve: best.map(|b| b.curve),
+        speedup_one_percent: one_percent.map(|b| b.times),
+        seconds_1024: Some(errors.ours.seconds),
+        relative_rmse_1024: Some(errors.ours.relative_rmse),
+        median_relative_error_1024: Some(errors.ours.median_relative_error),
+        rays_per_texel: Some(errors.ours.rays_per_texel),
+        uniform_2048,
+        reference: Some(errors.reference),
+        points: errors.points,
+        nirf: errors.nirf,
+        oidn: Some(errors.oidn),
+        growth,
+        ..rates_alone(scene, &ground, options, rates)
+    })
+}
+
+/// Error against time of all that is compared.
+struct Errors {
+    reference: Reference,
+    /// The points of all curves.
+    points: Vec<ErrorPoint>,
+    /// The pipeline's at its default samples, also among the points.
+    ours: ErrorPoint,
+    nirf: Option<NirfReport>,
+    oidn: OidnReport,
+}
+
+fn errors_against_time(
+    ground: &Ground,
+    bench: &IrtBench,
+    denoiser: std::result::Result<Denoiser, String>,
+    progress: &Progress,
+) -> Result<Errors> {
+    let texels = &ground.light.texels;
     let reference = progress.stage("reference", 2 * bench.reference_texels as u64, |p| {
-        reference(&ground, texels, bench.reference_texels, p)
+        reference(ground, texels, bench.reference_texels, p)
     });
     let runs = if bench.full { 8192 } else { 4096 };
     let mut points = progress.stage("error against time", 0, |p| {
-        ladders(&ground, texels, &reference, runs, bench.full, p)
+        ladders(ground, texels, &reference, runs, bench.full, p)
     });
     let (r, e) = (
         ground.options.irradiance_rays,
@@ -182,19 +228,16 @@ fn measure(
     } else {
         &[part(10), part(8), part(6), part(4)]
     };
-    let ours = pipeline_point(&ground, texels, &reference, [r, e], progress);
+    let ours = pipeline_point(ground, texels, &reference, [r, e], progress);
     for &o in others {
-        points.push(pipeline_point(&ground, texels, &reference, o, progress));
+        points.push(pipeline_point(ground, texels, &reference, o, progress));
     }
     points.push(ours.clone());
     let oidn = match denoiser {
         Ok(denoiser) => {
-            let (more, oidn) = irt_oidn::measure(
-                (&ground, texels, &reference),
-                &denoiser,
-                &[part(4), [r, e]],
-                progress,
-            )?;
+            let samples = [part(4), [r, e]];
+            let (more, oidn) =
+                irt_oidn::measure(ground, &reference, &denoiser, &samples, progress)?;
             points.extend(more);
             oidn
         }
@@ -204,58 +247,45 @@ fn measure(
         bench
             .target_error
             .iter()
-            .map(|&target| target_point(&ground, &reference, target, progress)),
+            .map(|&target| target_point(ground, &reference, target, progress)),
     );
     let nirf = bench.nirf.map(|epochs| {
         progress.stage("neural irradiance field", u64::from(epochs), |p| {
-            irt_nirf::measure(&ground, texels, &reference, epochs, p)
+            irt_nirf::measure(ground, texels, &reference, epochs, p)
         })
     });
     points.extend(nirf.iter().flat_map(|n| n.checkpoints.iter().cloned()));
-    let growth = if bench.no_growth {
-        Growth::default()
-    } else {
-        grow(&ground, bench, &ours, progress)?
-    };
-    let uniform_2048 = points
-        .iter()
-        .find(|p| p.curve == "uniform" && p.rays == 2048)
-        .cloned();
-    let of =
-        |curve: &str| -> Vec<&ErrorPoint> { points.iter().filter(|p| p.curve == curve).collect() };
-    // how many times sooner than in `seconds` the best of our curves reaches an error
-    let sooner = |seconds: f64, error: f64| {
-        ["mis", "pipeline"]
-            .iter()
-            .filter_map(|&curve| {
-                Some((
-                    seconds / seconds_to_reach(&of(curve), error)?,
-                    curve.to_owned(),
-                ))
-            })
-            .max_by(|a, b| a.0.total_cmp(&b.0))
-    };
-    let best = uniform_2048
-        .as_ref()
-        .and_then(|u| sooner(u.seconds, u.relative_rmse));
-    let one_percent =
-        seconds_to_reach(&of("uniform"), 0.01).and_then(|seconds| sooner(seconds, 0.01));
-    Ok(IrtReport {
-        speedup_equal_rmse: best.as_ref().map(|b| b.0),
-        speedup_curve: best.map(|b| b.1),
-        speedup_one_percent: one_percent.map(|b| b.0),
-        seconds_1024: Some(ours.seconds),
-        relative_rmse_1024: Some(ours.relative_rmse),
-        median_relative_error_1024: Some(ours.median_relative_error),
-        rays_per_texel: Some(ours.rays_per_texel),
-        uniform_2048,
-        reference: Some(reference),
+    Ok(Errors {
+        reference,
         points,
+        ours,
         nirf,
-        oidn: Some(oidn),
-        growth,
-        ..rates_alone(scene, &ground, options, rates)
+        oidn,
     })
+}
+
+fn curve<'a>(points: &'a [ErrorPoint], name: &str) -> Vec<&'a ErrorPoint> {
+    points.iter().filter(|p| p.curve == name).collect()
+}
+
+/// The best of our curves at some error.
+struct Sooner {
+    /// How many times sooner it gets there.
+    times: f64,
+    curve: String,
+}
+
+/// How many times sooner than in `seconds` the best of our curves reaches an error.
+fn sooner(points: &[ErrorPoint], seconds: f64, error: f64) -> Option<Sooner> {
+    ["mis", "pipeline"]
+        .iter()
+        .filter_map(|&name| {
+            Some(Sooner {
+                times: seconds / seconds_to_reach(&curve(points, name), error)?,
+                curve: name.to_owned(),
+            })
+        })
+        .max_by(|a, b| a.times.total_cmp(&b.times))
 }
 
 /// The report with nothing but rays per second.
@@ -515,88 +545,97 @@ impl IrtReport {
     /// # Errors
     /// The drawing library failing.
     pub fn plot(&self) -> Result<String> {
-        let curve = |name: &str| Series {
-            name: name.to_owned(),
-            points: self
-                .points
-                .iter()
-                .filter(|p| p.curve == name)
-                .map(|p| (p.seconds, 100.0 * p.relative_rmse))
-                .collect(),
-            line: true,
-        };
-        let mut names: Vec<&str> = self.points.iter().map(|p| p.curve.as_str()).collect();
-        names.dedup();
-        let mut seen = Vec::new();
-        names.retain(|n| {
-            !seen.contains(n) && {
-                seen.push(*n);
-                true
+        let mut charts = vec![self.error_chart()];
+        if !self.growth.texels.is_empty() {
+            charts.extend(self.growth_charts());
+        }
+        svg(&charts)
+    }
+
+    fn error_chart(&self) -> Chart {
+        let mut names: Vec<&str> = Vec::new();
+        for p in &self.points {
+            if !names.contains(&p.curve.as_str()) {
+                names.push(&p.curve);
             }
-        });
-        let line = |name: &str, points: Vec<(f64, f64)>| Series {
-            name: name.to_owned(),
-            points,
-            line: true,
+        }
+        let points = |name: &str| {
+            curve(&self.points, name)
+                .iter()
+                .map(|p| (p.seconds, 100.0 * p.relative_rmse))
+                .collect()
         };
-        let chart = |title: &str, x: &str, y: &str, series| Chart {
-            title: title.to_owned(),
-            x: x.to_owned(),
-            y: y.to_owned(),
-            log_x: true,
-            log_y: true,
-            series,
-        };
-        let mut charts = vec![chart(
+        log_chart(
             &format!(
                 "{}: irradiance {}², {} threads",
                 self.scene.name, self.irradiance_size, self.threads
             ),
             "seconds for the whole texture",
             "relative RMSE, %",
-            names.iter().map(|n| curve(n)).collect(),
-        )];
+            names.iter().map(|n| line(n, points(n))).collect(),
+        )
+    }
+
+    fn growth_charts(&self) -> [Chart; 3] {
         let g = &self.growth;
-        if !g.texels.is_empty() {
-            let of = |f: fn(&super::TriangleGrowth) -> f64| {
-                g.triangles
-                    .iter()
-                    .map(|t| (t.triangles as f64, f(t) * 1e-6))
-                    .collect()
-            };
-            charts.push(chart(
+        let rates = |rate: fn(&super::TriangleGrowth) -> f64| {
+            g.triangles
+                .iter()
+                .map(|t| (t.triangles as f64, rate(t) * 1e-6))
+                .collect()
+        };
+        let texels = g
+            .texels
+            .iter()
+            .map(|t| (t.texels as f64, t.seconds))
+            .collect();
+        let threads = g
+            .threads
+            .iter()
+            .map(|t| (t.threads as f64, t.rays_per_second * 1e-6))
+            .collect();
+        [
+            log_chart(
                 "Growth with triangles: the same rays",
                 "triangles",
                 "Mray/s",
                 vec![
-                    line("closest hit", of(|t| t.closest_per_second)),
-                    line("bare closest hit", of(|t| t.bare_closest_per_second)),
-                    line("occlusion", of(|t| t.occluded_per_second)),
+                    line("closest hit", rates(|t| t.closest_per_second)),
+                    line("bare closest hit", rates(|t| t.bare_closest_per_second)),
+                    line("occlusion", rates(|t| t.occluded_per_second)),
                 ],
-            ));
-            let texels = g
-                .texels
-                .iter()
-                .map(|t| (t.texels as f64, t.seconds))
-                .collect();
-            charts.push(chart(
+            ),
+            log_chart(
                 "Growth with texels: the pipeline's bake",
                 "covered texels",
                 "seconds",
                 vec![line("bake", texels)],
-            ));
-            let threads = g
-                .threads
-                .iter()
-                .map(|t| (t.threads as f64, t.rays_per_second * 1e-6))
-                .collect();
-            charts.push(chart(
+            ),
+            log_chart(
                 "Growth with threads: cosine bake",
                 "threads",
                 "Mray/s",
                 vec![line("cosine", threads)],
-            ));
-        }
-        svg(&charts)
+            ),
+        ]
+    }
+}
+
+fn line(name: &str, points: Vec<(f64, f64)>) -> Series {
+    Series {
+        name: name.to_owned(),
+        points,
+        line: true,
+    }
+}
+
+fn log_chart(title: &str, x: &str, y: &str, series: Vec<Series>) -> Chart {
+    Chart {
+        title: title.to_owned(),
+        x: x.to_owned(),
+        y: y.to_owned(),
+        log_x: true,
+        log_y: true,
+        series,
     }
 }

@@ -40,24 +40,30 @@ pub struct ErrorPoint {
     pub median_relative_error: f64,
 }
 
-impl ErrorPoint {
-    /// A bake of the whole texture: `value(i)` is the irradiance of texel i, `rays` were traced for
-    /// `texels` texels.
-    pub(super) fn of_whole(
-        (curve, samples): (String, [u32; 2]),
-        reference: &Reference,
-        value: impl Fn(usize) -> Vec3,
-        (rays, texels): (u64, usize),
-        seconds: f64,
-    ) -> Self {
-        let value: Vec<Vec3> = reference.ids.iter().map(|&i| value(i)).collect();
-        let (relative_rmse, median_relative_error) = relative_errors(&value, &reference.value);
-        Self {
-            curve,
-            rays: samples[0],
-            emitter_samples: samples[1],
-            rays_per_texel: rays as f64 / texels.max(1) as f64,
-            seconds,
+/// A bake of the whole texture.
+pub(super) struct WholeBake {
+    /// Curve that it belongs to.
+    pub curve: String,
+    /// Hemisphere rays and emitter samples per texel asked for; 0 where a target chose them.
+    pub samples: [u32; 2],
+    /// Rays traced.
+    pub rays: u64,
+    /// Texels they were traced for.
+    pub texels: usize,
+    /// Seconds it took.
+    pub seconds: f64,
+}
+
+impl WholeBake {
+    /// Its point, from the irradiance that it gives the reference's texels.
+    pub(super) fn point(self, value: &[Vec3], reference: &Reference) -> ErrorPoint {
+        let (relative_rmse, median_relative_error) = relative_errors(value, &reference.value);
+        ErrorPoint {
+            curve: self.curve,
+            rays: self.samples[0],
+            emitter_samples: self.samples[1],
+            rays_per_texel: self.rays as f64 / self.texels.max(1) as f64,
+            seconds: self.seconds,
             measured_whole: true,
             relative_rmse,
             median_relative_error,
@@ -86,6 +92,19 @@ pub struct Reference {
     /// E per texel.
     #[serde(skip)]
     pub value: Vec<Vec3>,
+}
+
+impl Reference {
+    /// The values of the reference's texels among those of all texels.
+    pub(super) fn at_ids(&self, values: &[Vec3]) -> Vec<Vec3> {
+        self.ids.iter().map(|&i| values[i]).collect()
+    }
+
+    /// The values of the reference's texels among those of all cells of the texture.
+    pub(super) fn at_cells(&self, texels: &Texels, values: &[Vec3]) -> Vec<Vec3> {
+        let cell = |&i: &usize| values[texels.cell[i] as usize];
+        self.ids.iter().map(cell).collect()
+    }
 }
 
 /// Bakes the reference at `count` texels that some view sees.
@@ -254,14 +273,14 @@ pub(super) fn pipeline_point(
             progress,
         )
     });
-    let curve = ("pipeline".to_owned(), [rays, emitter_samples]);
-    ErrorPoint::of_whole(
-        curve,
-        reference,
-        |i| baked.value[i],
-        (baked.rays, texels.len()),
+    let bake = WholeBake {
+        curve: "pipeline".to_owned(),
+        samples: [rays, emitter_samples],
+        rays: baked.rays,
+        texels: texels.len(),
         seconds,
-    )
+    };
+    bake.point(&reference.at_ids(&baked.value), reference)
 }
 
 /// The bake that `unbake solve --target-error` chooses: the error it reaches, and the time of all
@@ -278,14 +297,15 @@ pub(super) fn target_point(
         ..ground.options.clone()
     };
     let (light, seconds) = timed(|| reconstruct_light(&ground.surface, &options, progress));
-    let value = |i: usize| light.irradiance.data[light.texels.cell[i] as usize];
-    ErrorPoint::of_whole(
-        (format!("target {target}"), [0, 0]),
-        reference,
-        value,
-        (light.rays, light.texels.len()),
+    let bake = WholeBake {
+        curve: format!("target {target}"),
+        samples: [0, 0],
+        rays: light.rays,
+        texels: light.texels.len(),
         seconds,
-    )
+    };
+    let value = reference.at_cells(&light.texels, &light.irradiance.data);
+    bake.point(&value, reference)
 }
 
 /// Seconds at which a curve reaches `error`, by straight lines between its points in the logarithms

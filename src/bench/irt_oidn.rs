@@ -5,12 +5,12 @@
 //! them filled. Seconds are the bake's and the filter's; loading the library is not among them, as
 //! loading Embree is not among ours.
 
+use super::irt_error::WholeBake;
 use super::{ErrorPoint, Ground, Reference, timed};
 use crate::error::{Error, Result};
 use crate::ffi::oidn::Denoiser;
 use crate::pipeline::{SolveOptions, bake_irradiance_texels, texture_of};
 use crate::progress::Progress;
-use crate::texture::Texels;
 use serde::Serialize;
 use std::path::Path;
 
@@ -67,11 +67,13 @@ pub(super) fn open(file: Option<&Path>) -> Result<std::result::Result<Denoiser, 
 /// # Errors
 /// The library failing.
 pub(super) fn measure(
-    (ground, texels, reference): (&Ground, &Texels, &Reference),
+    ground: &Ground,
+    reference: &Reference,
     denoiser: &Denoiser,
     samples: &[[u32; 2]],
     progress: &Progress,
 ) -> Result<(Vec<ErrorPoint>, OidnReport)> {
+    let texels = &ground.light.texels;
     let (mut unfiltered, mut denoised, mut filter_seconds) = (Vec::new(), Vec::new(), Vec::new());
     for &[irradiance_rays, emitter_samples] in samples {
         let options = SolveOptions {
@@ -90,23 +92,17 @@ pub(super) fn measure(
             denoiser.lightmap(texture.width, texture.height, &texture.data)
         });
         let filtered = filtered.map_err(Error::Native)?;
-        let curve = |name: &str| (name.to_owned(), [irradiance_rays, emitter_samples]);
-        let traced = (baked.rays, texels.len());
-        unfiltered.push(ErrorPoint::of_whole(
-            curve("unfiltered"),
-            reference,
-            |i| baked.value[i],
-            traced,
+        let bake = |curve: &str, seconds| WholeBake {
+            curve: curve.to_owned(),
+            samples: [irradiance_rays, emitter_samples],
+            rays: baked.rays,
+            texels: texels.len(),
             seconds,
-        ));
-        let value = |i: usize| filtered[texels.cell[i] as usize];
-        denoised.push(ErrorPoint::of_whole(
-            curve("oidn"),
-            reference,
-            value,
-            traced,
-            seconds + more,
-        ));
+        };
+        let value = reference.at_ids(&baked.value);
+        unfiltered.push(bake("unfiltered", seconds).point(&value, reference));
+        let value = reference.at_cells(texels, &filtered);
+        denoised.push(bake("oidn", seconds + more).point(&value, reference));
         filter_seconds.push(more);
     }
     unfiltered.extend(denoised);

@@ -143,6 +143,10 @@ fn bare_occluded(tracer: &EmbreeTracer, rays: &[Ray]) -> usize {
         .sum()
 }
 
+/// Places of the cosine estimator and of emitter samples alone among the [`candidates`].
+const COSINE: usize = 1;
+const EMITTERS: usize = 3;
+
 /// What is compared: the three estimators, the pipeline's mixture, and emitter samples (almost)
 /// alone.
 fn candidates(ground: &Ground) -> Vec<(String, IrtOptions)> {
@@ -192,32 +196,41 @@ fn candidates(ground: &Ground) -> Vec<(String, IrtOptions)> {
     all
 }
 
-/// Measures every candidate on runs of texels holding about `rays` rays each.
-///
-/// # Errors
-/// Rays that cannot be written.
-pub(super) fn measure(
-    ground: &Ground,
-    texels: &Texels,
-    rays: usize,
-    repetitions: usize,
-    export: Option<&Path>,
-    progress: &Progress,
-) -> Result<Rates> {
-    let tracer = &ground.surface.tracer;
-    let candidates = candidates(ground);
-    let mut out = Rates {
-        repetitions,
-        ..Rates::default()
-    };
-    for (k, (name, options)) in candidates.iter().enumerate() {
-        let per_texel = (options.rays
-            + if options.estimator == Estimator::Mis {
-                options.emitter_samples
-            } else {
-                0
-            }) as usize;
-        let ids = ground.runs(texels, rays / per_texel);
+/// Median seconds of one candidate's tasks.
+struct Seconds {
+    /// The estimator, end to end.
+    estimator: f64,
+    /// Bare loops over its closest-hit and its occlusion rays.
+    bare_closest: f64,
+    bare_occluded: f64,
+    /// Batch queries of the same.
+    closest: f64,
+    occluded: f64,
+    /// The closest-hit rays asked for any hit, by batch query and bare loop: what other programs can
+    /// be compared with.
+    any_hit: f64,
+    bare_any_hit: f64,
+}
+
+/// A candidate's run on a sample of texels.
+struct Race {
+    /// Texels of the sample.
+    texels: usize,
+    closest: Vec<Ray>,
+    occluded: Vec<Ray>,
+    seconds: Seconds,
+}
+
+impl Race {
+    /// Runs a candidate on runs of texels holding about `rays` rays.
+    fn run(ground: &Ground, options: &IrtOptions, rays: usize, repetitions: usize) -> Self {
+        let (texels, tracer) = (&ground.light.texels, &ground.surface.tracer);
+        let emitter_samples = if options.estimator == Estimator::Mis {
+            options.emitter_samples
+        } else {
+            0
+        };
+        let ids = ground.runs(texels, rays / (options.rays + emitter_samples) as usize);
         let (closest, occluded) = rays_of(ground, texels, &ids, options);
         let mut flags = vec![0u8; occluded.len()];
         let mut hits = vec![Hit::miss(); closest.len()];
@@ -238,55 +251,107 @@ pub(super) fn measure(
             }),
             Box::new(|| tracer.closest(&closest, &mut hits)),
             Box::new(|| tracer.occluded(&occluded, &mut flags)),
+            Box::new(|| tracer.occluded(&closest, &mut hidden)),
+            Box::new(|| {
+                black_box(bare_occluded(tracer, &closest));
+            }),
         ];
-        // the same rays asked for any hit: what other programs can be compared with
-        tasks.push(Box::new(|| tracer.occluded(&closest, &mut hidden)));
-        tasks.push(Box::new(|| {
-            black_box(bare_occluded(tracer, &closest));
-        }));
         let seconds = interleaved(repetitions, &mut tasks);
         drop(tasks);
-        let total = closest.len() + occluded.len();
-        let bare = seconds[1] + if occluded.is_empty() { 0.0 } else { seconds[2] };
-        out.estimators.push(EstimatorRate {
-            name: name.clone(),
-            closest_rays: closest.len(),
-            occlusion_rays: occluded.len(),
-            seconds: seconds[0],
+        Self {
+            texels: ids.len(),
+            seconds: Seconds {
+                estimator: seconds[0],
+                bare_closest: seconds[1],
+                bare_occluded: if occluded.is_empty() { 0.0 } else { seconds[2] },
+                closest: seconds[3],
+                occluded: seconds[4],
+                any_hit: seconds[5],
+                bare_any_hit: seconds[6],
+            },
+            closest,
+            occluded,
+        }
+    }
+
+    /// The estimator end to end against the bare loops.
+    fn estimator(&self, name: &str) -> EstimatorRate {
+        let s = &self.seconds;
+        let bare = s.bare_closest + s.bare_occluded;
+        EstimatorRate {
+            name: name.to_owned(),
+            closest_rays: self.closest.len(),
+            occlusion_rays: self.occluded.len(),
+            seconds: s.estimator,
             bare_seconds: bare,
-            rays_per_second: total as f64 / seconds[0],
-            bare_ratio: bare / seconds[0],
-        });
-        let batch = |name: &str, rays: usize, ours: f64, bare: f64| BatchRate {
+            rays_per_second: (self.closest.len() + self.occluded.len()) as f64 / s.estimator,
+            bare_ratio: bare / s.estimator,
+        }
+    }
+
+    /// The batch queries of its closest-hit rays.
+    fn closest_batches(&self) -> [BatchRate; 2] {
+        let (s, rays) = (&self.seconds, self.closest.len());
+        [
+            BatchRate::new("closest hit", rays, s.closest, s.bare_closest),
+            BatchRate::new("any hit, same rays", rays, s.any_hit, s.bare_any_hit),
+        ]
+    }
+
+    /// The batch query of its occlusion rays.
+    fn occlusion_batch(&self) -> BatchRate {
+        let (s, rays) = (&self.seconds, self.occluded.len());
+        BatchRate::new("occlusion", rays, s.occluded, s.bare_occluded)
+    }
+}
+
+impl BatchRate {
+    /// From the seconds of the batch query and of the bare loop.
+    fn new(name: &str, rays: usize, ours: f64, bare: f64) -> Self {
+        Self {
             name: name.to_owned(),
             rays,
             rays_per_second: rays as f64 / ours,
             bare_rays_per_second: rays as f64 / bare,
             bare_ratio: bare / ours,
-        };
+        }
+    }
+}
+
+/// Measures every candidate on runs of texels holding about `rays` rays each.
+///
+/// # Errors
+/// Rays that cannot be written.
+pub(super) fn measure(
+    ground: &Ground,
+    rays: usize,
+    repetitions: usize,
+    export: Option<&Path>,
+    progress: &Progress,
+) -> Result<Rates> {
+    let mut out = Rates {
+        repetitions,
+        ..Rates::default()
+    };
+    for (k, (name, options)) in candidates(ground).iter().enumerate() {
+        let race = Race::run(ground, options, rays, repetitions);
+        let estimator = race.estimator(name);
         match k {
-            1 => {
-                out.closest = bare / seconds[0];
-                out.texels = ids.len();
-                out.batches
-                    .push(batch("closest hit", closest.len(), seconds[3], seconds[1]));
-                out.batches.push(batch(
-                    "any hit, same rays",
-                    closest.len(),
-                    seconds[5],
-                    seconds[6],
-                ));
+            COSINE => {
+                out.closest = estimator.bare_ratio;
+                out.texels = race.texels;
+                out.batches.extend(race.closest_batches());
                 if let Some(folder) = export {
-                    export_rays(folder, &ground.surface.scene.mesh, &closest)?;
+                    export_rays(folder, &ground.surface.scene.mesh, &race.closest)?;
                 }
             }
-            3 => {
-                out.occlusion = Some(bare / seconds[0]);
-                out.batches
-                    .push(batch("occlusion", occluded.len(), seconds[4], seconds[2]));
+            EMITTERS => {
+                out.occlusion = Some(estimator.bare_ratio);
+                out.batches.push(race.occlusion_batch());
             }
             _ => {}
         }
+        out.estimators.push(estimator);
         progress.advance(1);
     }
     Ok(out)

@@ -21,7 +21,7 @@ mod robustness;
 mod tradeoff;
 mod tsdr;
 
-pub use child::{Outcome, Runner};
+pub use child::{Outcome, Runner, Workplace};
 pub use damage::{CONDITIONS, Damage, write_damaged};
 pub use fixture::Ground;
 pub use growth::{Growth, TextureGrowth, ThreadGrowth, TriangleGrowth};

@@ -2,15 +2,14 @@
 //! damaged in a known way, reconstructed in a process of its own and scored against ground truth on
 //! the untouched held-out views.
 
-use super::child::{Outcome, Runner};
-use super::damage::{CONDITIONS, write_damaged};
+use super::child::{Outcome, Workplace};
+use super::damage::{CONDITIONS, Damage, write_damaged};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::report::{Machine, SceneSummary, Versions, machine};
 use crate::scene::Scene;
 use serde::Serialize;
 use std::fmt::Write as _;
-use std::path::Path;
 
 /// What `unbake bench robustness` can be told.
 #[derive(clap::Args, Clone, Debug, Default)]
@@ -27,6 +26,28 @@ pub struct RobustnessBench {
         allow_hyphen_values = true
     )]
     pub solve_flags: String,
+}
+
+impl RobustnessBench {
+    /// The conditions asked for: `clean`, and those whose names hold a part given by `--only`.
+    fn conditions(&self) -> Result<Vec<&'static (&'static str, Damage)>> {
+        for name in &self.only {
+            if !CONDITIONS.iter().any(|c| c.0.contains(name.as_str())) {
+                let known: Vec<&str> = CONDITIONS.iter().map(|c| c.0).collect();
+                return Err(Error::Usage(format!(
+                    "--only {name}: no such condition; there are {}",
+                    known.join(", ")
+                )));
+            }
+        }
+        let asked = |name: &str| {
+            self.only.is_empty() || self.only.iter().any(|o| name.contains(o.as_str()))
+        };
+        Ok(CONDITIONS
+            .iter()
+            .filter(|(name, _)| *name == "clean" || asked(name))
+            .collect())
+    }
 }
 
 /// One condition's result.
@@ -54,8 +75,8 @@ pub struct RobustnessReport {
     pub scene: SceneSummary,
 }
 
-/// Runs the conditions in `work`; `runner(scene, folder)` prepares the processes for a damaged
-/// scene.
+/// Runs the conditions, each with folders of its own in `work`; `each` sees the report after every
+/// one.
 ///
 /// # Errors
 /// An unknown condition, a scene that cannot be copied, or a reconstruction that fails.
@@ -63,28 +84,11 @@ pub fn bench_robustness(
     scene: &Scene,
     bench: &RobustnessBench,
     seed: u64,
-    work: &Path,
-    runner: &dyn Fn(&Path, &Path) -> Result<Runner>,
+    work: &Workplace,
     progress: &Progress,
     each: &mut dyn FnMut(&RobustnessReport) -> Result<()>,
 ) -> Result<RobustnessReport> {
-    for name in &bench.only {
-        if !CONDITIONS.iter().any(|c| c.0.contains(name.as_str())) {
-            let known: Vec<&str> = CONDITIONS.iter().map(|c| c.0).collect();
-            return Err(Error::Usage(format!(
-                "--only {name}: no such condition; there are {}",
-                known.join(", ")
-            )));
-        }
-    }
-    let chosen: Vec<_> = CONDITIONS
-        .iter()
-        .filter(|(name, _)| {
-            *name == "clean"
-                || bench.only.is_empty()
-                || bench.only.iter().any(|o| name.contains(o.as_str()))
-        })
-        .collect();
+    let chosen = bench.conditions()?;
     let flags: Vec<String> = bench
         .solve_flags
         .split_whitespace()
@@ -96,21 +100,21 @@ pub fn bench_robustness(
         machine: machine(),
         scene: SceneSummary::of(scene),
     };
-    std::fs::create_dir_all(work).map_err(|e| Error::io(work, e))?;
+    std::fs::create_dir_all(&work.folder).map_err(|e| Error::io(&work.folder, e))?;
     progress.stage("conditions", chosen.len() as u64, |p| {
         for (name, damage) in chosen {
-            let folder = work.join(format!("scene-{name}"));
+            let folder = work.folder.join(format!("scene-{name}"));
             write_damaged(scene, *damage, seed, &folder)?;
-            let (outcome, notes) =
-                runner(&folder, &work.join(format!("run-{name}")))?.run("out", &flags, |out| {
-                    let record = crate::report::RunRecord::read_manifest(out).unwrap_or_default();
-                    Ok(record
-                        .decisions
-                        .iter()
-                        .map(ToString::to_string)
-                        .chain(record.notes)
-                        .collect())
-                })?;
+            let runner = work.within(&format!("run-{name}")).runner(&folder)?;
+            let (outcome, notes) = runner.run("out", &flags, |out| {
+                let record = crate::report::RunRecord::read_manifest(out).unwrap_or_default();
+                Ok(record
+                    .decisions
+                    .iter()
+                    .map(ToString::to_string)
+                    .chain(record.notes)
+                    .collect())
+            })?;
             report.points.push(RobustnessPoint {
                 condition: (*name).to_owned(),
                 outcome,

@@ -180,90 +180,152 @@ pub fn bench_tradeoff(
         machine: machine(),
         scene: SceneSummary::of(scene),
     };
-    let (presets, knobs): (&[&str], _) = match (bench.needs, bench.quick) {
-        (true, _) => (&["standard"], &[][..]),
-        (false, true) => (&PRESETS, QUICK),
-        (false, false) => (&PRESETS, KNOBS),
-    };
-    let left_out: Vec<&(&str, Flags)> = APPROXIMATIONS
-        .iter()
-        .filter(|_| !bench.needs)
-        .chain(NEEDS)
-        .collect();
-    let turned: usize = knobs.iter().map(|k| k.1.len()).sum();
-    let steps = presets.len() + turned + left_out.len() + knobs.len();
-    progress.stage("reconstructions", steps as u64, |p| {
-        type Knobs = BTreeMap<String, String>;
-        let mut run = |report: &mut TradeoffReport,
-                       kind: &str,
-                       preset: &str,
-                       without: Option<&str>,
-                       knobs: Knobs|
-         -> Result<()> {
-            let mut flags = vec!["--quality".to_owned(), preset.to_owned()];
-            flags.extend(
-                knobs
-                    .iter()
-                    .flat_map(|(k, v)| [format!("--{k}"), v.clone()]),
-            );
-            let name = format!("point-{:03}", report.points.len());
-            let (outcome, irradiance_rmse) = runner.run(&name, &flags, |out| {
-                irradiance_error(out, &places, &report.reference.value)
-            })?;
-            let (preset, without) = (preset.to_owned(), without.map(str::to_owned));
-            let point = TradePoint {
-                preset,
-                knobs,
-                kind: kind.to_owned(),
-                without,
-                outcome,
-                irradiance_rmse,
-                pareto: false,
-            };
-            p.note(point.line(bench.clock));
-            report.points.push(point);
-            mark_pareto(&mut report.points, bench.clock);
-            p.advance(1);
-            each(report)
+    let plan = Plan::of(bench);
+    progress.stage("reconstructions", plan.steps() as u64, |p| {
+        let mut sweep = Sweep {
+            runner,
+            places: &places,
+            progress: p,
+            report: &mut report,
+            each,
         };
-        for preset in presets {
-            run(&mut report, "preset", preset, None, BTreeMap::new())?;
-        }
-        for (knob, values) in knobs {
-            for value in *values {
-                run(
-                    &mut report,
-                    "knob",
-                    "standard",
-                    None,
-                    [((*knob).to_owned(), (*value).to_owned())].into(),
-                )?;
-            }
-        }
-        for (name, flags) in left_out {
-            let knobs = flags
-                .iter()
-                .map(|(k, v)| ((*k).to_owned(), (*v).to_owned()))
-                .collect();
-            run(&mut report, "without", "standard", Some(name), knobs)?;
+        for point in plan.given() {
+            sweep.run(point)?;
         }
         // two changes at least: one alone has been measured
-        for n in 2..=knobs.len() {
-            let path = best_path(&report.points, bench.clock);
+        for n in 2..=plan.knobs.len() {
+            let path = best_path(&sweep.report.points, bench.clock);
             if path.len() < n {
                 break;
             }
-            run(
-                &mut report,
-                "path",
-                "standard",
-                None,
-                path[..n].iter().cloned().collect(),
-            )?;
+            sweep.run(Planned::standard("path", path[..n].iter().cloned()))?;
         }
         Ok::<(), crate::Error>(())
     })?;
     Ok(report)
+}
+
+/// What a run of the benchmark tries.
+struct Plan {
+    presets: &'static [&'static str],
+    knobs: &'static [(&'static str, &'static [&'static str])],
+    left_out: Vec<&'static (&'static str, Flags)>,
+}
+
+impl Plan {
+    fn of(bench: &TradeoffBench) -> Self {
+        let (presets, knobs): (&[&str], _) = match (bench.needs, bench.quick) {
+            (true, _) => (&["standard"], &[][..]),
+            (false, true) => (&PRESETS, QUICK),
+            (false, false) => (&PRESETS, KNOBS),
+        };
+        let left_out = APPROXIMATIONS
+            .iter()
+            .filter(|_| !bench.needs)
+            .chain(NEEDS)
+            .collect();
+        Self {
+            presets,
+            knobs,
+            left_out,
+        }
+    }
+
+    /// Reconstructions at most, the best path's included.
+    fn steps(&self) -> usize {
+        let turned: usize = self.knobs.iter().map(|k| k.1.len()).sum();
+        self.presets.len() + turned + self.left_out.len() + self.knobs.len()
+    }
+
+    /// The points that do not depend on what others show: presets, single knobs, what is left out.
+    fn given(&self) -> Vec<Planned> {
+        let mut points = Vec::new();
+        for preset in self.presets {
+            points.push(Planned {
+                preset: (*preset).to_owned(),
+                ..Planned::standard("preset", [])
+            });
+        }
+        for (knob, values) in self.knobs {
+            for value in *values {
+                let turned = ((*knob).to_owned(), (*value).to_owned());
+                points.push(Planned::standard("knob", [turned]));
+            }
+        }
+        for (name, flags) in &self.left_out {
+            let flags = flags
+                .iter()
+                .map(|(k, v)| ((*k).to_owned(), (*v).to_owned()));
+            points.push(Planned {
+                without: Some((*name).to_owned()),
+                ..Planned::standard("without", flags)
+            });
+        }
+        points
+    }
+}
+
+/// A reconstruction to run: the fields of its [`TradePoint`].
+struct Planned {
+    kind: &'static str,
+    preset: String,
+    without: Option<String>,
+    knobs: BTreeMap<String, String>,
+}
+
+impl Planned {
+    /// From the preset `standard` with some flags.
+    fn standard(kind: &'static str, knobs: impl IntoIterator<Item = (String, String)>) -> Self {
+        Self {
+            kind,
+            preset: "standard".to_owned(),
+            without: None,
+            knobs: knobs.into_iter().collect(),
+        }
+    }
+
+    fn flags(&self) -> Vec<String> {
+        let mut flags = vec!["--quality".to_owned(), self.preset.clone()];
+        for (k, v) in &self.knobs {
+            flags.extend([format!("--{k}"), v.clone()]);
+        }
+        flags
+    }
+}
+
+/// Runs planned points one after another into a report.
+struct Sweep<'a> {
+    runner: &'a Runner,
+    /// Atlas coordinates of the reference's texels.
+    places: &'a [Vec2],
+    progress: &'a Progress,
+    report: &'a mut TradeoffReport,
+    /// Sees the report after every point.
+    each: &'a mut dyn FnMut(&TradeoffReport) -> Result<()>,
+}
+
+impl Sweep<'_> {
+    fn run(&mut self, planned: Planned) -> Result<()> {
+        let report = &mut *self.report;
+        let name = format!("point-{:03}", report.points.len());
+        let (outcome, irradiance_rmse) = self.runner.run(&name, &planned.flags(), |out| {
+            irradiance_error(out, self.places, &report.reference.value)
+        })?;
+        let point = TradePoint {
+            preset: planned.preset,
+            knobs: planned.knobs,
+            kind: planned.kind.to_owned(),
+            without: planned.without,
+            outcome,
+            irradiance_rmse,
+            pareto: false,
+        };
+        self.progress.note(point.line(report.clock));
+        report.points.push(point);
+        mark_pareto(&mut report.points, report.clock);
+        self.progress.advance(1);
+        (self.each)(report)
+    }
 }
 
 /// The reference irradiance and the atlas coordinates of its texels.
@@ -444,91 +506,90 @@ impl TradeoffReport {
     /// # Errors
     /// The drawing library failing.
     pub fn plot(&self) -> Result<String> {
-        type Value = fn(&TradePoint) -> f64;
-        let quantities: [(&str, Value, bool); 6] = [
-            (
-                "albedo PSNR, dB",
-                |p| p.outcome.albedo_psnr.unwrap_or(f64::NAN),
-                false,
-            ),
-            (
-                "roughness PSNR (FIPT), dB",
-                |p| p.outcome.roughness_psnr.unwrap_or(f64::NAN),
-                false,
-            ),
-            (
-                "novel-view PSNR, dB",
-                |p| p.outcome.novel_psnr.unwrap_or(f64::NAN),
-                false,
-            ),
-            (
-                "irradiance relative RMSE, %",
-                |p| 100.0 * p.irradiance_rmse,
-                true,
-            ),
-            ("mean PSNR, dB", TradePoint::quality, false),
-            (
-                "peak memory, GiB",
-                |p| p.outcome.peak_bytes as f64 / (1u64 << 30) as f64,
-                false,
-            ),
-        ];
-        let charts: Vec<Chart> = quantities
-            .iter()
-            .map(|&(name, value, log_y)| {
-                let of = |keep: &dyn Fn(&TradePoint) -> bool| {
-                    let mut points: Vec<_> = self
-                        .points
-                        .iter()
-                        .filter(|p| keep(p))
-                        .map(|p| (p.time(self.clock), value(p)))
-                        .collect();
-                    points.sort_by(|a, b| a.0.total_cmp(&b.0));
-                    points
-                };
-                let series = |name: &str, line, points| Series {
-                    name: name.to_owned(),
-                    points,
-                    line,
-                };
-                let mut all = vec![
-                    series("presets", false, of(&|p| p.kind == "preset")),
-                    series("one knob", false, of(&|p| p.kind == "knob")),
-                    series("best path", false, of(&|p| p.kind == "path")),
-                    series("Pareto front", true, of(&|p| p.pareto)),
-                ];
-                // each approximation's own line: from the preset with it to the same without it
-                for p in self.points.iter().filter(|p| p.kind == "without") {
-                    let ends = self
-                        .standard()
-                        .into_iter()
-                        .chain([p])
-                        .map(|p| (p.time(self.clock), value(p)))
-                        .collect();
-                    all.push(series(
-                        &format!("without {}", p.without.as_deref().unwrap_or_default()),
-                        true,
-                        ends,
-                    ));
-                }
-                let x = match self.clock {
-                    Clock::Wall => "seconds",
-                    Clock::Processor => "processor seconds per thread",
-                };
-                let title = format!("{}: {name}", self.scene.name);
-                Chart {
-                    title,
-                    x: x.to_owned(),
-                    y: name.to_owned(),
-                    log_x: true,
-                    log_y,
-                    series: all,
-                }
-            })
-            .collect();
+        let charts: Vec<Chart> = QUANTITIES.iter().map(|q| self.chart(q)).collect();
         svg(&charts)
     }
+
+    /// One quantity against time.
+    fn chart(&self, quantity: &Quantity) -> Chart {
+        let place = |p: &TradePoint| (p.time(self.clock), (quantity.value)(p));
+        let of = |keep: &dyn Fn(&TradePoint) -> bool| {
+            let mut points: Vec<_> = self.points.iter().filter(|p| keep(p)).map(place).collect();
+            points.sort_by(|a, b| a.0.total_cmp(&b.0));
+            points
+        };
+        let series = |name: &str, line, points| Series {
+            name: name.to_owned(),
+            points,
+            line,
+        };
+        let mut all = vec![
+            series("presets", false, of(&|p| p.kind == "preset")),
+            series("one knob", false, of(&|p| p.kind == "knob")),
+            series("best path", false, of(&|p| p.kind == "path")),
+            series("Pareto front", true, of(&|p| p.pareto)),
+        ];
+        // each approximation's own line: from the preset with it to the same without it
+        for p in self.points.iter().filter(|p| p.kind == "without") {
+            let name = format!("without {}", p.without.as_deref().unwrap_or_default());
+            let ends = self.standard().into_iter().chain([p]).map(place).collect();
+            all.push(series(&name, true, ends));
+        }
+        let x = match self.clock {
+            Clock::Wall => "seconds",
+            Clock::Processor => "processor seconds per thread",
+        };
+        Chart {
+            title: format!("{}: {}", self.scene.name, quantity.name),
+            x: x.to_owned(),
+            y: quantity.name.to_owned(),
+            log_x: true,
+            log_y: quantity.log,
+            series: all,
+        }
+    }
 }
+
+/// What is drawn against time.
+struct Quantity {
+    name: &'static str,
+    value: fn(&TradePoint) -> f64,
+    /// Whether its axis is logarithmic.
+    log: bool,
+}
+
+const QUANTITIES: [Quantity; 6] = [
+    Quantity {
+        name: "albedo PSNR, dB",
+        value: |p| p.outcome.albedo_psnr.unwrap_or(f64::NAN),
+        log: false,
+    },
+    Quantity {
+        name: "roughness PSNR (FIPT), dB",
+        value: |p| p.outcome.roughness_psnr.unwrap_or(f64::NAN),
+        log: false,
+    },
+    Quantity {
+        name: "novel-view PSNR, dB",
+        value: |p| p.outcome.novel_psnr.unwrap_or(f64::NAN),
+        log: false,
+    },
+    Quantity {
+        name: "irradiance relative RMSE, %",
+        value: |p| 100.0 * p.irradiance_rmse,
+        log: true,
+    },
+    Quantity {
+        name: "mean PSNR, dB",
+        value: TradePoint::quality,
+        log: false,
+    },
+    Quantity {
+        name: "peak memory, GiB",
+        value: |p| p.outcome.peak_bytes as f64 / (1u64 << 30) as f64,
+        log: false,
+    },
+];
 
 #[cfg(test)]
 mod tests {

@@ -12,7 +12,30 @@ use crate::render::{NamedCamera, World};
 use crate::solution::Solution;
 use glam::Vec3;
 use std::fmt::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// The files written so far, besides `mitsuba.xml`.
+struct Written<'a> {
+    folder: &'a Path,
+    names: Vec<String>,
+}
+
+impl Written<'_> {
+    /// Notes a file and says where it goes.
+    fn place(&mut self, name: &str) -> PathBuf {
+        self.names.push(name.to_owned());
+        self.folder.join(name)
+    }
+
+    fn rgb(&mut self, name: &str, plane: &RgbPlane) -> Result<()> {
+        write_rgb_float(self.place(name), plane)
+    }
+
+    fn bytes(&mut self, name: &str, bytes: &[u8]) -> Result<()> {
+        let path = self.place(name);
+        std::fs::write(&path, bytes).map_err(|e| Error::io(path, e))
+    }
+}
 
 /// Writes `mitsuba.xml` and what it refers to into `folder`; returns the names of the files.
 ///
@@ -24,30 +47,55 @@ pub fn write_mitsuba(
     cameras: &[NamedCamera],
     diffuse_only: bool,
 ) -> Result<Vec<String>> {
+    let mut files = Written {
+        folder,
+        names: vec!["mitsuba.xml".to_owned()],
+    };
+    files.rgb("mitsuba_albedo.exr", &solution.albedo)?;
+    write_plane_float(files.place("mitsuba_roughness.exr"), &solution.roughness)?;
+    let shapes = write_shapes(&mut files, solution, diffuse_only)?;
+    let environment = write_environment(&mut files, &solution.environment)?;
+    let mut xml =
+        String::from("<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<scene version=\"3.0.0\">\n");
+    let _ = writeln!(
+        xml,
+        "  <!-- positions are relative to {} -->",
+        solution.origin
+    );
+    xml.push_str("  <default name=\"spp\" value=\"64\"/>\n  <integrator type=\"path\">\n    <integer name=\"max_depth\" value=\"65\"/>\n  </integrator>\n");
+    let _ = write!(
+        xml,
+        "  <bsdf type=\"twosided\" id=\"material\">\n{}  </bsdf>\n",
+        material(diffuse_only)
+    );
+    xml.push_str(&shapes);
+    xml.push_str(environment);
+    for c in cameras {
+        xml.push_str(&sensor(&c.name, &c.camera)?);
+    }
+    xml.push_str("</scene>\n");
+    let path = folder.join("mitsuba.xml");
+    std::fs::write(&path, &xml).map_err(|e| Error::io(path, e))?;
+    Ok(files.names)
+}
+
+/// Writes the meshes, what emits apart from the rest, and the emission; returns their elements.
+fn write_shapes(
+    files: &mut Written<'_>,
+    solution: &Solution,
+    diffuse_only: bool,
+) -> Result<String> {
     let world = World::new(solution);
     let mesh = &solution.mesh;
     let (lamps, rest): (Vec<usize>, Vec<usize>) =
         (0..mesh.triangles.len()).partition(|&t| world.emits(t));
-    let mut files = vec!["mitsuba.xml".to_owned()];
-    let mut save = |name: &str, write: &dyn Fn(&Path) -> Result<()>| {
-        files.push(name.to_owned());
-        write(&folder.join(name))
-    };
-    save("mitsuba_albedo.exr", &|p| {
-        write_rgb_float(p, &solution.albedo)
-    })?;
-    save("mitsuba_roughness.exr", &|p| {
-        write_plane_float(p, &solution.roughness)
-    })?;
     let mut shapes = String::new();
     for (name, triangles) in [("surfaces", &rest), ("lamps", &lamps)] {
         if triangles.is_empty() {
             continue;
         }
         let ply = format!("mitsuba_{name}.ply");
-        save(&ply, &|p| {
-            std::fs::write(p, ply_bytes(mesh, triangles)).map_err(|e| Error::io(p, e))
-        })?;
+        files.bytes(&ply, &ply_bytes(mesh, triangles))?;
         let _ = writeln!(
             shapes,
             "  <shape type=\"ply\" id=\"{name}\">\n    <string name=\"filename\" value=\"{ply}\"/>"
@@ -65,53 +113,35 @@ pub fn write_mitsuba(
         shapes.push_str("  </shape>\n");
     }
     if !lamps.is_empty() {
-        save("mitsuba_emission.exr", &|p| {
-            write_rgb_float(p, &solution.emission)
-        })?;
+        files.rgb("mitsuba_emission.exr", &solution.emission)?;
     }
-    let dark = solution.environment.data.iter().all(|c| *c == Vec3::ZERO);
-    if !dark {
-        save("mitsuba_environment.exr", &|p| {
-            write_rgb_float(p, &turned(&solution.environment))
-        })?;
-        shapes.push_str(
-            "  <emitter type=\"envmap\">\n    <string name=\"filename\" value=\"mitsuba_environment.exr\"/>\n  </emitter>\n",
-        );
+    Ok(shapes)
+}
+
+/// Writes the panorama around the scene; returns its element, none if it is black.
+fn write_environment(files: &mut Written<'_>, environment: &RgbPlane) -> Result<&'static str> {
+    if environment.data.iter().all(|c| *c == Vec3::ZERO) {
+        return Ok("");
     }
-    let material = if diffuse_only {
-        format!(
+    files.rgb("mitsuba_environment.exr", &turned(environment))?;
+    Ok(
+        "  <emitter type=\"envmap\">\n    <string name=\"filename\" value=\"mitsuba_environment.exr\"/>\n  </emitter>\n",
+    )
+}
+
+/// The BSDF element that both meshes share.
+fn material(diffuse_only: bool) -> String {
+    if diffuse_only {
+        return format!(
             "    <bsdf type=\"diffuse\">\n{}    </bsdf>\n",
             bitmap("reflectance", "mitsuba_albedo.exr", "bilinear", 6)
-        )
-    } else {
-        format!(
-            "    <bsdf type=\"principled\">\n{}{}      <float name=\"specular\" value=\"0.5\"/>\n    </bsdf>\n",
-            bitmap("base_color", "mitsuba_albedo.exr", "bilinear", 6),
-            bitmap("roughness", "mitsuba_roughness.exr", "nearest", 6)
-        )
-    };
-    let mut xml =
-        String::from("<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<scene version=\"3.0.0\">\n");
-    let _ = writeln!(
-        xml,
-        "  <!-- positions are relative to {} -->",
-        solution.origin
-    );
-    xml.push_str("  <default name=\"spp\" value=\"64\"/>\n  <integrator type=\"path\">\n    <integer name=\"max_depth\" value=\"65\"/>\n  </integrator>\n");
-    let _ = write!(
-        xml,
-        "  <bsdf type=\"twosided\" id=\"material\">\n{material}  </bsdf>\n"
-    );
-    xml.push_str(&shapes);
-    for c in cameras {
-        xml.push_str(&sensor(&c.name, &c.camera)?);
+        );
     }
-    xml.push_str("</scene>\n");
-    save("mitsuba.xml", &|p| {
-        std::fs::write(p, &xml).map_err(|e| Error::io(p, e))
-    })?;
-    files.pop();
-    Ok(files)
+    format!(
+        "    <bsdf type=\"principled\">\n{}{}      <float name=\"specular\" value=\"0.5\"/>\n    </bsdf>\n",
+        bitmap("base_color", "mitsuba_albedo.exr", "bilinear", 6),
+        bitmap("roughness", "mitsuba_roughness.exr", "nearest", 6)
+    )
 }
 
 fn bitmap(name: &str, file: &str, filter: &str, indent: usize) -> String {

@@ -3,6 +3,7 @@
 
 use crate::error::{Error, Result};
 use crate::formats::{encode_grey8, encode_rgb8, srgb8_from_linear};
+use crate::geometry::Mesh;
 use crate::image::Plane;
 use crate::solution::Solution;
 use glam::Vec3;
@@ -51,8 +52,8 @@ pub fn write_usd(folder: &Path, solution: &Solution) -> Result<Vec<String>> {
     Ok(files.into_iter().map(str::to_owned).collect())
 }
 
+/// The text of the file: a mesh and its material.
 fn text(solution: &Solution, peak: f32) -> String {
-    let mesh = &solution.mesh;
     let o = solution.origin;
     let mut s = String::from(
         "#usda 1.0\n(\n    defaultPrim = \"scene\"\n    metersPerUnit = 1\n    upAxis = \"Y\"\n)\n\ndef Xform \"scene\"\n{\n",
@@ -63,6 +64,14 @@ fn text(solution: &Solution, peak: f32) -> String {
         o.x, o.y, o.z
     );
     s.push_str("    uniform token[] xformOpOrder = [\"xformOp:translate\"]\n\n");
+    mesh_prim(&mut s, &solution.mesh);
+    material_prim(&mut s, peak);
+    s.push_str("}\n");
+    s
+}
+
+/// The mesh, bound to the material.
+fn mesh_prim(s: &mut String, mesh: &Mesh) {
     s.push_str("    def Mesh \"surfaces\" (\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n    )\n    {\n");
     s.push_str("        uniform bool doubleSided = 1\n        uniform token subdivisionScheme = \"none\"\n");
     let (lo, hi) = mesh.bounds();
@@ -72,26 +81,21 @@ fn text(solution: &Solution, peak: f32) -> String {
         lo.x, lo.y, lo.z, hi.x, hi.y, hi.z
     );
     list(
-        &mut s,
+        s,
         "int[] faceVertexCounts",
         mesh.triangles.iter().map(|_| "3".to_owned()),
         "",
     );
     list(
-        &mut s,
+        s,
         "int[] faceVertexIndices",
         mesh.triangles.iter().flatten().map(u32::to_string),
         "",
     );
     let vector = |v: &Vec3| format!("({}, {}, {})", v.x, v.y, v.z);
+    list(s, "point3f[] points", mesh.positions.iter().map(vector), "");
     list(
-        &mut s,
-        "point3f[] points",
-        mesh.positions.iter().map(vector),
-        "",
-    );
-    list(
-        &mut s,
+        s,
         "normal3f[] normals",
         mesh.normals.iter().map(vector),
         " (\n            interpolation = \"vertex\"\n        )",
@@ -102,12 +106,17 @@ fn text(solution: &Solution, peak: f32) -> String {
         .iter()
         .map(|uv| format!("({}, {})", uv.x, 1.0 - uv.y));
     list(
-        &mut s,
+        s,
         "texCoord2f[] primvars:st",
         uv,
         " (\n            interpolation = \"vertex\"\n        )",
     );
-    s.push_str("        rel material:binding = </scene/material>\n    }\n\n    def Material \"material\"\n    {\n");
+    s.push_str("        rel material:binding = </scene/material>\n    }\n\n");
+}
+
+/// The material with its textures; emissive if `peak`, the largest emission, is above 0.
+fn material_prim(s: &mut String, peak: f32) {
+    s.push_str("    def Material \"material\"\n    {\n");
     s.push_str(
         "        token outputs:surface.connect = </scene/material/surface.outputs:surface>\n\n",
     );
@@ -125,7 +134,7 @@ fn text(solution: &Solution, peak: f32) -> String {
     s.push_str("\n        def Shader \"st\"\n        {\n            uniform token info:id = \"UsdPrimvarReader_float2\"\n");
     s.push_str("            string inputs:varname = \"st\"\n            float2 outputs:result\n        }\n");
     texture(
-        &mut s,
+        s,
         "albedo",
         "usd_albedo.png",
         "sRGB",
@@ -133,7 +142,7 @@ fn text(solution: &Solution, peak: f32) -> String {
         1.0,
     );
     texture(
-        &mut s,
+        s,
         "roughness",
         "usd_roughness.png",
         "raw",
@@ -142,7 +151,7 @@ fn text(solution: &Solution, peak: f32) -> String {
     );
     if peak > 0.0 {
         texture(
-            &mut s,
+            s,
             "emission",
             "usd_emission.png",
             "sRGB",
@@ -150,8 +159,7 @@ fn text(solution: &Solution, peak: f32) -> String {
             peak,
         );
     }
-    s.push_str("    }\n}\n");
-    s
+    s.push_str("    }\n");
 }
 
 fn list(s: &mut String, name: &str, items: impl Iterator<Item = String>, metadata: &str) {

@@ -2,7 +2,7 @@
 //! views of the observed radiance less the specular part.
 
 use super::TexelReflectance;
-use crate::gbuffer::{Observer, Orientation};
+use crate::gbuffer::{Observation, Observer, Orientation};
 use crate::image::RgbPlane;
 use crate::math::luminance;
 use crate::optim::weighted_median;
@@ -10,6 +10,7 @@ use crate::parallel;
 use crate::progress::Progress;
 use crate::texture::Texels;
 use glam::Vec3;
+use std::f32::consts::PI;
 
 /// Albedo per covered texel.
 #[derive(Clone, Debug, Default)]
@@ -30,14 +31,22 @@ pub struct AlbedoEstimate {
     pub footprint: Vec<f32>,
 }
 
-/// Estimates albedo from views whose specular part is `specular[v]` (same size as view v's image).
+/// The light that is taken out of photographs to leave albedo.
+#[derive(Clone, Copy)]
+pub struct Shading<'a> {
+    /// Irradiance on its texture: what divides.
+    pub irradiance: &'a RgbPlane,
+    /// Per view, the specular part of its radiance, as large as its image: what is subtracted.
+    pub specular: &'a [RgbPlane],
+}
+
+/// Estimates the albedo of every covered texel from the views that see it.
 #[must_use]
 pub fn estimate_albedo(
     observer: &Observer,
-    specular: &[RgbPlane],
-    orientation: &Orientation,
     texels: &Texels,
-    irradiance: &RgbPlane,
+    orientation: &Orientation,
+    shading: Shading<'_>,
     reflectance: &TexelReflectance,
     progress: &Progress,
 ) -> AlbedoEstimate {
@@ -46,7 +55,6 @@ pub fn estimate_albedo(
     let parts = parallel::map_chunks(texels.len(), CHUNK, |range| {
         let mut out = AlbedoEstimate::default();
         let mut seen = Vec::new();
-        let mut looks: Vec<(Vec3, f32)> = Vec::new();
         for i in range.clone() {
             let t = texels.point[i].triangle as usize;
             observer.observe(
@@ -55,45 +63,8 @@ pub fn estimate_albedo(
                 &mut seen,
             );
             crate::observed::prefer_clean(&mut seen);
-            looks.clear();
-            let mut mean_share = 0.0;
-            let sharpest = seen
-                .iter()
-                .map(|o| o.footprint)
-                .fold(f32::INFINITY, f32::min);
-            for o in &seen {
-                let s = specular[o.view as usize]
-                    .bilinear(o.pixel, observer.views[o.view as usize].buffer.wrap());
-                // where the specular part is a large share, its own error is too
-                let share = luminance(s) / luminance(o.radiance).max(1e-12);
-                let w = (sharpest / o.footprint).powi(4) * o.n_v / (1.0 + (share / 0.15).powi(2));
-                let factor = reflectance.diffuse_factor(i, o.n_v);
-                mean_share += w * share.min(1.0);
-                looks.push(((o.radiance - s) / factor, w));
-            }
-            let lit = texels.lookup(mesh, irradiance, i);
-            // a channel without light keeps a finite albedo whatever the exposure
-            let e = lit.max(Vec3::splat(luminance(lit) * 1e-6));
-            let (diffuse, spread, effective) = robust_diffuse(&looks);
-            let specular_share = mean_share
-                / looks
-                    .iter()
-                    .map(|l| l.1)
-                    .sum::<f32>()
-                    .max(f32::MIN_POSITIVE);
-            // without light nothing is known of what would reflect it
-            if luminance(lit) <= 0.0 {
-                out.push(Vec3::ZERO, f32::INFINITY, [0.0; 2], (false, sharpest));
-                continue;
-            }
-            let error = spread * std::f32::consts::PI / luminance(e);
-            let clean = seen.iter().any(|o| o.clean);
-            out.push(
-                diffuse * std::f32::consts::PI / e,
-                error,
-                [effective, specular_share],
-                (clean, sharpest),
-            );
+            let looks = Looks::of(i, &seen, observer, shading.specular, reflectance);
+            out.push(&looks.albedo(texels.lookup(mesh, shading.irradiance, i)));
         }
         progress.advance(range.len() as u64);
         out
@@ -110,20 +81,97 @@ pub fn estimate_albedo(
     all
 }
 
+/// One texel's entries of an [`AlbedoEstimate`].
+struct TexelAlbedo {
+    value: Vec3,
+    error: f32,
+    looks: f32,
+    specular_share: f32,
+    clean: bool,
+    footprint: f32,
+}
+
 impl AlbedoEstimate {
-    fn push(
-        &mut self,
-        value: Vec3,
-        error: f32,
-        [looks, specular_share]: [f32; 2],
-        (clean, footprint): (bool, f32),
-    ) {
-        self.value.push(value);
-        self.error.push(error);
-        self.looks.push(looks);
-        self.specular_share.push(specular_share);
-        self.clean.push(clean);
-        self.footprint.push(footprint);
+    fn push(&mut self, texel: &TexelAlbedo) {
+        self.value.push(texel.value);
+        self.error.push(texel.error);
+        self.looks.push(texel.looks);
+        self.specular_share.push(texel.specular_share);
+        self.clean.push(texel.clean);
+        self.footprint.push(texel.footprint);
+    }
+}
+
+/// What the views show of a texel.
+struct Looks {
+    /// Diffuse radiance as a Lambertian surface would send it out, and its weight.
+    diffuse: Vec<(Vec3, f32)>,
+    /// Weighted mean share of the specular part.
+    specular_share: f32,
+    /// Whether one of them is clean.
+    clean: bool,
+    /// The sharpest one's footprint, metres; infinite without any.
+    sharpest: f32,
+}
+
+impl Looks {
+    /// Takes the specular part out of what was seen of texel `i`.
+    fn of(
+        i: usize,
+        seen: &[Observation],
+        observer: &Observer,
+        specular: &[RgbPlane],
+        reflectance: &TexelReflectance,
+    ) -> Self {
+        let sharpest = seen
+            .iter()
+            .map(|o| o.footprint)
+            .fold(f32::INFINITY, f32::min);
+        let mut diffuse = Vec::with_capacity(seen.len());
+        let (mut share_sum, mut total) = (0.0, 0.0f32);
+        for o in seen {
+            let wrap = observer.views[o.view as usize].buffer.wrap();
+            let s = specular[o.view as usize].bilinear(o.pixel, wrap);
+            // where the specular part is a large share, its own error is too
+            let share = luminance(s) / luminance(o.radiance).max(1e-12);
+            let w = (sharpest / o.footprint).powi(4) * o.n_v / (1.0 + (share / 0.15).powi(2));
+            let factor = reflectance.diffuse_factor(i, o.n_v);
+            share_sum += w * share.min(1.0);
+            total += w;
+            diffuse.push(((o.radiance - s) / factor, w));
+        }
+        Self {
+            diffuse,
+            specular_share: share_sum / total.max(f32::MIN_POSITIVE),
+            clean: seen.iter().any(|o| o.clean),
+            sharpest,
+        }
+    }
+
+    /// π/E times their robust mean, in irradiance `lit`.
+    fn albedo(&self, lit: Vec3) -> TexelAlbedo {
+        // without light nothing is known of what would reflect it
+        if luminance(lit) <= 0.0 {
+            return TexelAlbedo {
+                value: Vec3::ZERO,
+                error: f32::INFINITY,
+                looks: 0.0,
+                specular_share: 0.0,
+                clean: false,
+                footprint: self.sharpest,
+            };
+        }
+        // a channel without light keeps a finite albedo whatever the exposure
+        let e = lit.max(Vec3::splat(luminance(lit) * 1e-6));
+        let (diffuse, spread, effective) = robust_diffuse(&self.diffuse);
+        TexelAlbedo {
+            value: diffuse * PI / e,
+            error: spread * PI / luminance(e),
+            looks: effective,
+            specular_share: self.specular_share,
+            clean: self.clean,
+            footprint: self.sharpest,
+        }
     }
 }
 

@@ -5,7 +5,7 @@ use crate::geometry::Mesh;
 use crate::math::luminance;
 use crate::optim::{median, weighted_median};
 use crate::texture::Texels;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -21,6 +21,14 @@ const ANYTHING: f32 = 0.3;
 const REACH: f32 = 32.0;
 const ENOUGH: f32 = 50.0;
 
+/// What an albedo should be expected to be.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Expected {
+    pub(super) mean: Vec3,
+    /// Variance of its luminance.
+    pub(super) variance: f32,
+}
+
 /// Mean albedo and its variance from the clean texels of a texel's class: those nearby, as far as
 /// they are frontal, sharp and not far from what is usual in the class; the class as a whole where
 /// they are few.
@@ -30,130 +38,194 @@ pub(super) fn class_prior(
     mesh: &Mesh,
     labels: &[u16],
     ids: &[u32],
-) -> Vec<(Vec3, f32)> {
-    let side = |i: usize| {
-        texels
-            .texel_area(mesh, texels.point[i].triangle as usize)
-            .sqrt()
-    };
-    let stride = (texels.len() / 2_000_000).max(1);
-    let clean: Vec<usize> = (0..texels.len())
-        .step_by(stride)
-        .filter(|&i| albedo.clean[i] && albedo.error[i].is_finite())
-        .collect();
-    let value = |i: usize| albedo.value[i].clamp(Vec3::ZERO, Vec3::ONE);
-    // a wide footprint is a distant or a slanting look
-    let sharp = median(clean.iter().map(|&i| albedo.footprint[i]).collect()).unwrap_or(1.0);
-    let trust = |i: usize| {
-        (sharp / albedo.footprint[i].max(f32::MIN_POSITIVE))
-            .powi(2)
-            .min(1.0)
-    };
+) -> Vec<Expected> {
+    let clean = CleanTexels::of(albedo, texels.len());
     let mut members: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
-    clean
-        .iter()
-        .for_each(|&i| members.entry(labels[i]).or_default().push(i));
-    let class: BTreeMap<u16, (Vec3, f32)> = members
-        .iter()
-        .map(|(l, m)| (*l, typical(m, &value, &trust)))
-        .collect();
-    let all = typical(&clean, &value, &trust);
-    let usual_side = median(
-        clean
-            .iter()
-            .step_by(clean.len() / 4096 + 1)
-            .map(|&i| side(i))
-            .collect(),
-    )
-    .unwrap_or(1.0);
-    let cube = usual_side.max(f32::MIN_POSITIVE) * REACH;
-    let place = |i: usize| {
-        (
-            labels[i],
-            (texels.position(mesh, i) / cube)
-                .floor()
-                .as_ivec3()
-                .to_array(),
-        )
-    };
-    let mut near: BTreeMap<(u16, [i32; 3]), [f64; 5]> = BTreeMap::new();
-    for &i in &clean {
-        let (usual, spread) = class[&labels[i]];
-        let a = value(i);
-        let odd = (luminance(a) - luminance(usual)).powi(2) / (9.0 * spread);
-        let w = f64::from(trust(i) / (1.0 + odd));
-        let sums = near.entry(place(i)).or_default();
-        let l = f64::from(luminance(a));
-        for (s, v) in
-            sums.iter_mut()
-                .zip([1.0, f64::from(a.x), f64::from(a.y), f64::from(a.z), l * l])
-        {
-            *s += w * v;
-        }
+    for &i in &clean.ids {
+        members.entry(labels[i]).or_default().push(i);
     }
+    let class: BTreeMap<u16, Expected> = members
+        .iter()
+        .map(|(l, m)| (*l, clean.typical(m)))
+        .collect();
+    let all = clean.typical(&clean.ids);
+    let cubes = Cubes::over(&clean, texels, mesh, labels);
+    let near = cubes.sums(&clean, &class);
     ids.par_iter()
         .map(|&i| {
             let i = i as usize;
-            let Some((usual, spread)) = class.get(&labels[i]).copied().filter(|_| labels[i] != 0)
-            else {
-                return (
-                    if albedo.error[i].is_finite() {
-                        value(i)
+            let Some(usual) = class.get(&labels[i]).filter(|_| labels[i] != 0) else {
+                return Expected {
+                    mean: if albedo.error[i].is_finite() {
+                        clean.value(i)
                     } else {
-                        all.0
+                        all.mean
                     },
-                    ANYTHING * ANYTHING,
-                );
+                    variance: ANYTHING * ANYTHING,
+                };
             };
-            let Some(s) = near.get(&place(i)) else {
-                return (usual, spread);
-            };
-            let total = s[0] as f32;
-            let mean =
-                Vec3::new(s[1] as f32, s[2] as f32, s[3] as f32) / total.max(f32::MIN_POSITIVE);
-            let variance = s[4] as f32 / total.max(f32::MIN_POSITIVE) - luminance(mean).powi(2);
-            let share = total / (total + ENOUGH);
-            let mean = usual.lerp(mean, share);
-            (
-                mean,
-                (variance.max(0.0) * share + spread * (1.0 - share))
-                    .max((PRIOR_SPREAD * luminance(mean)).powi(2))
-                    * PRIOR_DOUBT,
-            )
+            match near.get(&cubes.place(i)) {
+                Some(sums) => sums.beside(usual),
+                None => *usual,
+            }
         })
         .collect()
 }
 
-/// Weighted median of the albedos, channel by channel, and the variance of their luminance by its
-/// median deviation.
-fn typical(
-    members: &[usize],
-    value: &dyn Fn(usize) -> Vec3,
-    trust: &dyn Fn(usize) -> f32,
-) -> (Vec3, f32) {
-    let some: Vec<usize> = members
-        .iter()
-        .copied()
-        .step_by(members.len() / 40_000 + 1)
-        .collect();
-    let middle = |of: &dyn Fn(Vec3) -> f32| {
-        let pairs: Vec<(f32, f32)> = some.iter().map(|&i| (of(value(i)), trust(i))).collect();
-        weighted_median(&pairs).map(|k| pairs[k].0)
-    };
-    let Some(x) = middle(&|a| a.x) else {
-        return (Vec3::splat(0.5), 0.1);
-    };
-    let centre = Vec3::new(
-        x,
-        middle(&|a| a.y).unwrap_or(x),
-        middle(&|a| a.z).unwrap_or(x),
-    );
-    let deviation = middle(&|a| (luminance(a) - luminance(centre)).abs()).unwrap_or(0.0);
-    (
-        centre,
-        (1.4826 * deviation)
-            .max(PRIOR_SPREAD * luminance(centre))
-            .max(1e-3)
-            .powi(2),
-    )
+/// The texels that a prior is made of: seen clean.
+struct CleanTexels<'a> {
+    albedo: &'a AlbedoEstimate,
+    /// A regular subset of them, where they are many.
+    ids: Vec<usize>,
+    /// Their median footprint, metres: a wide one is a distant or a slanting look.
+    sharp: f32,
+}
+
+impl<'a> CleanTexels<'a> {
+    fn of(albedo: &'a AlbedoEstimate, count: usize) -> Self {
+        let stride = (count / 2_000_000).max(1);
+        let ids: Vec<usize> = (0..count)
+            .step_by(stride)
+            .filter(|&i| albedo.clean[i] && albedo.error[i].is_finite())
+            .collect();
+        let sharp = median(ids.iter().map(|&i| albedo.footprint[i]).collect()).unwrap_or(1.0);
+        Self { albedo, ids, sharp }
+    }
+
+    fn value(&self, i: usize) -> Vec3 {
+        self.albedo.value[i].clamp(Vec3::ZERO, Vec3::ONE)
+    }
+
+    /// Weight of a texel: less than 1 for a blurred look.
+    fn trust(&self, i: usize) -> f32 {
+        (self.sharp / self.albedo.footprint[i].max(f32::MIN_POSITIVE))
+            .powi(2)
+            .min(1.0)
+    }
+
+    /// Weighted median of the albedos of `members`, channel by channel, and the variance of their
+    /// luminance by its median deviation.
+    fn typical(&self, members: &[usize]) -> Expected {
+        let some: Vec<(Vec3, f32)> = members
+            .iter()
+            .step_by(members.len() / 40_000 + 1)
+            .map(|&i| (self.value(i), self.trust(i)))
+            .collect();
+        let middle = |of: &dyn Fn(Vec3) -> f32| {
+            let pairs: Vec<(f32, f32)> = some.iter().map(|&(v, trust)| (of(v), trust)).collect();
+            weighted_median(&pairs).map(|k| pairs[k].0)
+        };
+        let Some(x) = middle(&|a| a.x) else {
+            return Expected {
+                mean: Vec3::splat(0.5),
+                variance: 0.1,
+            };
+        };
+        let mean = Vec3::new(
+            x,
+            middle(&|a| a.y).unwrap_or(x),
+            middle(&|a| a.z).unwrap_or(x),
+        );
+        let deviation = middle(&|a| (luminance(a) - luminance(mean)).abs()).unwrap_or(0.0);
+        Expected {
+            mean,
+            variance: (1.4826 * deviation)
+                .max(PRIOR_SPREAD * luminance(mean))
+                .max(1e-3)
+                .powi(2),
+        }
+    }
+}
+
+/// A class in a cube of space.
+type Cube = (u16, [i32; 3]);
+
+/// Space divided into cubes within which texels count as near.
+struct Cubes<'a> {
+    texels: &'a Texels,
+    mesh: &'a Mesh,
+    labels: &'a [u16],
+    /// Edge of a cube, metres: [`REACH`] texels of the usual size.
+    edge: f32,
+}
+
+impl<'a> Cubes<'a> {
+    fn over(
+        clean: &CleanTexels<'_>,
+        texels: &'a Texels,
+        mesh: &'a Mesh,
+        labels: &'a [u16],
+    ) -> Self {
+        let sides = clean
+            .ids
+            .iter()
+            .step_by(clean.ids.len() / 4096 + 1)
+            .map(|&i| {
+                texels
+                    .texel_area(mesh, texels.point[i].triangle as usize)
+                    .sqrt()
+            })
+            .collect();
+        let usual_side = median(sides).unwrap_or(1.0);
+        Self {
+            texels,
+            mesh,
+            labels,
+            edge: usual_side.max(f32::MIN_POSITIVE) * REACH,
+        }
+    }
+
+    fn place(&self, i: usize) -> Cube {
+        let position = self.texels.position(self.mesh, i);
+        (
+            self.labels[i],
+            (position / self.edge).floor().as_ivec3().to_array(),
+        )
+    }
+
+    /// The clean texels cube by cube; those far from what is usual in their class count less.
+    fn sums(
+        &self,
+        clean: &CleanTexels<'_>,
+        class: &BTreeMap<u16, Expected>,
+    ) -> BTreeMap<Cube, Sums> {
+        let mut near: BTreeMap<Cube, Sums> = BTreeMap::new();
+        for &i in &clean.ids {
+            let usual = class[&self.labels[i]];
+            let a = clean.value(i);
+            let odd = (luminance(a) - luminance(usual.mean)).powi(2) / (9.0 * usual.variance);
+            let w = f64::from(clean.trust(i) / (1.0 + odd));
+            let l = f64::from(luminance(a));
+            let sums = near.entry(self.place(i)).or_default();
+            sums.weight += w;
+            sums.albedo += w * a.as_dvec3();
+            sums.square += w * (l * l);
+        }
+        near
+    }
+}
+
+/// Weighted sums over the clean texels of a class in a cube.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    weight: f64,
+    albedo: DVec3,
+    /// Of squared luminance.
+    square: f64,
+}
+
+impl Sums {
+    /// What is expected in the cube: its own mean as far as its texels outweigh what is usual.
+    fn beside(&self, usual: &Expected) -> Expected {
+        let total = self.weight as f32;
+        let mean = self.albedo.as_vec3() / total.max(f32::MIN_POSITIVE);
+        let variance = self.square as f32 / total.max(f32::MIN_POSITIVE) - luminance(mean).powi(2);
+        let share = total / (total + ENOUGH);
+        let mean = usual.mean.lerp(mean, share);
+        let spread = variance.max(0.0) * share + usual.variance * (1.0 - share);
+        Expected {
+            mean,
+            variance: spread.max((PRIOR_SPREAD * luminance(mean)).powi(2)) * PRIOR_DOUBT,
+        }
+    }
 }

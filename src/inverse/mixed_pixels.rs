@@ -8,7 +8,7 @@
 //! beyond the noise lose weight (Cauchy), and where the equations as a whole fit badly (mesh or
 //! poses are off) their noise is taken to be what they show, so that the prior decides.
 
-use super::class_prior::class_prior;
+use super::class_prior::{Expected, class_prior};
 use super::robust_cg::{Mixtures, Pixel};
 use super::{AlbedoEstimate, TexelReflectance};
 use crate::gbuffer::{Observer, Orientation, pixel_rays};
@@ -120,34 +120,37 @@ impl Unmixing<'_> {
                 .collect::<Vec<Vec3>>()
         };
         let expected = class_prior(albedo, texels, self.observer.mesh, self.labels, &ids);
-        let mean = mean_over(&|k, _| expected[k].0);
-        let variance = mean_over(&|k, _| Vec3::splat(expected[k].1));
-        let prior: Vec<(Vec3, f32)> = mean
+        let mean = mean_over(&|k, _| expected[k].mean);
+        let variance = mean_over(&|k, _| Vec3::splat(expected[k].variance));
+        let prior: Vec<Expected> = mean
             .into_iter()
             .zip(variance)
-            .map(|(m, v)| (m, v.x))
+            .map(|(mean, v)| Expected {
+                mean,
+                variance: v.x,
+            })
             .collect();
         let light = mean_over(&|_, i| self.irradiance[i] * FRAC_1_PI);
         let start = mean_over(&|k, i| {
             if albedo.error[i].is_finite() {
                 albedo.value[i].clamp(Vec3::ZERO, Vec3::ONE)
             } else {
-                expected[k].0
+                expected[k].mean
             }
         });
         let (equations, rays) = self.equations(albedo, &unknown, &light, &start);
-        let (solution, precision, misfit) = equations.solve(&light, &prior, start);
+        let solved = equations.solve(&light, &prior, start);
         for &i in &ids {
             let (i, u) = (i as usize, unknown[i as usize] as usize);
-            albedo.value[i] = solution[u];
+            albedo.value[i] = solved.albedo[u];
             if albedo.error[i].is_finite() {
-                albedo.error[i] = precision[u].sqrt().recip();
+                albedo.error[i] = solved.precision[u].sqrt().recip();
             }
         }
         UnmixReport {
             pixels: equations.pixel.len(),
             texels: ids.len(),
-            misfit,
+            misfit: solved.misfit,
             rays,
         }
     }

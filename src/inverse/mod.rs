@@ -13,7 +13,7 @@ mod roughness;
 mod spatial_roughness;
 mod view_residual;
 
-pub use albedo::{AlbedoEstimate, estimate_albedo};
+pub use albedo::{AlbedoEstimate, Shading, estimate_albedo};
 pub use albedo_palette::{Paint, Painting};
 pub use confidence::albedo_error;
 pub use materials::{DIVISION_GAIN, Materials, Places};

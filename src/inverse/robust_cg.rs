@@ -5,6 +5,7 @@
 //! with new weights: residuals beyond the noise lose weight (Cauchy), and so does the prior where
 //! the pixels contradict it.
 
+use super::class_prior::Expected;
 use crate::math::luminance;
 use crate::parallel;
 use glam::Vec3;
@@ -43,13 +44,8 @@ impl Mixtures {
         &self.term[if k == 0 { 0 } else { self.end[k - 1] }..self.end[k]]
     }
 
-    /// Most plausible albedos, the precision of each (of its luminance) and the misfit.
-    pub(super) fn solve(
-        &self,
-        light: &[Vec3],
-        prior: &[(Vec3, f32)],
-        start: Vec<Vec3>,
-    ) -> (Vec<Vec3>, Vec<f32>, f32) {
+    /// The most plausible albedos, from `start`; `light` is E/π per unknown.
+    pub(super) fn solve(&self, light: &[Vec3], prior: &[Expected], start: Vec<Vec3>) -> Solved {
         let columns = self.transposed(prior.len());
         let mut x = start;
         let (mut misfit, mut data) = (1.0, vec![0.0; x.len()]);
@@ -57,40 +53,36 @@ impl Mixtures {
             let residual = self.residuals(&x, light);
             misfit = self.misfit(&residual);
             let weight = self.weights(&residual, misfit);
-            // at first the prior hardly counts, then as far as it agrees with what the data say
-            let pull: Vec<f32> = (0..x.len())
-                .into_par_iter()
-                .map(|u| {
-                    let (mean, variance) = prior[u];
-                    if round == 0 {
-                        return 1.0 / (FIRST_PRIOR * variance);
-                    }
-                    let own = if data[u] > 0.0 {
-                        1.0 / data[u]
-                    } else {
-                        f32::MAX
-                    };
-                    let off =
-                        luminance(x[u] - mean).powi(2) / (TOLERANCE * TOLERANCE * (variance + own));
-                    // many pixels do not average out an error that they share
-                    let shared = data[u] * (SHARED_ERROR * luminance(x[u])).powi(2);
-                    (1.0 + shared) / (variance * (1.0 + off))
-                })
-                .collect();
-            data = columns.information(&weight, light);
-            self.conjugate_gradients(
-                &columns,
-                (&residual, &weight),
-                &data,
+            let pull = if round == 0 {
+                prior
+                    .iter()
+                    .map(|p| 1.0 / (FIRST_PRIOR * p.variance))
+                    .collect()
+            } else {
+                pull(prior, &x, &data)
+            };
+            let equations = NormalEquations {
+                mixtures: self,
+                columns: &columns,
                 light,
-                (prior, &pull),
-                &mut x,
-            );
+                information: columns.information(&weight, light),
+                weight,
+                prior,
+                pull,
+            };
+            equations.conjugate_gradients(&residual, &mut x);
+            data = equations.information;
             if round + 1 == ROUNDS {
-                data.iter_mut().zip(&pull).for_each(|(d, p)| *d += p);
+                data.iter_mut()
+                    .zip(&equations.pull)
+                    .for_each(|(d, p)| *d += p);
             }
         }
-        (x, data, misfit)
+        Solved {
+            albedo: x,
+            precision: data,
+            misfit,
+        }
     }
 
     fn residuals(&self, x: &[Vec3], light: &[Vec3]) -> Vec<Vec3> {
@@ -147,73 +139,109 @@ impl Mixtures {
         }
         Columns { begin, term }
     }
+}
+
+/// What the equations say.
+pub(super) struct Solved {
+    /// Most plausible albedo per unknown.
+    pub(super) albedo: Vec<Vec3>,
+    /// Precision of its luminance.
+    pub(super) precision: Vec<f32>,
+    /// Factor by which residuals exceed the noise assumed, at least 1.
+    pub(super) misfit: f32,
+}
+
+/// Precision of the prior per unknown, as far as it agrees with what the data say; `data` is the
+/// precision that pixels alone give.
+fn pull(prior: &[Expected], x: &[Vec3], data: &[f32]) -> Vec<f32> {
+    (0..x.len())
+        .into_par_iter()
+        .map(|u| {
+            let Expected { mean, variance } = prior[u];
+            let own = if data[u] > 0.0 {
+                1.0 / data[u]
+            } else {
+                f32::MAX
+            };
+            let off = luminance(x[u] - mean).powi(2) / (TOLERANCE * TOLERANCE * (variance + own));
+            // many pixels do not average out an error that they share
+            let shared = data[u] * (SHARED_ERROR * luminance(x[u])).powi(2);
+            (1.0 + shared) / (variance * (1.0 + off))
+        })
+        .collect()
+}
+
+/// The normal equations (MᵀWM + P)·x = MᵀW·b + P·μ of the mixtures M with weights W and a prior of
+/// mean μ and precision P.
+struct NormalEquations<'a> {
+    mixtures: &'a Mixtures,
+    columns: &'a Columns,
+    /// E/π per unknown.
+    light: &'a [Vec3],
+    /// W, per pixel.
+    weight: Vec<f32>,
+    /// Diagonal of MᵀWM, of luminance.
+    information: Vec<f32>,
+    prior: &'a [Expected],
+    /// P, per unknown.
+    pull: Vec<f32>,
+}
+
+impl NormalEquations<'_> {
+    /// The right side less the left at `x`, whose residuals b − M·x are given.
+    fn remainder(&self, residual: &[Vec3], x: &[Vec3]) -> Vec<Vec3> {
+        (0..x.len())
+            .into_par_iter()
+            .map(|u| {
+                self.columns.gather(u, |k| residual[k] * self.weight[k]) * self.light[u]
+                    + (self.prior[u].mean - x[u]) * self.pull[u]
+            })
+            .collect()
+    }
+
+    /// (MᵀWM + P)·p.
+    fn apply(&self, p: &[Vec3]) -> Vec<Vec3> {
+        let image: Vec<Vec3> = (0..self.mixtures.pixel.len())
+            .into_par_iter()
+            .map(|k| {
+                self.weight[k]
+                    * self
+                        .mixtures
+                        .row(k)
+                        .iter()
+                        .map(|&(u, w)| self.light[u as usize] * p[u as usize] * w)
+                        .sum::<Vec3>()
+            })
+            .collect();
+        (0..p.len())
+            .into_par_iter()
+            .map(|u| self.columns.gather(u, |k| image[k]) * self.light[u] + p[u] * self.pull[u])
+            .collect()
+    }
+
+    /// A remainder divided by the diagonal.
+    fn conditioned(&self, r: &[Vec3]) -> Vec<Vec3> {
+        (0..r.len())
+            .into_par_iter()
+            .map(|u| r[u] / (self.information[u] + self.pull[u]))
+            .collect()
+    }
 
     /// Conjugate gradients with a diagonal preconditioner, the three channels side by side, from
     /// `x`, whose residuals are given.
-    fn conjugate_gradients(
-        &self,
-        columns: &Columns,
-        (residual, weight): (&[Vec3], &[f32]),
-        information: &[f32],
-        light: &[Vec3],
-        (prior, pull): (&[(Vec3, f32)], &[f32]),
-        x: &mut [Vec3],
-    ) {
-        let mut r: Vec<Vec3> = (0..x.len())
-            .into_par_iter()
-            .map(|u| {
-                columns.gather(u, |k| residual[k] * weight[k]) * light[u]
-                    + (prior[u].0 - x[u]) * pull[u]
-            })
-            .collect();
-        let apply = |p: &[Vec3]| -> Vec<Vec3> {
-            let image: Vec<Vec3> = (0..self.pixel.len())
-                .into_par_iter()
-                .map(|k| {
-                    weight[k]
-                        * self
-                            .row(k)
-                            .iter()
-                            .map(|&(u, w)| light[u as usize] * p[u as usize] * w)
-                            .sum::<Vec3>()
-                })
-                .collect();
-            (0..p.len())
-                .into_par_iter()
-                .map(|u| columns.gather(u, |k| image[k]) * light[u] + p[u] * pull[u])
-                .collect()
-        };
-        let dot = |a: &[Vec3], b: &[Vec3]| {
-            let sum =
-                |c: usize| parallel::sum_f64(a.len(), |i| f64::from(a[i][c]) * f64::from(b[i][c]));
-            [sum(0), sum(1), sum(2)]
-        };
-        let divide = |a: [f64; 3], b: [f64; 3]| {
-            Vec3::from_array(std::array::from_fn(|c| {
-                if b[c] > 0.0 {
-                    (a[c] / b[c]) as f32
-                } else {
-                    0.0
-                }
-            }))
-        };
-        let conditioned = |r: &[Vec3]| -> Vec<Vec3> {
-            (0..r.len())
-                .into_par_iter()
-                .map(|u| r[u] / (information[u] + pull[u]))
-                .collect()
-        };
-        let mut z = conditioned(&r);
+    fn conjugate_gradients(&self, residual: &[Vec3], x: &mut [Vec3]) {
+        let mut r = self.remainder(residual, x);
+        let mut z = self.conditioned(&r);
         let mut p = z.clone();
         let mut rz = dot(&r, &z);
         for _ in 0..STEPS {
-            let ap = apply(&p);
+            let ap = self.apply(&p);
             let alpha = divide(rz, dot(&p, &ap));
             x.par_iter_mut().zip(&p).for_each(|(x, p)| *x += alpha * *p);
             r.par_iter_mut()
                 .zip(&ap)
                 .for_each(|(r, a)| *r -= alpha * *a);
-            z = conditioned(&r);
+            z = self.conditioned(&r);
             let next = dot(&r, &z);
             let beta = divide(next, rz);
             rz = next;
@@ -224,6 +252,23 @@ impl Mixtures {
         x.par_iter_mut()
             .for_each(|x| *x = x.clamp(Vec3::ZERO, Vec3::ONE));
     }
+}
+
+/// Scalar products channel by channel.
+fn dot(a: &[Vec3], b: &[Vec3]) -> [f64; 3] {
+    let sum = |c: usize| parallel::sum_f64(a.len(), |i| f64::from(a[i][c]) * f64::from(b[i][c]));
+    [sum(0), sum(1), sum(2)]
+}
+
+/// Quotients channel by channel; 0 where the divisor is not positive.
+fn divide(a: [f64; 3], b: [f64; 3]) -> Vec3 {
+    Vec3::from_array(std::array::from_fn(|c| {
+        if b[c] > 0.0 {
+            (a[c] / b[c]) as f32
+        } else {
+            0.0
+        }
+    }))
 }
 
 /// The equations by unknown: terms of unknown u are `term[begin[u]..begin[u+1]]`, a pixel and the

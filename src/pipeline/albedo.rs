@@ -2,7 +2,7 @@
 //! and what is known of its error.
 
 use super::{Light, Reflections, SolveOptions};
-use crate::inverse::{AlbedoEstimate, TexelReflectance, Unmixing, estimate_albedo};
+use crate::inverse::{AlbedoEstimate, Shading, TexelReflectance, Unmixing, estimate_albedo};
 use crate::observed::Surface;
 use crate::progress::Progress;
 use crate::switch::Switch;
@@ -30,10 +30,12 @@ pub fn solve_albedo(
     let mut albedo = progress.stage("albedo", surface.texels.len() as u64, |p| {
         estimate_albedo(
             &surface.observer(),
-            &reflections.images,
-            &surface.orientation,
             &surface.texels,
-            &light.irradiance,
+            &surface.orientation,
+            Shading {
+                irradiance: &light.irradiance,
+                specular: &reflections.images,
+            },
             reflectance,
             p,
         )

@@ -304,20 +304,20 @@ fn wavelets(
 ) -> Vec<Signal> {
     for level in 0..levels {
         let step = 1isize << level;
-        let steer = steering(grid, guides, &signal, specular);
+        let steering = steering(grid, guides, &signal, specular);
+        let wavelet = Wavelet {
+            grid,
+            guides,
+            signal: &signal,
+            steering: &steering,
+            step,
+            specular,
+        };
         let rows = map_chunks(grid.height, 4, |range| {
             let mut out = Vec::with_capacity(range.len() * grid.width);
             for y in range {
                 for x in 0..grid.width {
-                    out.push(wavelet(
-                        grid,
-                        guides,
-                        &signal,
-                        &steer,
-                        (x, y),
-                        step,
-                        specular,
-                    ));
+                    out.push(wavelet.at(x, y));
                 }
             }
             out
@@ -357,47 +357,54 @@ fn steering(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: bool) ->
     parts.into_iter().flatten().collect()
 }
 
-fn wavelet(
-    grid: &Grid,
-    guides: &[Guide],
-    signal: &[Signal],
-    steer: &[[f32; 2]],
-    (x, y): (usize, usize),
+/// One level of the edge-avoiding à-trous wavelet: what each of its pixels is filtered from.
+struct Wavelet<'a> {
+    grid: &'a Grid,
+    guides: &'a [Guide],
+    signal: &'a [Signal],
+    /// Luminance and variance that decide weights, see [`steering`].
+    steering: &'a [[f32; 2]],
+    /// Pixels between the taps of the kernel.
     step: isize,
     specular: bool,
-) -> Signal {
-    let i = y * grid.width + x;
-    let (here, g) = (signal[i], &guides[i]);
-    if g.normal == Vec3::ZERO {
-        return here;
-    }
-    let [brightness, uncertainty] = steer[i];
-    let (mut value, mut variance, mut total) = (Vec3::ZERO, 0.0f32, 0.0f32);
-    for dy in -2isize..=2 {
-        for dx in -2isize..=2 {
-            let Some(j) = grid.neighbour(x, y, dx * step, dy * step) else {
-                continue;
-            };
-            let there = signal[j];
-            let mut weight = KERNEL[dx.unsigned_abs()] * KERNEL[dy.unsigned_abs()];
-            if j != i {
-                let surface = same_surface(g, &guides[j], specular);
-                if surface == 0.0 {
-                    continue;
-                }
-                let sigma = LUMINANCE_SIGMAS * (uncertainty + steer[j][1]).sqrt()
-                    + 1e-5 * brightness
-                    + 1e-12;
-                weight *= surface * (-(steer[j][0] - brightness).abs() / sigma).exp();
-            }
-            value += there.value * weight;
-            variance += there.variance * weight * weight;
-            total += weight;
+}
+
+impl Wavelet<'_> {
+    /// The filtered pixel at column `x` of row `y`.
+    fn at(&self, x: usize, y: usize) -> Signal {
+        let i = y * self.grid.width + x;
+        let (here, g) = (self.signal[i], &self.guides[i]);
+        if g.normal == Vec3::ZERO {
+            return here;
         }
-    }
-    Signal {
-        value: value / total,
-        variance: variance / (total * total),
+        let [brightness, uncertainty] = self.steering[i];
+        let (mut value, mut variance, mut total) = (Vec3::ZERO, 0.0f32, 0.0f32);
+        for dy in -2isize..=2 {
+            for dx in -2isize..=2 {
+                let Some(j) = self.grid.neighbour(x, y, dx * self.step, dy * self.step) else {
+                    continue;
+                };
+                let there = self.signal[j];
+                let mut weight = KERNEL[dx.unsigned_abs()] * KERNEL[dy.unsigned_abs()];
+                if j != i {
+                    let surface = same_surface(g, &self.guides[j], self.specular);
+                    if surface == 0.0 {
+                        continue;
+                    }
+                    let [other, noise] = self.steering[j];
+                    let sigma =
+                        LUMINANCE_SIGMAS * (uncertainty + noise).sqrt() + 1e-5 * brightness + 1e-12;
+                    weight *= surface * (-(other - brightness).abs() / sigma).exp();
+                }
+                value += there.value * weight;
+                variance += there.variance * weight * weight;
+                total += weight;
+            }
+        }
+        Signal {
+            value: value / total,
+            variance: variance / (total * total),
+        }
     }
 }
 

@@ -22,6 +22,76 @@ pub struct IesProfile {
 /// Angles a file may state.
 const MOST_ANGLES: usize = 4096;
 
+/// A part of a file, or what is wrong with it.
+type Parsed<T> = std::result::Result<T, String>;
+
+/// The numbers of a file in their order; each is named for the message if it is missing or wrong.
+struct Numbers<'a> {
+    words: Box<dyn Iterator<Item = &'a str> + 'a>,
+}
+
+impl<'a> Numbers<'a> {
+    /// The numbers that follow the line TILT=NONE.
+    fn after_tilt(text: &'a str) -> Parsed<Self> {
+        let body = text
+            .find("TILT=")
+            .map(|at| &text[at + 5..])
+            .ok_or("no line TILT=: expected an IES file (LM-63)")?;
+        let (tilt, rest) = body.split_once('\n').ok_or("ends after TILT=")?;
+        if !tilt.trim().eq_ignore_ascii_case("NONE") {
+            return Err(format!(
+                "TILT={}: only TILT=NONE is read; export the luminaire without tilt",
+                tilt.trim()
+            ));
+        }
+        let words = rest
+            .split(|c: char| c.is_whitespace() || c == ',')
+            .filter(|w| !w.is_empty());
+        Ok(Self {
+            words: Box::new(words),
+        })
+    }
+
+    fn next(&mut self, what: &str) -> Parsed<f32> {
+        let word = self.words.next().ok_or(format!("ends before {what}"))?;
+        let value: f32 = word
+            .parse()
+            .map_err(|_| format!("{what}: {word:?} is no number"))?;
+        if value.is_finite() {
+            Ok(value)
+        } else {
+            Err(format!("{what}: {word} is not finite"))
+        }
+    }
+
+    fn skip(&mut self, names: &[&str]) -> Parsed<()> {
+        names.iter().try_for_each(|what| self.next(what).map(drop))
+    }
+
+    fn count(&mut self, what: &str) -> Parsed<usize> {
+        match self.next(what)? {
+            n if n >= 1.0 && n <= MOST_ANGLES as f32 && n.fract() == 0.0 => Ok(n as usize),
+            n => Err(format!(
+                "{what}: {n}; expected a whole number from 1 to {MOST_ANGLES}"
+            )),
+        }
+    }
+
+    fn list(&mut self, count: usize, what: &str) -> Parsed<Vec<f32>> {
+        (0..count).map(|_| self.next(what)).collect()
+    }
+}
+
+fn check_angles(name: &str, angles: &[f32], end: f32) -> Parsed<()> {
+    if angles.windows(2).any(|w| w[0] >= w[1]) || angles[0] < 0.0 || angles[angles.len() - 1] > end
+    {
+        return Err(format!(
+            "the {name} angles must ascend within 0 to {end} degrees"
+        ));
+    }
+    Ok(())
+}
+
 impl IesProfile {
     /// Reads a file.
     ///
@@ -38,54 +108,20 @@ impl IesProfile {
     }
 
     /// Parses the text of a file.
-    fn parse(text: &str) -> std::result::Result<Self, String> {
-        let body = text
-            .find("TILT=")
-            .map(|at| &text[at + 5..])
-            .ok_or("no line TILT=: expected an IES file (LM-63)")?;
-        let (tilt, rest) = body.split_once('\n').ok_or("ends after TILT=")?;
-        if !tilt.trim().eq_ignore_ascii_case("NONE") {
-            return Err(format!(
-                "TILT={}: only TILT=NONE is read; export the luminaire without tilt",
-                tilt.trim()
-            ));
-        }
-        let mut numbers = rest
-            .split(|c: char| c.is_whitespace() || c == ',')
-            .filter(|w| !w.is_empty());
-        let mut next = |what: &str| -> std::result::Result<f32, String> {
-            let word = numbers.next().ok_or(format!("ends before {what}"))?;
-            let value: f32 = word
-                .parse()
-                .map_err(|_| format!("{what}: {word:?} is no number"))?;
-            if value.is_finite() {
-                Ok(value)
-            } else {
-                Err(format!("{what}: {word} is not finite"))
-            }
-        };
-        for what in [
+    fn parse(text: &str) -> Parsed<Self> {
+        let mut numbers = Numbers::after_tilt(text)?;
+        numbers.skip(&[
             "the number of lamps",
             "the lumens per lamp",
             "the candela multiplier",
-        ] {
-            next(what)?;
-        }
-        let mut count = |what: &str| match next(what)? {
-            n if n >= 1.0 && n <= MOST_ANGLES as f32 && n.fract() == 0.0 => Ok(n as usize),
-            n => Err(format!(
-                "{what}: {n}; expected a whole number from 1 to {MOST_ANGLES}"
-            )),
-        };
-        let (rows, columns) = (
-            count("the number of vertical angles")?,
-            count("the number of horizontal angles")?,
-        );
-        match count("the photometric type")? {
+        ])?;
+        let rows = numbers.count("the number of vertical angles")?;
+        let columns = numbers.count("the number of horizontal angles")?;
+        match numbers.count("the photometric type")? {
             1 => {}
             t => return Err(format!("photometric type {t}: only type C (1) is read")),
         }
-        for what in [
+        numbers.skip(&[
             "units",
             "width",
             "length",
@@ -93,31 +129,12 @@ impl IesProfile {
             "the ballast factor",
             "the ballast-lamp factor",
             "the input watts",
-        ] {
-            next(what)?;
-        }
-        let vertical: Vec<f32> = (0..rows)
-            .map(|_| next("a vertical angle"))
-            .collect::<std::result::Result<_, _>>()?;
-        let horizontal: Vec<f32> = (0..columns)
-            .map(|_| next("a horizontal angle"))
-            .collect::<std::result::Result<_, _>>()?;
-        let candela: Vec<f32> = (0..rows * columns)
-            .map(|_| next("a candela value"))
-            .collect::<std::result::Result<_, _>>()?;
-        for (name, angles, end) in [
-            ("vertical", &vertical, 180.0),
-            ("horizontal", &horizontal, 360.0),
-        ] {
-            if angles.windows(2).any(|w| w[0] >= w[1])
-                || angles[0] < 0.0
-                || angles[angles.len() - 1] > end
-            {
-                return Err(format!(
-                    "the {name} angles must ascend within 0 to {end} degrees"
-                ));
-            }
-        }
+        ])?;
+        let vertical = numbers.list(rows, "a vertical angle")?;
+        let horizontal = numbers.list(columns, "a horizontal angle")?;
+        let candela = numbers.list(rows * columns, "a candela value")?;
+        check_angles("vertical", &vertical, 180.0)?;
+        check_angles("horizontal", &horizontal, 360.0)?;
         let most = candela.iter().copied().fold(0.0, f32::max);
         if most <= 0.0 || candela.iter().any(|c| *c < 0.0) {
             return Err("candela values must not be negative, and one must be positive".into());

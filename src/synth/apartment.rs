@@ -97,161 +97,179 @@ impl Apartment {
     }
 }
 
-/// Floor, ceiling, walls with openings, reveals, skirting. The room spans (0, 0, 0) to `size`.
-fn shell(d: &mut Decorator, size: Vec3, door_z: f32, doors: [bool; 2]) {
-    let (x, y, z) = (Vec3::X * size.x, Vec3::Y * size.y, Vec3::Z * size.z);
-    let tiled = d.rng.below(2) == 0;
-    let floor = d.finish(if tiled { TILED_FLOOR } else { PARQUET });
-    let (wall, ceiling, frame, jamb) = (
-        d.finish(WALL),
-        d.finish(CEILING),
-        d.finish(WINDOW_FRAME),
-        d.finish(DOOR_FRAME),
-    );
-    let skirting = d.finish(SKIRTING);
-    d.builder.rect_facing(Vec3::ZERO, x, z, Vec3::Y, floor);
-    d.builder.rect_facing(y, x, z, Vec3::NEG_Y, ceiling);
-    // north wall (z = 0, seen along −z) with a window; reveal open to the sky
-    let left = 0.5 * (size.x - WINDOW.x) + d.uniform(-0.2, 0.2);
-    wall_with_opening(
-        d,
-        Vec3::ZERO,
-        Vec3::X,
-        Vec3::Z,
-        size,
-        (left, WINDOW.x, SILL, WINDOW.y),
-        wall,
-    );
-    tunnel(
-        d,
-        Vec3::new(left, SILL, 0.0),
-        Vec3::X,
-        Vec3::NEG_Z,
-        WINDOW,
-        WALL_THICKNESS,
-        frame,
-    );
-    window_bars(d, Vec3::new(left, SILL, -0.5 * WALL_THICKNESS), frame);
-    let outer = Vec3::new(left, SILL, -WALL_THICKNESS);
-    let corner = |a: f32, b: f32, d: &Decorator| {
-        d.builder
-            .world(outer + Vec3::new(a * WINDOW.x, b * WINDOW.y, 0.0))
-    };
-    let c = [
-        corner(0.0, 0.0, d),
-        corner(1.0, 0.0, d),
-        corner(1.0, 1.0, d),
-        corner(0.0, 1.0, d),
-    ];
-    d.portals.extend([[c[0], c[1], c[2]], [c[0], c[2], c[3]]]);
-    // south wall
-    d.builder.rect_facing(z + x, -x, y, Vec3::NEG_Z, wall);
-    skirt(d, Vec3::ZERO, Vec3::X, Vec3::Z, size.x, skirting);
-    skirt(d, z + x, Vec3::NEG_X, Vec3::NEG_Z, size.x, skirting);
-    // west (x = 0) runs north to south reversed so that the normal points east; east likewise
-    for (side, &has_door) in doors.iter().enumerate() {
-        let (corner, along, inward) = if side == 0 {
-            (z, Vec3::NEG_Z, Vec3::X)
-        } else {
-            (x, Vec3::Z, Vec3::NEG_X)
-        };
-        let extent = Vec3::new(size.z, size.y, size.x);
-        if !has_door {
-            wall_with_opening(d, corner, along, inward, extent, (0.0, 0.0, 0.0, 0.0), wall);
-            skirt(d, corner, along, inward, size.z, skirting);
-            continue;
-        }
-        let centre = if side == 0 { size.z - door_z } else { door_z };
-        let start = centre - 0.5 * DOOR.x;
-        wall_with_opening(
-            d,
-            corner,
-            along,
-            inward,
-            extent,
-            (start, DOOR.x, 0.0, DOOR.y),
-            wall,
-        );
-        skirt(d, corner, along, inward, start, skirting);
-        let after = start + DOOR.x;
-        skirt(
-            d,
-            corner + along * after,
-            along,
-            inward,
-            size.z - after,
-            skirting,
-        );
-        // each room builds its half of the tunnel
-        tunnel(
-            d,
-            corner + along * start,
-            along,
-            -inward,
-            DOOR,
-            0.5 * WALL_THICKNESS,
-            jamb,
-        );
-        let threshold = corner + along * start;
-        d.builder.rect_facing(
-            threshold,
-            -inward * 0.5 * WALL_THICKNESS,
-            along * DOOR.x,
-            Vec3::Y,
-            floor,
-        );
+/// A wall seen from the room: a rectangle that stands on the floor.
+struct Wall {
+    /// Where it starts, on the floor.
+    corner: Vec3,
+    /// Unit direction in which it runs.
+    along: Vec3,
+    /// Unit normal, into the room.
+    inward: Vec3,
+    /// Metres along it.
+    length: f32,
+    /// Metres up.
+    height: f32,
+}
+
+impl Wall {
+    /// The point `start` metres along the wall and `up` above the floor.
+    fn at(&self, start: f32, up: f32) -> Vec3 {
+        self.corner + self.along * start + Vec3::Y * up
     }
 }
 
-/// A wall from `corner` along `along`, seen from the side of `inward`, around an opening (start,
-/// width, bottom, height).
-fn wall_with_opening(
-    d: &mut Decorator,
-    corner: Vec3,
-    along: Vec3,
-    inward: Vec3,
-    size: Vec3,
-    o: (f32, f32, f32, f32),
-    finish: Finish,
-) {
-    let (start, width, bottom, height) = o;
+/// A rectangular opening in a wall.
+#[derive(Clone, Copy)]
+struct Opening {
+    /// Metres from the start of the wall.
+    start: f32,
+    /// Metres above the floor.
+    bottom: f32,
+    /// Width and height, metres.
+    size: Vec2,
+}
+
+/// What the parts of a room are made of.
+struct ShellFinishes {
+    floor: Finish,
+    wall: Finish,
+    ceiling: Finish,
+    window_frame: Finish,
+    door_frame: Finish,
+    skirting: Finish,
+}
+
+impl ShellFinishes {
+    /// Draws the finishes of a room, in this order.
+    fn draw(d: &mut Decorator) -> Self {
+        let tiled = d.rng.below(2) == 0;
+        Self {
+            floor: d.finish(if tiled { TILED_FLOOR } else { PARQUET }),
+            wall: d.finish(WALL),
+            ceiling: d.finish(CEILING),
+            window_frame: d.finish(WINDOW_FRAME),
+            door_frame: d.finish(DOOR_FRAME),
+            skirting: d.finish(SKIRTING),
+        }
+    }
+}
+
+/// Floor, ceiling, walls with openings, reveals, skirting. The room spans (0, 0, 0) to `size`;
+/// `doors` says whether the west and the east wall have one, centred at `door_z`.
+fn shell(d: &mut Decorator, size: Vec3, door_z: f32, doors: [bool; 2]) {
+    let (x, y, z) = (Vec3::X * size.x, Vec3::Y * size.y, Vec3::Z * size.z);
+    let finishes = ShellFinishes::draw(d);
+    d.builder
+        .rect_facing(Vec3::ZERO, x, z, Vec3::Y, finishes.floor);
+    d.builder
+        .rect_facing(y, x, z, Vec3::NEG_Y, finishes.ceiling);
+    let wall = |corner, along, inward, length| Wall {
+        corner,
+        along,
+        inward,
+        length,
+        height: size.y,
+    };
+    let north = wall(Vec3::ZERO, Vec3::X, Vec3::Z, size.x);
+    let south = wall(z + x, Vec3::NEG_X, Vec3::NEG_Z, size.x);
+    window_wall(d, &north, &finishes);
+    d.builder
+        .rect_facing(z + x, -x, y, Vec3::NEG_Z, finishes.wall);
+    skirt(d, &north, 0.0, north.length, finishes.skirting);
+    skirt(d, &south, 0.0, south.length, finishes.skirting);
+    // west (x = 0) runs north to south reversed so that the normal points east; east likewise
+    let west = wall(z, Vec3::NEG_Z, Vec3::X, size.z);
+    let east = wall(x, Vec3::Z, Vec3::NEG_X, size.z);
+    let sides = [(west, size.z - door_z), (east, door_z)];
+    for ((side, door_centre), has_door) in sides.iter().zip(doors) {
+        if has_door {
+            door_wall(d, side, *door_centre, &finishes);
+        } else {
+            wall_with_opening(d, side, None, finishes.wall);
+            skirt(d, side, 0.0, side.length, finishes.skirting);
+        }
+    }
+}
+
+/// The north wall (z = 0, seen along −z) with a window; its reveal is open to the sky.
+fn window_wall(d: &mut Decorator, north: &Wall, finishes: &ShellFinishes) {
+    let left = 0.5 * (north.length - WINDOW.x) + d.uniform(-0.2, 0.2);
+    let window = Opening {
+        start: left,
+        bottom: SILL,
+        size: WINDOW,
+    };
+    let frame = finishes.window_frame;
+    wall_with_opening(d, north, Some(window), finishes.wall);
+    tunnel(d, north, window, Vec3::NEG_Z * WALL_THICKNESS, frame);
+    window_bars(d, Vec3::new(left, SILL, -0.5 * WALL_THICKNESS), frame);
+    let outer = Vec3::new(left, SILL, -WALL_THICKNESS);
+    let c = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)].map(|(a, b)| {
+        d.builder
+            .world(outer + Vec3::new(a * WINDOW.x, b * WINDOW.y, 0.0))
+    });
+    d.portals.extend([[c[0], c[1], c[2]], [c[0], c[2], c[3]]]);
+}
+
+/// A wall with a doorway around `centre` metres from its start: each room builds its half of the
+/// tunnel and of the threshold.
+fn door_wall(d: &mut Decorator, wall: &Wall, centre: f32, finishes: &ShellFinishes) {
+    let door = Opening {
+        start: centre - 0.5 * DOOR.x,
+        bottom: 0.0,
+        size: DOOR,
+    };
+    let after = door.start + DOOR.x;
+    wall_with_opening(d, wall, Some(door), finishes.wall);
+    skirt(d, wall, 0.0, door.start, finishes.skirting);
+    skirt(d, wall, after, wall.length - after, finishes.skirting);
+    let depth = -wall.inward * (0.5 * WALL_THICKNESS);
+    tunnel(d, wall, door, depth, finishes.door_frame);
+    let threshold = wall.at(door.start, door.bottom);
+    d.builder.rect_facing(
+        threshold,
+        depth,
+        wall.along * DOOR.x,
+        Vec3::Y,
+        finishes.floor,
+    );
+}
+
+/// The pieces of a wall around its opening.
+fn wall_with_opening(d: &mut Decorator, wall: &Wall, opening: Option<Opening>, finish: Finish) {
     let mut piece = |u0: f32, u1: f32, v0: f32, v1: f32| {
         if u1 - u0 > 1e-4 && v1 - v0 > 1e-4 {
-            let corner = corner + along * u0 + Vec3::Y * v0;
             d.builder.rect_facing(
-                corner,
-                along * (u1 - u0),
+                wall.at(u0, v0),
+                wall.along * (u1 - u0),
                 Vec3::Y * (v1 - v0),
-                inward,
+                wall.inward,
                 finish,
             );
         }
     };
-    if width == 0.0 {
-        return piece(0.0, size.x, 0.0, size.y);
-    }
-    piece(0.0, start, 0.0, size.y);
-    piece(start + width, size.x, 0.0, size.y);
-    piece(start, start + width, 0.0, bottom);
-    piece(start, start + width, bottom + height, size.y);
+    let Some(o) = opening else {
+        return piece(0.0, wall.length, 0.0, wall.height);
+    };
+    let (end, top) = (o.start + o.size.x, o.bottom + o.size.y);
+    piece(0.0, o.start, 0.0, wall.height);
+    piece(end, wall.length, 0.0, wall.height);
+    piece(o.start, end, 0.0, o.bottom);
+    piece(o.start, end, top, wall.height);
 }
 
-/// The four inner sides of an opening; its floor is left out when it starts at floor level.
-fn tunnel(
-    d: &mut Decorator,
-    corner: Vec3,
-    along: Vec3,
-    outward: Vec3,
-    opening: Vec2,
-    depth: f32,
-    finish: Finish,
-) {
-    let (w, h, o) = (along * opening.x, Vec3::Y * opening.y, outward * depth);
-    d.builder.rect_facing(corner, o, h, along, finish);
-    d.builder.rect_facing(corner + w, o, h, -along, finish);
-    d.builder.rect_facing(corner + h, o, w, Vec3::NEG_Y, finish);
+/// The four inner sides of an opening that leads `depth` out of the room; its floor is left out
+/// when it starts at floor level.
+fn tunnel(d: &mut Decorator, wall: &Wall, opening: Opening, depth: Vec3, finish: Finish) {
+    let corner = wall.at(opening.start, opening.bottom);
+    let (w, h) = (wall.along * opening.size.x, Vec3::Y * opening.size.y);
+    d.builder.rect_facing(corner, depth, h, wall.along, finish);
+    d.builder
+        .rect_facing(corner + w, depth, h, -wall.along, finish);
+    d.builder
+        .rect_facing(corner + h, depth, w, Vec3::NEG_Y, finish);
     if corner.y > 0.0 {
-        d.builder.rect_facing(corner, o, w, Vec3::Y, finish);
+        d.builder.rect_facing(corner, depth, w, Vec3::Y, finish);
     }
 }
 
@@ -278,18 +296,20 @@ fn window_bars(d: &mut Decorator, corner: Vec3, finish: Finish) {
     }
 }
 
-/// Skirting board along a wall.
-fn skirt(d: &mut Decorator, corner: Vec3, along: Vec3, inward: Vec3, length: f32, finish: Finish) {
+/// Skirting board along `length` metres of a wall from `start`.
+fn skirt(d: &mut Decorator, wall: &Wall, start: f32, length: f32, finish: Finish) {
     if length < 0.05 {
         return;
     }
-    let (front, up) = (corner + inward * SKIRTING_DEPTH, Vec3::Y * SKIRTING_HEIGHT);
+    let corner = wall.corner + wall.along * start;
+    let front = corner + wall.inward * SKIRTING_DEPTH;
+    let up = Vec3::Y * SKIRTING_HEIGHT;
     d.builder
-        .rect_facing(front, along * length, up, inward, finish);
+        .rect_facing(front, wall.along * length, up, wall.inward, finish);
     d.builder.rect_facing(
         front + up,
-        along * length,
-        -inward * SKIRTING_DEPTH,
+        wall.along * length,
+        -wall.inward * SKIRTING_DEPTH,
         Vec3::Y,
         finish,
     );

@@ -49,197 +49,294 @@ classes! {
     30 LAMP "lamp" true;
 }
 
+/// A colour of a recipe: linear reflectance and how far a room's own may lie from it.
+#[derive(Clone, Copy)]
+struct Tint {
+    rgb: [f32; 3],
+    /// Largest relative difference per channel; absent where every room has the same colour.
+    spread: Option<f32>,
+}
+
+impl Tint {
+    /// The colour of one room: draws three numbers if it varies, none otherwise.
+    fn draw(self, rng: &mut KeyedRng) -> Vec3 {
+        let base = Vec3::from_array(self.rgb);
+        let Some(spread) = self.spread else {
+            return base;
+        };
+        let shift = Vec3::new(rng.next_f32(), rng.next_f32(), rng.next_f32()) - Vec3::splat(0.5);
+        (base * (Vec3::ONE + 2.0 * spread * shift)).clamp(Vec3::splat(0.03), Vec3::splat(0.82))
+    }
+}
+
+const fn varied(rgb: [f32; 3], spread: f32) -> Tint {
+    Tint {
+        rgb,
+        spread: Some(spread),
+    }
+}
+
+const fn fixed(rgb: [f32; 3]) -> Tint {
+    Tint { rgb, spread: None }
+}
+
+/// What the paints of a class have in common.
+struct Recipe {
+    class: u16,
+    pattern: Pattern,
+    /// First and second colour.
+    colours: [Tint; 2],
+    /// Roughness R.
+    roughness: f32,
+}
+
+/// The second colour of patterns that have but one.
+const NONE: Tint = fixed([0.0; 3]);
+const WOOD: Pattern = Pattern::Wood { board: 0.13 };
+
+/// The recipes of all classes.
+const RECIPES: &[Recipe] = &[
+    Recipe {
+        class: WALL,
+        pattern: Pattern::Plain,
+        colours: [varied([0.66, 0.62, 0.55], 0.12), NONE],
+        roughness: 0.75,
+    },
+    Recipe {
+        class: CEILING,
+        pattern: Pattern::Plain,
+        colours: [varied([0.78, 0.78, 0.76], 0.02), NONE],
+        roughness: 0.85,
+    },
+    Recipe {
+        class: PARQUET,
+        pattern: Pattern::Wood { board: 0.11 },
+        colours: [
+            varied([0.42, 0.25, 0.13], 0.15),
+            varied([0.2, 0.1, 0.045], 0.1),
+        ],
+        roughness: 0.28,
+    },
+    Recipe {
+        class: TILED_FLOOR,
+        pattern: Pattern::Tiles {
+            edge: 0.33,
+            grout_roughness: 0.85,
+        },
+        colours: [
+            varied([0.5, 0.49, 0.45], 0.1),
+            varied([0.24, 0.23, 0.22], 0.05),
+        ],
+        roughness: 0.14,
+    },
+    Recipe {
+        class: SKIRTING,
+        pattern: Pattern::Plain,
+        colours: [varied([0.74, 0.73, 0.7], 0.03), NONE],
+        roughness: 0.35,
+    },
+    Recipe {
+        class: DOOR_FRAME,
+        pattern: Pattern::Plain,
+        colours: [varied([0.7, 0.68, 0.63], 0.05), NONE],
+        roughness: 0.3,
+    },
+    Recipe {
+        class: WINDOW_FRAME,
+        pattern: Pattern::Plain,
+        colours: [varied([0.76, 0.76, 0.75], 0.03), NONE],
+        roughness: 0.25,
+    },
+    Recipe {
+        class: TABLE,
+        pattern: WOOD,
+        colours: [
+            varied([0.45, 0.24, 0.11], 0.2),
+            varied([0.2, 0.09, 0.04], 0.2),
+        ],
+        roughness: 0.22,
+    },
+    Recipe {
+        class: CHAIR,
+        pattern: WOOD,
+        colours: [
+            varied([0.52, 0.33, 0.17], 0.2),
+            varied([0.3, 0.16, 0.07], 0.2),
+        ],
+        roughness: 0.4,
+    },
+    Recipe {
+        class: SOFA,
+        pattern: Pattern::Fabric,
+        colours: [
+            varied([0.2, 0.3, 0.38], 0.5),
+            varied([0.34, 0.42, 0.48], 0.3),
+        ],
+        roughness: 0.9,
+    },
+    Recipe {
+        class: CUSHION,
+        pattern: Pattern::Stripes { width: 0.05 },
+        colours: [
+            varied([0.68, 0.5, 0.2], 0.5),
+            varied([0.72, 0.68, 0.6], 0.1),
+        ],
+        roughness: 0.85,
+    },
+    Recipe {
+        class: BED_FRAME,
+        pattern: WOOD,
+        colours: [
+            varied([0.33, 0.2, 0.11], 0.2),
+            varied([0.16, 0.08, 0.04], 0.2),
+        ],
+        roughness: 0.33,
+    },
+    Recipe {
+        class: BEDDING,
+        pattern: Pattern::Checks { edge: 0.12 },
+        colours: [
+            varied([0.62, 0.62, 0.66], 0.1),
+            varied([0.25, 0.34, 0.52], 0.4),
+        ],
+        roughness: 0.88,
+    },
+    Recipe {
+        class: PILLOW,
+        pattern: Pattern::Fabric,
+        colours: [
+            varied([0.7, 0.69, 0.66], 0.05),
+            varied([0.6, 0.58, 0.54], 0.05),
+        ],
+        roughness: 0.86,
+    },
+    Recipe {
+        class: SHELF,
+        pattern: WOOD,
+        colours: [
+            varied([0.56, 0.42, 0.26], 0.15),
+            varied([0.38, 0.26, 0.14], 0.15),
+        ],
+        roughness: 0.45,
+    },
+    Recipe {
+        class: BOOK,
+        pattern: Pattern::Assorted,
+        colours: [fixed([0.75, 0.75, 0.75]), fixed([0.6, 0.6, 0.6])],
+        roughness: 0.55,
+    },
+    Recipe {
+        class: VASE,
+        pattern: Pattern::Stripes { width: 0.06 },
+        colours: [
+            varied([0.15, 0.33, 0.42], 0.5),
+            varied([0.6, 0.58, 0.5], 0.2),
+        ],
+        roughness: 0.1,
+    },
+    Recipe {
+        class: BOWL,
+        pattern: Pattern::Plain,
+        colours: [varied([0.55, 0.2, 0.12], 0.5), NONE],
+        roughness: 0.12,
+    },
+    Recipe {
+        class: CABINET,
+        pattern: Pattern::Plain,
+        colours: [varied([0.38, 0.46, 0.44], 0.4), NONE],
+        roughness: 0.2,
+    },
+    Recipe {
+        class: WORKTOP,
+        pattern: Pattern::Fabric,
+        colours: [
+            varied([0.16, 0.16, 0.17], 0.2),
+            varied([0.3, 0.3, 0.3], 0.2),
+        ],
+        roughness: 0.11,
+    },
+    Recipe {
+        class: PICTURE,
+        pattern: Pattern::Picture,
+        colours: [NONE, NONE],
+        roughness: 0.5,
+    },
+    Recipe {
+        class: PICTURE_FRAME,
+        pattern: Pattern::Plain,
+        colours: [varied([0.1, 0.08, 0.06], 0.3), NONE],
+        roughness: 0.18,
+    },
+    Recipe {
+        class: RUG,
+        pattern: Pattern::Rug,
+        colours: [
+            varied([0.5, 0.16, 0.13], 0.5),
+            varied([0.18, 0.14, 0.26], 0.4),
+        ],
+        roughness: 0.9,
+    },
+    Recipe {
+        class: PLANT_POT,
+        pattern: Pattern::Plain,
+        colours: [varied([0.5, 0.24, 0.14], 0.2), NONE],
+        roughness: 0.6,
+    },
+    Recipe {
+        class: PLANT,
+        pattern: Pattern::Fabric,
+        colours: [
+            varied([0.1, 0.24, 0.06], 0.2),
+            varied([0.2, 0.36, 0.1], 0.2),
+        ],
+        roughness: 0.5,
+    },
+    Recipe {
+        class: ORNAMENT,
+        pattern: Pattern::Plain,
+        colours: [varied([0.6, 0.55, 0.3], 0.5), NONE],
+        roughness: 0.08,
+    },
+    Recipe {
+        class: LAMP_STAND,
+        pattern: Pattern::Plain,
+        colours: [varied([0.14, 0.14, 0.15], 0.2), NONE],
+        roughness: 0.16,
+    },
+    Recipe {
+        class: SPLASHBACK,
+        pattern: Pattern::Tiles {
+            edge: 0.15,
+            grout_roughness: 0.8,
+        },
+        colours: [
+            varied([0.6, 0.66, 0.64], 0.2),
+            varied([0.4, 0.4, 0.39], 0.05),
+        ],
+        roughness: 0.09,
+    },
+    Recipe {
+        class: FRUIT,
+        pattern: Pattern::Assorted,
+        colours: [fixed([0.8, 0.5, 0.15]), fixed([0.7, 0.2, 0.1])],
+        roughness: 0.3,
+    },
+];
+/// Of what has no recipe, lamps: white.
+const WHITE: Recipe = Recipe {
+    class: LAMP,
+    pattern: Pattern::Plain,
+    colours: [fixed([0.78; 3]), NONE],
+    roughness: 0.6,
+};
+
 /// The paint of a class in a room: its colours drawn from `rng`.
 #[must_use]
 pub fn paint(class: u16, rng: &mut KeyedRng) -> Paint {
-    let mut tint = |rgb: [f32; 3], spread: f32| {
-        let base = Vec3::from_array(rgb);
-        let shift = Vec3::new(rng.next_f32(), rng.next_f32(), rng.next_f32()) - Vec3::splat(0.5);
-        (base * (Vec3::ONE + 2.0 * spread * shift)).clamp(Vec3::splat(0.03), Vec3::splat(0.82))
-    };
-    let wood = Pattern::Wood { board: 0.13 };
-    let (pattern, a, b, roughness) = match class {
-        WALL => (
-            Pattern::Plain,
-            tint([0.66, 0.62, 0.55], 0.12),
-            Vec3::ZERO,
-            0.75,
-        ),
-        CEILING => (
-            Pattern::Plain,
-            tint([0.78, 0.78, 0.76], 0.02),
-            Vec3::ZERO,
-            0.85,
-        ),
-        PARQUET => (
-            Pattern::Wood { board: 0.11 },
-            tint([0.42, 0.25, 0.13], 0.15),
-            tint([0.2, 0.1, 0.045], 0.1),
-            0.28,
-        ),
-        TILED_FLOOR => {
-            let grout = Pattern::Tiles {
-                edge: 0.33,
-                grout_roughness: 0.85,
-            };
-            (
-                grout,
-                tint([0.5, 0.49, 0.45], 0.1),
-                tint([0.24, 0.23, 0.22], 0.05),
-                0.14,
-            )
-        }
-        SKIRTING => (
-            Pattern::Plain,
-            tint([0.74, 0.73, 0.7], 0.03),
-            Vec3::ZERO,
-            0.35,
-        ),
-        DOOR_FRAME => (
-            Pattern::Plain,
-            tint([0.7, 0.68, 0.63], 0.05),
-            Vec3::ZERO,
-            0.3,
-        ),
-        WINDOW_FRAME => (
-            Pattern::Plain,
-            tint([0.76, 0.76, 0.75], 0.03),
-            Vec3::ZERO,
-            0.25,
-        ),
-        TABLE => (
-            wood,
-            tint([0.45, 0.24, 0.11], 0.2),
-            tint([0.2, 0.09, 0.04], 0.2),
-            0.22,
-        ),
-        CHAIR => (
-            wood,
-            tint([0.52, 0.33, 0.17], 0.2),
-            tint([0.3, 0.16, 0.07], 0.2),
-            0.4,
-        ),
-        SOFA => (
-            Pattern::Fabric,
-            tint([0.2, 0.3, 0.38], 0.5),
-            tint([0.34, 0.42, 0.48], 0.3),
-            0.9,
-        ),
-        CUSHION => (
-            Pattern::Stripes { width: 0.05 },
-            tint([0.68, 0.5, 0.2], 0.5),
-            tint([0.72, 0.68, 0.6], 0.1),
-            0.85,
-        ),
-        BED_FRAME => (
-            wood,
-            tint([0.33, 0.2, 0.11], 0.2),
-            tint([0.16, 0.08, 0.04], 0.2),
-            0.33,
-        ),
-        BEDDING => (
-            Pattern::Checks { edge: 0.12 },
-            tint([0.62, 0.62, 0.66], 0.1),
-            tint([0.25, 0.34, 0.52], 0.4),
-            0.88,
-        ),
-        PILLOW => (
-            Pattern::Fabric,
-            tint([0.7, 0.69, 0.66], 0.05),
-            tint([0.6, 0.58, 0.54], 0.05),
-            0.86,
-        ),
-        SHELF => (
-            wood,
-            tint([0.56, 0.42, 0.26], 0.15),
-            tint([0.38, 0.26, 0.14], 0.15),
-            0.45,
-        ),
-        BOOK => (Pattern::Assorted, Vec3::splat(0.75), Vec3::splat(0.6), 0.55),
-        VASE => (
-            Pattern::Stripes { width: 0.06 },
-            tint([0.15, 0.33, 0.42], 0.5),
-            tint([0.6, 0.58, 0.5], 0.2),
-            0.1,
-        ),
-        BOWL => (
-            Pattern::Plain,
-            tint([0.55, 0.2, 0.12], 0.5),
-            Vec3::ZERO,
-            0.12,
-        ),
-        CABINET => (
-            Pattern::Plain,
-            tint([0.38, 0.46, 0.44], 0.4),
-            Vec3::ZERO,
-            0.2,
-        ),
-        WORKTOP => (
-            Pattern::Fabric,
-            tint([0.16, 0.16, 0.17], 0.2),
-            tint([0.3, 0.3, 0.3], 0.2),
-            0.11,
-        ),
-        PICTURE => (Pattern::Picture, Vec3::ZERO, Vec3::ZERO, 0.5),
-        PICTURE_FRAME => (
-            Pattern::Plain,
-            tint([0.1, 0.08, 0.06], 0.3),
-            Vec3::ZERO,
-            0.18,
-        ),
-        RUG => (
-            Pattern::Rug,
-            tint([0.5, 0.16, 0.13], 0.5),
-            tint([0.18, 0.14, 0.26], 0.4),
-            0.9,
-        ),
-        PLANT_POT => (
-            Pattern::Plain,
-            tint([0.5, 0.24, 0.14], 0.2),
-            Vec3::ZERO,
-            0.6,
-        ),
-        PLANT => (
-            Pattern::Fabric,
-            tint([0.1, 0.24, 0.06], 0.2),
-            tint([0.2, 0.36, 0.1], 0.2),
-            0.5,
-        ),
-        ORNAMENT => (
-            Pattern::Plain,
-            tint([0.6, 0.55, 0.3], 0.5),
-            Vec3::ZERO,
-            0.08,
-        ),
-        LAMP_STAND => (
-            Pattern::Plain,
-            tint([0.14, 0.14, 0.15], 0.2),
-            Vec3::ZERO,
-            0.16,
-        ),
-        SPLASHBACK => {
-            let grout = Pattern::Tiles {
-                edge: 0.15,
-                grout_roughness: 0.8,
-            };
-            (
-                grout,
-                tint([0.6, 0.66, 0.64], 0.2),
-                tint([0.4, 0.4, 0.39], 0.05),
-                0.09,
-            )
-        }
-        FRUIT => (
-            Pattern::Assorted,
-            Vec3::new(0.8, 0.5, 0.15),
-            Vec3::new(0.7, 0.2, 0.1),
-            0.3,
-        ),
-        _ => (Pattern::Plain, Vec3::splat(0.78), Vec3::ZERO, 0.6),
-    };
+    let recipe = RECIPES.iter().find(|r| r.class == class).unwrap_or(&WHITE);
     Paint {
-        pattern,
-        colours: [a, b],
-        roughness,
+        pattern: recipe.pattern,
+        colours: recipe.colours.map(|c| c.draw(rng)),
+        roughness: recipe.roughness,
     }
 }

@@ -15,7 +15,6 @@ use crate::irradiance::{Irradiance, PARTS, Patch, SurfaceFilter};
 use crate::progress::Progress;
 use crate::render::{IndirectCache, IrradiancePoint, PathTracer};
 use crate::texture::{Texels, fill_uncovered};
-use crate::trace::Tracer;
 use glam::Vec3;
 use std::f32::consts::TAU;
 
@@ -47,6 +46,15 @@ impl IndirectCache for Lightmap<'_> {
     }
 }
 
+/// How finely a lightmap is baked.
+#[derive(Clone, Copy, Debug)]
+pub struct LightmapQuality {
+    /// Texels along each side.
+    pub side: usize,
+    /// Factor on the paths per texel.
+    pub effort: f32,
+}
+
 /// Side of the lightmap for panoramas of `width` pixels.
 #[must_use]
 pub fn side(atlas: &Atlas, width: usize) -> usize {
@@ -57,17 +65,16 @@ pub fn side(atlas: &Atlas, width: usize) -> usize {
 }
 
 impl<'a> Lightmap<'a> {
-    /// Bakes a map of `side` × `side` texels with the renderer itself; indirect light comes from
-    /// `cache`. `effort` scales the paths.
+    /// Bakes a map with the renderer itself; indirect light comes from `cache`.
     #[must_use]
     pub fn bake(
-        mesh: &'a Mesh,
-        tracer: &dyn Tracer,
-        renderer: &PathTracer<'_>,
+        renderer: &PathTracer<'a>,
         cache: &dyn IndirectCache,
-        (side, effort): (usize, f32),
+        quality: LightmapQuality,
         progress: &Progress,
     ) -> Self {
+        let (mesh, tracer) = (renderer.mesh(), renderer.tracer());
+        let LightmapQuality { side, effort } = quality;
         let texels = Texels::rasterize(mesh, side, side);
         let points: Vec<IrradiancePoint> = (0..texels.len())
             .map(|i| receiver(mesh, &texels, i))
@@ -176,11 +183,12 @@ mod tests {
         let silent = Progress::silent();
         let cache = SurfaceIrradiance::new(&mesh).bake(&mesh, &tracer, &renderer, 0.25, &silent);
         let map = Lightmap::bake(
-            &mesh,
-            &tracer,
             &renderer,
             &cache,
-            (side(&atlas, 256), 0.5),
+            LightmapQuality {
+                side: side(&atlas, 256),
+                effort: 0.5,
+            },
             &silent,
         );
         let (mut shared, mut followed) = ([0.0f64; 64], [0.0f64; 64]);
@@ -260,7 +268,8 @@ mod tests {
         let silent = Progress::silent();
         let cache = SurfaceIrradiance::new(&mesh);
         for side in [128, 64] {
-            let map = Lightmap::bake(&mesh, &tracer, &renderer, &cache, (side, 0.25), &silent);
+            let quality = LightmapQuality { side, effort: 0.25 };
+            let map = Lightmap::bake(&renderer, &cache, quality, &silent);
             for triangle in 0..mesh.triangles.len() {
                 for [u, v] in [
                     [0.3, 0.3],

@@ -29,16 +29,18 @@ pub use options::{SynthOptions, SynthSummary};
 pub use truth::true_solution;
 
 use crate::error::{Error, Result};
-use crate::geometry::Camera;
-use crate::image::RgbPlane;
+use crate::geometry::{Camera, Mesh};
+use crate::image::{Plane, RgbPlane};
+use crate::math::luminance;
 use crate::progress::Progress;
 use crate::render::denoise::{Purpose, denoise};
 use crate::render::{
     Adaptive, Frame, IndirectCache, KnownLight, Noise, PathTracer, PathTracerOptions,
 };
 use crate::trace::EmbreeTracer;
-use glam::Vec3;
-use lightmap::Lightmap;
+use glam::{Vec3, Vec4};
+use lightmap::{Lightmap, LightmapQuality};
+use std::collections::BTreeSet;
 use std::path::Path;
 
 fn does_not_fit(apartment: &apartment::Apartment, options: &SynthOptions) -> Error {
@@ -90,6 +92,144 @@ fn photograph(
     Ok((frame, image))
 }
 
+/// An apartment packed into its atlas, meshed and painted: what is photographed.
+struct Built {
+    apartment: apartment::Apartment,
+    atlas: atlas::Atlas,
+    mesh: Mesh,
+    /// Albedo (x, y, z) and roughness (w).
+    texture: Plane<Vec4>,
+}
+
+impl Built {
+    fn new(options: &SynthOptions, progress: &Progress) -> Result<Self> {
+        let mut apartment = apartment::Apartment::new(options.seed, options.rooms);
+        if options.diffuse {
+            apartment
+                .paints
+                .iter_mut()
+                .for_each(pattern::Paint::make_matte);
+        }
+        let atlas = atlas::Atlas::pack(&apartment.charts, options.texture)
+            .ok_or_else(|| does_not_fit(&apartment, options))?;
+        let mesh = atlas.mesh(&apartment.charts);
+        let texture = progress.stage("painting textures", 1, |_| {
+            atlas.paint(&apartment.charts, &apartment.paints)
+        });
+        Ok(Self {
+            apartment,
+            atlas,
+            mesh,
+            texture,
+        })
+    }
+
+    fn note(&self) -> String {
+        format!(
+            "{} rooms, {} triangles, {} charts at {:.0} texels per metre",
+            self.apartment.rooms.len(),
+            self.mesh.triangles.len(),
+            self.apartment.charts.len(),
+            self.atlas.density
+        )
+    }
+}
+
+/// Diffuse light computed once for all views, as far as the options allow.
+struct SharedLight<'a> {
+    cache: Option<SurfaceIrradiance>,
+    lightmap: Option<Lightmap<'a>>,
+}
+
+impl<'a> SharedLight<'a> {
+    fn bake(
+        renderer: &PathTracer<'a>,
+        atlas: &atlas::Atlas,
+        options: &SynthOptions,
+        progress: &Progress,
+    ) -> Self {
+        // the cache is worth as much care as the pixels, up to what its nodes can resolve
+        let effort = (options.spp as f32 / 8.0).clamp(0.2, 2.0);
+        let cache = (!options.full_paths).then(|| {
+            let cache = SurfaceIrradiance::new(renderer.mesh());
+            progress.stage("caching irradiance", cache.steps(), |p| {
+                cache.bake(renderer.mesh(), renderer.tracer(), renderer, effort, p)
+            })
+        });
+        let quality = LightmapQuality {
+            side: lightmap::side(atlas, options.width),
+            effort: options.spp as f32 / 8.0,
+        };
+        let lightmap = cache
+            .as_ref()
+            .filter(|_| !options.no_denoise)
+            .map(|c| Lightmap::bake(renderer, c, quality, progress));
+        Self { cache, lightmap }
+    }
+
+    fn known(&self) -> KnownLight<'_> {
+        match &self.lightmap {
+            Some(map) => KnownLight {
+                first: Some(map),
+                later: Some(map),
+            },
+            None => KnownLight {
+                first: None,
+                later: self.cache.as_ref().map(|c| c as &dyn IndirectCache),
+            },
+        }
+    }
+}
+
+/// What the photographs show.
+struct Photographed {
+    /// Labels that occur in them, without 0.
+    classes: BTreeSet<u16>,
+    /// Median luminance of a subset of their pixels.
+    median_radiance: f32,
+}
+
+/// Renders all views and writes them.
+fn photograph_all(
+    built: &Built,
+    views: &[views::SynthView],
+    options: &SynthOptions,
+    writer: &output::FolderWriter,
+    progress: &Progress,
+) -> Result<Photographed> {
+    let tracer = EmbreeTracer::new(&built.mesh)?;
+    let surfaces = Textured::new(&built.mesh, &built.apartment.charts, &built.texture);
+    let sky = sky(&built.apartment);
+    let settings = PathTracerOptions {
+        samples: options.spp,
+        seed: options.seed,
+        ..PathTracerOptions::default()
+    };
+    let renderer = PathTracer::new(&built.mesh, &tracer, &surfaces, &sky, settings);
+    let light = SharedLight::bake(&renderer, &built.atlas, options, progress);
+    let pixels = views
+        .iter()
+        .map(|v| (v.camera.width * v.camera.height) as u64)
+        .sum();
+    let mut luminances = Vec::new();
+    let mut classes = BTreeSet::new();
+    progress.stage("rendering panoramas", pixels, |p| -> Result<()> {
+        for (i, view) in views.iter().enumerate() {
+            let known = light.known();
+            let (frame, image) = photograph(&renderer, &view.camera, i as u64, known, options, p)?;
+            luminances.extend(image.data.iter().step_by(61).map(|&c| luminance(c)));
+            classes.extend(frame.label.data.iter().copied().filter(|&l| l != 0));
+            writer.view(&view.stem, &frame, &image)?;
+        }
+        Ok(())
+    })?;
+    luminances.sort_by(f32::total_cmp);
+    Ok(Photographed {
+        classes,
+        median_radiance: luminances.get(luminances.len() / 2).copied().unwrap_or(0.0),
+    })
+}
+
 /// Makes an apartment and writes its scene folder (docs/scene-format.md), whole or not at all.
 ///
 /// # Errors
@@ -101,93 +241,15 @@ pub fn generate(
 ) -> Result<SynthSummary> {
     options.validate()?;
     let writer = output::FolderWriter::new(out_folder)?;
-    let mut apartment = apartment::Apartment::new(options.seed, options.rooms);
-    if options.diffuse {
-        apartment
-            .paints
-            .iter_mut()
-            .for_each(pattern::Paint::make_matte);
-    }
-    let atlas = atlas::Atlas::pack(&apartment.charts, options.texture)
-        .ok_or_else(|| does_not_fit(&apartment, options))?;
-    let mesh = atlas.mesh(&apartment.charts);
-    let texture = progress.stage("painting textures", 1, |_| {
-        atlas.paint(&apartment.charts, &apartment.paints)
-    });
-    let views = views::place(&apartment, options)?;
-    progress.note(format!(
-        "{} rooms, {} triangles, {} charts at {:.0} texels per metre",
-        options.rooms,
-        mesh.triangles.len(),
-        apartment.charts.len(),
-        atlas.density
-    ));
-    let tracer = EmbreeTracer::new(&mesh)?;
-    let surfaces = Textured::new(&mesh, &apartment.charts, &texture);
-    let sky = sky(&apartment);
-    let settings = PathTracerOptions {
-        samples: options.spp,
-        seed: options.seed,
-        ..PathTracerOptions::default()
-    };
-    let renderer = PathTracer::new(&mesh, &tracer, &surfaces, &sky, settings);
-    // the cache is worth as much care as the pixels, up to what its nodes can resolve
-    let effort = (options.spp as f32 / 8.0).clamp(0.2, 2.0);
-    let cache = (!options.full_paths).then(|| {
-        let cache = SurfaceIrradiance::new(&mesh);
-        progress.stage("caching irradiance", cache.steps(), |p| {
-            cache.bake(&mesh, &tracer, &renderer, effort, p)
-        })
-    });
-    let shared = cache.as_ref().filter(|_| !options.no_denoise);
-    let size = lightmap::side(&atlas, options.width);
-    let lightmap = shared.map(|c| {
-        Lightmap::bake(
-            &mesh,
-            &tracer,
-            &renderer,
-            c,
-            (size, options.spp as f32 / 8.0),
-            progress,
-        )
-    });
-    let known = match &lightmap {
-        Some(map) => KnownLight {
-            first: Some(map),
-            later: Some(map),
-        },
-        None => KnownLight {
-            first: None,
-            later: cache.as_ref().map(|c| c as &dyn IndirectCache),
-        },
-    };
-    let pixels = views
-        .iter()
-        .map(|v| (v.camera.width * v.camera.height) as u64)
-        .sum();
-    let mut luminances = Vec::new();
-    let mut seen = std::collections::BTreeSet::new();
-    progress.stage("rendering panoramas", pixels, |p| -> Result<()> {
-        for (i, view) in views.iter().enumerate() {
-            let (frame, image) = photograph(&renderer, &view.camera, i as u64, known, options, p)?;
-            luminances.extend(
-                image
-                    .data
-                    .iter()
-                    .step_by(61)
-                    .map(|&c| crate::math::luminance(c)),
-            );
-            seen.extend(frame.label.data.iter().copied().filter(|&l| l != 0));
-            writer.view(&view.stem, &frame, &image)?;
-        }
-        Ok(())
-    })?;
-    luminances.sort_by(f32::total_cmp);
+    let built = Built::new(options, progress)?;
+    let views = views::place(&built.apartment, options)?;
+    progress.note(built.note());
+    let photographed = photograph_all(&built, &views, options, &writer, progress)?;
     writer.scene(&output::Described {
         options,
-        apartment: &apartment,
-        mesh: &mesh,
-        texture: &texture,
+        apartment: &built.apartment,
+        mesh: &built.mesh,
+        texture: &built.texture,
         views: &views,
     })?;
     if options.truth {
@@ -197,13 +259,13 @@ pub fn generate(
         )?;
     }
     let summary = SynthSummary {
-        triangles: mesh.triangles.len(),
-        charts: apartment.charts.len(),
-        texels_per_metre: atlas.density,
+        triangles: built.mesh.triangles.len(),
+        charts: built.apartment.charts.len(),
+        texels_per_metre: built.atlas.density,
         train_views: views.iter().filter(|v| !v.held_out).count(),
         test_views: views.iter().filter(|v| v.held_out).count(),
-        classes: seen.len(),
-        median_radiance: luminances.get(luminances.len() / 2).copied().unwrap_or(0.0),
+        classes: photographed.classes.len(),
+        median_radiance: photographed.median_radiance,
     };
     writer.finish(&summary)?;
     Ok(summary)

@@ -97,92 +97,92 @@ impl Paint {
     #[must_use]
     pub fn look(&self, uv: Vec2, size: Vec2, key: u64) -> Look {
         let [a, b] = self.colours;
-        let (albedo, roughness) = match self.pattern {
-            Pattern::Plain => (a * (0.96 + 0.06 * fractal(key, uv * 3.0)), self.roughness),
-            Pattern::Wood { board } => {
-                let row = (uv.y / board).floor();
-                let id = hash_u64(key, row as i64 as u64);
-                let shift = unit(id, 3, 0) * 5.0;
-                let along = uv.x + shift;
-                let tone = 0.8 + 0.4 * unit(id, (along / (board * 9.0)).floor() as i64, 1);
-                let across = uv.y + 0.035 * noise(id, Vec2::new(along * 1.3, uv.y * 6.0));
-                let grain = fractal(id, Vec2::new(along * 2.5, across * 55.0));
-                let joint = (uv.y / board).fract();
-                let gap = if !(0.02..=0.98).contains(&joint) {
-                    0.6
-                } else {
-                    1.0
-                };
-                (
-                    a.lerp(b, (grain * 1.4 - 0.3).clamp(0.0, 1.0)) * (tone * gap),
-                    self.roughness,
-                )
-            }
-            Pattern::Tiles {
-                edge,
-                grout_roughness,
-            } => {
+        let chosen = |odd: bool| if odd { a } else { b };
+        let albedo = match self.pattern {
+            Pattern::Plain => a * (0.96 + 0.06 * fractal(key, uv * 3.0)),
+            Pattern::Wood { board } => self.wood(uv, board, key),
+            Pattern::Tiles { edge, .. } if in_grout(uv, edge) => b,
+            Pattern::Tiles { edge, .. } => {
                 let p = uv / edge;
-                let f = p - p.floor();
-                let rim = f.min(Vec2::ONE - f).min_element() * edge;
-                if rim < 0.009 {
-                    (b, grout_roughness)
-                } else {
-                    let tone = 0.9 + 0.2 * unit(key, p.x.floor() as i64, p.y.floor() as i64);
-                    (
-                        a * tone * (0.95 + 0.1 * fractal(key, uv * 6.0)),
-                        self.roughness,
-                    )
-                }
+                let tone = 0.9 + 0.2 * unit(key, p.x.floor() as i64, p.y.floor() as i64);
+                a * tone * (0.95 + 0.1 * fractal(key, uv * 6.0))
             }
             Pattern::Checks { edge } => {
                 let p = (uv / edge).floor();
                 let odd = (p.x + p.y).rem_euclid(2.0) > 0.5;
-                (
-                    (if odd { a } else { b }) * (0.94 + 0.1 * fractal(key, uv * 9.0)),
-                    self.roughness,
-                )
+                chosen(odd) * (0.94 + 0.1 * fractal(key, uv * 9.0))
             }
             Pattern::Stripes { width } => {
                 let odd = (uv.x / width).floor().rem_euclid(2.0) > 0.5;
-                (
-                    (if odd { a } else { b }) * (0.94 + 0.1 * fractal(key, uv * 12.0)),
-                    self.roughness,
-                )
+                chosen(odd) * (0.94 + 0.1 * fractal(key, uv * 12.0))
             }
             Pattern::Fabric => {
                 let weave = noise(key, uv * 40.0);
                 let soft = fractal(key + 7, uv * 4.0);
-                (a.lerp(b, 0.5 * weave + 0.5 * soft), self.roughness)
+                a.lerp(b, 0.5 * weave + 0.5 * soft)
             }
-            Pattern::Picture => (picture(uv / size, key), self.roughness),
-            Pattern::Rug => {
-                let inset = uv.min(size - uv).min_element();
-                let p = uv - 0.5 * size;
-                let lozenge = ((p.x.abs() * 4.0 + p.y.abs() * 6.0) * 1.2)
-                    .floor()
-                    .rem_euclid(3.0);
-                let c = if inset < 0.08 {
-                    b
-                } else if inset < 0.14 {
-                    a * 0.5 + Vec3::splat(0.3)
-                } else if lozenge < 0.5 {
-                    b * 0.8 + Vec3::new(0.1, 0.06, 0.02)
-                } else {
-                    a
-                };
-                (c * (0.85 + 0.25 * noise(key, uv * 40.0)), self.roughness)
-            }
-            Pattern::Assorted => (
-                a.lerp(b, unit(key, 5, 5)) * (0.4 + 0.6 * vivid(key)) * 1.4,
-                self.roughness,
-            ),
+            Pattern::Picture => picture(uv / size, key),
+            Pattern::Rug => self.rug(uv, size, key),
+            Pattern::Assorted => a.lerp(b, unit(key, 5, 5)) * (0.4 + 0.6 * vivid(key)) * 1.4,
+        };
+        let roughness = match self.pattern {
+            Pattern::Tiles {
+                edge,
+                grout_roughness,
+            } if in_grout(uv, edge) => grout_roughness,
+            _ => self.roughness,
         };
         (
             albedo.clamp(Vec3::splat(0.02), Vec3::splat(0.85)),
             roughness.clamp(0.05, 1.0),
         )
     }
+
+    /// Boards of width `board` along u, each of its own tone and grain, with dark joints.
+    fn wood(&self, uv: Vec2, board: f32, key: u64) -> Vec3 {
+        let [light, dark] = self.colours;
+        let row = (uv.y / board).floor();
+        let id = hash_u64(key, row as i64 as u64);
+        let shift = unit(id, 3, 0) * 5.0;
+        let along = uv.x + shift;
+        let tone = 0.8 + 0.4 * unit(id, (along / (board * 9.0)).floor() as i64, 1);
+        let across = uv.y + 0.035 * noise(id, Vec2::new(along * 1.3, uv.y * 6.0));
+        let grain = fractal(id, Vec2::new(along * 2.5, across * 55.0));
+        let joint = (uv.y / board).fract();
+        let gap = if !(0.02..=0.98).contains(&joint) {
+            0.6
+        } else {
+            1.0
+        };
+        light.lerp(dark, (grain * 1.4 - 0.3).clamp(0.0, 1.0)) * (tone * gap)
+    }
+
+    /// A border of the second colour, an inner one, and lozenges in the field.
+    fn rug(&self, uv: Vec2, size: Vec2, key: u64) -> Vec3 {
+        let [field, border] = self.colours;
+        let inset = uv.min(size - uv).min_element();
+        let p = uv - 0.5 * size;
+        let lozenge = ((p.x.abs() * 4.0 + p.y.abs() * 6.0) * 1.2)
+            .floor()
+            .rem_euclid(3.0);
+        let colour = if inset < 0.08 {
+            border
+        } else if inset < 0.14 {
+            field * 0.5 + Vec3::splat(0.3)
+        } else if lozenge < 0.5 {
+            border * 0.8 + Vec3::new(0.1, 0.06, 0.02)
+        } else {
+            field
+        };
+        colour * (0.85 + 0.25 * noise(key, uv * 40.0))
+    }
+}
+
+/// Whether `uv` lies in the grout between square tiles of the given edge.
+fn in_grout(uv: Vec2, edge: f32) -> bool {
+    let p = uv / edge;
+    let f = p - p.floor();
+    f.min(Vec2::ONE - f).min_element() * edge < 0.009
 }
 
 /// A painting on the unit square.

@@ -1,6 +1,9 @@
 //! `unbake bench`: what can be measured, and where the figures go.
 
-use crate::bench::{Runner, bench_irt, bench_kernel, bench_robustness, bench_tradeoff, bench_tsdr};
+use crate::bench::{
+    IrtBench, RobustnessBench, TradeoffBench, TsdrBench, Workplace, bench_irt, bench_kernel,
+    bench_robustness, bench_tradeoff, bench_tsdr,
+};
 use crate::cli::config::Config;
 use crate::cli::context::Context;
 use crate::cli::inputs::read_scene;
@@ -13,17 +16,10 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 impl Work {
-    fn runner(&self, scene: &Path, context: &Context) -> Result<Runner> {
-        self.runner_in(scene, &self.folder(), context)
-    }
-
-    fn folder(&self) -> PathBuf {
-        self.keep.clone().unwrap_or_else(|| {
+    fn workplace(&self, context: &Context) -> Result<Workplace> {
+        let folder = self.keep.clone().unwrap_or_else(|| {
             std::env::temp_dir().join(format!("unbake-bench-{}", std::process::id()))
-        })
-    }
-
-    fn runner_in(&self, scene: &Path, work: &Path, context: &Context) -> Result<Runner> {
+        });
         let config = Config {
             quiet: true,
             json: false,
@@ -31,11 +27,23 @@ impl Work {
         };
         let config =
             toml::to_string(&config).map_err(|e| Error::Failed(format!("options: {e}")))?;
-        Runner::new(scene, work, self.keep.is_some(), &config)
+        Ok(Workplace {
+            folder,
+            keep: self.keep.is_some(),
+            config,
+        })
     }
 }
 
 impl Outputs {
+    /// The figures as JSON, without a plot.
+    fn json_alone(file: &Option<PathBuf>) -> Self {
+        Self {
+            json_file: file.clone(),
+            plot: None,
+        }
+    }
+
     /// Fails now rather than after the long run if a file cannot be written.
     fn check(&self) -> Result<()> {
         for path in [&self.json_file, &self.plot].into_iter().flatten() {
@@ -79,96 +87,104 @@ pub(crate) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
             scene,
             bench,
             outputs,
-        } => {
-            outputs.check()?;
-            let report = bench_irt(
-                &read_scene(scene, context)?,
-                bench,
-                &solve_options(context),
-                &context.progress,
-            )?;
-            outputs.write(context, &report.text(), &report, || report.plot())
-        }
+        } => irt(scene, bench, outputs, context),
         BenchVerb::Tradeoff {
-            scene: path,
+            scene,
             bench,
             work,
             outputs,
-        } => {
-            outputs.check()?;
-            let scene = read_scene(path, context)?;
-            let runner = work.runner(path, context)?;
-            let options = solve_options(context);
-            let report = bench_tradeoff(
-                &scene,
-                &runner,
-                bench,
-                &options,
-                &context.progress,
-                &mut |so_far| outputs.write_files(so_far, || so_far.plot()).map(drop),
-            )?;
-            outputs.write(context, &report.text(), &report, || report.plot())
-        }
+        } => tradeoff(scene, bench, work, outputs, context),
         BenchVerb::Tsdr {
-            scene: path,
+            scene,
             bench,
             work,
             json_file,
-        } => {
-            let outputs = Outputs {
-                json_file: json_file.clone(),
-                plot: None,
-            };
-            outputs.check()?;
-            let scene = read_scene(path, context)?;
-            let report = bench_tsdr(
-                &scene,
-                &work.runner(path, context)?,
-                bench,
-                &context.progress,
-            )?;
-            outputs.write(context, &report.text(), &report, || Ok(String::new()))
-        }
+        } => tsdr(scene, bench, work, &Outputs::json_alone(json_file), context),
         BenchVerb::Robustness {
-            scene: path,
+            scene,
             bench,
             work,
             json_file,
-        } => {
-            let outputs = Outputs {
-                json_file: json_file.clone(),
-                plot: None,
-            };
-            outputs.check()?;
-            let scene = read_scene(path, context)?;
-            let folder = work.folder();
-            let runner = |scene: &Path, to: &Path| work.runner_in(scene, to, context);
-            let report = bench_robustness(
-                &scene,
-                bench,
-                context.seed(),
-                &folder,
-                &runner,
-                &context.progress,
-                &mut |so_far| outputs.write_files(so_far, || Ok(String::new())).map(drop),
-            );
-            if work.keep.is_none() {
-                // nothing can be done about files that will not go
-                let _ = std::fs::remove_dir_all(&folder);
-            }
-            let report = report?;
-            outputs.write(context, &report.text(), &report, || Ok(String::new()))
-        }
+        } => robustness(scene, bench, work, &Outputs::json_alone(json_file), context),
         BenchVerb::Kernel { bench, json_file } => {
-            let outputs = Outputs {
-                json_file: json_file.clone(),
-                plot: None,
-            };
+            let outputs = Outputs::json_alone(json_file);
             outputs.check()?;
             let report = bench_kernel(bench)?;
-            outputs.write(context, &report.text(), &report, || Ok(String::new()))
+            outputs.write(context, &report.text(), &report, no_plot)
         }
     }
+}
+
+fn no_plot() -> Result<String> {
+    Ok(String::new())
+}
+
+fn irt(scene: &Path, bench: &IrtBench, outputs: &Outputs, context: &Context) -> Result<()> {
+    outputs.check()?;
+    let scene = read_scene(scene, context)?;
+    let report = bench_irt(&scene, bench, &solve_options(context), &context.progress)?;
+    outputs.write(context, &report.text(), &report, || report.plot())
+}
+
+fn tradeoff(
+    path: &Path,
+    bench: &TradeoffBench,
+    work: &Work,
+    outputs: &Outputs,
+    context: &Context,
+) -> Result<()> {
+    outputs.check()?;
+    let scene = read_scene(path, context)?;
+    let runner = work.workplace(context)?.runner(path)?;
+    let report = bench_tradeoff(
+        &scene,
+        &runner,
+        bench,
+        &solve_options(context),
+        &context.progress,
+        &mut |so_far| outputs.write_files(so_far, || so_far.plot()).map(drop),
+    )?;
+    outputs.write(context, &report.text(), &report, || report.plot())
+}
+
+fn tsdr(
+    path: &Path,
+    bench: &TsdrBench,
+    work: &Work,
+    outputs: &Outputs,
+    context: &Context,
+) -> Result<()> {
+    outputs.check()?;
+    let scene = read_scene(path, context)?;
+    let runner = work.workplace(context)?.runner(path)?;
+    let report = bench_tsdr(&scene, &runner, bench, &context.progress)?;
+    outputs.write(context, &report.text(), &report, no_plot)
+}
+
+fn robustness(
+    path: &Path,
+    bench: &RobustnessBench,
+    work: &Work,
+    outputs: &Outputs,
+    context: &Context,
+) -> Result<()> {
+    outputs.check()?;
+    let scene = read_scene(path, context)?;
+    let workplace = work.workplace(context)?;
+    let report = bench_robustness(
+        &scene,
+        bench,
+        context.seed(),
+        &workplace,
+        &context.progress,
+        &mut |so_far| outputs.write_files(so_far, no_plot).map(drop),
+    );
+    if !workplace.keep {
+        // nothing can be done about files that will not go
+        let _ = std::fs::remove_dir_all(&workplace.folder);
+    }
+    let report = report?;
+    outputs.write(context, &report.text(), &report, no_plot)
 }
 
 /// The reconstruction's options: the configuration file's, or the defaults.

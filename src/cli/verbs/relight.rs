@@ -5,14 +5,14 @@ use crate::cli::frames::{Places, report, traced};
 use crate::cli::inputs::read_solution;
 use crate::error::{Error, Result};
 use crate::export::FrameWriter;
-use crate::geometry::Camera;
 use crate::image::RgbPlane;
+use crate::progress::Progress;
 use crate::render::{
-    Adaptive, Exposure, LampChange, Lighting, NamedCamera, Noise, PathTracerOptions, Stage,
-    TraceSettings, World, daylight, mean_luminance,
+    Adaptive, Exposure, LampChange, Lighting, NamedCamera, Noise, PathTracerOptions,
+    RelightOptions, Stage, TraceSettings, World, daylight, mean_luminance,
 };
 use crate::solution::{Lamp, Solution};
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -26,8 +26,36 @@ pub(crate) fn relight(
     list: bool,
     context: &Context,
 ) -> Result<()> {
-    let options = context.config.relight.clone();
+    let options = &context.config.relight;
     let progress = &context.progress;
+    check(options)?;
+    let solution = read_solution(out, progress)?;
+    if list {
+        return list_lamps(&solution.lamps, context);
+    }
+    let lighting = changed_light(&solution.lamps, lights, context)?;
+    let cameras = places.frames(&options.frames, &solution, context)?;
+    let folder = places.to.clone().unwrap_or_else(|| out.join("relight"));
+    let relit = Relit {
+        solution: &solution,
+        lighting,
+        settings: settings(options, context.seed()),
+        progress,
+    };
+    if let Some(truth) = against {
+        let truth = read_solution(truth, progress)?;
+        return compare_relit(&relit, &truth, &cameras, &folder, context);
+    }
+    let mut writer = FrameWriter::new(&folder, options.frames.exposure, !options.frames.no_exr)?;
+    let seconds = if options.day > 0 {
+        relit.day(&cameras[0], options.day, &mut writer)?
+    } else {
+        relit.views(&cameras, &mut writer)?
+    };
+    report(&writer, &options.frames, &folder, &seconds, context)
+}
+
+fn check(options: &RelightOptions) -> Result<()> {
     if options.samples < 2
         || options.max_samples < options.samples
         || options.error.is_nan()
@@ -37,22 +65,13 @@ pub(crate) fn relight(
             "--samples must be at least 2, --max-samples not less, --error not negative".into(),
         ));
     }
-    let solution = read_solution(out, progress)?;
-    let groups = solution.lamps.clone();
-    if list {
-        return list_lamps(&groups, context);
-    }
-    let lighting = changed_light(&groups, lights, context)?;
-    let cameras = places.frames(&options.frames, &solution, context)?;
-    let folder = places.to.clone().unwrap_or_else(|| out.join("relight"));
-    if let Some(truth) = against {
-        let truth = read_solution(truth, progress)?;
-        return compare_relit([&solution, &truth], &cameras, &lighting, &folder, context);
-    }
-    let mut writer = FrameWriter::new(&folder, options.frames.exposure, !options.frames.no_exr)?;
-    let settings = TraceSettings {
+    Ok(())
+}
+
+fn settings(options: &RelightOptions, seed: u64) -> TraceSettings {
+    TraceSettings {
         tracer: PathTracerOptions {
-            seed: context.seed(),
+            seed,
             ..PathTracerOptions::default()
         },
         goal: Adaptive {
@@ -62,30 +81,52 @@ pub(crate) fn relight(
             noise: Noise::Reflected,
         },
         denoise: !options.no_denoise,
-    };
-    let mut seconds = Vec::new();
-    if options.day > 0 {
-        let level = match mean_luminance(&solution.environment) {
+    }
+}
+
+/// A solution under changed light, and how it is rendered.
+struct Relit<'a> {
+    solution: &'a Solution,
+    lighting: Lighting,
+    settings: TraceSettings,
+    progress: &'a Progress,
+}
+
+impl<'a> Relit<'a> {
+    /// The solution with its light changed.
+    fn world(&self) -> Result<World<'a>> {
+        let mut world = World::new(self.solution);
+        self.lighting.apply(&mut world, &self.solution.lamps)?;
+        Ok(world)
+    }
+
+    /// Renders `count` hours of a day from one camera; returns the seconds of each.
+    fn day(
+        &self,
+        camera: &NamedCamera,
+        count: usize,
+        writer: &mut FrameWriter,
+    ) -> Result<Vec<f64>> {
+        let level = match mean_luminance(&self.solution.environment) {
             l if l > 0.0 => l,
             _ => 1.0,
         };
-        let camera = &cameras[0];
+        let lamps = &self.solution.lamps;
+        let all: Vec<u32> = lamps.iter().flat_map(|g| g.triangles.clone()).collect();
+        let mut seconds = Vec::new();
         // noon decides the exposure: the sweep shows how dark the night is
-        let order = |i: usize| (i + options.day / 2) % options.day;
-        for i in (0..options.day).map(order) {
-            let (sky, lamps) = daylight(24.0 * i as f32 / options.day as f32, level);
-            let mut world = World::new(&solution);
-            lighting.apply(&mut world, &groups)?;
+        for i in (0..count).map(|i| (i + count / 2) % count) {
+            let (sky, lamps) = daylight(24.0 * i as f32 / count as f32, level);
+            let mut world = self.world()?;
             world.set_environment(sky);
-            let all: Vec<u32> = groups.iter().flat_map(|g| g.triangles.clone()).collect();
             world.scale_emission(&all, Vec3::splat(lamps));
             let stage = Stage::new(&mut world)?;
             let clock = Instant::now();
             let name = format!("{i:04}");
             stage.render(
                 &[(name.clone(), camera.camera)],
-                &settings,
-                progress,
+                &self.settings,
+                self.progress,
                 |_, _| Ok(()),
                 |_, image| {
                     seconds.push(clock.elapsed().as_secs_f64());
@@ -94,16 +135,23 @@ pub(crate) fn relight(
             )?;
         }
         writer.sort();
-    } else {
-        let mut world = World::new(&solution);
-        lighting.apply(&mut world, &groups)?;
-        let stage = progress.stage("preparing", 1, |_| Stage::new(&mut world))?;
+        Ok(seconds)
+    }
+
+    /// Renders and writes the cameras' pictures, a preview of each first; returns the seconds of
+    /// each.
+    fn views(&self, cameras: &[NamedCamera], writer: &mut FrameWriter) -> Result<Vec<f64>> {
+        let mut world = self.world()?;
+        let stage = self
+            .progress
+            .stage("preparing", 1, |_| Stage::new(&mut world))?;
+        let mut seconds = Vec::new();
         let mut clock = Instant::now();
-        let shared = std::cell::RefCell::new(&mut writer);
+        let shared = std::cell::RefCell::new(writer);
         stage.render(
-            &traced(&cameras),
-            &settings,
-            progress,
+            &traced(cameras),
+            &self.settings,
+            self.progress,
             |i, image| shared.borrow_mut().preview(&cameras[i].name, image),
             |i, image| {
                 seconds.push(clock.elapsed().as_secs_f64());
@@ -112,95 +160,90 @@ pub(crate) fn relight(
                 Ok(())
             },
         )?;
+        Ok(seconds)
     }
-    report(&writer, &options.frames, &folder, &seconds, context)
+
+    /// Renders cameras given relative to `origin`.
+    fn images(&self, cameras: &[NamedCamera], origin: DVec3) -> Result<Vec<RgbPlane>> {
+        let mut world = self.world()?;
+        let stage = Stage::new(&mut world)?;
+        let shift = (origin - self.solution.origin).as_vec3();
+        let mut placed = traced(cameras);
+        for (_, camera) in &mut placed {
+            camera.position += shift;
+        }
+        let mut images = Vec::new();
+        stage.render(
+            &placed,
+            &self.settings,
+            self.progress,
+            |_, _| Ok(()),
+            |_, image| {
+                images.push(image.clone());
+                Ok(())
+            },
+        )?;
+        Ok(images)
+    }
 }
 
-/// Relights a solution and the truth in the same way and scores the one against the other.
+/// Relights the truth as a solution is, and scores the solution's pictures against the truth's.
 fn compare_relit(
-    solutions: [&Solution; 2],
+    relit: &Relit<'_>,
+    truth: &Solution,
     cameras: &[NamedCamera],
-    lighting: &Lighting,
     folder: &Path,
     context: &Context,
 ) -> Result<()> {
     let options = &context.config.relight;
-    let own = &solutions[0].lamps;
-    let mut images: [Vec<RgbPlane>; 2] = [Vec::new(), Vec::new()];
-    for (k, solution) in solutions.iter().enumerate() {
-        let groups = &solution.lamps;
-        let mut lighting = lighting.clone();
-        if k == 1 {
-            lighting.by_place(own);
-        }
-        let mut world = World::new(solution);
-        lighting.apply(&mut world, groups)?;
-        let stage = Stage::new(&mut world)?;
-        let settings = TraceSettings {
-            tracer: PathTracerOptions {
-                seed: context.seed() + k as u64,
-                ..PathTracerOptions::default()
-            },
-            goal: Adaptive {
-                first: options.samples,
-                most: options.max_samples,
-                error: options.error,
-                noise: Noise::Reflected,
-            },
-            denoise: !options.no_denoise,
-        };
-        let shift = (solutions[0].origin - solution.origin).as_vec3();
-        let placed: Vec<(String, Camera)> = cameras
-            .iter()
-            .map(|c| {
-                (
-                    c.name.clone(),
-                    Camera {
-                        position: c.camera.position + shift,
-                        ..c.camera
-                    },
-                )
-            })
-            .collect();
-        let list = &mut images[k];
-        stage.render(
-            &placed,
-            &settings,
-            &context.progress,
-            |_, _| Ok(()),
-            |_, image| {
-                list.push(image.clone());
-                Ok(())
-            },
-        )?;
-    }
-    let [ours, truth] = images;
+    let origin = relit.solution.origin;
+    let mut lighting = relit.lighting.clone();
+    lighting.by_place(&relit.solution.lamps);
+    let relit_truth = Relit {
+        solution: truth,
+        lighting,
+        settings: settings(options, context.seed() + 1),
+        progress: relit.progress,
+    };
+    let ours = relit.images(cameras, origin)?;
+    let truth = relit_truth.images(cameras, origin)?;
     let factor = match truth.first() {
         Some(first) => options.frames.exposure.factor(first),
         None => 1.0,
     };
-    let mut scores = Vec::new();
-    for (name, stops) in [("ours", &ours), ("truth", &truth)] {
+    for (name, images) in [("ours", &ours), ("truth", &truth)] {
         let mut writer = FrameWriter::new(
             &folder.join(name),
             Exposure::Stops(factor.log2()),
             !options.frames.no_exr,
         )?;
-        for (c, image) in cameras.iter().zip(stops) {
+        for (c, image) in cameras.iter().zip(images) {
             writer.write(&c.name, image)?;
         }
     }
-    let mut text = String::new();
-    for ((c, a), b) in cameras.iter().zip(&ours).zip(&truth) {
-        let psnr = display_psnr(a, b, factor);
-        text.push_str(&format!("{:24} {psnr:6.2} dB\n", c.name));
-        scores.push(json!({"camera": c.name, "psnr": psnr}));
-    }
-    let mean = scores
+    let scores: Vec<f64> = ours
         .iter()
-        .filter_map(|s| s["psnr"].as_f64())
-        .sum::<f64>()
-        / scores.len().max(1) as f64;
+        .zip(&truth)
+        .map(|(a, b)| display_psnr(a, b, factor))
+        .collect();
+    report_scores(cameras, &scores, factor, folder, context)
+}
+
+/// The PSNR of each camera and their mean.
+fn report_scores(
+    cameras: &[NamedCamera],
+    scores: &[f64],
+    factor: f32,
+    folder: &Path,
+    context: &Context,
+) -> Result<()> {
+    let mean = scores.iter().filter(|s| s.is_finite()).sum::<f64>() / scores.len().max(1) as f64;
+    let mut text = String::new();
+    let mut listed = Vec::new();
+    for (c, psnr) in cameras.iter().zip(scores) {
+        text.push_str(&format!("{:24} {psnr:6.2} dB\n", c.name));
+        listed.push(json!({"camera": c.name, "psnr": psnr}));
+    }
     text.push_str(&format!(
         "mean {mean:.2} dB of clamp(x · 2^{:.2})^(1/2.2) against the truth, in {}\n",
         factor.log2(),
@@ -208,7 +251,7 @@ fn compare_relit(
     ));
     context.result(
         &text,
-        &json!({"folder": folder, "scores": scores, "psnr": mean}),
+        &json!({"folder": folder, "scores": listed, "psnr": mean}),
     )
 }
 

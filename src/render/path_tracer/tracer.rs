@@ -48,6 +48,18 @@ impl<'a> PathTracer<'a> {
         }
     }
 
+    /// The mesh that is rendered.
+    #[must_use]
+    pub fn mesh(&self) -> &'a Mesh {
+        self.mesh
+    }
+
+    /// What traces its rays.
+    #[must_use]
+    pub fn tracer(&self) -> &'a dyn Tracer {
+        self.tracer
+    }
+
     /// Adds lights without extent.
     #[must_use]
     pub fn with_points(mut self, points: Vec<PointLight>) -> Self {

@@ -27,6 +27,106 @@ fn power_heuristic(a: f32, b: f32) -> f32 {
     }
 }
 
+/// A path that arrives somewhere: at a surface, or in the environment if `hit` is a miss.
+struct Arrival {
+    path: Path,
+    hit: Hit,
+    direction: Vec3,
+    bounce: u32,
+}
+
+/// Diffuse and specular BRDF·cos/pdf of a direction.
+struct Factors {
+    diffuse: Vec3,
+    specular: Vec3,
+}
+
+/// A path at a vertex: what next-event estimation and its continuation share.
+struct Scattering<'a> {
+    vertex: &'a Vertex,
+    path: Path,
+    key: PathKey,
+    bounce: u32,
+    reflectance: Reflectance,
+    /// Probability with which the specular lobe draws the next direction.
+    share: f32,
+    /// Where rays start: off the surface by `offset`.
+    origin: Vec3,
+    offset: f32,
+}
+
+impl Scattering<'_> {
+    /// The factors of a light's or a continued path's direction `l`, drawn with density `pdf`.
+    fn factors(&self, l: Vec3, pdf: f32) -> Factors {
+        let (n, v, m) = (self.vertex.normal, self.vertex.view, self.vertex.material);
+        let scale = n.dot(l) / pdf;
+        let diffuse = match self.vertex.lobes {
+            Lobes::Specular | Lobes::Neither => Vec3::ZERO,
+            Lobes::Diffuse => m.albedo * (FRAC_1_PI * scale),
+            Lobes::Both => {
+                let beyond_lambert =
+                    self.reflectance
+                        .diffuse(n.dot(l), n.dot(v), v.dot(l), m.roughness);
+                m.albedo * (FRAC_1_PI * scale * beyond_lambert)
+            }
+        };
+        let specular = match (self.vertex.lobes, self.reflectance) {
+            (Lobes::Diffuse | Lobes::Neither, _) => 0.0,
+            (_, Reflectance::Paper) => m.specular_lobe(n, v, l) * scale,
+            (_, other) => other.specular_lobe(n, v, l, m.roughness) * scale,
+        };
+        Factors {
+            diffuse,
+            specular: Vec3::splat(specular),
+        }
+    }
+
+    /// Whether `l` leaves the surface, by its shading normal and by its face.
+    fn above(&self, l: Vec3) -> bool {
+        self.vertex.normal.dot(l) > 0.0 && self.vertex.face_normal.dot(l) > 0.0
+    }
+
+    /// The path beyond the vertex.
+    fn advance(&self, factors: &Factors) -> Path {
+        if self.bounce == 0 {
+            Path {
+                first: [factors.diffuse, factors.specular],
+                ..self.path
+            }
+        } else {
+            Path {
+                beta: self.path.beta * (factors.diffuse + factors.specular),
+                ..self.path
+            }
+        }
+    }
+
+    /// Random numbers of this vertex for one purpose.
+    fn rng(&self, purpose: u64) -> KeyedRng {
+        self.key.rng(purpose, self.bounce)
+    }
+}
+
+impl PathKey {
+    /// Random numbers of a vertex of the path for one purpose.
+    fn rng(self, purpose: u64, bounce: u32) -> KeyedRng {
+        KeyedRng::new(
+            self.key ^ purpose,
+            (u64::from(bounce) << 32) | u64::from(self.sample),
+        )
+    }
+
+    /// The four numbers that choose light and continuation at a vertex.
+    fn numbers(self, bounce: u32) -> [f32; 4] {
+        if bounce < 4 {
+            SobolSequence::new(self.key, u64::from(bounce) + 1).point4(self.sample)
+        } else {
+            let mut rng = self.rng(0, bounce);
+            std::array::from_fn(|_| rng.next_f32())
+        }
+    }
+}
+
 impl PathTracer<'_> {
     /// Follows the paths in `wave` until all have ended.
     pub(super) fn trace_wave(
@@ -48,44 +148,21 @@ impl PathTracer<'_> {
             wave.next_paths.clear();
             wave.next_rays.clear();
             for i in 0..wave.paths.len() {
-                let (path, hit, ray) = (wave.paths[i], wave.hits[i], wave.rays[i]);
-                let direction = Vec3::from_array(ray.direction);
-                let slot = path.slot as usize;
+                let arrival = Arrival {
+                    path: wave.paths[i],
+                    hit: wave.hits[i],
+                    direction: Vec3::from_array(wave.rays[i].direction),
+                    bounce,
+                };
+                let (hit, slot) = (&arrival.hit, arrival.path.slot as usize);
                 if !hit.is_hit() {
-                    let radiance = self.environment.radiance(direction);
-                    if bounce == 0 {
-                        sums[slot].emission += radiance;
-                    } else {
-                        let weight = power_heuristic(
-                            path.pdf,
-                            self.lights.environment_pdf(path.origin, direction),
-                        );
-                        self.deposit(&mut sums[slot], &path, radiance * weight, bounce);
-                    }
+                    self.add_environment(&arrival, &mut sums[slot]);
                     continue;
                 }
                 let triangle = hit.triangle as usize;
                 let surface = self.surfaces.surface(triangle, hit.u, hit.v);
-                if surface.emission != Vec3::ZERO && self.emits_towards(triangle, direction) {
-                    if bounce == 0 {
-                        sums[slot].emission += surface.emission;
-                    } else {
-                        let distance = hit.t + self.offset(path.origin);
-                        let other = self.lights.triangle_pdf(
-                            path.origin,
-                            direction,
-                            distance,
-                            hit.triangle,
-                        );
-                        self.deposit(
-                            &mut sums[slot],
-                            &path,
-                            surface.emission * power_heuristic(path.pdf, other),
-                            bounce,
-                        );
-                    }
-                }
-                let mut vertex = self.vertex(&hit, -direction, surface.material);
+                self.add_emission(&arrival, surface.emission, &mut sums[slot]);
+                let mut vertex = self.vertex(hit, -arrival.direction, surface.material);
                 if let Some(f) = features.as_deref_mut().filter(|_| bounce == 0) {
                     f[slot] = Some(Feature {
                         albedo: surface.material.albedo,
@@ -98,38 +175,86 @@ impl PathTracer<'_> {
                 if bounce + 1 >= self.options.max_bounces {
                     continue;
                 }
-                if bounce == 0 && vertex.lobes == Lobes::Both {
-                    vertex.lobes = following.first;
+                if self.goes_on(&arrival, &mut vertex, following, &mut sums[slot]) {
+                    self.scatter(&vertex, arrival.path, keys[slot], bounce, wave);
                 }
-                let known = if bounce == 0 {
-                    following.known.first
-                } else {
-                    following.known.later
-                };
-                if let Some(cache) = known {
-                    let view_factor = self
-                        .reflectance
-                        .diffuse_factor(vertex.normal.dot(vertex.view), surface.material.roughness);
-                    let light = cache.irradiance(triangle, hit.u, hit.v)
-                        * surface.material.albedo
-                        * (FRAC_1_PI * view_factor);
-                    if bounce == 0 {
-                        sums[slot].diffuse += light;
-                    } else {
-                        self.deposit(&mut sums[slot], &path, light, bounce);
-                        vertex.reference = luminance(path.beta * light);
-                    }
-                    if self.options.lambertian || vertex.lobes == Lobes::Neither {
-                        continue;
-                    }
-                    vertex.lobes = Lobes::Specular;
-                }
-                self.scatter(&vertex, path, keys[slot], bounce, wave);
             }
             self.resolve_shadows(wave, sums);
             std::mem::swap(&mut wave.paths, &mut wave.next_paths);
             std::mem::swap(&mut wave.rays, &mut wave.next_rays);
         }
+    }
+
+    /// Adds the environment's light to a path that leaves the scene.
+    fn add_environment(&self, arrival: &Arrival, sums: &mut Sums) {
+        let (path, direction) = (&arrival.path, arrival.direction);
+        let radiance = self.environment.radiance(direction);
+        if arrival.bounce == 0 {
+            sums.emission += radiance;
+        } else {
+            let other = self.lights.environment_pdf(path.origin, direction);
+            let weight = power_heuristic(path.pdf, other);
+            self.deposit(sums, path, radiance * weight, arrival.bounce);
+        }
+    }
+
+    /// Adds what the surface that a path meets emits towards it.
+    fn add_emission(&self, arrival: &Arrival, emission: Vec3, sums: &mut Sums) {
+        let (path, hit, direction) = (&arrival.path, &arrival.hit, arrival.direction);
+        if emission == Vec3::ZERO || !self.emits_towards(hit.triangle as usize, direction) {
+            return;
+        }
+        if arrival.bounce == 0 {
+            sums.emission += emission;
+        } else {
+            let distance = hit.t + self.offset(path.origin);
+            let other = self
+                .lights
+                .triangle_pdf(path.origin, direction, distance, hit.triangle);
+            let weight = power_heuristic(path.pdf, other);
+            self.deposit(sums, path, emission * weight, arrival.bounce);
+        }
+    }
+
+    /// Chooses the lobes followed at a vertex, and adds its diffuse light where that is known.
+    /// Whether anything is left to follow.
+    fn goes_on(
+        &self,
+        arrival: &Arrival,
+        vertex: &mut Vertex,
+        following: Following<'_>,
+        sums: &mut Sums,
+    ) -> bool {
+        let (hit, first) = (&arrival.hit, arrival.bounce == 0);
+        if first && vertex.lobes == Lobes::Both {
+            vertex.lobes = following.first;
+        }
+        let known = if first {
+            following.known.first
+        } else {
+            following.known.later
+        };
+        let Some(cache) = known else {
+            return true;
+        };
+        let material = vertex.material;
+        let view_factor = self
+            .reflectance
+            .diffuse_factor(vertex.normal.dot(vertex.view), material.roughness);
+        let light = cache.irradiance(hit.triangle as usize, hit.u, hit.v)
+            * material.albedo
+            * (FRAC_1_PI * view_factor);
+        if first {
+            sums.diffuse += light;
+        } else {
+            self.deposit(sums, &arrival.path, light, arrival.bounce);
+            vertex.reference = luminance(arrival.path.beta * light);
+        }
+        if self.options.lambertian || vertex.lobes == Lobes::Neither {
+            return false;
+        }
+        vertex.lobes = Lobes::Specular;
+        true
     }
 
     /// Whether a triangle's light leaves on the side that a ray along `direction` meets.
@@ -189,175 +314,158 @@ impl PathTracer<'_> {
         bounce: u32,
         wave: &mut Wave,
     ) {
-        let u = if bounce < 4 {
-            SobolSequence::new(key.key, u64::from(bounce) + 1).point4(key.sample)
-        } else {
-            let mut rng = KeyedRng::new(key.key, (u64::from(bounce) << 32) | u64::from(key.sample));
-            std::array::from_fn(|_| rng.next_f32())
-        };
-        let (n, v, m) = (vertex.normal, vertex.view, vertex.material);
-        if n.dot(v) <= 0.0 {
+        let [u0, u1, u2, u3] = key.numbers(bounce);
+        let cos_view = vertex.normal.dot(vertex.view);
+        if cos_view <= 0.0 {
             return;
         }
         let share = match vertex.lobes {
-            Lobes::Both => m.specular_share(n.dot(v)),
+            Lobes::Both => vertex.material.specular_share(cos_view),
             Lobes::Diffuse | Lobes::Neither => 0.0,
             Lobes::Specular => 1.0,
         };
-        let first = bounce == 0;
         let offset = self.offset(vertex.position);
-        let origin = vertex.position + vertex.face_normal * offset;
-        // diffuse and specular BRDF·cos/pdf for a direction
-        let lobes = |l: Vec3, pdf: f32| {
-            let scale = n.dot(l) / pdf;
-            let diffuse = match vertex.lobes {
-                Lobes::Specular | Lobes::Neither => Vec3::ZERO,
-                Lobes::Diffuse => m.albedo * (FRAC_1_PI * scale),
-                Lobes::Both => {
-                    m.albedo
-                        * (FRAC_1_PI
-                            * scale
-                            * self
-                                .reflectance
-                                .diffuse(n.dot(l), n.dot(v), v.dot(l), m.roughness))
-                }
-            };
-            let specular = match (vertex.lobes, self.reflectance) {
-                (Lobes::Diffuse | Lobes::Neither, _) => 0.0,
-                (_, Reflectance::Paper) => m.specular_lobe(n, v, l) * scale,
-                (_, other) => other.specular_lobe(n, v, l, m.roughness) * scale,
-            };
-            (diffuse, Vec3::splat(specular))
+        let scattering = Scattering {
+            vertex,
+            path,
+            key,
+            bounce,
+            reflectance: self.reflectance,
+            share,
+            origin: vertex.position + vertex.face_normal * offset,
+            offset,
         };
-        let above = |l: Vec3| n.dot(l) > 0.0 && vertex.face_normal.dot(l) > 0.0;
-        let advance = |(diffuse, specular): (Vec3, Vec3)| {
-            if first {
-                Path {
-                    first: [diffuse, specular],
-                    ..path
-                }
-            } else {
-                Path {
-                    beta: path.beta * (diffuse + specular),
-                    ..path
-                }
-            }
-        };
-        if let Some(s) = self
+        self.sample_light(&scattering, [u0, u1], wave);
+        self.sample_point_light(&scattering, wave);
+        self.continue_path(&scattering, [u2, u3], wave);
+    }
+
+    /// Next-event estimation: a shadow ray to a point of a light or of the environment.
+    fn sample_light(&self, s: &Scattering<'_>, u: [f32; 2], wave: &mut Wave) {
+        let vertex = s.vertex;
+        let Some(sample) = self
             .lights
-            .sample(vertex.position, [u[0], u[1]])
-            .filter(|s| above(s.direction))
-        {
-            let pdf = m.pdf_with_share(n, v, s.direction, share);
-            let weight = power_heuristic(s.pdf, pdf);
-            let radiance = match s.hit {
-                Some((t, _, _)) if !self.emits_towards(t as usize, s.direction) => Vec3::ZERO,
-                Some((t, b1, b2)) => self.surfaces.surface(t as usize, b1, b2).emission,
-                None => self.environment.radiance(s.direction),
-            };
-            let mut light = Sums::default();
-            self.deposit(
-                &mut light,
-                &advance(lobes(s.direction, s.pdf)),
-                radiance * weight,
-                bounce + 1,
-            );
-            // beside the diffuse light of a cached vertex a faint highlight is worth a shadow ray
-            // only now and then
-            let worth = luminance(advance(lobes(s.direction, s.pdf)).beta * radiance * weight);
-            let keep = if vertex.reference > 0.0 {
-                (2.0 * worth / vertex.reference).clamp(0.1, 1.0)
-            } else {
-                1.0
-            };
-            let kept = keep >= 1.0
-                || KeyedRng::new(
-                    key.key ^ 0xa11e,
-                    (u64::from(bounce) << 32) | u64::from(key.sample),
-                )
-                .next_f32()
-                    < keep;
-            if kept && light.diffuse + light.specular != Vec3::ZERO {
-                // from the moved origin the same point of the light is aimed at; the end stays
-                // clear of it
-                let (direction, t_far) = if s.distance.is_finite() {
-                    let d = vertex.position + s.direction * s.distance - origin;
-                    (d.normalize(), d.length() * (1.0 - 1e-4) - offset)
-                } else {
-                    (s.direction, f32::INFINITY)
-                };
-                wave.shadow.push(ShadowRay {
-                    slot: path.slot,
-                    diffuse: light.diffuse / keep,
-                    specular: light.specular / keep,
-                });
-                wave.shadow_rays
-                    .push(Ray::new(origin, direction, t_far.max(0.0)));
-            }
-        }
-        if let Some((light, share)) = self.choose_point(&vertex.position, key, bounce) {
-            let d = light.position - origin;
-            let distance = d.length();
-            let l = d / distance.max(1e-9);
-            if above(l) {
-                let radiance = light.towards(-l) / (distance * distance).max(1e-12);
-                let mut sums = Sums::default();
-                self.deposit(&mut sums, &advance(lobes(l, share)), radiance, bounce + 1);
-                if sums.diffuse + sums.specular != Vec3::ZERO {
-                    wave.shadow.push(ShadowRay {
-                        slot: path.slot,
-                        diffuse: sums.diffuse,
-                        specular: sums.specular,
-                    });
-                    wave.shadow_rays
-                        .push(Ray::new(origin, l, (distance * (1.0 - 1e-4)).max(0.0)));
-                }
-            }
-        }
-        // the first number also chooses the lobe and is stretched back to [0, 1)
-        let specular = u[2] < share;
-        let u2 = if specular {
-            u[2] / share
+            .sample(vertex.position, u)
+            .filter(|sample| s.above(sample.direction))
+        else {
+            return;
+        };
+        let towards = sample.direction;
+        let pdf = vertex
+            .material
+            .pdf_with_share(vertex.normal, vertex.view, towards, s.share);
+        let weight = power_heuristic(sample.pdf, pdf);
+        let radiance = match sample.hit {
+            Some((t, _, _)) if !self.emits_towards(t as usize, towards) => Vec3::ZERO,
+            Some((t, b1, b2)) => self.surfaces.surface(t as usize, b1, b2).emission,
+            None => self.environment.radiance(towards),
+        };
+        let next = s.advance(&s.factors(towards, sample.pdf));
+        let mut light = Sums::default();
+        self.deposit(&mut light, &next, radiance * weight, s.bounce + 1);
+        // beside the diffuse light of a cached vertex a faint highlight is worth a shadow ray
+        // only now and then
+        let worth = luminance(next.beta * radiance * weight);
+        let keep = if vertex.reference > 0.0 {
+            (2.0 * worth / vertex.reference).clamp(0.1, 1.0)
         } else {
-            (u[2] - share) / (1.0 - share).max(1e-6)
+            1.0
+        };
+        let kept = keep >= 1.0 || s.rng(0xa11e).next_f32() < keep;
+        if !kept || light.diffuse + light.specular == Vec3::ZERO {
+            return;
+        }
+        // from the moved origin the same point of the light is aimed at; the end stays clear of it
+        let (direction, t_far) = if sample.distance.is_finite() {
+            let d = vertex.position + towards * sample.distance - s.origin;
+            (d.normalize(), d.length() * (1.0 - 1e-4) - s.offset)
+        } else {
+            (towards, f32::INFINITY)
+        };
+        wave.shadow.push(ShadowRay {
+            slot: s.path.slot,
+            diffuse: light.diffuse / keep,
+            specular: light.specular / keep,
+        });
+        wave.shadow_rays
+            .push(Ray::new(s.origin, direction, t_far.max(0.0)));
+    }
+
+    /// Next-event estimation of the lights without extent.
+    fn sample_point_light(&self, s: &Scattering<'_>, wave: &mut Wave) {
+        let Some((light, share)) = self.choose_point(&s.vertex.position, s.key, s.bounce) else {
+            return;
+        };
+        let d = light.position - s.origin;
+        let distance = d.length();
+        let l = d / distance.max(1e-9);
+        if !s.above(l) {
+            return;
+        }
+        let radiance = light.towards(-l) / (distance * distance).max(1e-12);
+        let next = s.advance(&s.factors(l, share));
+        let mut sums = Sums::default();
+        self.deposit(&mut sums, &next, radiance, s.bounce + 1);
+        if sums.diffuse + sums.specular != Vec3::ZERO {
+            wave.shadow.push(ShadowRay {
+                slot: s.path.slot,
+                diffuse: sums.diffuse,
+                specular: sums.specular,
+            });
+            let t_far = (distance * (1.0 - 1e-4)).max(0.0);
+            wave.shadow_rays.push(Ray::new(s.origin, l, t_far));
+        }
+    }
+
+    /// Draws the path's next direction, and whether it survives.
+    fn continue_path(&self, s: &Scattering<'_>, u: [f32; 2], wave: &mut Wave) {
+        let (vertex, share) = (s.vertex, s.share);
+        let (n, v, m) = (vertex.normal, vertex.view, vertex.material);
+        // the first number also chooses the lobe and is stretched back to [0, 1)
+        let specular = u[0] < share;
+        let stretched = if specular {
+            u[0] / share
+        } else {
+            (u[0] - share) / (1.0 - share).max(1e-6)
         };
         let Some(l) = m
-            .sample_direction(n, v, specular, [u2.clamp(0.0, 1.0 - 1e-7), u[3]])
-            .filter(|&l| above(l))
+            .sample_direction(n, v, specular, [stretched.clamp(0.0, 1.0 - 1e-7), u[1]])
+            .filter(|&l| s.above(l))
         else {
             return;
         };
         let pdf = m.pdf_with_share(n, v, l, share);
-        let mut next = advance(lobes(l, pdf));
+        let mut next = s.advance(&s.factors(l, pdf));
         next.pdf = pdf;
         next.origin = vertex.position;
-        let strength = next.beta.max_element();
         if !(pdf > 0.0
-            && strength > 0.0
+            && next.beta.max_element() > 0.0
             && next.beta.is_finite()
             && next.first.iter().all(|f| f.is_finite()))
         {
             return;
         }
-        let survival = if vertex.lobes == Lobes::Specular && !first {
-            (next.beta.max_element() / path.beta.max_element()).clamp(0.05, 1.0)
-        } else if bounce >= self.options.roulette_from {
-            (strength * next.first[0].max(next.first[1]).max_element().min(1.0)).clamp(0.05, 0.95)
-        } else {
-            1.0
-        };
+        let survival = self.survival(s, &next);
         if survival < 1.0 {
-            let mut rng = KeyedRng::new(
-                key.key ^ 0x5f5f,
-                (u64::from(bounce) << 32) | u64::from(key.sample),
-            );
-            if rng.next_f32() >= survival {
+            if s.rng(0x5f5f).next_f32() >= survival {
                 return;
             }
             next.beta /= survival;
         }
         wave.next_paths.push(next);
-        wave.next_rays.push(Ray::new(origin, l, f32::INFINITY));
+        wave.next_rays.push(Ray::new(s.origin, l, f32::INFINITY));
+    }
+
+    /// Russian roulette: the probability that a path goes on as `next`.
+    fn survival(&self, s: &Scattering<'_>, next: &Path) -> f32 {
+        let strength = next.beta.max_element();
+        if s.vertex.lobes == Lobes::Specular && s.bounce > 0 {
+            (strength / s.path.beta.max_element()).clamp(0.05, 1.0)
+        } else if s.bounce >= self.options.roulette_from {
+            (strength * next.first[0].max(next.first[1]).max_element().min(1.0)).clamp(0.05, 0.95)
+        } else {
+            1.0
+        }
     }
 
     /// One of the lights without extent, chosen by what it could send to `p`, with its probability.
@@ -370,10 +478,7 @@ impl PathTracer<'_> {
         if !(total > 0.0 && total.is_finite()) {
             return None;
         }
-        let mut rng = KeyedRng::new(
-            key.key ^ 0x90_1e75,
-            (u64::from(bounce) << 32) | u64::from(key.sample),
-        );
+        let mut rng = key.rng(0x90_1e75, bounce);
         let mut rest = rng.next_f32() * total;
         let mut chosen = None;
         for l in &self.points {
