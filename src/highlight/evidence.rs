@@ -7,7 +7,7 @@
 
 use super::{Candidate, LOBES};
 use crate::brdf::Reflectance;
-use crate::gbuffer::{Observation, ViewBuffer};
+use crate::gbuffer::{Observation, Observer, ViewBuffer};
 use crate::image::bilinear_taps;
 use crate::lights::LitScene;
 use crate::math::luminance;
@@ -19,7 +19,6 @@ use crate::specular::{Gaze, Levels, Reflector};
 use crate::trace::{Hit, Ray};
 use glam::{Vec2, Vec3};
 use std::ops::Range;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A point and its range in [`Evidence::sights`].
 #[derive(Clone, Copy, Debug)]
@@ -170,12 +169,7 @@ pub fn gather_evidence(
 ) -> Evidence {
     const CHUNK: usize = 64;
     let observer = surface.observer();
-    let Tabulation {
-        levels,
-        rays_per_lobe,
-    } = tabulation;
-    let rays = AtomicU64::new(0);
-    let rays_per_lobe = rays_per_lobe.div_ceil(FOOTPRINT as u32);
+    let rays_per_lobe = tabulation.rays_per_lobe.div_ceil(FOOTPRINT as u32);
     let reflector = Reflector {
         lit,
         rays_per_lobe,
@@ -184,47 +178,78 @@ pub fn gather_evidence(
         seed,
     };
     let parts = parallel::map_chunks(candidates.len(), CHUNK, |range| {
-        let mut out = Evidence::default();
-        let mut footprints = Footprints::default();
+        let mut out = Observed::default();
         let mut seen: Vec<Observation> = Vec::new();
         for i in range.clone() {
-            let c = &candidates[i];
-            let (normal, face_normal) = surface.normals_at(c.triangle, c.position);
-            observer.observe(c.position, face_normal, &mut seen);
-            seen.retain(|o| o.clean && o.n_v > 0.12);
-            if seen.len() < 2 {
-                continue;
-            }
-            let first = out.sights.len() as u32;
-            for o in &seen {
-                let camera = &observer.views[o.view as usize].buffer.camera;
-                let view = (camera.position - c.position).normalize_or(normal);
-                out.sights.push(Sight {
-                    view: o.view,
-                    radiance: o.radiance,
-                    n_v: normal.dot(view),
-                    weight: (o.n_v / o.footprint).sqrt(),
-                });
-                let key = hash_u64(hash_u64(u64::from(o.view), u64::from(c.triangle)), i as u64);
-                let centre = Gaze {
-                    position: c.position,
-                    normal,
-                    face_normal,
-                    view,
-                    key,
-                    turn: 0,
-                };
-                footprints.push(&observer.views[o.view as usize].buffer, o, centre);
-            }
-            out.points.push(EvidencePoint {
-                class: c.class,
-                triangle: c.triangle,
-                position: c.position,
-                first,
-                count: seen.len() as u32,
-            });
+            out.push(surface, &observer, (i, &candidates[i]), &mut seen);
         }
-        let gazes = footprints.gazes(lit, surface);
+        let evidence = out.trace(surface, &reflector, tabulation.levels);
+        progress.advance(range.len() as u64);
+        evidence
+    });
+    let mut all = Evidence {
+        levels: tabulation.levels.to_vec(),
+        ..Evidence::default()
+    };
+    parts.into_iter().for_each(|p| all.append(p));
+    all
+}
+
+/// Candidates that were observed, and the footprints of their sights.
+#[derive(Default)]
+struct Observed {
+    evidence: Evidence,
+    footprints: Footprints,
+}
+
+impl Observed {
+    /// Adds candidate `c`, the `i`th of all, with the views that see it clean, if they are two at
+    /// least; `seen` is room for them.
+    fn push(
+        &mut self,
+        surface: &Surface,
+        observer: &Observer,
+        (i, c): (usize, &Candidate),
+        seen: &mut Vec<Observation>,
+    ) {
+        let (normal, face_normal) = surface.normals_at(c.triangle, c.position);
+        observer.observe(c.position, face_normal, seen);
+        seen.retain(|o| o.clean && o.n_v > 0.12);
+        if seen.len() < 2 {
+            return;
+        }
+        self.evidence.points.push(EvidencePoint {
+            class: c.class,
+            triangle: c.triangle,
+            position: c.position,
+            first: self.evidence.sights.len() as u32,
+            count: seen.len() as u32,
+        });
+        for o in seen.iter() {
+            let buffer = &observer.views[o.view as usize].buffer;
+            let view = (buffer.camera.position - c.position).normalize_or(normal);
+            self.evidence.sights.push(Sight {
+                view: o.view,
+                radiance: o.radiance,
+                n_v: normal.dot(view),
+                weight: (o.n_v / o.footprint).sqrt(),
+            });
+            let key = hash_u64(hash_u64(u64::from(o.view), u64::from(c.triangle)), i as u64);
+            let centre = Gaze {
+                position: c.position,
+                normal,
+                face_normal,
+                view,
+                key,
+                turn: 0,
+            };
+            self.footprints.push(buffer, o, centre);
+        }
+    }
+
+    /// Traces the specular responses of all sights at `levels`.
+    fn trace(self, surface: &Surface, reflector: &Reflector, levels: &[f32]) -> Evidence {
+        let gazes = self.footprints.gazes(reflector.lit, surface);
         let row = MODELS.len() * levels.len();
         let mut specular = vec![Vec3::ZERO; gazes.len() * row];
         let mut diffuse = vec![[0.0; 3]; gazes.len()];
@@ -234,18 +259,11 @@ pub fn gather_evidence(
             models: &MODELS,
         };
         let traced = reflector.reflect_and_spread(&gazes, table, &mut specular, &mut diffuse);
+        let mut out = self.evidence;
         out.fill(&specular, &diffuse, row);
-        rays.fetch_add(traced + gazes.len() as u64, Ordering::Relaxed);
-        progress.advance(range.len() as u64);
+        out.rays = traced + gazes.len() as u64;
         out
-    });
-    let mut all = Evidence {
-        levels: levels.to_vec(),
-        rays: rays.into_inner(),
-        ..Evidence::default()
-    };
-    parts.into_iter().for_each(|p| all.append(p));
-    all
+    }
 }
 
 /// Rays through the places of the image that sights are interpolated from.

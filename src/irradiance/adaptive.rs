@@ -185,40 +185,27 @@ pub fn bake_surface(
     let filter = SurfaceFilter::new(patches, bake.lit.tracer);
     // from here on in the filter's order
     let order = filter.order();
-    let (receiver, importance) = (
-        |k: usize| receiver(order[k] as usize),
-        |k: usize| importance[order[k] as usize],
-    );
-    let mut level = levels.of_first_round(&filter, &importance);
-    let mut baked = Irradiance {
-        value: vec![Vec3::ZERO; count],
-        parts: vec![Default::default(); count],
-        ..Irradiance::default()
+    let receiver = |k: usize| receiver(order[k] as usize);
+    let importance = |k: usize| importance[order[k] as usize];
+    let mut spending = Spending {
+        bake,
+        receiver,
+        level: levels.of_first_round(&filter, &importance),
+        levels,
+        baked: Irradiance {
+            value: vec![Vec3::ZERO; count],
+            parts: vec![Default::default(); count],
+            ..Irradiance::default()
+        },
+        rays: 0,
+        drawn: 0,
+        progress,
     };
-    // rays traced where it matters, and for how many samples: what cannot carry light is not traced
-    // and costs nothing
-    let (mut rays, mut drawn) = (0, 0);
-    let at = |level: &[u8], l: u8, keep: &(dyn Fn(usize) -> bool + Sync)| -> Vec<u32> {
-        (0..count as u32)
-            .into_par_iter()
-            .filter(|&i| level[i as usize] == l && keep(i as usize))
-            .collect()
-    };
-    for l in 1..=levels.first {
-        let ids = at(&level, l, &|_| true);
-        let first = bake_irradiance(
-            bake,
-            ids.len(),
-            |k| receiver(ids[k] as usize),
-            &levels.options(0, l),
-            progress,
-        );
-        baked.put(&ids, &first);
-        (rays, drawn) = (first.rays, ids.len() as u64 * u64::from(samples(l)));
-    }
+    spending.first_round();
     let total = (1.0 - KEPT_BACK) * f64::from(budget.samples.iter().sum::<u32>()) * count as f64;
     for round in 1..budget.rounds {
-        let Judgement { light, error } = filter.judge(&baked, |i| samples(level[i]) as f32);
+        let (baked, level) = (&spending.baked, &spending.level);
+        let Judgement { light, error } = filter.judge(baked, |i| samples(level[i]) as f32);
         let promising = |i: usize| {
             if error[i] > budget.target {
                 error[i] * importance(i).sqrt()
@@ -227,27 +214,67 @@ pub fn bake_surface(
             }
         };
         let left = (total - baked.rays as f64).max(0.0) / f64::from(budget.rounds - round);
-        let cost = left * drawn as f64 / rays.max(1) as f64;
-        let wanted = most_promising(&light, &promising, &level, cost as u64);
-        if wanted == level {
+        let cost = left * spending.drawn as f64 / spending.rays.max(1) as f64;
+        let wanted = most_promising(&light, &promising, level, cost as u64);
+        if wanted == *level {
             break;
         }
-        for l in 1..MAX_LEVEL {
-            let ids = at(&level, l, &|i| wanted[i] > l);
-            let more = bake_irradiance(
-                bake,
-                ids.len(),
-                |k| receiver(ids[k] as usize),
-                &levels.options(l, l + 1),
-                progress,
-            );
-            baked.double(&ids, &more);
-            rays += more.rays;
-            drawn += ids.len() as u64 * u64::from(samples(l));
-            ids.iter().for_each(|&i| level[i as usize] = l + 1);
+        spending.double(&wanted);
+    }
+    let Spending { baked, level, .. } = spending;
+    filter.back(&filter.filter_in_order(&baked, |i| samples(level[i]) as f32))
+}
+
+/// Rounds of a bake: the level that every texel has reached, and what it has found.
+struct Spending<'a, R> {
+    bake: &'a Bake<'a>,
+    receiver: R,
+    levels: Levels,
+    level: Vec<u8>,
+    baked: Irradiance,
+    /// Rays traced where it matters, and for how many samples: what cannot carry light is not
+    /// traced and costs nothing.
+    rays: u64,
+    drawn: u64,
+    progress: &'a Progress,
+}
+
+impl<R: Fn(usize) -> Receiver + Sync + Send> Spending<'_, R> {
+    /// The samples of the first round, level by level.
+    fn first_round(&mut self) {
+        for l in 1..=self.levels.first {
+            let ids = at(&self.level, l, |_| true);
+            let first = self.draw(&ids, &self.levels.options(0, l));
+            self.baked.put(&ids, &first);
+            self.rays = first.rays;
+            self.drawn = ids.len() as u64 * u64::from(samples(l));
         }
     }
-    filter.back(&filter.filter_in_order(&baked, |i| samples(level[i]) as f32))
+
+    /// Doubles the samples of texels below the levels wanted, from the lowest level up.
+    fn double(&mut self, wanted: &[u8]) {
+        for l in 1..MAX_LEVEL {
+            let ids = at(&self.level, l, |i| wanted[i] > l);
+            let more = self.draw(&ids, &self.levels.options(l, l + 1));
+            self.baked.double(&ids, &more);
+            self.rays += more.rays;
+            self.drawn += ids.len() as u64 * u64::from(samples(l));
+            ids.iter().for_each(|&i| self.level[i as usize] = l + 1);
+        }
+    }
+
+    fn draw(&self, ids: &[u32], options: &IrtOptions) -> Irradiance {
+        let receiver = |k: usize| (self.receiver)(ids[k] as usize);
+        bake_irradiance(self.bake, ids.len(), receiver, options, self.progress)
+    }
+}
+
+/// The texels on a level, of those to keep.
+fn at(level: &[u8], l: u8, keep: impl Fn(usize) -> bool + Sync + Send) -> Vec<u32> {
+    (0..level.len() as u32)
+        .into_par_iter()
+        .filter(|&i| level[i as usize] == l && keep(i as usize))
+        .collect()
 }
 
 /// The level that each texel should reach. Those with a relative `error` are doubled in the order

@@ -380,29 +380,95 @@ impl Adam {
     }
 }
 
+/// A field and what Adam remembers of its steps.
+struct Training {
+    field: Nirf,
+    /// Per layer, of weights and biases.
+    adam: Vec<[Adam; 2]>,
+    /// Steps taken.
+    steps: i32,
+}
+
+impl Training {
+    fn begin(options: &NirfOptions) -> Self {
+        let field = Nirf::new(&options.hidden, options.seed);
+        let adam = field
+            .layers
+            .iter()
+            .map(|l| [Adam::new(l.weight.len()), Adam::new(l.bias.len())])
+            .collect();
+        Self {
+            field,
+            adam,
+            steps: 0,
+        }
+    }
+
+    /// One epoch at a learning rate, batch by batch; returns the mean loss.
+    fn epoch(&mut self, positions: &[Vec3], targets: &[Vec3], rate: f32) -> f64 {
+        let batches = positions.chunks(BATCH).zip(targets.chunks(BATCH));
+        let count = batches.len();
+        let mut loss = 0.0;
+        for (p, e) in batches {
+            self.steps += 1;
+            let (l, slopes) = self.field.slopes(p, e);
+            loss += l;
+            let layers = self.field.layers.iter_mut().zip(&slopes);
+            for ((layer, slope), [weight, bias]) in layers.zip(&mut self.adam) {
+                weight.step(&mut layer.weight, &slope.weight, rate, self.steps);
+                bias.step(&mut layer.bias, &slope.bias, rate, self.steps);
+            }
+        }
+        loss / count.max(1) as f64
+    }
+}
+
+/// Shading and geometric normal on the lit side at (triangle, u, v).
+pub type Normals<'a> = &'a (dyn Fn(usize, f32, f32) -> (Vec3, Vec3) + Sync);
+
+/// The points of an epoch, uniform over the surface by `areas`, raised off it by [`HEIGHT`].
+fn draw_receivers(
+    bake: &Bake,
+    areas: &Discrete,
+    normals: Normals<'_>,
+    options: &NirfOptions,
+    epoch: u32,
+) -> Vec<Receiver> {
+    (0..options.points)
+        .map(|i| {
+            let key = u64::from(epoch) * options.points as u64 + i as u64;
+            let mut rng = KeyedRng::new(options.seed ^ 0x9e1f, key);
+            let (triangle, _) = areas.sample(rng.next_f32());
+            let [u, v] = square_to_triangle([rng.next_f32(), rng.next_f32()]);
+            let (normal, face_normal) = normals(triangle, u, v);
+            Receiver {
+                position: bake.lit.mesh.position(triangle, u, v) + normal * HEIGHT,
+                normal,
+                face_normal,
+                key,
+            }
+        })
+        .collect()
+}
+
 /// Trains a field on a scene. `normals(t, u, v)` gives shading and geometric normal on the lit
 /// side; `each` sees the field and its cost after every epoch.
 #[must_use]
 pub fn train_nirf(
     bake: &Bake,
-    normals: &(dyn Fn(usize, f32, f32) -> (Vec3, Vec3) + Sync),
+    normals: Normals<'_>,
     options: &NirfOptions,
     progress: &Progress,
     each: &mut dyn FnMut(&Nirf, &NirfCost),
 ) -> (Nirf, NirfCost) {
-    let mut field = Nirf::new(&options.hidden, options.seed);
+    let mut training = Training::begin(options);
     let mut cost = NirfCost::default();
     let areas: Vec<f64> = (0..bake.lit.mesh.triangles.len())
         .map(|t| f64::from(bake.lit.mesh.area(t)))
         .collect();
-    let Some(table) = Discrete::new(&areas) else {
-        return (field, cost);
+    let Some(areas) = Discrete::new(&areas) else {
+        return (training.field, cost);
     };
-    let mut adam: Vec<[Adam; 2]> = field
-        .layers
-        .iter()
-        .map(|l| [Adam::new(l.weight.len()), Adam::new(l.bias.len())])
-        .collect();
     let lit = LitScene {
         offset: 0.0,
         ..bake.lit
@@ -415,24 +481,9 @@ pub fn train_nirf(
         seed: options.seed,
         drawn: [0, 0],
     };
-    let mut t = 0;
     for epoch in 0..options.epochs {
         let start = Instant::now();
-        let receivers: Vec<Receiver> = (0..options.points)
-            .map(|i| {
-                let key = u64::from(epoch) * options.points as u64 + i as u64;
-                let mut rng = KeyedRng::new(options.seed ^ 0x9e1f, key);
-                let (triangle, _) = table.sample(rng.next_f32());
-                let [u, v] = square_to_triangle([rng.next_f32(), rng.next_f32()]);
-                let (normal, face_normal) = normals(triangle, u, v);
-                Receiver {
-                    position: bake.lit.mesh.position(triangle, u, v) + normal * HEIGHT,
-                    normal,
-                    face_normal,
-                    key,
-                }
-            })
-            .collect();
+        let receivers = draw_receivers(bake, &areas, normals, options, epoch);
         let targets = bake_irradiance(
             &raised,
             receivers.len(),
@@ -444,29 +495,15 @@ pub fn train_nirf(
         cost.ray_seconds += start.elapsed().as_secs_f64();
         let start = Instant::now();
         let positions: Vec<Vec3> = receivers.iter().map(|r| r.position).collect();
-        let mut loss = 0.0;
         // the authors' code lowers the rate by a fifth every 800 epochs
         let rate = options.learning_rate * 0.8f32.powi((epoch / 800) as i32);
-        let batches = positions.chunks(BATCH).zip(targets.value.chunks(BATCH));
-        let count = batches.len();
-        for (p, e) in batches {
-            t += 1;
-            let (l, slopes) = field.slopes(p, e);
-            loss += l;
-            for ((layer, slope), [weight, bias]) in
-                field.layers.iter_mut().zip(&slopes).zip(&mut adam)
-            {
-                weight.step(&mut layer.weight, &slope.weight, rate, t);
-                bias.step(&mut layer.bias, &slope.bias, rate, t);
-            }
-        }
+        cost.loss = training.epoch(&positions, &targets.value, rate);
         cost.step_seconds += start.elapsed().as_secs_f64();
-        cost.loss = loss / count.max(1) as f64;
         cost.epochs = epoch + 1;
         progress.advance(1);
-        each(&field, &cost);
+        each(&training.field, &cost);
     }
-    (field, cost)
+    (training.field, cost)
 }
 
 #[cfg(test)]

@@ -158,17 +158,9 @@ impl Sources {
         prefetch(&self.list, index as usize);
     }
 
-    /// The directions from `origin` to the points that `place` in [0, 1)² stands for, each on the
-    /// source with the number `index`.
+    /// Puts the numbers of the sources of `index` side by side, four sources at a time.
     #[inline(always)]
-    pub(crate) fn aim<const N: usize>(
-        &self,
-        field: &LightField,
-        origin: Vec3,
-        index: &[u32; N],
-        place: [&[f32; N]; 2],
-        Columns(columns): &mut Columns<N>,
-    ) -> Aims<N> {
+    fn transpose<const N: usize>(&self, index: &[u32; N], Columns(columns): &mut Columns<N>) {
         let numbers = |i: u32| -> [[f32; 4]; NUMBERS / 4] { bytemuck::cast(self.list[i as usize]) };
         let (fours, rest) = index.as_chunks::<4>();
         for (k, four) in fours.iter().enumerate() {
@@ -184,6 +176,20 @@ impl Sources {
                 columns[c][N - rest.len() + k] = number;
             }
         }
+    }
+
+    /// The directions from `origin` to the points that `place` in [0, 1)² stands for, each on the
+    /// source with the number `index`.
+    #[inline(always)]
+    pub(crate) fn aim<const N: usize>(
+        &self,
+        field: &LightField,
+        origin: Vec3,
+        index: &[u32; N],
+        place: [&[f32; N]; 2],
+        columns: &mut Columns<N>,
+    ) -> Aims<N> {
+        self.transpose(index, columns);
         let [
             ax,
             ay,
@@ -201,7 +207,7 @@ impl Sources {
             uv1_y,
             uv2_x,
             uv2_y,
-        ] = &*columns;
+        ] = &columns.0;
         let mut out = Aims {
             direction: [[0.0; N]; 3],
             t_far: [0.0; N],

@@ -2,7 +2,7 @@
 
 use super::roughness::ROUGHNESS_PRIOR;
 use super::{Light, Roughness};
-use crate::image::{Plane, Wrap};
+use crate::image::{Plane, RgbPlane, Wrap};
 use crate::inverse::AlbedoEstimate;
 use crate::observed::{Surface, filled};
 use crate::solution::{Solution, find_lamps};
@@ -19,27 +19,68 @@ pub(super) fn assemble(
     errors: &[f32],
 ) -> Solution {
     let texels = &surface.texels;
-    let Roughness {
-        materials,
-        rooms,
-        reflectance,
-    } = roughness;
-    let roughness: Vec<(f32, f32)> = (0..texels.len())
+    let per_texel = roughness_per_texel(surface, roughness, albedo);
+    let confidence: Vec<Vec2> = errors
+        .iter()
+        .zip(&per_texel)
+        .map(|(e, r)| Vec2::new(e.min(1e4), r.error))
+        .collect();
+    let mesh = surface.oriented_mesh();
+    let emission = emission(surface, light);
+    let origin = surface.scene.origin;
+    Solution {
+        lamps: find_lamps(&mesh, &emission, origin),
+        mesh,
+        origin,
+        albedo: albedo_texture(surface, albedo),
+        roughness: roughness_texture(surface, &per_texel),
+        irradiance: light.irradiance.clone(),
+        radiance: light.radiance.clone(),
+        emission,
+        confidence: texels.scatter(&confidence, Vec2::splat(1e4)),
+        irradiance_error: Some(light.texels.scatter(&light.error, 0.0)),
+        rooms: roughness.rooms.clone(),
+        labels: texels.scatter(&surface.labels, 0),
+        environment: light.field.environment.map().clone(),
+        reflectance: roughness.reflectance.model,
+    }
+}
+
+/// Roughness of a texel and its standard error.
+struct TexelRoughness {
+    value: f32,
+    error: f32,
+}
+
+/// That of each texel's material.
+fn roughness_per_texel(
+    surface: &Surface,
+    roughness: &Roughness,
+    albedo: &AlbedoEstimate,
+) -> Vec<TexelRoughness> {
+    let texels = &surface.texels;
+    (0..texels.len())
         .into_par_iter()
         .map(|i| {
             let colour = albedo.error[i].is_finite().then_some(albedo.value[i]);
-            materials
+            let (value, error) = roughness
+                .materials
                 .roughness(
                     surface.labels[i],
-                    rooms.data[texels.cell[i] as usize],
+                    roughness.rooms.data[texels.cell[i] as usize],
                     colour,
-                    surface.texels.position(&surface.scene.mesh, i),
+                    texels.position(&surface.scene.mesh, i),
                 )
-                .unwrap_or((ROUGHNESS_PRIOR, 1e4))
+                .unwrap_or((ROUGHNESS_PRIOR, 1e4));
+            TexelRoughness { value, error }
         })
-        .collect();
+        .collect()
+}
+
+/// Albedo between 0 and 1, filled between charts and where nothing is known.
+fn albedo_texture(surface: &Surface, albedo: &AlbedoEstimate) -> RgbPlane {
     // unseen texels have a value where their class says what to expect
-    let observed: Vec<bool> = albedo
+    let known: Vec<bool> = albedo
         .error
         .iter()
         .zip(&albedo.value)
@@ -50,16 +91,33 @@ pub(super) fn assemble(
         .iter()
         .map(|a| a.clamp(Vec3::ZERO, Vec3::ONE))
         .collect();
-    let albedo_plane = fill_uncovered(
-        &texels.scatter(&value, Vec3::ZERO),
-        &texels.scatter(&observed, false),
-    );
-    let confidence: Vec<Vec2> = errors
-        .iter()
-        .zip(&roughness)
-        .map(|(e, r)| Vec2::new(e.min(1e4), r.1))
-        .collect();
-    let emission: Vec<Vec3> = (0..texels.len())
+    fill_uncovered(
+        &surface.texels.scatter(&value, Vec3::ZERO),
+        &surface.texels.scatter(&known, false),
+    )
+}
+
+/// Roughness at the size asked for.
+fn roughness_texture(surface: &Surface, per_texel: &[TexelRoughness]) -> Plane<f32> {
+    let size = surface.sizes.roughness;
+    let value: Vec<f32> = per_texel.iter().map(|r| r.value).collect();
+    let fine = filled(&surface.texels, &value);
+    let scale = Vec2::new(fine.width as f32, fine.height as f32) / size as f32;
+    let at = |i: usize| Vec2::new((i % size) as f32 + 0.5, (i / size) as f32 + 0.5) * scale;
+    Plane {
+        width: size,
+        height: size,
+        data: (0..size * size)
+            .into_par_iter()
+            .map(|i| fine.bilinear(at(i), Wrap::Clamp))
+            .collect(),
+    }
+}
+
+/// Emitted radiance: that of emissive triangles, black elsewhere.
+fn emission(surface: &Surface, light: &Light) -> RgbPlane {
+    let texels = &surface.texels;
+    let value: Vec<Vec3> = (0..texels.len())
         .map(|i| {
             if light.emissive[texels.point[i].triangle as usize] {
                 light.radiance.data[texels.cell[i] as usize]
@@ -68,36 +126,5 @@ pub(super) fn assemble(
             }
         })
         .collect();
-    let size = surface.sizes.roughness;
-    let r = filled(texels, &roughness.iter().map(|r| r.0).collect::<Vec<f32>>());
-    let scale = Vec2::new(r.width as f32, r.height as f32) / size as f32;
-    let at = |i: usize| Vec2::new((i % size) as f32 + 0.5, (i / size) as f32 + 0.5) * scale;
-    let data = (0..size * size)
-        .into_par_iter()
-        .map(|i| r.bilinear(at(i), Wrap::Clamp))
-        .collect();
-    let roughness = Plane {
-        width: size,
-        height: size,
-        data,
-    };
-    let mesh = surface.oriented_mesh();
-    let emission = texels.scatter(&emission, Vec3::ZERO);
-    let origin = surface.scene.origin;
-    Solution {
-        lamps: find_lamps(&mesh, &emission, origin),
-        mesh,
-        origin,
-        albedo: albedo_plane,
-        roughness,
-        irradiance: light.irradiance.clone(),
-        radiance: light.radiance.clone(),
-        emission,
-        confidence: texels.scatter(&confidence, Vec2::splat(1e4)),
-        irradiance_error: Some(light.texels.scatter(&light.error, 0.0)),
-        rooms: rooms.clone(),
-        labels: texels.scatter(&surface.labels, 0),
-        environment: light.field.environment.map().clone(),
-        reflectance: reflectance.model,
-    }
+    texels.scatter(&value, Vec3::ZERO)
 }
