@@ -1,14 +1,19 @@
 //! What the photographs see of the geometry: fused radiance and labels on the atlas, exposure and
 //! white balance of the views.
 
+mod camera_fixed;
 mod class_map;
+mod contradictions;
 mod fusion;
 mod gains;
 mod labels;
+mod pair_gains;
 mod photometric;
 mod surface;
 
+pub use camera_fixed::{CameraRig, find_camera_rigs};
 pub use class_map::ClassMap;
+pub use contradictions::{Contradictions, MissingGeometry};
 pub(crate) use fusion::prefer_clean;
 pub use fusion::{Fusion, UNSEEN, fuse_radiance};
 pub use gains::{ViewGains, estimate_gains};

@@ -5,6 +5,7 @@ use super::estimate_gains;
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::image::Plane;
 use crate::math::luminance;
+use crate::optim::median;
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::switch::Switch;
@@ -38,18 +39,18 @@ pub(crate) fn leave_out_clipped_sky(views: &mut [ObservedView], clipped: &[Optio
 }
 
 /// Solves for exposure and white balance of every view and takes them out of the images if the
-/// views ask for it.
+/// views ask for it. Returns whether geometry turned out to be only roughly right.
 pub(crate) fn balance_views(
     scene: &Scene,
     views: &mut [ObservedView],
     orientation: &Orientation,
     switch: Switch,
     progress: &Progress,
-) {
+) -> bool {
     const WHAT: &str = "exposure and white balance";
     if switch == Switch::Off {
         progress.decide(WHAT, "as photographed", "--exposure off", true);
-        return;
+        return false;
     }
     let gains = progress.stage("exposure of the views", 1, |_| {
         estimate_gains(
@@ -61,13 +62,21 @@ pub(crate) fn balance_views(
         )
     });
     let apply = switch == Switch::On || gains.is_needed();
-    let why = format!(
+    let mut why = format!(
         "views differ by {:.1} % (RMS) at {} shared points; they disagree by {:.1} % as photographed, by {:.1} % balanced",
         100.0 * gains.rms(),
         gains.points,
         100.0 * gains.before,
         100.0 * gains.after
     );
+    if let Some(worst) = gains.error.iter().copied().reduce(f32::max) {
+        let typical = median(gains.error.clone()).unwrap_or(worst);
+        why += &format!(
+            "; geometry is only roughly right, so pairs of views voted: exposures are known to {:.0} % in the median, {:.0} % at worst",
+            100.0 * typical,
+            100.0 * worst
+        );
+    }
     progress.decide(
         WHAT,
         if apply { "balanced" } else { "as photographed" },
@@ -80,4 +89,5 @@ pub(crate) fn balance_views(
             view.radiance.data.iter_mut().for_each(|l| *l *= correction);
         }
     }
+    gains.geometry_is_rough()
 }

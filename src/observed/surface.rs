@@ -1,10 +1,10 @@
 //! Geometry with what the photographs see of it: the ground every later stage stands on. Built by
 //! the pipeline's stage `observe`.
 
-use super::Fusion;
+use super::{Contradictions, Fusion};
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::geometry::Mesh;
-use crate::image::Plane;
+use crate::image::{CameraMask, Plane};
 use crate::scene::Scene;
 use crate::texture::{Texels, fill_uncovered};
 use crate::trace::EmbreeTracer;
@@ -41,6 +41,10 @@ pub struct Surface<'a> {
     pub labels: Vec<u16>,
     /// Mean radiance of each triangle's far side, zero where unseen.
     pub back: Vec<Vec3>,
+    /// Where views contradict each other; empty unless geometry is only roughly right.
+    pub contradictions: Contradictions,
+    /// What the cameras carry along.
+    pub camera_masks: Vec<CameraMask>,
     /// Distance by which rays start above a surface, metres.
     pub offset: f32,
 }
@@ -195,6 +199,8 @@ pub(crate) mod tests {
             texels,
             fusion,
             back: vec![Vec3::ZERO; triangles],
+            contradictions: Contradictions::default(),
+            camera_masks: Vec::new(),
             offset: 7e-5,
         }
     }

@@ -3,11 +3,13 @@
 
 use super::{Light, Reflections, SolveOptions};
 use crate::inverse::{AlbedoEstimate, Shading, TexelReflectance, Unmixing, estimate_albedo};
+use crate::math::luminance;
 use crate::observed::Surface;
 use crate::progress::Progress;
 use crate::switch::Switch;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
+use std::f32::consts::PI;
 
 /// Albedo and the rays that it took.
 pub struct SolvedAlbedo {
@@ -40,11 +42,17 @@ pub fn solve_albedo(
             p,
         )
     });
+    settle_contradicted(surface, light, &mut albedo);
     let affordable = || {
         let budget = options.budget.as_ref();
         budget.is_none_or(|b| b.allows_edges(progress))
     };
-    let rays = if options.edges != Switch::Off && affordable() {
+    // a pixel's mixture says nothing where what it mixes is not in the mesh
+    let allowed = match options.edges {
+        Switch::Auto => surface.contradictions.deviation.is_empty(),
+        switch => switch == Switch::On,
+    };
+    let rays = if allowed && affordable() {
         solve_edges(
             surface,
             light,
@@ -57,6 +65,25 @@ pub fn solve_albedo(
         0
     };
     SolvedAlbedo { albedo, rays }
+}
+
+/// Texels on which views contradict each other reflect the mean of what the views show, with the
+/// disagreement as their error.
+fn settle_contradicted(surface: &Surface, light: &Light, albedo: &mut AlbedoEstimate) {
+    let texels = &surface.texels;
+    let found = &surface.contradictions;
+    for i in (0..texels.len()).filter(|&i| found.contradicted(i)) {
+        let e = texels.lookup(&surface.scene.mesh, &light.irradiance, i);
+        if luminance(e) <= 0.0 || !albedo.error[i].is_finite() {
+            continue;
+        }
+        let e = e.max(Vec3::splat(luminance(e) * 1e-6));
+        let diffuse = 1.0 - albedo.specular_share[i].clamp(0.0, 1.0);
+        albedo.value[i] = surface.fusion.radiance[i] * (diffuse * PI) / e;
+        let looks = f32::from(surface.fusion.views[i]).max(1.0);
+        albedo.looks[i] = looks;
+        albedo.error[i] = found.deviation[i] * luminance(albedo.value[i]) / looks.sqrt();
+    }
 }
 
 /// Solves for the albedo of texels without a clean look; returns the rays traced.

@@ -39,6 +39,7 @@ pub(super) fn assemble(
         emission,
         confidence: texels.scatter(&confidence, Vec2::splat(1e4)),
         irradiance_error: Some(light.texels.scatter(&light.error, 0.0)),
+        camera_masks: surface.camera_masks.clone(),
         rooms: roughness.rooms.clone(),
         labels: texels.scatter(&surface.labels, 0),
         environment: light.field.environment.map().clone(),

@@ -5,9 +5,11 @@ use super::SolveOptions;
 use super::decisions::choose_sizes;
 use crate::Result;
 use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer, clipped_pixels};
-use crate::image::{Plane, RgbPlane};
+use crate::geometry::Camera;
+use crate::image::{CameraMask, Plane, RgbPlane};
 use crate::observed::{
-    Surface, balance_views, complete_labels, fuse_radiance, leave_out_clipped_sky,
+    Contradictions, Surface, balance_views, complete_labels, find_camera_rigs, fuse_radiance,
+    leave_out_clipped_sky,
 };
 use crate::progress::Progress;
 use crate::scene::{Scene, Split};
@@ -88,7 +90,8 @@ pub fn observe<'a>(
     }
     leave_out_clipped_sky(&mut views, &clipped);
     drop(clipped);
-    balance_views(scene, &mut views, &orientation, options.exposure, progress);
+    let camera_masks = mask_rigs(scene, &mut views, &orientation, options, progress);
+    let rough = balance_views(scene, &mut views, &orientation, options.exposure, progress);
     let sizes = choose_sizes(
         &Observer {
             mesh: &scene.mesh,
@@ -100,7 +103,7 @@ pub fn observe<'a>(
     );
     let texels = Texels::rasterize(&scene.mesh, sizes.albedo, sizes.albedo);
     let begin = Instant::now();
-    let fusion = options.checkpoints.reuse("radiance", progress, || {
+    let mut fusion = options.checkpoints.reuse("radiance", progress, || {
         progress.stage("radiance", texels.len() as u64, |p| {
             fuse_radiance(
                 &Observer {
@@ -116,6 +119,12 @@ pub fn observe<'a>(
     if let Some(budget) = &options.budget {
         budget.fused(begin.elapsed().as_secs_f64());
     }
+    let contradictions = if rough {
+        find_contradictions(scene, &views, &orientation, &texels, progress)
+    } else {
+        Contradictions::default()
+    };
+    contradictions.settle(&mut fusion.radiance);
     let labels = complete_labels(&scene.mesh, &texels, &fusion);
     let back = back_radiance(scene, &views, &orientation);
     let (lo, hi) = scene.mesh.bounds();
@@ -131,8 +140,72 @@ pub fn observe<'a>(
         fusion,
         labels,
         back,
+        contradictions,
+        camera_masks,
         offset,
     })
+}
+
+/// Where the views contradict each other, and a note on the places.
+fn find_contradictions(
+    scene: &Scene,
+    views: &[ObservedView],
+    orientation: &Orientation,
+    texels: &Texels,
+    progress: &Progress,
+) -> Contradictions {
+    let mesh = &scene.mesh;
+    let found = progress.stage("missing geometry", 1, |_| {
+        Contradictions::find(&Observer { mesh, views }, orientation, texels)
+    });
+    let places = found.places(mesh, texels, scene.origin);
+    let list: Vec<String> = places
+        .iter()
+        .map(|m| {
+            let p = m.place;
+            format!("({:.1}, {:.1}, {:.1}): {:.1} m²", p.x, p.y, p.z, m.area)
+        })
+        .collect();
+    progress.note(format!(
+        "geometry is missing: on {:.0} % of the surface the views contradict each other; most at {}",
+        100.0 * found.share(mesh, texels),
+        list.join(", ")
+    ));
+    found
+}
+
+/// Masks what the cameras carry along in all training views.
+fn mask_rigs(
+    scene: &Scene,
+    views: &mut [ObservedView],
+    orientation: &Orientation,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Vec<CameraMask> {
+    let mesh = &scene.mesh;
+    let cameras: Vec<&Camera> = scene.train_views().map(|v| &v.camera).collect();
+    let rigs = progress.stage("what moves with the camera", 1, |_| {
+        find_camera_rigs(&Observer { mesh, views }, orientation, &cameras)
+    });
+    for rig in &rigs {
+        let visible = all_valid(&rig.mask.visible, options.photo_reduction);
+        for v in &rig.views {
+            let view = &mut views[*v];
+            let valid = view.valid.get_or_insert_with(|| visible.map(|_| true));
+            let both = valid.data.iter_mut().zip(&visible.data);
+            both.for_each(|(valid, visible)| *valid &= visible);
+        }
+        progress.decide(
+            "what moves with the camera",
+            format!(
+                "{:.1} % of the image masked",
+                100.0 * rig.mask.masked_share()
+            ),
+            rig.evidence(),
+            false,
+        );
+    }
+    rigs.into_iter().map(|r| r.mask).collect()
 }
 
 /// A photograph at a `factor`-th of its size: means of blocks, those at the far edges cut off.

@@ -77,7 +77,8 @@ pub fn write_report(
     let bytes = serde_json::to_vec_pretty(&report)
         .map_err(|e| Error::Failed(format!("report.json: {e}")))?;
     atomic_write(folder.join("report.json"), &bytes)?;
-    let atlas = photographer.atlas();
+    let mut atlas = photographer.atlas();
+    atlas.extend(photographer.camera_masks()?);
     let page = html::Page {
         record,
         evaluation,

@@ -4,7 +4,7 @@ use super::jpeg::Picture;
 use crate::error::Result;
 use crate::evaluate::{GroundTruth, comparable};
 use crate::formats::srgb8_from_linear;
-use crate::geometry::Camera;
+use crate::geometry::{Camera, Projection};
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::metrics::{masked_mse, masked_ssim, psnr};
 use crate::render::RenderedView;
@@ -186,6 +186,33 @@ impl<'a> Photographer<'a> {
             ssim: masked_ssim(&a, &b, &counted).unwrap_or(1.0),
             pictures,
         })
+    }
+
+    /// The first photograph of each camera that carries something along, with that in magenta.
+    ///
+    /// # Errors
+    /// Unreadable photographs.
+    pub fn camera_masks(&self) -> Result<Vec<Captioned>> {
+        let mut pictures = Vec::new();
+        for mask in &self.solution.camera_masks {
+            let of_mask = |v: &&View| {
+                let panorama = v.camera.projection == Projection::Equirectangular;
+                mask.covers(panorama, v.camera.width, v.camera.height)
+            };
+            let Some(view) = self.scene.views.iter().find(of_mask) else {
+                continue;
+            };
+            let mut image = self.scene.load_radiance(view)?;
+            let marked = image.data.iter_mut().zip(&mask.visible.data);
+            let marked = marked.filter(|(_, visible)| !**visible);
+            marked.for_each(|(pixel, _)| *pixel = Vec3::new(1.0, 0.0, 1.0) / self.gain);
+            let share = 100.0 * mask.masked_share();
+            pictures.push(Captioned {
+                caption: format!("{}: what the camera carries along, {share:.1} %", view.stem),
+                picture: exposed(&shrunk(&image, VIEW_WIDTH), self.gain),
+            });
+        }
+        Ok(pictures)
     }
 
     /// The textures as they lie on the atlas.

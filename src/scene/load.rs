@@ -89,6 +89,7 @@ impl Scene {
             classes_declared,
             mesh_stats,
             warnings,
+            camera_masks: Vec::new(),
             options: options.clone(),
         };
         Ok(scene.with_mesh_warnings(&mesh_path))

@@ -20,7 +20,7 @@ pub use rooms::find_rooms;
 pub use unwrap::{UnwrapStats, unwrap_mesh};
 
 use crate::geometry::{Camera, Mesh};
-use crate::image::Plane;
+use crate::image::{CameraMask, Plane};
 use glam::DVec3;
 use std::path::PathBuf;
 
@@ -138,6 +138,9 @@ pub struct Scene {
     pub mesh_stats: MeshStats,
     /// What a user should know although the scene is usable.
     pub warnings: Vec<String>,
+    /// What the cameras carry along, where a reconstruction found it: masked in all views of the
+    /// kind and size.
+    pub camera_masks: Vec<CameraMask>,
     /// How the scene was read; pixels are read the same way.
     pub options: LoadOptions,
 }
@@ -162,6 +165,7 @@ impl Scene {
             rooms: None,
             mesh_stats: MeshStats::default(),
             warnings: Vec::new(),
+            camera_masks: Vec::new(),
             options: LoadOptions::default(),
         }
     }

@@ -3,6 +3,7 @@
 use super::input_error::as_input;
 use super::{Scene, View};
 use crate::formats;
+use crate::geometry::Projection;
 use crate::image::{Plane, RgbPlane};
 use crate::{Error, Result};
 use glam::{Vec2, Vec3};
@@ -113,12 +114,13 @@ impl Scene {
 
     /// Which pixels of the view may be used (`true`), at the image's size; `None` if all may.
     ///
-    /// Joins the mask file and, with `clamp_nan`, the pixels that are not finite.
+    /// Joins the mask file, the camera's own mask and, with `clamp_nan`, the pixels that are not
+    /// finite.
     ///
     /// # Errors
     /// If the file cannot be read or does not fit the view.
     pub fn load_mask(&self, view: &View) -> Result<Option<Plane<bool>>> {
-        let mask = self.read_mask(view)?;
+        let mask = self.without_rig(view, self.read_mask(view)?);
         if !self.options.clamp_nan {
             return Ok(mask);
         }
@@ -131,6 +133,25 @@ impl Scene {
             *m &= p.is_finite();
         }
         Ok(Some(mask))
+    }
+
+    /// A mask without the pixels that show what the camera carries along.
+    fn without_rig(&self, view: &View, mask: Option<Plane<bool>>) -> Option<Plane<bool>> {
+        let c = &view.camera;
+        let panorama = c.projection == Projection::Equirectangular;
+        let rig = self
+            .camera_masks
+            .iter()
+            .find(|m| m.covers(panorama, c.width, c.height));
+        match (mask, rig) {
+            (Some(mut mask), Some(rig)) => {
+                let visible = &rig.visible.data;
+                mask.data.iter_mut().zip(visible).for_each(|(m, v)| *m &= v);
+                Some(mask)
+            }
+            (None, Some(rig)) => Some(rig.visible.clone()),
+            (mask, None) => mask,
+        }
     }
 
     /// Whether each possible id is declared; 0 always is.

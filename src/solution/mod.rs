@@ -1,6 +1,7 @@
 //! What a reconstruction is: the textures that `solve` makes and that evaluation, rendering and
 //! export read.
 
+mod camera_masks;
 mod glb;
 mod lamps;
 mod store;
@@ -11,7 +12,7 @@ pub use store::{AsideFolder, FILES, SaveOptions};
 
 use crate::brdf::Reflectance;
 use crate::geometry::Mesh;
-use crate::image::{Plane, RgbPlane};
+use crate::image::{CameraMask, Plane, RgbPlane};
 use glam::{DVec3, Vec2};
 
 /// A reconstructed scene. Every texture covers the same atlas; sizes differ. Texture coordinates
@@ -49,6 +50,9 @@ pub struct Solution {
     pub reflectance: Reflectance,
     /// Its lamps, most powerful first: every program numbers them by this list.
     pub lamps: Vec<Lamp>,
+    /// What the photographs' cameras carry along, one mask per kind and size of image; those
+    /// without any are left out.
+    pub camera_masks: Vec<CameraMask>,
 }
 
 #[cfg(test)]
@@ -110,6 +114,14 @@ pub(crate) mod tests {
             environment: ramp(8, 4, 3.0),
             reflectance: Reflectance::Burley,
             lamps: Vec::new(),
+            camera_masks: vec![CameraMask {
+                panorama: true,
+                visible: Plane {
+                    width: 8,
+                    height: 4,
+                    data: (0..32).map(|i| i < 24).collect(),
+                },
+            }],
         }
     }
 }

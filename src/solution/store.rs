@@ -5,6 +5,7 @@
 //! old solution or the new one, and a full disk leaves the old one untouched.
 
 use super::Solution;
+use super::camera_masks::{read_camera_masks, replace_camera_masks, write_camera_masks};
 use super::glb::{GlbOptions, read_glb_mesh, scene_glb};
 use super::lamps::{self, LIGHTS};
 use crate::error::{Error, Result};
@@ -70,6 +71,7 @@ impl Solution {
             }
             write_png16(at("labels.png"), &self.labels)?;
             write_png16(at("rooms.png"), &self.rooms)?;
+            write_camera_masks(aside.path(), &self.camera_masks)?;
             write_radiometric(&at("environment.exr"), &self.environment)?;
             let path = at(LIGHTS);
             std::fs::write(&path, lamps::encode(&self.lamps)?)
@@ -81,6 +83,7 @@ impl Solution {
             Some(_) => aside.publish(folder, &[IRRADIANCE_ERROR])?,
             None => remove_if_there(&folder.join(IRRADIANCE_ERROR))?,
         }
+        replace_camera_masks(&aside, folder)?;
         aside.publish(folder, &FILES)
     }
 
@@ -130,6 +133,7 @@ impl Solution {
             environment: rgb("environment.exr")?,
             reflectance,
             lamps: Vec::new(),
+            camera_masks: read_camera_masks(folder)?,
         };
         solution.lamps = lamps::read(folder, &solution)?;
         Ok(solution)
@@ -252,6 +256,7 @@ mod tests {
         names.sort();
         let mut expected = FILES.map(String::from).to_vec();
         expected.push(IRRADIANCE_ERROR.into());
+        expected.push("camera_mask_panorama_8x4.png".into());
         expected.sort();
         assert_eq!(
             names, expected,
@@ -262,6 +267,7 @@ mod tests {
         assert_eq!(back.mesh, solution.mesh, "geometry is bit-exact");
         assert_eq!(back.origin, solution.origin, "origin is exact in f64");
         assert_eq!(back.labels, solution.labels);
+        assert_eq!(back.camera_masks, solution.camera_masks);
         assert_eq!(back.rooms, solution.rooms);
         let close = |a: &RgbPlane, b: &RgbPlane| {
             assert_eq!((a.width, a.height), (b.width, b.height));
@@ -362,7 +368,7 @@ mod tests {
         );
         assert_eq!(
             std::fs::read_dir(folder.path()).expect("lists").count(),
-            FILES.len() + 1
+            FILES.len() + 2
         );
     }
 

@@ -62,6 +62,7 @@ fn assemble(apartment: &Apartment, mesh: Mesh, texture: &Plane<Vec4>) -> Solutio
         emission,
         confidence: Plane::filled(4, 4, Vec2::ZERO),
         irradiance_error: None,
+        camera_masks: Vec::new(),
         labels: texels.scatter(&labels, 0),
         rooms: Plane::filled(4, 4, 0),
         reflectance: crate::brdf::Reflectance::Paper,

@@ -362,6 +362,7 @@ mod tests {
             emission,
             confidence: Plane::filled(8, 8, Vec2::ZERO),
             irradiance_error: None,
+            camera_masks: Vec::new(),
             labels: Plane::filled(8, 8, 3),
             rooms: Plane::filled(8, 8, 1),
             reflectance: crate::brdf::Reflectance::Paper,

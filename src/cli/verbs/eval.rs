@@ -14,7 +14,8 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
     let solution = context
         .progress
         .stage("reading the solution", 1, |_| Solution::load(out))?;
-    let scene = read_scene(scene_path, context)?;
+    let mut scene = read_scene(scene_path, context)?;
+    scene.camera_masks.clone_from(&solution.camera_masks);
     if (scene.origin - solution.origin).length() > 1e-6 {
         let message = format!(
             "was reconstructed from a scene centred at {}, but {} is centred at {}; give the scene it was made from",

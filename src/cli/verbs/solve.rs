@@ -22,7 +22,7 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
             out.display()
         )));
     }
-    let scene = read_scene(scene_path, context)?;
+    let mut scene = read_scene(scene_path, context)?;
     // before the long run: is there a place for the result?
     drop(AsideFolder::new(out)?);
     let options = context
@@ -36,6 +36,7 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
         options.checkpoints = Checkpoints::new(out, &run_key(&inputs, context)?);
     }
     let solution = reconstruct(&scene, &options, progress)?.solution;
+    scene.camera_masks.clone_from(&solution.camera_masks);
     progress.stage("writing the textures", 1, |_| {
         solution.save(out, &SaveOptions::default())
     })?;
