@@ -94,6 +94,7 @@ pub mod synth;
 pub mod texture;
 #[doc(hidden)]
 pub mod trace;
+pub mod verdict;
 #[doc(hidden)]
 pub mod view;
 

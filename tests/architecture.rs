@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// What may be used by all of the story: types, filters, formats, rays.
-const VOCABULARY: [&str; 15] = [
+const VOCABULARY: [&str; 16] = [
     "brdf", "texture", "trace", "optim", "metrics", "image", "geometry", "formats", "sampling",
-    "math", "parallel", "progress", "switch", "error", "ffi",
+    "math", "parallel", "progress", "switch", "verdict", "error", "ffi",
 ];
 
 /// Module, and what it may use beyond `error`; "vocabulary" stands for all of [`VOCABULARY`].
@@ -135,6 +135,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ("math", &[]),
     ("parallel", &[]),
     ("progress", &[]),
+    ("verdict", &[]),
     ("error", &[]),
     ("ffi", &[]),
 ];

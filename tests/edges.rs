@@ -172,6 +172,7 @@ fn bars(label_of_bars: u16, shift: Vec3) -> (f32, f32, usize) {
         field: &field,
         texels: &texels,
         labels: &labels,
+        rooms: &vec![1; labels.len()],
         irradiance: &vec![Vec3::splat(PI); texels.len()],
         specular: &specular,
         reflectance: &reflectance,

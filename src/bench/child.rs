@@ -2,8 +2,9 @@
 //! cold start is part of the time.
 
 use crate::error::{Error, Result};
-use crate::evaluate::Evaluation;
+use crate::evaluate::{CalibrationBin, Evaluation};
 use crate::report::RunRecord;
+use crate::verdict::{Findings, Verdict};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -38,6 +39,10 @@ pub struct Outcome {
     pub novel_psnr: Option<f64>,
     /// SSIM of the same.
     pub novel_ssim: Option<f64>,
+    /// Stated against actual error of the albedo.
+    pub albedo_calibration: Option<CalibrationBin>,
+    /// The reconstruction's verdict on itself.
+    pub verdict: Option<Verdict>,
     /// Wall seconds of the stages of depth 0, in order.
     pub stages: Vec<(String, f64)>,
 }
@@ -182,6 +187,8 @@ fn outcome(seconds: f64, record: &RunRecord, scores: &Evaluation) -> Outcome {
         roughness_psnr: materials.map(|m| m.roughness.fipt.psnr_of_mean_mse),
         novel_psnr: split.map(|s| s.rendering.psnr_of_mean_mse),
         novel_ssim: split.map(|s| s.rendering.ssim),
+        albedo_calibration: materials.map(|m| m.calibration.albedo.all),
+        verdict: record.findings.as_ref().map(Findings::verdict),
         stages: record
             .stages
             .iter()

@@ -136,8 +136,20 @@ impl RobustnessReport {
             (Some(v), Some(c)) => format!("{v:6.2} dB ({:+.2})", v - c),
             _ => "        --       ".to_owned(),
         };
+        let stated = o.albedo_calibration.map_or_else(String::new, |c| {
+            format!(
+                "  stated {:.3} actual {:.3} within 2: {:3.0} %",
+                c.stated,
+                c.actual,
+                100.0 * c.within_2
+            )
+        });
+        let verdict = o
+            .verdict
+            .as_ref()
+            .map_or_else(String::new, |v| format!("  {}", v.level));
         format!(
-            "{:<22} albedo {}  roughness {}  novel views {}",
+            "{:<22} albedo {}  roughness {}  novel views {}{stated}{verdict}",
             self.points[i].condition,
             cell(o.albedo_psnr, clean.albedo_psnr),
             cell(o.roughness_psnr, clean.roughness_psnr),

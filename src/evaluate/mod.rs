@@ -7,12 +7,14 @@
 
 mod calibration;
 mod emission;
+mod gains;
 pub mod protocol;
 mod scores;
 mod table;
 
 pub use calibration::{Calibration, CalibrationBin, Calibrations};
 pub use emission::EmissionScores;
+pub use gains::GainScores;
 pub use scores::{
     ClassScores, Evaluation, ImageScores, MaterialScores, Protocols, SplitScores, ViewScores,
 };
@@ -28,8 +30,10 @@ use crate::render::{RenderedView, ViewRenderer};
 use crate::scene::{Scene, Split, View};
 use crate::solution::AsideFolder;
 use emission::EmissionTruth;
+use gains::GainFit;
 use protocol::{
-    box_average, least_squares_albedo, material_mask, quantised, tone_mapped, working_size,
+    box_average, clipped, display, least_squares_albedo, material_mask, quantised, tone_mapped,
+    working_size,
 };
 use scores::{Accumulator, ClassTally};
 use serde::{Deserialize, Serialize};
@@ -140,8 +144,13 @@ pub fn evaluate(
                 &mut train
             };
             let truth = truth.as_ref();
-            let mut scores =
-                score_rendering(view, (&photograph, &valid), &rendered, options, accumulator)?;
+            let reprojected = renderer.reproject(&view.camera)?;
+            let images = Images {
+                photograph: &photograph,
+                valid: &valid,
+                reprojected: reprojected.as_ref(),
+            };
+            let mut scores = score_rendering(view, &images, &rendered, options, accumulator)?;
             let labels = classes.unwrap_or_else(|| rendered.labels.clone());
             if let Some(emission) =
                 EmissionTruth::of(scene, view, &photograph, &labels, &accumulator.lights)?
@@ -164,9 +173,11 @@ pub fn evaluate(
         Ok::<(), Error>(())
     })?;
 
+    let test = test.finish();
     let evaluation = Evaluation {
         protocols: protocol::descriptions(options),
-        test: test.finish(),
+        novel_views: test.as_ref().map(|t| t.gains.clone()),
+        test,
         train: train.finish(),
     };
     if let (Some(folder), Some(aside)) = (folder, &aside) {
@@ -251,27 +262,48 @@ fn write_view(folder: &Path, stem: &str, rendered: &RenderedView) -> Result<[Str
     Ok(names)
 }
 
+/// What a re-rendering is compared with.
+struct Images<'a> {
+    photograph: &'a RgbPlane,
+    /// Pixels of the photograph that count.
+    valid: &'a Plane<bool>,
+    /// The fused radiance seen through the camera, where the renderer holds any.
+    reprojected: Option<&'a RgbPlane>,
+}
+
 fn score_rendering(
     view: &View,
-    (photograph, valid): (&RgbPlane, &Plane<bool>),
+    images: &Images<'_>,
     rendered: &RenderedView,
     options: &EvalOptions,
     accumulator: &mut Accumulator,
 ) -> Result<ViewScores> {
-    let (a, b, counted) = comparable(photograph, valid, &rendered.radiance, options.exposure);
-    let Some(mse) = masked_mse(&a, &b, &counted) else {
+    let (photograph, counted) = at_working_size(images.photograph, images.valid);
+    let gain = options.exposure.exp2();
+    let b = tone_mapped(&photograph, gain);
+    let shown = |image: &RgbPlane| display(&at_working_size(image, images.valid).0, gain);
+    let a = shown(&rendered.radiance);
+    let Some(fit) = GainFit::of(&a, &b, &counted) else {
         return Err(Error::input(
             &view.image_path,
             "has no valid pixel to compare with; check the image and its mask",
         ));
     };
+    let a = clipped(&a);
     let ssim = masked_ssim(&a, &b, &counted);
-    accumulator.rendering.add(mse, ssim);
+    let ceiling = images
+        .reprojected
+        .and_then(|r| GainFit::of(&shown(r), &b, &counted));
+    accumulator.rendering.add(fit.as_is, ssim);
+    accumulator.gains.add(&fit, ceiling.as_ref());
     Ok(ViewScores {
         stem: view.stem.clone(),
-        psnr: psnr(mse),
+        psnr: psnr(fit.as_is),
         ssim: ssim.unwrap_or(1.0),
-        mse,
+        mse: fit.as_is,
+        gain: fit.gain,
+        psnr_gain: psnr(fit.per_view),
+        ceiling_psnr_gain: ceiling.map(|c| psnr(c.per_view)),
         nonfinite_pixels: rendered
             .radiance
             .data
@@ -282,6 +314,12 @@ fn score_rendering(
     })
 }
 
+/// An image's valid pixels averaged to the size of comparison, and where there were any.
+fn at_working_size(image: &RgbPlane, valid: &Plane<bool>) -> (RgbPlane, Plane<bool>) {
+    let (w, h) = working_size(image.width, image.height);
+    box_average(image, valid, w, h)
+}
+
 /// The re-rendering and the photograph as the image scores compare them, and the pixels that count.
 #[must_use]
 pub fn comparable(
@@ -290,9 +328,8 @@ pub fn comparable(
     rendering: &RgbPlane,
     exposure: f32,
 ) -> (RgbPlane, RgbPlane, Plane<bool>) {
-    let (w, h) = working_size(photograph.width, photograph.height);
-    let (photo_small, counted) = box_average(photograph, valid, w, h);
-    let (render_small, _) = box_average(rendering, valid, w, h);
+    let (photo_small, counted) = at_working_size(photograph, valid);
+    let (render_small, _) = at_working_size(rendering, valid);
     let gain = exposure.exp2();
     (
         tone_mapped(&render_small, gain),

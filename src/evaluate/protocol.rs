@@ -19,6 +19,9 @@ pub fn descriptions(options: &EvalOptions) -> Vec<String> {
              SSIM as pytorch_msssim (11x11 Gaussian, sigma 1.5, K 0.01/0.03, windows inside the image)",
             options.exposure
         ),
+        "gains: the same after the gain on linear radiance, one per view (or per view and channel), that minimises the view's MSE; \
+         ceiling_reprojected: the fused radiance (radiance.exr) seen through the same cameras, with one gain per view and (as_is) without"
+            .into(),
         "materials: at the frame's size, each pixel's being the mean over the surfaces in it of the class its label names, as the ground \
          truth is; pixels without geometry (label 0) and of classes of kind light are left out; values clipped \
          to [0, 1]; nothing is overwritten; PSNR has peak 1 and is at most 100 dB"
@@ -107,19 +110,33 @@ pub fn box_average(
     )
 }
 
-/// TexIR's display transform clamp((gain·x)^(1/2.2), 0, 1); NaN stays NaN, so that it scores as an
-/// error.
+/// γ of TexIR's display transform.
+pub const DISPLAY_EXPONENT: f32 = 2.2;
+
+/// max(gain·x, 0)^(1/γ), not clipped above; NaN stays NaN, so that it scores as an error.
 #[must_use]
-pub fn tone_mapped(image: &RgbPlane, gain: f32) -> RgbPlane {
+pub fn display(image: &RgbPlane, gain: f32) -> RgbPlane {
     image.map(|v| {
         v.map(|x| {
             if x.is_nan() {
                 x
             } else {
-                (x * gain).max(0.0).powf(1.0 / 2.2).min(1.0)
+                (x * gain).max(0.0).powf(1.0 / DISPLAY_EXPONENT)
             }
         })
     })
+}
+
+/// TexIR's display transform clamp((gain·x)^(1/γ), 0, 1); NaN stays NaN.
+#[must_use]
+pub fn tone_mapped(image: &RgbPlane, gain: f32) -> RgbPlane {
+    clipped(&display(image, gain))
+}
+
+/// Display values clipped at 1; NaN stays NaN.
+#[must_use]
+pub fn clipped(image: &RgbPlane) -> RgbPlane {
+    image.map(|v| v.map(|x| if x.is_nan() { x } else { x.min(1.0) }))
 }
 
 /// The nearest multiple of 1/255 in [0, 1].

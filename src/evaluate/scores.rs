@@ -3,6 +3,7 @@
 use super::GroundTruth;
 use super::calibration::{CalibrationTally, Calibrations};
 use super::emission::{EmissionScores, EmissionTally};
+use super::gains::{GainScores, GainTally};
 use crate::image::Plane;
 use crate::metrics::{psnr, squared_error};
 use crate::render::RenderedView;
@@ -88,6 +89,15 @@ pub struct ViewScores {
     pub ssim: f64,
     /// MSE of the re-rendering.
     pub mse: f64,
+    /// Gain on linear radiance with which the re-rendering comes closest to the photograph.
+    #[serde(default)]
+    pub gain: f64,
+    /// PSNR of the re-rendering with that gain, dB.
+    #[serde(default)]
+    pub psnr_gain: f64,
+    /// PSNR of the re-projected fused radiance with a gain of its own, dB.
+    #[serde(default)]
+    pub ceiling_psnr_gain: Option<f64>,
     /// Pixels of the re-rendering that are not finite: must be 0.
     pub nonfinite_pixels: usize,
     /// PSNR of the albedo, linear protocol, dB.
@@ -107,6 +117,9 @@ pub struct ViewScores {
 pub struct SplitScores {
     /// Novel views (held out) or re-rendering (training).
     pub rendering: ImageScores,
+    /// The same with fitted gains, and its ceiling.
+    #[serde(default)]
+    pub gains: GainScores,
     /// Albedo and roughness, where the scene has ground truth.
     pub materials: Option<MaterialScores>,
     /// Which pixels emit and how much, where the scene says so.
@@ -121,6 +134,9 @@ pub struct SplitScores {
 pub struct Evaluation {
     /// What the figures mean.
     pub protocols: Vec<String>,
+    /// The figures of the held-out views in short, for scripts.
+    #[serde(default)]
+    pub novel_views: Option<GainScores>,
     /// Held-out views.
     pub test: Option<SplitScores>,
     /// Training views.
@@ -173,6 +189,7 @@ pub(super) struct MaterialTally {
 pub(super) struct Accumulator {
     pub(super) lights: BTreeSet<u16>,
     pub(super) rendering: Tally,
+    pub(super) gains: GainTally,
     pub(super) materials: Option<MaterialTally>,
     pub(super) classes: ClassTally,
     pub(super) calibration: CalibrationTally,
@@ -190,6 +207,7 @@ impl Accumulator {
                 .map(|c| c.id)
                 .collect(),
             rendering: Tally::default(),
+            gains: GainTally::default(),
             materials: None,
             classes: ClassTally::new(scene),
             calibration: CalibrationTally::default(),
@@ -220,8 +238,10 @@ impl Accumulator {
                 calibration: self.calibration.finish(),
             }
         });
+        let rendering = self.rendering.finish();
         Some(SplitScores {
-            rendering: self.rendering.finish(),
+            gains: self.gains.finish(&rendering),
+            rendering,
             materials,
             emission: self.emission.finish(),
             views: self.views,

@@ -35,6 +35,7 @@ fn split_table(out: &mut String, title: &str, kind: &str, split: &SplitScores) {
         "", "PSNR of mean MSE", "mean PSNR", "SSIM", "MSE"
     );
     row(out, kind, &split.rendering);
+    gains(out, &split.gains);
     if let Some(e) = &split.emission {
         let _ = writeln!(
             out,
@@ -84,6 +85,25 @@ fn split_table(out: &mut String, title: &str, kind: &str, split: &SplitScores) {
                 c.roughness_truth
             );
         }
+    }
+}
+
+/// What exposure, materials and geometry cost: with fitted gains, beside the ceiling.
+fn gains(out: &mut String, g: &super::GainScores) {
+    let mut line = |name: &str, psnr: f64| {
+        let _ = writeln!(out, "  {name:<24} {psnr:>15.2} dB");
+    };
+    line("  one gain per view", g.psnr_gain_per_view);
+    line("  ... and per channel", g.psnr_gain_per_channel);
+    if let (Some(gained), Some(as_is)) =
+        (g.ceiling_reprojected_psnr, g.ceiling_reprojected_psnr_as_is)
+    {
+        line("  ceiling, as it is", as_is);
+        line("  ceiling, gain per view", gained);
+        let _ = writeln!(
+            out,
+            "    (ceiling: the fused radiance itself seen through the same cameras: what mesh and\n     poses allow before any model of light and material)"
+        );
     }
 }
 

@@ -28,6 +28,13 @@ impl ViewRenderer for Constant {
             confidence: Plane::filled(w, h, glam::Vec2::splat(0.1)),
         })
     }
+
+    /// Twice the photographs' working radiance, half a row of it black: a ceiling below 100 dB.
+    fn reproject(&self, camera: &Camera) -> Result<Option<RgbPlane>> {
+        let mut image = Plane::filled(camera.width, camera.height, Vec3::ONE);
+        image.data[..W / 2].fill(Vec3::ZERO);
+        Ok(Some(image))
+    }
 }
 
 /// Photographs of radiance 0.25; true albedo 0.5 and roughness 0.1 in the left half (class 1); a
@@ -216,6 +223,42 @@ fn files_appear_and_the_json_reads_back() {
             && table.contains("wall")
     );
     assert!(table.lines().all(|l| l.chars().count() <= 100), "{table}");
+}
+
+#[test]
+fn a_gain_per_view_and_the_ceiling_have_their_closed_forms() {
+    let folder = tempfile::tempdir().expect("temp");
+    let mut scene = scene(folder.path(), &[("a", Split::Test), ("b", Split::Test)]);
+    // two photographs of the same place, one two stops brighter
+    scene.views[1].exposure_ev = -1.0;
+    let renderer = Constant {
+        radiance: 0.25,
+        albedo: 0.5,
+        roughness: 0.125,
+    };
+    let e = run(&scene, &renderer, &EvalOptions::default(), None);
+    let test = e.test.expect("held-out");
+    let novel = e.novel_views.expect("held-out");
+    assert_eq!(novel, test.gains);
+    let gains: Vec<f64> = test.views.iter().map(|v| v.gain).collect();
+    assert!(
+        (gains[0] - 2.0).abs() < 1e-3 && (gains[1] - 0.5).abs() < 1e-3,
+        "{gains:?}"
+    );
+    let error = |x: f64| (x.powf(1.0 / 2.2) - 0.25f64.powf(1.0 / 2.2)).powi(2);
+    let mse = 0.5 * (error(0.5) + error(0.125));
+    assert!((novel.mse / mse - 1.0).abs() < 1e-3 && (novel.psnr - psnr(mse)).abs() < 1e-2);
+    assert!(novel.psnr_gain_per_view > 60.0 && novel.psnr_gain_per_channel > 60.0);
+    // with its own gain all of the ceiling fits but the black half row
+    let missing = (W / 2) as f64 / (W * H) as f64;
+    let black = 0.5 * missing * (0.5f64.powf(2.0 / 2.2) + 0.125f64.powf(2.0 / 2.2));
+    let ceiling = novel.ceiling_reprojected_psnr.expect("re-projected");
+    assert!(
+        (ceiling - psnr(black)).abs() < 0.01,
+        "{ceiling} {}",
+        psnr(black)
+    );
+    assert!(novel.ceiling_reprojected_psnr_as_is.expect("re-projected") < ceiling);
 }
 
 #[test]

@@ -3,8 +3,10 @@
 
 mod clipping;
 mod observe;
+mod orientation;
 mod view_buffer;
 
 pub use clipping::clipped_pixels;
-pub use observe::{Observation, ObservedView, Observer, Orientation};
+pub use observe::{Observation, ObservedView, Observer};
+pub use orientation::{Orientation, Probe};
 pub use view_buffer::{ViewBuffer, pixel_rays};

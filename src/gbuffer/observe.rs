@@ -7,7 +7,6 @@
 use super::ViewBuffer;
 use crate::geometry::{Camera, Mesh};
 use crate::image::{Plane, RgbPlane, bilinear_taps};
-use crate::trace::Hit;
 use glam::Vec3;
 
 /// A photograph with what its pixels see.
@@ -48,65 +47,6 @@ pub struct Observation {
     pub clean: bool,
     /// Class id at the nearest pixel; 0 without labels.
     pub label: u16,
-}
-
-/// Which side of each triangle the cameras see: +1 along the winding's normal, −1 against it.
-#[derive(Clone, Debug)]
-pub struct Orientation {
-    sign: Vec<i8>,
-}
-
-impl Orientation {
-    /// Lets the pixels of all views vote per triangle, by solid angle; triangles nobody sees keep
-    /// their winding.
-    #[must_use]
-    pub fn vote(mesh: &Mesh, buffers: &[&ViewBuffer]) -> Self {
-        let mut ballot = vec![0.0f32; mesh.triangles.len()];
-        for b in buffers {
-            let (w, h) = (b.triangle.width, b.triangle.height);
-            for y in 0..h {
-                let solid_angle = b
-                    .camera
-                    .pixel_solid_angle(glam::Vec2::new(0.5 * w as f32, y as f32 + 0.5));
-                for x in 0..w {
-                    let t = b.triangle[(x, y)];
-                    if t != Hit::MISS {
-                        let d = b
-                            .camera
-                            .direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
-                        ballot[t as usize] -=
-                            solid_angle * mesh.face_normal(t as usize).dot(d).signum();
-                    }
-                }
-            }
-        }
-        Self {
-            sign: ballot
-                .into_iter()
-                .map(|b| if b < 0.0 { -1 } else { 1 })
-                .collect(),
-        }
-    }
-
-    /// The winding's own orientation for `triangles` triangles.
-    #[must_use]
-    pub fn of_winding(triangles: usize) -> Self {
-        Self {
-            sign: vec![1; triangles],
-        }
-    }
-
-    /// +1 or −1 for triangle `t`.
-    #[must_use]
-    pub fn sign(&self, t: usize) -> f32 {
-        f32::from(self.sign[t])
-    }
-
-    /// Number of triangles seen from behind their winding.
-    #[must_use]
-    pub fn flipped(&self) -> usize {
-        self.sign.iter().filter(|s| **s < 0).count()
-    }
 }
 
 /// Finds the observations of surface points in a set of views.

@@ -3,7 +3,9 @@
 mod camera;
 mod clusters;
 mod mesh;
+mod shells;
 
 pub use camera::{Camera, Lens, Projection};
 pub use clusters::{clusters, pieces};
 pub use mesh::Mesh;
+pub use shells::{Neighbour, Shells};

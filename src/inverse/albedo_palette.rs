@@ -12,7 +12,7 @@
 use super::AlbedoEstimate;
 use crate::geometry::Mesh;
 use crate::math::luminance;
-use crate::optim::median;
+use crate::optim::{median, passing_weight};
 use crate::texture::Texels;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -69,6 +69,9 @@ pub struct Paint {
     pub colours: Vec<(Vec3, f32)>,
     /// Relative standard deviation of the albedo within a colour.
     pub texture: f32,
+    /// How surely the class is painted: 1 where its texture is well below the mark and its colours
+    /// explain nearly all, less where either is close.
+    pub surely: f32,
 }
 
 impl Paint {
@@ -79,6 +82,9 @@ impl Paint {
 
 /// A class's paint and the ln albedo of its colours.
 type Palette<'a> = BTreeMap<u16, (&'a Paint, Vec<Vec3>)>;
+
+/// Room and place of a cube of space.
+type Cube = (u16, [i32; 3]);
 
 /// What is known of every covered texel before its class is asked.
 pub struct Painting<'a> {
@@ -92,6 +98,8 @@ pub struct Painting<'a> {
     pub mesh: &'a Mesh,
     /// Class per texel; 0 where unknown.
     pub labels: &'a [u16],
+    /// Room per texel.
+    pub rooms: &'a [u16],
 }
 
 impl Painting<'_> {
@@ -106,17 +114,24 @@ impl Painting<'_> {
         clean
             .into_par_iter()
             .filter_map(|(class, members)| {
-                let texture = *texture.get(&class).filter(|t| any || **t <= MOST_TEXTURE)?;
+                let texture = *texture.get(&class)?;
+                let even = 1.0 - passing_weight(texture.into(), MOST_TEXTURE.into()) as f32;
+                let surely = if any { 1.0 } else { even };
+                if surely <= 0.0 {
+                    return None;
+                }
                 let stride = members.len().div_ceil(SAMPLES);
                 let looks: Vec<Look> = members
                     .iter()
                     .step_by(stride)
                     .map(|&i| self.look(i, texture))
                     .collect();
+                let (colours, explained) = colours(&looks)?;
                 Some(Paint {
                     class,
-                    colours: colours(&looks)?,
+                    colours,
                     texture,
+                    surely: surely * explained,
                 })
             })
             .collect()
@@ -127,6 +142,7 @@ impl Painting<'_> {
     pub fn settle(&self, paints: &[Paint]) -> Vec<(Vec3, f32)> {
         let palette: Palette = paints.iter().map(|p| (p.class, (p, p.logs()))).collect();
         let near = self.neighbours(&palette);
+        let by_room = self.shares_by_room(&palette);
         (0..self.texels.len())
             .into_par_iter()
             .map(|i| {
@@ -144,7 +160,10 @@ impl Painting<'_> {
                     let (count, total) = here.map_or((0.0, 0.0), |n| {
                         (n.colours[k], n.colours.iter().sum::<f32>())
                     });
-                    (count + ENOUGH_NEAR * paint.colours[k].1) / (total + ENOUGH_NEAR)
+                    let usual = by_room
+                        .get(&(paint.class, self.rooms[i]))
+                        .map_or(paint.colours[k].1, |room| room[k]);
+                    (count + ENOUGH_NEAR * usual) / (total + ENOUGH_NEAR)
                 };
                 // its label may be that of the surface next to it
                 let all: f32 = around.iter().map(|n| n.texels).sum();
@@ -182,22 +201,46 @@ impl Painting<'_> {
         }
     }
 
-    fn cube(&self, i: usize) -> [i32; 3] {
+    /// Room and cube of a texel.
+    fn cube(&self, i: usize) -> Cube {
         let side = self
             .texels
             .texel_area(self.mesh, self.texels.point[i].triangle as usize)
             .sqrt();
         // texels of about the same size share cubes
         let side = CUBE * side.max(f32::MIN_POSITIVE).log2().round().exp2();
-        (self.texels.position(self.mesh, i) / side)
-            .floor()
-            .as_ivec3()
-            .to_array()
+        let cube = (self.texels.position(self.mesh, i) / side).floor();
+        (self.rooms[i], cube.as_ivec3().to_array())
+    }
+
+    /// How common each colour of a class is in each room: one room's paint is no other's. The
+    /// class as a whole counts for [`ENOUGH_NEAR`] texels.
+    fn shares_by_room(&self, palette: &Palette) -> BTreeMap<(u16, u16), [f32; MOST_COLOURS]> {
+        let mut counts: BTreeMap<(u16, u16), [f32; MOST_COLOURS]> = BTreeMap::new();
+        for i in (0..self.texels.len()).filter(|&i| self.is_clean(i)) {
+            let class = self.labels[i];
+            let nearest = palette
+                .get(&class)
+                .and_then(|(_, logs)| nearest(&self.look(i, 0.0), logs));
+            if let Some(k) = nearest {
+                counts.entry((class, self.rooms[i])).or_default()[k] += 1.0;
+            }
+        }
+        for ((class, _), room) in &mut counts {
+            let Some((paint, _)) = palette.get(class) else {
+                continue;
+            };
+            let total: f32 = room.iter().sum();
+            for (count, (_, share)) in room.iter_mut().zip(&paint.colours) {
+                *count = (*count + ENOUGH_NEAR * share) / (total + ENOUGH_NEAR);
+            }
+        }
+        counts
     }
 
     /// What the clean texels around are, by cube and class.
-    fn neighbours(&self, palette: &Palette) -> BTreeMap<[i32; 3], Vec<Neighbours>> {
-        let mut near: BTreeMap<[i32; 3], Vec<Neighbours>> = BTreeMap::new();
+    fn neighbours(&self, palette: &Palette) -> BTreeMap<Cube, Vec<Neighbours>> {
+        let mut near: BTreeMap<Cube, Vec<Neighbours>> = BTreeMap::new();
         for i in (0..self.texels.len()).filter(|&i| self.is_clean(i)) {
             let class = self.labels[i];
             let look = self.look(i, 0.0);
@@ -354,8 +397,9 @@ fn nearest(look: &Look, logs: &[Vec3]) -> Option<usize> {
         .filter(|&k| distance[k] < WITHIN * WITHIN)
 }
 
-/// The modes of the looks, the largest first, if few of them explain nearly all looks.
-fn colours(looks: &[Look]) -> Option<Vec<(Vec3, f32)>> {
+/// The modes of the looks, the largest first, if few of them explain nearly all looks; and how
+/// surely they do.
+fn colours(looks: &[Look]) -> Option<(Vec<(Vec3, f32)>, f32)> {
     let mut cells: BTreeMap<[i32; 3], (u32, Vec3)> = BTreeMap::new();
     for l in looks {
         let cell = cells
@@ -399,7 +443,9 @@ fn colours(looks: &[Look]) -> Option<Vec<(Vec3, f32)>> {
     let modes: Vec<Vec3> = kept.into_iter().map(|(m, _)| m).collect();
     let of = assign(&modes);
     let share = shares(&of, modes.len());
-    if modes.len() > MOST_COLOURS || share.iter().sum::<f32>() < COVERED {
+    let other = f64::from(1.0 - share.iter().sum::<f32>());
+    let explained = 1.0 - passing_weight(other, f64::from(1.0 - COVERED)) as f32;
+    if modes.is_empty() || modes.len() > MOST_COLOURS || explained <= 0.0 {
         return None;
     }
     let mean = |k: usize| {
@@ -412,7 +458,8 @@ fn colours(looks: &[Look]) -> Option<Vec<(Vec3, f32)>> {
         );
         (sum / total).exp()
     };
-    Some((0..modes.len()).map(|k| (mean(k), share[k])).collect())
+    let colours = (0..modes.len()).map(|k| (mean(k), share[k])).collect();
+    Some((colours, explained))
 }
 
 /// The mode that mean shift reaches from `log`.
@@ -494,7 +541,7 @@ fn posterior(
         .sum();
     let variance = keep * (own2 - texture2) + (COMMON * LEAST_ERROR).powi(2) + spread;
     Some(Posterior {
-        paint: total / (total + other),
+        paint: paint.surely * total / (total + other),
         log,
         variance,
     })
@@ -523,6 +570,7 @@ mod tests {
         albedo: AlbedoEstimate,
         error: Vec<f32>,
         labels: Vec<u16>,
+        rooms: Vec<u16>,
     }
 
     impl Wall {
@@ -546,6 +594,7 @@ mod tests {
             Self {
                 error: vec![0.02; n],
                 labels: vec![1; n],
+                rooms: vec![1; n],
                 mesh,
                 texels,
                 albedo,
@@ -559,6 +608,7 @@ mod tests {
                 albedo,
                 error,
                 labels,
+                rooms,
             } = self;
             Painting {
                 albedo,
@@ -566,6 +616,7 @@ mod tests {
                 texels,
                 mesh,
                 labels,
+                rooms,
             }
         }
 
@@ -670,6 +721,33 @@ mod tests {
             (settled[stray].0 - wood).abs().max_element() < 0.05,
             "{:?}",
             settled[stray]
+        );
+    }
+
+    #[test]
+    fn an_edge_takes_the_paint_of_its_own_room() {
+        let (beige, pink) = (Vec3::new(0.7, 0.62, 0.5), Vec3::new(0.75, 0.5, 0.5));
+        let mut wall = Wall::new(|x, _| if x < 64 { beige } else { pink });
+        // a texel in the beige room that an edge makes pinkish, far from the other room
+        let stray = wall.at(20, 40);
+        wall.albedo.value[stray] = 0.55 * pink + 0.45 * beige;
+        wall.albedo.clean[stray] = false;
+        wall.error[stray] = 0.2;
+        let off = |wall: &Wall| {
+            let value = wall.settled()[stray].0;
+            (value - beige).abs().max_element()
+        };
+        let anywhere = off(&wall);
+        wall.rooms = wall
+            .texels
+            .cell
+            .iter()
+            .map(|c| if *c as usize % SIDE < 64 { 1 } else { 2 })
+            .collect();
+        let in_room = off(&wall);
+        assert!(
+            in_room < 0.02 && in_room < 0.5 * anywhere,
+            "{in_room} {anywhere}"
         );
     }
 

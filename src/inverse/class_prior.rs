@@ -30,31 +30,30 @@ pub(super) struct Expected {
 }
 
 /// Mean albedo and its variance from the clean texels of a texel's class: those nearby, as far as
-/// they are frontal, sharp and not far from what is usual in the class; the class as a whole where
-/// they are few.
+/// they are frontal, sharp and not far from what is usual in the class; the class in its room as a
+/// whole where they are few, and in all rooms where its room shows none. `places` are class and
+/// room of every covered texel.
 pub(super) fn class_prior(
     albedo: &AlbedoEstimate,
     texels: &Texels,
     mesh: &Mesh,
-    labels: &[u16],
+    places: &[Place],
     ids: &[u32],
 ) -> Vec<Expected> {
     let clean = CleanTexels::of(albedo, texels.len());
-    let mut members: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
-    for &i in &clean.ids {
-        members.entry(labels[i]).or_default().push(i);
-    }
-    let class: BTreeMap<u16, Expected> = members
-        .iter()
-        .map(|(l, m)| (*l, clean.typical(m)))
-        .collect();
+    let class = clean.typical_by(|i| places[i]);
+    let anywhere = clean.typical_by(|i| places[i].0);
+    let usual_of = |i: usize| {
+        let own = class.get(&places[i]);
+        own.or_else(|| anywhere.get(&places[i].0))
+    };
     let all = clean.typical(&clean.ids);
-    let cubes = Cubes::over(&clean, texels, mesh, labels);
+    let cubes = Cubes::over(&clean, texels, mesh, places);
     let near = cubes.sums(&clean, &class);
     ids.par_iter()
         .map(|&i| {
             let i = i as usize;
-            let Some(usual) = class.get(&labels[i]).filter(|_| labels[i] != 0) else {
+            let Some(usual) = usual_of(i).filter(|_| places[i].0 != 0) else {
                 return Expected {
                     mean: if albedo.error[i].is_finite() {
                         clean.value(i)
@@ -103,6 +102,18 @@ impl<'a> CleanTexels<'a> {
             .min(1.0)
     }
 
+    /// [`Self::typical`] of the texels of every group.
+    fn typical_by<K: Ord>(&self, group: impl Fn(usize) -> K) -> BTreeMap<K, Expected> {
+        let mut members: BTreeMap<K, Vec<usize>> = BTreeMap::new();
+        for &i in &self.ids {
+            members.entry(group(i)).or_default().push(i);
+        }
+        members
+            .into_iter()
+            .map(|(key, m)| (key, self.typical(&m)))
+            .collect()
+    }
+
     /// Weighted median of the albedos of `members`, channel by channel, and the variance of their
     /// luminance by its median deviation.
     fn typical(&self, members: &[usize]) -> Expected {
@@ -137,14 +148,16 @@ impl<'a> CleanTexels<'a> {
     }
 }
 
-/// A class in a cube of space.
-type Cube = (u16, [i32; 3]);
+/// Class and room.
+pub(super) type Place = (u16, u16);
+/// A class of a room in a cube of space.
+type Cube = (Place, [i32; 3]);
 
 /// Space divided into cubes within which texels count as near.
 struct Cubes<'a> {
     texels: &'a Texels,
     mesh: &'a Mesh,
-    labels: &'a [u16],
+    places: &'a [Place],
     /// Edge of a cube, metres: [`REACH`] texels of the usual size.
     edge: f32,
 }
@@ -154,7 +167,7 @@ impl<'a> Cubes<'a> {
         clean: &CleanTexels<'_>,
         texels: &'a Texels,
         mesh: &'a Mesh,
-        labels: &'a [u16],
+        places: &'a [Place],
     ) -> Self {
         let sides = clean
             .ids
@@ -170,7 +183,7 @@ impl<'a> Cubes<'a> {
         Self {
             texels,
             mesh,
-            labels,
+            places,
             edge: usual_side.max(f32::MIN_POSITIVE) * REACH,
         }
     }
@@ -178,7 +191,7 @@ impl<'a> Cubes<'a> {
     fn place(&self, i: usize) -> Cube {
         let position = self.texels.position(self.mesh, i);
         (
-            self.labels[i],
+            self.places[i],
             (position / self.edge).floor().as_ivec3().to_array(),
         )
     }
@@ -187,11 +200,11 @@ impl<'a> Cubes<'a> {
     fn sums(
         &self,
         clean: &CleanTexels<'_>,
-        class: &BTreeMap<u16, Expected>,
+        class: &BTreeMap<Place, Expected>,
     ) -> BTreeMap<Cube, Sums> {
         let mut near: BTreeMap<Cube, Sums> = BTreeMap::new();
         for &i in &clean.ids {
-            let usual = class[&self.labels[i]];
+            let usual = class[&self.places[i]];
             let a = clean.value(i);
             let odd = (luminance(a) - luminance(usual.mean)).powi(2) / (9.0 * usual.variance);
             let w = f64::from(clean.trust(i) / (1.0 + odd));

@@ -7,6 +7,10 @@
 //! more than their errors, and views that had no part in the fit are explained better by them than
 //! by one value (cross-validation); of two such, the one that explains more. Between two colours,
 //! where a texel holds both materials, the roughness is in between.
+//!
+//! No mark is a cliff: where evidence lies close to one, the answers on both sides are averaged by
+//! [`passing_weight`] (model averaging, Hoeting et al. 1999), so that the roughness moves steadily
+//! with the input.
 
 use super::roughness::{GroupFit, fit, held_out};
 use super::spatial_roughness::{self, Field};
@@ -14,6 +18,7 @@ use super::view_residual::{Disagreement, diffuse_radiance, points_by_class};
 use crate::brdf::Reflectance;
 use crate::highlight::Evidence;
 use crate::math::luminance;
+use crate::optim::{least_passing, passing_weight};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -49,7 +54,18 @@ pub struct Materials {
 #[derive(Clone, Debug)]
 struct Class {
     whole: GroupFit,
-    division: Option<Division>,
+    /// Divisions with what each counts for; what is left of 1 is the whole's.
+    divisions: Vec<(f32, Division)>,
+}
+
+/// A division that the evidence supports at least in part.
+#[derive(Clone, Debug)]
+struct Candidate {
+    division: Division,
+    /// Share of the held-out views' disagreement that it explains.
+    gain: f64,
+    /// How surely its sides differ.
+    different: f64,
 }
 
 /// What tells the materials of a class apart.
@@ -122,18 +138,15 @@ impl Materials {
                         (places.room)(evidence.points[i].triangle, evidence.points[i].position)
                     })
                     .collect();
-                let by_colour = divide(&colours)
-                    .and_then(|axis| by_colour(whole.class, axis, &table, &colours));
+                let by_colour = divide(&colours).and_then(|(axis, told_apart)| {
+                    let mut found = by_colour(whole.class, axis, &table, &colours)?;
+                    found.different *= told_apart;
+                    Some(found)
+                });
                 let by_room = by_room(whole.class, &table, &rooms);
-                let enough = |d: &(Division, f64)| d.1 > least;
-                let better = |a: (Division, f64), b: (Division, f64)| if b.1 > a.1 { b } else { a };
-                let division = by_colour
-                    .into_iter()
-                    .chain(by_room)
-                    .filter(enough)
-                    .reduce(better)
-                    .map(|d| d.0);
-                let division = division.or_else(|| {
+                let mut divisions = weighed(by_colour, by_room, least);
+                let rest = 1.0 - divisions.iter().map(|d| f64::from(d.0)).sum::<f64>();
+                if rest > LEAST_WEIGHT {
                     let positions: Vec<Vec3> = points
                         .iter()
                         .map(|&i| evidence.points[i].position)
@@ -141,11 +154,14 @@ impl Materials {
                     let halves =
                         [0, 1].map(|half| Disagreement::of_half(evidence, model, points, half));
                     let least = least + PLACE_GAIN - DIVISION_GAIN;
-                    let (field, _) =
-                        spatial_roughness::by_place(&whole, &positions, &table, &halves, least)?;
-                    Some(Division::Place(field))
-                });
-                (whole.class, Class { whole, division })
+                    let field =
+                        spatial_roughness::by_place(&whole, &positions, &table, &halves, least);
+                    divisions.extend(field.map(|(field, gain)| {
+                        let weight = rest * passing_weight(gain, least);
+                        (weight as f32, Division::Place(field))
+                    }));
+                }
+                (whole.class, Class { whole, divisions })
             })
             .collect();
         Self { classes }
@@ -162,7 +178,7 @@ impl Materials {
                         whole.class,
                         Class {
                             whole,
-                            division: None,
+                            divisions: Vec::new(),
                         },
                     )
                 })
@@ -180,13 +196,12 @@ impl Materials {
         colour: Option<Vec3>,
         place: Vec3,
     ) -> Option<(f32, f32)> {
-        let Class { whole, division } = self.classes.get(&class)?;
+        let Class { whole, divisions } = self.classes.get(&class)?;
         let of = |f: &GroupFit| (f.roughness, f.error);
-        Some(match division {
-            None => of(whole),
-            Some(Division::Room(fits)) => of(fits.get(&room).unwrap_or(whole)),
-            Some(Division::Place(field)) => field.at(place),
-            Some(Division::Colour(p)) => {
+        let answer = |division: &Division| match division {
+            Division::Room(fits) => of(fits.get(&room).unwrap_or(whole)),
+            Division::Place(field) => field.at(place),
+            Division::Colour(p) => {
                 // the usual colour scatters from tile to tile; what lies beyond the rare one is
                 // just that
                 let t = colour.map_or(1.0, |c| (p.axis.place(c) / (1.0 - PURE)).min(1.0));
@@ -194,17 +209,23 @@ impl Materials {
                     |f: fn(&GroupFit) -> f32| f(&p.fits[0]) * (1.0 - t) + f(&p.fits[1]) * t;
                 (between(|f| f.roughness), between(|f| f.error))
             }
-        })
+        };
+        let rest = 1.0 - divisions.iter().map(|d| d.0).sum::<f32>();
+        let answers: Vec<(f32, (f32, f32))> = divisions
+            .iter()
+            .map(|(weight, division)| (*weight, answer(division)))
+            .chain((rest > 0.0).then(|| (rest, of(whole))))
+            .collect();
+        Some(averaged(&answers))
     }
 
     /// Classes of two colours, with the roughness of both.
     pub fn by_colour(&self) -> impl Iterator<Item = (u16, [f32; 2])> {
         self.classes
             .iter()
-            .filter_map(|(&class, c)| match &c.division {
-                Some(Division::Colour(p)) => {
-                    Some((class, [p.fits[0].roughness, p.fits[1].roughness]))
-                }
+            .flat_map(|(&class, c)| c.divisions.iter().map(move |d| (class, &d.1)))
+            .filter_map(|(class, d)| match d {
+                Division::Colour(p) => Some((class, [p.fits[0].roughness, p.fits[1].roughness])),
                 _ => None,
             })
     }
@@ -213,8 +234,9 @@ impl Materials {
     pub fn by_room(&self) -> impl Iterator<Item = (u16, Vec<(u16, f32)>)> {
         self.classes
             .iter()
-            .filter_map(|(&class, c)| match &c.division {
-                Some(Division::Room(fits)) => Some((
+            .flat_map(|(&class, c)| c.divisions.iter().map(move |d| (class, &d.1)))
+            .filter_map(|(class, d)| match d {
+                Division::Room(fits) => Some((
                     class,
                     fits.iter().map(|(room, f)| (*room, f.roughness)).collect(),
                 )),
@@ -227,8 +249,9 @@ impl Materials {
     pub fn by_place(&self) -> impl Iterator<Item = (u16, [f32; 2])> {
         self.classes
             .iter()
-            .filter_map(|(&class, c)| match &c.division {
-                Some(Division::Place(field)) => Some((class, field.range())),
+            .flat_map(|(&class, c)| c.divisions.iter().map(move |d| (class, &d.1)))
+            .filter_map(|(class, d)| match d {
+                Division::Place(field) => Some((class, field.range())),
                 _ => None,
             })
     }
@@ -239,23 +262,64 @@ impl Materials {
     }
 }
 
-/// Divides a class by colour; also the share of the held-out views' disagreement that the division
-/// explains.
-fn by_colour(
-    class: u16,
-    axis: Axis,
-    table: &Disagreement,
-    colours: &[Vec3],
-) -> Option<(Division, f64)> {
+/// Weight below which an answer does not matter: roughness lies in [0, 1], and files hold halves.
+const LEAST_WEIGHT: f64 = 1e-3;
+
+/// What two ways to divide a class count for: as much as their gains pass `least` and their sides
+/// differ; of both, mostly the one that explains more.
+fn weighed(
+    by_colour: Option<Candidate>,
+    by_room: Option<Candidate>,
+    least: f64,
+) -> Vec<(f32, Division)> {
+    let weight = |c: &Option<Candidate>| {
+        c.as_ref()
+            .map_or(0.0, |c| passing_weight(c.gain, least) * c.different)
+    };
+    let (colour, room) = (weight(&by_colour), weight(&by_room));
+    let gain = |c: &Option<Candidate>| c.as_ref().map_or(0.0, |c| c.gain);
+    // how surely colour explains more than room
+    let first = passing_weight(gain(&by_colour), gain(&by_room));
+    let weights = [
+        colour * (1.0 - room * (1.0 - first)),
+        room * (1.0 - colour * first),
+    ];
+    [by_colour, by_room]
+        .into_iter()
+        .zip(weights)
+        .filter(|(_, w)| *w > LEAST_WEIGHT)
+        .filter_map(|(c, w)| Some((w as f32, c?.division)))
+        .collect()
+}
+
+/// Mean and standard error of a mixture of answers, each with its weight; weights add to 1.
+fn averaged(answers: &[(f32, (f32, f32))]) -> (f32, f32) {
+    if let [(_, one)] = answers {
+        return *one;
+    }
+    let mean: f32 = answers.iter().map(|(w, a)| w * a.0).sum();
+    let variance: f32 = answers
+        .iter()
+        .map(|(w, a)| w * (a.1 * a.1 + (a.0 - mean).powi(2)))
+        .sum();
+    (mean, variance.sqrt())
+}
+
+/// Divides a class by colour.
+fn by_colour(class: u16, axis: Axis, table: &Disagreement, colours: &[Vec3]) -> Option<Candidate> {
     let of = |lies: &dyn Fn(f32) -> bool| table.of_points(|k| lies(axis.place(colours[k])));
     let sides = [of(&|place| place <= PURE), of(&|place| place >= 1.0 - PURE)];
-    let (fits, gain) = explained(class, &sides)?;
-    let fits = <[GroupFit; 2]>::try_from(fits).ok()?;
-    Some((Division::Colour(Parts { axis, fits }), gain))
+    let explained = explained(class, &sides)?;
+    let fits = <[GroupFit; 2]>::try_from(explained.fits).ok()?;
+    Some(Candidate {
+        division: Division::Colour(Parts { axis, fits }),
+        gain: explained.gain,
+        different: explained.different,
+    })
 }
 
 /// The same room by room.
-fn by_room(class: u16, table: &Disagreement, rooms: &[u16]) -> Option<(Division, f64)> {
+fn by_room(class: u16, table: &Disagreement, rooms: &[u16]) -> Option<Candidate> {
     let mut size: BTreeMap<u16, usize> = BTreeMap::new();
     rooms
         .iter()
@@ -270,13 +334,25 @@ fn by_room(class: u16, table: &Disagreement, rooms: &[u16]) -> Option<(Division,
         .iter()
         .map(|room| table.of_points(|k| rooms[k] == *room))
         .collect();
-    let (fits, gain) = explained(class, &sides)?;
-    Some((Division::Room(names.into_iter().zip(fits).collect()), gain))
+    let explained = explained(class, &sides)?;
+    Some(Candidate {
+        division: Division::Room(names.into_iter().zip(explained.fits).collect()),
+        gain: explained.gain,
+        different: explained.different,
+    })
 }
 
-/// Fits each side of a division; `None` unless the sides differ. Also the share of the held-out
-/// views' disagreement that the division explains.
-fn explained(class: u16, sides: &[Disagreement]) -> Option<(Vec<GroupFit>, f64)> {
+/// The sides of a division, each fitted by itself.
+struct Explained {
+    fits: Vec<GroupFit>,
+    /// Share of the held-out views' disagreement that the division explains.
+    gain: f64,
+    /// How surely the sides differ.
+    different: f64,
+}
+
+/// Fits each side of a division; `None` unless the sides may differ.
+fn explained(class: u16, sides: &[Disagreement]) -> Option<Explained> {
     if sides.len() < 2 || sides.iter().any(|s| s.rows.len() < FEWEST) {
         return None;
     }
@@ -293,8 +369,13 @@ fn explained(class: u16, sides: &[Disagreement]) -> Option<(Vec<GroupFit>, f64)>
     let fits: Vec<GroupFit> = sides.iter().map(|s| fit(class, s)).collect();
     let by_value = |a: &&GroupFit, b: &&GroupFit| a.roughness.total_cmp(&b.roughness);
     let (low, high) = (fits.iter().min_by(by_value)?, fits.iter().max_by(by_value)?);
-    let differ = high.roughness - low.roughness > DIFFERENT * low.error.hypot(high.error);
-    differ.then_some((fits, gain))
+    let mark = f64::from(DIFFERENT * low.error.hypot(high.error));
+    let different = passing_weight(f64::from(high.roughness - low.roughness), mark);
+    (different > 0.0).then_some(Explained {
+        fits,
+        gain,
+        different,
+    })
 }
 
 fn logarithm(albedo: Vec3) -> Vec3 {
@@ -302,8 +383,8 @@ fn logarithm(albedo: Vec3) -> Vec3 {
 }
 
 /// The way from the rarer to the more usual of the two colours that a list is divided into best
-/// (Lloyd 1982); `None` if it has one colour.
-fn divide(colours: &[Vec3]) -> Option<Axis> {
+/// (Lloyd 1982), and how surely they are two; `None` if it has one colour.
+fn divide(colours: &[Vec3]) -> Option<(Axis, f64)> {
     if colours.len() < 2 * FEWEST {
         return None;
     }
@@ -332,7 +413,9 @@ fn divide(colours: &[Vec3]) -> Option<Axis> {
     }
     // (three channels: the distance between grey colours is √3 times that of one)
     let way = centres[1] - centres[0];
-    if way.length() / 3f32.sqrt() <= APART * spread.max(0.02) {
+    let mark = f64::from(APART * spread.max(0.02));
+    let apart = f64::from(way.length() / 3f32.sqrt());
+    if apart <= least_passing(mark) {
         return None;
     }
     let mean = |of: &dyn Fn(usize) -> bool| {
@@ -349,10 +432,11 @@ fn divide(colours: &[Vec3]) -> Option<Axis> {
         mean(&|i| side[i] == k && (k != rare || (logs[i] - centres[k]).dot(outwards) >= 0.0))
     });
     let step = ends[1 - rare] - ends[rare];
-    Some(Axis {
+    let axis = Axis {
         from: ends[rare],
         step: step / step.length_squared().max(f32::MIN_POSITIVE),
-    })
+    };
+    Some((axis, passing_weight(apart, mark)))
 }
 
 #[cfg(test)]
@@ -378,7 +462,8 @@ mod tests {
         let (tile, grout) = (Vec3::new(0.53, 0.52, 0.44), Vec3::new(0.24, 0.23, 0.22));
         let mut both = scattered(&mut rng, tile, 0.08, 800);
         both.extend(scattered(&mut rng, grout, 0.1, 120));
-        let axis = divide(&both).expect("two colours");
+        let (axis, surely) = divide(&both).expect("two colours");
+        assert_eq!(surely, 1.0);
         // (the rarer one comes first)
         assert!(
             axis.place(grout) < 0.15 && axis.place(tile) > 0.95,
@@ -388,8 +473,9 @@ mod tests {
         );
         let middle = axis.place(0.5 * (tile + grout));
         assert!((middle - 0.5).abs() < 0.1, "{middle}");
+        let one = divide(&scattered(&mut rng, tile, 0.25, 1000));
         assert!(
-            divide(&scattered(&mut rng, tile, 0.25, 1000)).is_none(),
+            one.is_none_or(|(_, surely)| surely < 0.05),
             "one colour of wide scatter"
         );
         assert!(divide(&both[..50]).is_none(), "too few points");
@@ -491,6 +577,52 @@ mod tests {
                 "half of each: {between}"
             );
             assert!(materials.roughness(8, 1, None, Vec3::ZERO).is_none());
+        }
+    }
+
+    #[test]
+    fn roughness_moves_steadily_with_the_evidence_across_every_mark() {
+        // a second room whose roughness departs from the first's in small steps: somewhere on the
+        // way the class divides
+        let wood = Vec3::new(0.4, 0.3, 0.2);
+        let found = |second: f32| {
+            let mut rng = KeyedRng::new(5, 6);
+            let points: Vec<(Vec3, f32)> = scattered(&mut rng, wood, 0.1, 400)
+                .into_iter()
+                .enumerate()
+                .map(|(i, c)| (c, if i < 200 { 0.2 } else { second }))
+                .collect();
+            let evidence = evidence_of(&mut rng, &points);
+            let model = Reflectance::Paper;
+            let places = Places {
+                irradiance: &|_, _| LIGHT,
+                room: &|_, p| if p.x < 200.0 { 1 } else { 2 },
+            };
+            let fits = fit_groups(&evidence, model);
+            let materials = Materials::find(&evidence, fits, model, &places, DIVISION_GAIN);
+            let at = |room: u16| {
+                let own = materials.roughness(7, room, Some(wood), Vec3::ZERO);
+                own.expect("evidence").0
+            };
+            [at(1), at(2)]
+        };
+        const STEPS: usize = 40;
+        let walk: Vec<[f32; 2]> = (0..=STEPS)
+            .map(|k| found(0.2 + 0.3 * k as f32 / STEPS as f32))
+            .collect();
+        assert!(walk[0][1] - walk[0][0] < 0.01, "one roughness at first");
+        assert!(walk[STEPS][1] - walk[STEPS][0] > 0.25, "two at last");
+        // between two steps either room's value may move by what the whole way is in a tenth of it
+        for (k, w) in walk.windows(2).enumerate() {
+            let moved = (w[1][0] - w[0][0]).abs().max((w[1][1] - w[0][1]).abs());
+            assert!(moved < 0.06, "step {k}: {:?} to {:?}", w[0], w[1]);
+        }
+        // and rounding moves nothing
+        for second in [0.25, 0.28, 0.31, 0.34, 0.4] {
+            let (a, b) = (found(second), found(second * (1.0 + 1e-6)));
+            for (a, b) in a.iter().zip(&b) {
+                assert!((a - b).abs() < 1e-3, "{second}: {a} {b}");
+            }
         }
     }
 

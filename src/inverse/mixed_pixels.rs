@@ -8,7 +8,7 @@
 //! beyond the noise lose weight (Cauchy), and where the equations as a whole fit badly (mesh or
 //! poses are off) their noise is taken to be what they show, so that the prior decides.
 
-use super::class_prior::{Expected, class_prior};
+use super::class_prior::{Expected, Place, class_prior};
 use super::robust_cg::{Mixtures, Pixel};
 use super::{AlbedoEstimate, TexelReflectance};
 use crate::gbuffer::{Observer, Orientation, pixel_rays};
@@ -48,6 +48,8 @@ pub struct Unmixing<'a> {
     pub texels: &'a Texels,
     /// Class per texel.
     pub labels: &'a [u16],
+    /// Room per texel.
+    pub rooms: &'a [u16],
     /// Irradiance per texel.
     pub irradiance: &'a [Vec3],
     /// Specular radiance at the pixel centres of every view.
@@ -119,7 +121,13 @@ impl Unmixing<'_> {
                 .map(|(s, n)| s / *n as f32)
                 .collect::<Vec<Vec3>>()
         };
-        let expected = class_prior(albedo, texels, self.observer.mesh, self.labels, &ids);
+        let places: Vec<Place> = self
+            .labels
+            .iter()
+            .copied()
+            .zip(self.rooms.iter().copied())
+            .collect();
+        let expected = class_prior(albedo, texels, self.observer.mesh, &places, &ids);
         let mean = mean_over(&|k, _| expected[k].mean);
         let variance = mean_over(&|k, _| Vec3::splat(expected[k].variance));
         let prior: Vec<Expected> = mean

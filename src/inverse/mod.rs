@@ -11,6 +11,7 @@ mod reflectance;
 mod robust_cg;
 mod roughness;
 mod spatial_roughness;
+mod unseen;
 mod view_residual;
 
 pub use albedo::{AlbedoEstimate, Shading, estimate_albedo};
@@ -20,3 +21,4 @@ pub use materials::{DIVISION_GAIN, Materials, Places};
 pub use mixed_pixels::{UnmixReport, Unmixing};
 pub use reflectance::TexelReflectance;
 pub use roughness::{GroupFit, choose_model, fit_groups};
+pub use unseen::Unseen;

@@ -7,6 +7,7 @@
 use super::view_residual::{Disagreement, points_by_class};
 use crate::brdf::Reflectance;
 use crate::highlight::Evidence;
+use crate::optim::passing_weight;
 
 /// What the evidence says about one group.
 #[derive(Clone, Debug)]
@@ -132,11 +133,8 @@ pub(super) fn fit(class: u16, table: &Disagreement) -> GroupFit {
     let [low, high] = indistinguishable(levels, &objective);
     // where nearly any roughness would do, the least disagreement is chance: the mean of all that
     // would do errs least
-    let roughness = if high - low > UNKNOWN {
-        0.5 * (low + high)
-    } else {
-        roughness
-    };
+    let any = passing_weight(f64::from(high - low), f64::from(UNKNOWN)) as f32;
+    let roughness = roughness + any * (0.5 * (low + high) - roughness);
     let error = noise
         .hypot(distance_within([low, high], roughness))
         .min(1.0);

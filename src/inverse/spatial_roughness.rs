@@ -10,6 +10,7 @@
 
 use super::roughness::{GroupFit, at_roughness, fit, lowest, parabola_minimum};
 use super::view_residual::Disagreement;
+use crate::optim::least_passing;
 use glam::Vec3;
 use rayon::prelude::*;
 use rstar::RTree;
@@ -59,8 +60,8 @@ impl Field {
 }
 
 /// The roughness from place to place of the class `whole`, and what share of one half of the views'
-/// disagreement it explains if it is found from the other half; `None` if that is not more than
-/// `least`. `table` and `halves` hold the disagreement at the same `positions`: of all views, and
+/// disagreement it explains if it is found from the other half; `None` if that does not
+/// come near `least`. `table` and `halves` hold the disagreement at the same `positions`: of all views, and
 /// of either half (zero where a half has not two views).
 pub(super) fn by_place(
     whole: &GroupFit,
@@ -84,7 +85,7 @@ pub(super) fn by_place(
         .into_iter()
         .zip(gains)
         .max_by(|a, b| a.1.total_cmp(&b.1))
-        .filter(|(_, gain)| *gain > least)?;
+        .filter(|(_, gain)| *gain > least_passing(least))?;
     let around = neighbours(positions);
     let own: Vec<(f32, f32)> = around
         .par_iter()

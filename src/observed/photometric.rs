@@ -38,19 +38,29 @@ pub(crate) fn leave_out_clipped_sky(views: &mut [ObservedView], clipped: &[Optio
     }
 }
 
+/// What the views say of each other once their exposures are settled.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Balanced {
+    /// Whether geometry turned out to be only roughly right.
+    pub(crate) rough: bool,
+    /// By how much they disagree about what they share: the median deviation of ln radiance, 0
+    /// where nothing tells.
+    pub(crate) disagreement: f32,
+}
+
 /// Solves for exposure and white balance of every view and takes them out of the images if the
-/// views ask for it. Returns whether geometry turned out to be only roughly right.
+/// views ask for it.
 pub(crate) fn balance_views(
     scene: &Scene,
     views: &mut [ObservedView],
     orientation: &Orientation,
     switch: Switch,
     progress: &Progress,
-) -> bool {
+) -> Balanced {
     const WHAT: &str = "exposure and white balance";
     if switch == Switch::Off {
         progress.decide(WHAT, "as photographed", "--exposure off", true);
-        return false;
+        return Balanced::default();
     }
     let gains = progress.stage("exposure of the views", 1, |_| {
         estimate_gains(
@@ -89,5 +99,8 @@ pub(crate) fn balance_views(
             view.radiance.data.iter_mut().for_each(|l| *l *= correction);
         }
     }
-    gains.geometry_is_rough()
+    Balanced {
+        rough: gains.geometry_is_rough(),
+        disagreement: if apply { gains.after } else { gains.before },
+    }
 }

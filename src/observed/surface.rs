@@ -47,6 +47,8 @@ pub struct Surface<'a> {
     pub camera_masks: Vec<CameraMask>,
     /// Distance by which rays start above a surface, metres.
     pub offset: f32,
+    /// By how much the views disagree about what they share: the median deviation of ln radiance.
+    pub disagreement: f32,
 }
 
 impl Surface<'_> {
@@ -202,6 +204,7 @@ pub(crate) mod tests {
             contradictions: Contradictions::default(),
             camera_masks: Vec::new(),
             offset: 7e-5,
+            disagreement: 0.0,
         }
     }
 }

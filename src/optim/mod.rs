@@ -27,9 +27,60 @@ pub fn median(mut values: Vec<f32>) -> Option<f32> {
     values.get(values.len() / 2).copied()
 }
 
+/// Within this share of a mark a value has neither passed nor missed it. Derived: a standard error
+/// estimated from a few dozen independent parts is itself uncertain by a tenth.
+const DRAW: f64 = 0.1;
+
+/// How far a positive value has passed a mark: 0 up to a tenth below it, 1 from a tenth above it,
+/// smooth and steady between. Decisions blended by this weight move with their evidence instead of
+/// hanging on its rounding; clear ones are what a comparison makes them. A mark of −∞ is passed by
+/// everything but NaN.
+#[must_use]
+pub fn passing_weight(value: f64, mark: f64) -> f64 {
+    if value.is_nan() || mark.is_nan() {
+        return 0.0;
+    }
+    if mark <= 0.0 {
+        return f64::from(u8::from(value > mark));
+    }
+    let t = ((value / mark - (1.0 - DRAW)) / (2.0 * DRAW)).clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// A value that [`passing_weight`] gives no weight does not exceed this.
+#[must_use]
+pub fn least_passing(mark: f64) -> f64 {
+    if mark > 0.0 {
+        mark * (1.0 - DRAW)
+    } else {
+        mark
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn clear_decisions_are_clear_and_close_ones_steady() {
+        for mark in [0.05, 3.0] {
+            assert_eq!(passing_weight(least_passing(mark), mark), 0.0);
+            assert_eq!(passing_weight(1.11 * mark, mark), 1.0);
+            assert!((passing_weight(mark, mark) - 0.5).abs() < 1e-9);
+            let steps: Vec<f64> = (0..1000)
+                .map(|i| passing_weight(mark * 0.002 * f64::from(i), mark))
+                .collect();
+            // steepest in the middle: 1.5 / 0.2 per relative change
+            assert!(
+                steps
+                    .windows(2)
+                    .all(|w| w[1] >= w[0] && w[1] - w[0] < 0.016)
+            );
+        }
+        assert_eq!(passing_weight(-1.0, f64::NEG_INFINITY), 1.0);
+        assert_eq!(passing_weight(f64::NAN, 0.05), 0.0);
+        assert_eq!(passing_weight(-0.2, 0.05), 0.0);
+    }
 
     #[test]
     fn median_is_the_middle_value() {

@@ -1,8 +1,8 @@
 //! Stage "albedo": in closed form where views see texels clean, from mixed pixels where they do not,
 //! and what is known of its error.
 
-use super::{Light, Reflections, SolveOptions};
-use crate::inverse::{AlbedoEstimate, Shading, TexelReflectance, Unmixing, estimate_albedo};
+use super::{Light, Reflections, Roughness, SolveOptions};
+use crate::inverse::{AlbedoEstimate, Shading, Unmixing, estimate_albedo};
 use crate::math::luminance;
 use crate::observed::Surface;
 use crate::progress::Progress;
@@ -25,7 +25,7 @@ pub fn solve_albedo(
     surface: &Surface,
     light: &Light,
     reflections: &Reflections,
-    reflectance: &TexelReflectance,
+    roughness: &Roughness,
     options: &SolveOptions,
     progress: &Progress,
 ) -> SolvedAlbedo {
@@ -38,7 +38,7 @@ pub fn solve_albedo(
                 irradiance: &light.irradiance,
                 specular: &reflections.images,
             },
-            reflectance,
+            &roughness.reflectance,
             p,
         )
     });
@@ -57,7 +57,7 @@ pub fn solve_albedo(
             surface,
             light,
             reflections,
-            reflectance,
+            roughness,
             &mut albedo,
             progress,
         )
@@ -91,7 +91,7 @@ fn solve_edges(
     surface: &Surface,
     light: &Light,
     reflections: &Reflections,
-    reflectance: &TexelReflectance,
+    roughness: &Roughness,
     albedo: &mut AlbedoEstimate,
     progress: &Progress,
 ) -> u64 {
@@ -108,9 +108,10 @@ fn solve_edges(
             field: &light.field,
             texels,
             labels: &surface.labels,
+            rooms: &roughness.texel_rooms(texels),
             irradiance: &irradiance,
             specular: &reflections.images,
-            reflectance,
+            reflectance: &roughness.reflectance,
         };
         unmixing.solve(albedo)
     });

@@ -7,7 +7,8 @@
 use super::decisions::{choose_environment, report_emission};
 use super::time_budget::{samples_for, split_samples};
 use super::{SolveOptions, Switch};
-use crate::geometry::{Mesh, clusters};
+use crate::gbuffer::Probe;
+use crate::geometry::{Mesh, Shells, clusters};
 use crate::image::{Plane, RgbPlane};
 use crate::irradiance::{
     Budget, Irradiance, IrtOptions, PARTS, Patch, Receiver, bake_irradiance, bake_surface, spread,
@@ -286,19 +287,76 @@ fn known_lights(surface: &Surface, options: &SolveOptions) -> Vec<bool> {
     if options.emission == Switch::Off {
         return vec![false; surface.scene.mesh.triangles.len()];
     }
-    let mut votes = vec![(0u32, 0u32); surface.scene.mesh.triangles.len()];
-    for (p, &label) in surface.texels.point.iter().zip(&surface.labels) {
+    let is_light: BTreeSet<u16> = surface
+        .scene
+        .classes
+        .iter()
+        .filter(|c| c.is_light)
+        .map(|c| c.id)
+        .collect();
+    let mut votes = vec![Votes::default(); surface.scene.mesh.triangles.len()];
+    for (i, (p, label)) in surface.texels.point.iter().zip(&surface.labels).enumerate() {
         let v = &mut votes[p.triangle as usize];
-        v.1 += 1;
-        v.0 += u32::from(
-            surface
-                .scene
-                .classes
-                .iter()
-                .any(|c| c.is_light && c.id == label),
-        );
+        let own = u16::try_from(surface.fusion.label[i]).is_ok_and(|l| is_light.contains(&l));
+        v.all += 1;
+        v.light += u32::from(is_light.contains(label));
+        v.own += u32::from(own);
+        v.seen += u32::from(surface.fusion.views[i] > 0);
     }
-    votes.iter().map(|v| v.0 > 0 && 2 * v.0 >= v.1).collect()
+    witnessed(surface, &votes)
+}
+
+/// What the texels of a triangle say of its being a lamp.
+#[derive(Clone, Copy, Debug, Default)]
+struct Votes {
+    /// Texels.
+    all: u32,
+    /// Those of a class of kind light, be it by their neighbours'.
+    light: u32,
+    /// Those that views themselves label so.
+    own: u32,
+    /// Those that views see.
+    seen: u32,
+}
+
+/// Rays that tell whether light leaves a face, and the share of them from which it does. Derived: a
+/// face that sends less than a sixteenth of its light into the room is dark there to 6 % of itself.
+const LEAVING_RAYS: usize = 64;
+const LEAVING: f32 = 1.0 / 16.0;
+
+/// Triangles that are lamps by their label. One that no view itself calls a lamp, having its label
+/// from neighbours, must belong to the shell of one that is called so; and one that nobody sees at
+/// all must have a way for its light to leave: the back of a panel has none.
+fn witnessed(surface: &Surface, votes: &[Votes]) -> Vec<bool> {
+    let mesh = &surface.scene.mesh;
+    let claimed = |t: usize| votes[t].light > 0 && 2 * votes[t].light >= votes[t].all;
+    let doubtful = |t: usize| claimed(t) && votes[t].own == 0;
+    let mut known: Vec<bool> = (0..votes.len())
+        .map(|t| claimed(t) && !doubtful(t))
+        .collect();
+    if !(0..votes.len()).any(doubtful) {
+        return known;
+    }
+    let probe = Probe {
+        mesh,
+        tracer: &surface.tracer,
+        offset: surface.offset,
+        beyond: lamp_gap(mesh),
+    };
+    let orientation = &surface.orientation;
+    let leaves = |t: usize| {
+        let side = orientation.sign(t);
+        orientation.open_share(&probe, t as u32, side, LEAVING_RAYS) >= LEAVING
+    };
+    for shell in Shells::of(mesh).iter() {
+        if !shell.iter().any(|&t| known[t as usize]) {
+            continue;
+        }
+        for t in shell.iter().map(|&t| t as usize).filter(|&t| doubtful(t)) {
+            known[t] = votes[t].seen > 0 || leaves(t);
+        }
+    }
+    known
 }
 
 /// Adds to emitting triangles those too small for a texel of their own whose place in the atlas

@@ -4,6 +4,7 @@ mod albedo;
 mod assemble;
 mod checkpoint;
 mod decisions;
+mod findings;
 mod highlights;
 mod light;
 mod missing_light;

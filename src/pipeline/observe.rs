@@ -77,21 +77,20 @@ pub fn observe<'a>(
             })
             .collect::<Result<Vec<_>>>()
     })?;
-    let orientation = Orientation::vote(
+    let (lo, hi) = scene.mesh.bounds();
+    // a tenth of a millimetre in a ten-metre room, well above the rounding of positions
+    let offset = (hi - lo).length() * 1e-5;
+    let orientation = Orientation::find(
         &scene.mesh,
         &views.iter().map(|v| &v.buffer).collect::<Vec<_>>(),
+        &tracer,
+        offset,
     );
-    if orientation.flipped() > 0 {
-        progress.note(format!(
-            "{} of {} triangles are seen from behind their winding; their normals are turned",
-            orientation.flipped(),
-            scene.mesh.triangles.len()
-        ));
-    }
+    report_orientation(&orientation, scene.mesh.triangles.len(), progress);
     leave_out_clipped_sky(&mut views, &clipped);
     drop(clipped);
     let camera_masks = mask_rigs(scene, &mut views, &orientation, options, progress);
-    let rough = balance_views(scene, &mut views, &orientation, options.exposure, progress);
+    let balanced = balance_views(scene, &mut views, &orientation, options.exposure, progress);
     let sizes = choose_sizes(
         &Observer {
             mesh: &scene.mesh,
@@ -119,7 +118,7 @@ pub fn observe<'a>(
     if let Some(budget) = &options.budget {
         budget.fused(begin.elapsed().as_secs_f64());
     }
-    let contradictions = if rough {
+    let contradictions = if balanced.rough {
         find_contradictions(scene, &views, &orientation, &texels, progress)
     } else {
         Contradictions::default()
@@ -127,9 +126,6 @@ pub fn observe<'a>(
     contradictions.settle(&mut fusion.radiance);
     let labels = complete_labels(&scene.mesh, &texels, &fusion);
     let back = back_radiance(scene, &views, &orientation);
-    let (lo, hi) = scene.mesh.bounds();
-    // a tenth of a millimetre in a ten-metre room, well above the rounding of positions
-    let offset = (hi - lo).length() * 1e-5;
     Ok(Surface {
         scene,
         tracer,
@@ -143,6 +139,7 @@ pub fn observe<'a>(
         contradictions,
         camera_masks,
         offset,
+        disagreement: balanced.disagreement,
     })
 }
 
@@ -206,6 +203,22 @@ fn mask_rigs(
         );
     }
     rigs.into_iter().map(|r| r.mask).collect()
+}
+
+/// Says how many triangles face against their winding, and how many are seen from both sides.
+fn report_orientation(orientation: &Orientation, triangles: usize, progress: &Progress) {
+    if orientation.flipped() > 0 {
+        progress.note(format!(
+            "{} of {triangles} triangles face the cameras against their winding; their normals are turned",
+            orientation.flipped(),
+        ));
+    }
+    if orientation.two_sided() > 0 {
+        progress.note(format!(
+            "{} of {triangles} triangles are seen from both sides: materials are those of the side seen more",
+            orientation.two_sided(),
+        ));
+    }
 }
 
 /// A photograph at a `factor`-th of its size: means of blocks, those at the far edges cut off.

@@ -6,7 +6,7 @@
 
 use super::decisions::report_paint;
 use super::{Light, SolveOptions, Switch};
-use crate::inverse::{AlbedoEstimate, Painting};
+use crate::inverse::{AlbedoEstimate, Painting, Unseen};
 use crate::observed::Surface;
 use crate::progress::Progress;
 use glam::{Vec2, Vec3};
@@ -16,16 +16,54 @@ use rayon::prelude::*;
 /// badly lit.
 const LIMITS: (f32, f32) = (0.5, 2.0);
 
-/// Settles the albedo of painted classes and moves their unevenness into the irradiance. `errors`
-/// are the albedo's standard errors before and after.
+/// What is known of every covered texel before its class is asked, and after.
+pub(super) struct Estimate<'a> {
+    /// Albedo.
+    pub(super) albedo: &'a mut AlbedoEstimate,
+    /// Its standard error; infinite where unobserved.
+    pub(super) errors: &'a mut [f32],
+    /// Room of each texel.
+    pub(super) rooms: &'a [u16],
+}
+
+/// Settles the albedo of painted classes and moves their unevenness into the irradiance, unless the
+/// options say no; then gives unseen surface the albedo of its room.
 pub(super) fn settle_paint(
     surface: &Surface,
     light: &mut Light,
-    albedo: &mut AlbedoEstimate,
-    errors: &mut [f32],
+    mut estimate: Estimate<'_>,
     options: &SolveOptions,
     progress: &Progress,
 ) {
+    if options.painted != Switch::Off {
+        settle_classes(surface, light, &mut estimate, options, progress);
+    }
+    let completed = Unseen {
+        texels: &surface.texels,
+        mesh: &surface.scene.mesh,
+        labels: &surface.labels,
+        rooms: estimate.rooms,
+        reflects: &|i| !light.emissive[surface.texels.point[i].triangle as usize],
+    }
+    .complete(estimate.albedo, estimate.errors);
+    progress.note(format!(
+        "{completed} texels that no view tells of have the albedo of the nearest surface of their \
+         class in their room"
+    ));
+}
+
+fn settle_classes(
+    surface: &Surface,
+    light: &mut Light,
+    estimate: &mut Estimate<'_>,
+    options: &SolveOptions,
+    progress: &Progress,
+) {
+    let Estimate {
+        albedo,
+        errors,
+        rooms,
+    } = estimate;
     let texels = &surface.texels;
     let emissive = |i: usize| light.emissive[texels.point[i].triangle as usize];
     let labels: Vec<u16> = (0..texels.len())
@@ -37,6 +75,7 @@ pub(super) fn settle_paint(
         texels,
         mesh: &surface.scene.mesh,
         labels: &labels,
+        rooms,
     };
     let paints = painting.paints(options.painted == Switch::On);
     let settled = painting.settle(&paints);

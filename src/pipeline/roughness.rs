@@ -12,6 +12,7 @@ use crate::inverse::{
 use crate::observed::Surface;
 use crate::progress::Progress;
 use crate::switch::Switch;
+use crate::texture::Texels;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::f32::consts::PI;
@@ -28,6 +29,15 @@ pub struct Roughness {
     pub rooms: Plane<u16>,
     /// The model and the roughness per covered texel.
     pub reflectance: TexelReflectance,
+}
+
+impl Roughness {
+    /// The room of every covered texel.
+    #[must_use]
+    pub fn texel_rooms(&self, texels: &Texels) -> Vec<u16> {
+        let room = |c: &u32| self.rooms.data[*c as usize];
+        texels.cell.iter().map(room).collect()
+    }
 }
 
 /// Fits roughness to the evidence.

@@ -2,8 +2,9 @@
 
 use super::albedo::albedo_errors;
 use super::assemble::assemble;
+use super::findings::{findings, spread_of_looks};
 use super::missing_light::add_missing_light;
-use super::painted::settle_paint;
+use super::painted::{Estimate, settle_paint};
 use super::{
     SolveOptions, fit_roughness, gather_highlights, observe, reconstruct_light, solve_albedo,
     trace_reflections,
@@ -14,6 +15,7 @@ use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::solution::Solution;
 use crate::switch::Switch;
+use crate::verdict::Findings;
 
 /// A reconstruction and what is known about it.
 pub struct Solved {
@@ -23,6 +25,8 @@ pub struct Solved {
     pub fits: Vec<GroupFit>,
     /// Rays traced in all.
     pub rays: u64,
+    /// What is known of its faults.
+    pub findings: Findings,
 }
 
 /// Reconstructs materials and light of a scene.
@@ -42,7 +46,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         &surface,
         &light,
         &reflections,
-        reflectance,
+        &roughness,
         options,
         progress,
     );
@@ -61,14 +65,23 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         ));
     }
     let mut errors = albedo_errors(&surface, &light, &albedo);
-    if options.painted != Switch::Off {
-        progress.stage("paint", 0, |p| {
-            settle_paint(&surface, &mut light, &mut albedo, &mut errors, options, p)
-        });
-    }
+    let spread = spread_of_looks(&albedo);
+    let estimate = Estimate {
+        albedo: &mut albedo,
+        errors: &mut errors,
+        rooms: &roughness.texel_rooms(&surface.texels),
+    };
+    progress.stage("paint", 0, |p| {
+        settle_paint(&surface, &mut light, estimate, options, p);
+    });
+    let findings = findings(&surface, &light, &albedo, &errors, &spread);
+    // what no texel knows of by itself
+    let model_error = findings.model_error() as f32;
+    errors.iter_mut().for_each(|e| *e = e.hypot(model_error));
     Ok(Solved {
         solution: assemble(&surface, &light, &roughness, &albedo, &errors),
         fits: roughness.materials.fits().cloned().collect(),
         rays,
+        findings,
     })
 }

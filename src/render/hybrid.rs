@@ -55,6 +55,16 @@ pub trait ViewRenderer {
     fn render_classes(&self, camera: &Camera, _classes: &Plane<u16>) -> Result<RenderedView> {
         self.render(camera)
     }
+
+    /// The radiance that the reconstruction fused from the photographs, seen from `camera` without
+    /// any model of light and material: the ceiling of what [`Self::render`] can show. `None` if
+    /// the implementation holds no such radiance.
+    ///
+    /// # Errors
+    /// As [`Self::render`].
+    fn reproject(&self, _camera: &Camera) -> Result<Option<RgbPlane>> {
+        Ok(None)
+    }
 }
 
 /// Samples of the hybrid renderer.
@@ -313,9 +323,45 @@ impl ViewRenderer for HybridRenderer<'_> {
         }
         Ok(self.render_rows(camera, Some(classes)))
     }
+
+    fn reproject(&self, camera: &Camera) -> Result<Option<RgbPlane>> {
+        let n = self.options.supersampling.max(1) as usize;
+        let share = 1.0 / (n * n) as f32;
+        let row = |y: usize| {
+            let rays = pixel_rays(camera, y, 0..camera.width, n);
+            let mut hits = vec![Hit::miss(); rays.len()];
+            self.tracer.closest(&rays, &mut hits);
+            let radiance = |(ray, hit): (&Ray, &Hit)| self.fused(ray, hit);
+            let samples: Vec<Vec3> = rays.iter().zip(&hits).map(radiance).collect();
+            let mean = |pixel: &[Vec3]| pixel.iter().sum::<Vec3>() * share;
+            samples.chunks_exact(n * n).map(mean).collect::<Vec<_>>()
+        };
+        let rows: Vec<Vec<Vec3>> = (0..camera.height).into_par_iter().map(row).collect();
+        Ok(Some(Plane {
+            width: camera.width,
+            height: camera.height,
+            data: rows.concat(),
+        }))
+    }
 }
 
 impl HybridRenderer<'_> {
+    /// The fused radiance at a hit, interpolated as all textures are but at lamps, whose rims are
+    /// sharp.
+    fn fused(&self, ray: &Ray, hit: &Hit) -> Vec3 {
+        if !hit.is_hit() {
+            let direction = Vec3::from_array(ray.direction);
+            return self.field.environment.radiance(direction);
+        }
+        let t = hit.triangle as usize;
+        if self.field.is_emissive(t) {
+            return self.field.emitted(t, hit.u, hit.v);
+        }
+        let plane = &self.solution.radiance;
+        let size = Vec2::new(plane.width as f32, plane.height as f32);
+        plane.bilinear(self.solution.mesh.uv(t, hit.u, hit.v) * size, Wrap::Clamp)
+    }
+
     fn render_rows(&self, camera: &Camera, classes: Option<&Plane<u16>>) -> RenderedView {
         let (w, h) = (camera.width, camera.height);
         let at_edges = (self.options.supersampling > 1).then(|| {

@@ -8,9 +8,10 @@ use super::jpeg::{Picture, encode_jpeg};
 use super::pictures::{CONFIDENCE_RANGE, Captioned, ERROR_RANGE, ViewPictures, inferno};
 use super::record::{RunRecord, StageRecord};
 use crate::Result;
-use crate::evaluate::{Evaluation, ImageScores, MaterialScores, SplitScores};
+use crate::evaluate::{Evaluation, GainScores, ImageScores, MaterialScores, SplitScores};
 use crate::formats::grouped;
 use crate::scene::Split;
+use crate::verdict::{Level, Verdict};
 use base64::prelude::{BASE64_STANDARD, Engine};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
@@ -107,6 +108,7 @@ pub fn page(p: &Page<'_>) -> Result<String> {
                             }
                         }
                     }
+                    @if let Some(findings) = &r.findings { (verdict_section(&findings.verdict())) }
                     (summary(p))
                     @if let Some(evaluation) = p.evaluation { (evaluation_section(evaluation)) }
                     (views_section(p)?)
@@ -122,6 +124,29 @@ pub fn page(p: &Page<'_>) -> Result<String> {
         }
     };
     Ok(markup.into_string())
+}
+
+/// The verdict and its reasons, heaviest first.
+fn verdict_section(verdict: &Verdict) -> Markup {
+    let class = match verdict.level {
+        Level::Good => "verdict good",
+        Level::Limited => "verdict limited",
+        Level::Untrusted => "verdict untrusted",
+    };
+    html! {
+        section class=(class) {
+            h2 { "Verdict: " (verdict.level) }
+            p { "Expected error of the albedo: " (format!("{:.3}", verdict.expected_error)) "." }
+            ul {
+                @for r in &verdict.reasons {
+                    li {
+                        b { (format!("{:.3}", r.weight)) } " " (r.what)
+                        @if !r.place.is_empty() { " " small { "(" (r.place) ")" } }
+                    }
+                }
+            }
+        }
+    }
 }
 
 fn made_from(r: &RunRecord) -> Markup {
@@ -239,6 +264,7 @@ fn split_tables(title: &str, kind: &str, split: &SplitScores) -> Markup {
                 (heads(&scores))
                 tbody {
                     (score_row(kind, &split.rendering))
+                    (gain_rows(&split.gains))
                     @if let Some(m) = &split.materials {
                         (score_row("albedo, linear (no alignment)", &m.albedo.linear))
                         (score_row("albedo, FIPT", &m.albedo.fipt))
@@ -259,6 +285,31 @@ fn split_tables(title: &str, kind: &str, split: &SplitScores) -> Markup {
         }
         @if let Some(m) = &split.materials { (class_table(m)) (calibration_section(m)) }
         (view_table(split))
+    }
+}
+
+/// The same with fitted gains, and the ceiling.
+fn gain_rows(g: &GainScores) -> Markup {
+    let ceiling = "ceiling: the fused radiance re-projected";
+    let rows = [
+        (
+            "… with one gain per view".to_owned(),
+            Some(g.psnr_gain_per_view),
+        ),
+        (
+            "… and per channel".to_owned(),
+            Some(g.psnr_gain_per_channel),
+        ),
+        (ceiling.to_owned(), g.ceiling_reprojected_psnr_as_is),
+        (
+            format!("{ceiling}, one gain per view"),
+            g.ceiling_reprojected_psnr,
+        ),
+    ];
+    html! {
+        @for (name, psnr) in rows {
+            @if let Some(psnr) = psnr { (row(&[name, decibels(psnr)])) }
+        }
     }
 }
 

@@ -73,7 +73,15 @@ pub fn write_report(
         .iter()
         .map(|v| json!({"stem": v.stem, "held_out": v.split == Split::Test, "psnr": v.psnr, "ssim": v.ssim}))
         .collect();
-    let report = json!({"run": record, "evaluation": evaluation, "views": shown});
+    let mut report = json!({"run": record, "evaluation": evaluation, "views": shown});
+    if let Some(f) = &record.findings {
+        report["verdict"] = json!(f.verdict());
+        report["albedo_at_bound_share"] = json!(f.albedo_at_bound.share);
+        // other stages may have written more of these by hand
+        if let Some(missing) = &f.light_missing {
+            report["light_missing"] = json!(missing);
+        }
+    }
     let bytes = serde_json::to_vec_pretty(&report)
         .map_err(|e| Error::Failed(format!("report.json: {e}")))?;
     atomic_write(folder.join("report.json"), &bytes)?;

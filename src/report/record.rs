@@ -4,6 +4,7 @@ use crate::error::{Error, Result};
 use crate::formats::atomic_write;
 use crate::progress::{Decision, Observer};
 use crate::scene::{Scene, Split};
+use crate::verdict::Findings;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -110,6 +111,8 @@ pub struct RunRecord {
     pub notes: Vec<String>,
     /// Every input file with its hash.
     pub inputs: Vec<InputFile>,
+    /// What a reconstruction found of its own faults.
+    pub findings: Option<Findings>,
 }
 
 impl SceneSummary {

@@ -35,12 +35,15 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
     if options.budget.is_none() {
         options.checkpoints = Checkpoints::new(out, &run_key(&inputs, context)?);
     }
-    let solution = reconstruct(&scene, &options, progress)?.solution;
+    let solved = reconstruct(&scene, &options, progress)?;
+    let (solution, findings) = (solved.solution, solved.findings);
     scene.camera_masks.clone_from(&solution.camera_masks);
     progress.stage("writing the textures", 1, |_| {
         solution.save(out, &SaveOptions::default())
     })?;
+    let verdict = findings.verdict();
     let mut record = record(&scene, inputs, context)?;
+    record.findings = Some(findings);
     progress.stage("report", 1, |_| {
         // one sample per pixel is enough for pictures of this size; `unbake eval` renders at full
         // quality
@@ -58,7 +61,7 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
     options.checkpoints.finish();
     let s = &solution;
     let text = format!(
-        "albedo {}x{}, roughness {}x{}, irradiance {}x{} in {} ({:.2} GiB at most, {} threads)\nreport: {}\n",
+        "albedo {}x{}, roughness {}x{}, irradiance {}x{} in {} ({:.2} GiB at most, {} threads)\nreport: {}\n{verdict}\n",
         s.albedo.width,
         s.albedo.height,
         s.roughness.width,
@@ -70,5 +73,8 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
         record.machine.threads,
         out.join("report.html").display()
     );
-    context.result(&text, &json!({"out": out, "run": record}))
+    context.result(
+        &text,
+        &json!({"out": out, "run": record, "verdict": verdict}),
+    )
 }
