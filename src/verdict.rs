@@ -27,6 +27,9 @@ const WORTH_A_LINE: f64 = 0.02;
 /// gloss. Measured: 0.013 on `synth --rooms 1 --views 8 --width 256` (decision "exposure and white
 /// balance", 2026-11-25); 0.55 there with OpenCV's axes.
 const USUAL_SPREAD: f64 = 0.02;
+/// Share of a mesh that views may leave unseen without harm. Derived: half the surface of a body is
+/// turned away from any place.
+const HIDDEN: f64 = 0.5;
 /// Share of light that a surface may reflect without being diffuse: a single look does not tell it
 /// from albedo. Derived: a dielectric's mean reflectance under even light (F0 0.04), 9 %.
 const GLOSS: f64 = 0.09;
@@ -188,6 +191,14 @@ impl Findings {
                 what: "the texels' own stated error (noise, irradiance, texture)".into(),
                 weight: self.stated_error,
                 place: String::new(),
+            },
+            Reason {
+                what: format!(
+                    "{} of the surface is seen by no view",
+                    percent(self.unseen.share)
+                ),
+                weight: ((self.unseen.share - HIDDEN).max(0.0) / (1.0 - HIDDEN)).sqrt() * GUESS,
+                place: self.unseen.place.clone(),
             },
             of_share(
                 &self.seen_once,
@@ -367,6 +378,22 @@ mod tests {
                 },
                 Level::Limited,
                 "no photograph looks",
+            ),
+            (
+                Findings {
+                    unseen: share(1.0),
+                    ..Findings::default()
+                },
+                Level::Untrusted,
+                "seen by no view",
+            ),
+            (
+                Findings {
+                    unseen: share(0.4),
+                    ..fine()
+                },
+                Level::Good,
+                "stated",
             ),
             (
                 Findings {
