@@ -92,7 +92,7 @@ struct State<'a> {
 
 /// A pixel of a view.
 #[derive(Clone, Copy)]
-struct Place {
+struct ViewPixel {
     v: usize,
     at: (usize, usize),
 }
@@ -287,7 +287,7 @@ impl Unmixing<'_> {
                 .zip(&hits[samples])
                 .map(|(ray, hit)| {
                     let direction = Vec3::from_array(ray.direction);
-                    self.shown(Place { v, at: (x, y) }, direction, hit, &state.cells)
+                    self.shown(ViewPixel { v, at: (x, y) }, direction, hit, &state.cells)
                 });
             self.equation(shown, view.radiance[(x, y)], state, out);
         }
@@ -369,7 +369,7 @@ impl Unmixing<'_> {
     }
 
     /// What one ray through a pixel shows.
-    fn shown(&self, pixel: Place, direction: Vec3, hit: &Hit, cells: &Plane<u32>) -> Shown {
+    fn shown(&self, pixel: ViewPixel, direction: Vec3, hit: &Hit, cells: &Plane<u32>) -> Shown {
         let (mesh, view) = (self.observer.mesh, &self.observer.views[pixel.v]);
         let t = hit.triangle as usize;
         if hit.triangle == Hit::MISS || self.field.is_emissive(t) {
@@ -399,8 +399,8 @@ impl Unmixing<'_> {
 
     /// Specular radiance at the pixel centre around `pixel` that sees the same surface nearest to
     /// `position`.
-    fn specular_near(&self, pixel: Place, position: Vec3, normal: Vec3) -> Option<Vec3> {
-        let Place { v, at } = pixel;
+    fn specular_near(&self, pixel: ViewPixel, position: Vec3, normal: Vec3) -> Option<Vec3> {
+        let ViewPixel { v, at } = pixel;
         let b = &self.observer.views[v].buffer;
         let (w, h) = (b.triangle.width as i64, b.triangle.height as i64);
         let mut best: Option<(f32, (usize, usize))> = None;
