@@ -25,6 +25,8 @@
 //! repository says what they do.
 
 #[doc(hidden)]
+pub mod alignment;
+#[doc(hidden)]
 pub mod bench;
 #[doc(hidden)]
 pub mod brdf;

@@ -31,9 +31,11 @@ const TABLE: &[(&str, &[&str])] = &[
             "vocabulary",
         ],
     ),
+    ("alignment", &["scene", "gbuffer", "vocabulary"]),
     (
         "report",
         &[
+            "alignment",
             "scene",
             "evaluate",
             "export",

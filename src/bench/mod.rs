@@ -6,6 +6,7 @@
 //! scaled up from a part of it) says so in its own field. Nothing here is asserted by a test: a
 //! test machine is never quiet.
 
+mod alignment;
 mod child;
 mod damage;
 mod fixture;
@@ -21,6 +22,7 @@ mod robustness;
 mod tradeoff;
 mod tsdr;
 
+pub use alignment::{AlignmentBench, AlignmentFigures, bench_alignment};
 pub use child::{Outcome, Runner, Workplace};
 pub use damage::{CONDITIONS, Damage, write_damaged};
 pub use fixture::Ground;

@@ -3,6 +3,7 @@
 use super::config::Config;
 use super::frames::Places;
 use super::verb_args::ExportVerb;
+use crate::alignment::AlignmentOptions;
 use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveRequest;
 use crate::prepare::PrepareOptions;
@@ -103,6 +104,9 @@ pub enum Verb {
         /// How the scene is read.
         #[command(flatten)]
         load: LoadOptions,
+        /// What is done about poses that do not fit.
+        #[command(flatten)]
+        align: AlignmentOptions,
     },
     /// Take the light out of photographs: reconstruct albedo, roughness and light textures of a
     /// scene.
@@ -124,6 +128,9 @@ pub enum Verb {
         /// How the scene is read.
         #[command(flatten)]
         load: LoadOptions,
+        /// What is done about poses that do not fit.
+        #[command(flatten)]
+        align: AlignmentOptions,
     },
     /// Score a reconstruction: re-rendering, novel views and, with ground truth, materials.
     Eval {
@@ -270,9 +277,17 @@ impl Cli {
         match &self.verb {
             Some(Verb::Synth { options, .. }) => config.synth = options.clone(),
             Some(Verb::Prepare { options, .. }) => config.prepare = options.clone(),
-            Some(Verb::Check { load, .. }) => config.scene = load.clone(),
-            Some(Verb::Solve { options, load, .. }) => {
-                (config.solve, config.scene) = (options.clone(), load.clone())
+            Some(Verb::Check { load, align, .. }) => {
+                (config.scene, config.alignment) = (load.clone(), align.clone());
+            }
+            Some(Verb::Solve {
+                options,
+                load,
+                align,
+                ..
+            }) => {
+                (config.solve, config.scene) = (options.clone(), load.clone());
+                config.alignment = align.clone();
             }
             Some(Verb::Eval { options, load, .. }) => {
                 (config.eval, config.scene) = (options.clone(), load.clone())

@@ -5,6 +5,7 @@
 //! its key. Nothing is merged as text.
 
 use super::verb_args::ExportVerb;
+use crate::alignment::AlignmentOptions;
 use crate::error::{Error, Result};
 use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveRequest;
@@ -36,6 +37,8 @@ pub struct Config {
     pub scene: LoadOptions,
     /// Options of `unbake prepare`.
     pub prepare: PrepareOptions,
+    /// What `unbake check` and `unbake solve` do about poses that do not fit the mesh.
+    pub alignment: AlignmentOptions,
     /// Options of `unbake synth`.
     pub synth: SynthOptions,
     /// Options of `unbake solve`.
@@ -179,8 +182,8 @@ pub fn tables_of(verb: &str) -> &'static [&'static str] {
     match verb {
         "synth" => &["synth"],
         "prepare" => &["prepare"],
-        "check" => &["scene"],
-        "solve" => &["solve", "scene"],
+        "check" => &["scene", "alignment"],
+        "solve" => &["solve", "scene", "alignment"],
         "eval" => &["eval", "scene"],
         "render" => &["render", "scene"],
         "edit" => &["scene"],

@@ -4,6 +4,7 @@ use super::context::Context;
 use crate::Result;
 use crate::edit::load_edited;
 use crate::progress::Progress;
+use crate::report::RunRecord;
 use crate::scene::Scene;
 use crate::solution::Solution;
 use std::path::Path;
@@ -15,6 +16,15 @@ pub(super) fn read_scene(path: &Path, context: &Context) -> Result<Scene> {
     })?;
     for warning in &scene.warnings {
         context.progress.note(warning);
+    }
+    Ok(scene)
+}
+
+/// Reads the scene a solution was made from, with its poses as they were corrected then.
+pub(super) fn read_solved_scene(path: &Path, out: &Path, context: &Context) -> Result<Scene> {
+    let mut scene = read_scene(path, context)?;
+    if let Some(alignment) = RunRecord::read_manifest(out).and_then(|m| m.alignment) {
+        alignment.reapply(&mut scene);
     }
     Ok(scene)
 }

@@ -32,7 +32,12 @@ fn options_of(context: &Context) -> Result<serde_json::Value> {
         .config
         .solve
         .options(context.seed(), context.recorder.started());
-    Ok(json!({"scene": config["scene"], "solve": config["solve"], "effective": effective}))
+    Ok(json!({
+        "scene": config["scene"],
+        "alignment": config["alignment"],
+        "solve": config["solve"],
+        "effective": effective,
+    }))
 }
 
 /// What has been measured so far, with what is known about the run besides.

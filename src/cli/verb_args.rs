@@ -1,6 +1,8 @@
 //! Arguments of the verbs that have many: export and bench.
 
-use crate::bench::{IrtBench, KernelBench, RobustnessBench, TradeoffBench, TsdrBench};
+use crate::bench::{
+    AlignmentBench, IrtBench, KernelBench, RobustnessBench, TradeoffBench, TsdrBench,
+};
 use crate::export::ExportOptions;
 use crate::render::FrameOptions;
 use clap::{Args, Subcommand};
@@ -79,6 +81,19 @@ pub enum BenchVerb {
         /// Where damaged scenes and reconstructions go.
         #[command(flatten)]
         work: Work,
+        /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
+        #[arg(long, value_name = "FILE")]
+        json_file: Option<PathBuf>,
+    },
+    /// Generated misalignments of poses and mesh: how many are recognised, and whether the scenes
+    /// as they are pass.
+    Alignment {
+        /// Scene folders.
+        #[arg(value_name = "SCENE", required = true)]
+        scenes: Vec<PathBuf>,
+        /// What is damaged.
+        #[command(flatten)]
+        bench: AlignmentBench,
         /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
         #[arg(long, value_name = "FILE")]
         json_file: Option<PathBuf>,

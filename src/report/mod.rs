@@ -82,6 +82,7 @@ pub fn write_report(
             report["light_missing"] = json!(missing);
         }
     }
+    report["alignment"] = json!(record.alignment);
     let bytes = serde_json::to_vec_pretty(&report)
         .map_err(|e| Error::Failed(format!("report.json: {e}")))?;
     atomic_write(folder.join("report.json"), &bytes)?;

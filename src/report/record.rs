@@ -1,5 +1,6 @@
 //! What a run did, measured: stages, notes, inputs, versions. The content of `manifest.json`.
 
+use crate::alignment::Alignment;
 use crate::error::{Error, Result};
 use crate::formats::atomic_write;
 use crate::progress::{Decision, Observer};
@@ -113,6 +114,9 @@ pub struct RunRecord {
     pub inputs: Vec<InputFile>,
     /// What a reconstruction found of its own faults.
     pub findings: Option<Findings>,
+    /// Whether photographs and mesh fitted, and what was corrected; verbs that read the scene again
+    /// apply the same correction.
+    pub alignment: Option<Alignment>,
 }
 
 impl SceneSummary {

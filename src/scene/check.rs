@@ -158,24 +158,42 @@ impl CheckReport {
 /// Loads a scene, reads every pixel of it, and reports what is there and what is wrong.
 #[must_use]
 pub fn check(path: impl AsRef<Path>, options: &LoadOptions) -> CheckReport {
+    let (mut report, scene) = load_for_check(path, options);
+    if let Some(scene) = scene {
+        check_scene(&scene, &mut report);
+    }
+    report
+}
+
+/// The first half of [`check`]: the scene if it can be loaded, or a report of why not.
+#[must_use]
+pub fn load_for_check(
+    path: impl AsRef<Path>,
+    options: &LoadOptions,
+) -> (CheckReport, Option<Scene>) {
     let path = path.as_ref();
     let mut report = CheckReport {
         path: path.display().to_string(),
         ..CheckReport::default()
     };
-    let scene = match Scene::load(path, options) {
-        Ok(s) => s,
+    match Scene::load(path, options) {
+        Ok(scene) => {
+            report.warnings.clone_from(&scene.warnings);
+            (report, Some(scene))
+        }
         Err(e) => {
             report.problems = messages(&e);
-            return report;
+            (report, None)
         }
-    };
-    report.warnings.clone_from(&scene.warnings);
+    }
+}
+
+/// The second half of [`check`]: reads every pixel of a loaded scene.
+pub fn check_scene(scene: &Scene, report: &mut CheckReport) {
     match EmbreeTracer::new(&scene.mesh) {
-        Ok(tracer) => check_loaded(&scene, &tracer, &mut report),
+        Ok(tracer) => check_loaded(scene, &tracer, report),
         Err(e) => report.problems.push(e.to_string()),
     }
-    report
 }
 
 fn messages(e: &Error) -> Vec<String> {

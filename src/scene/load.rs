@@ -3,7 +3,7 @@
 use super::input_error::{as_input, limited};
 use super::mesh_prep::prepare_mesh;
 use super::transforms::{Frame, Model, Transforms, parse_usable};
-use super::{Class, LoadOptions, Scene, Split, View, rooms};
+use super::{Class, LoadOptions, Mirror, Scene, Split, View, rooms};
 use crate::formats::{self, ImageInfo};
 use crate::geometry::Camera;
 use crate::{Error, Result};
@@ -88,6 +88,8 @@ impl Scene {
             rooms,
             classes_declared,
             mesh_stats,
+            z_up: transforms.z_up,
+            mirror: Mirror::None,
             warnings,
             camera_masks: Vec::new(),
             options: options.clone(),

@@ -12,7 +12,7 @@ mod unwrap;
 
 pub use check::{
     CheckReport, ClassShare, ImageKind, MeshSummary, RadianceRange, RoomSummary, Summary, check,
-    check_loaded,
+    check_loaded, check_scene, load_for_check,
 };
 pub use mesh_prep::{MeshStats, atlas_overlap, prepare_mesh};
 pub use pixels::PixelStats;
@@ -71,6 +71,19 @@ pub struct Class {
     pub name: String,
     /// Known to emit light (`kind` = `light`).
     pub is_light: bool,
+}
+
+/// Which pixels are mirrored left to right, and turned back as they are read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Mirror {
+    /// None.
+    #[default]
+    None,
+    /// The photographs alone; label images and masks are right.
+    Images,
+    /// Photographs, labels and masks.
+    All,
 }
 
 /// What a view is used for.
@@ -136,6 +149,10 @@ pub struct Scene {
     pub classes_declared: bool,
     /// What was found and done while the mesh was made usable.
     pub mesh_stats: MeshStats,
+    /// The file's world is z up: poses and mesh were turned on loading.
+    pub z_up: bool,
+    /// Which pixels are mirrored in their files.
+    pub mirror: Mirror,
     /// What a user should know although the scene is usable.
     pub warnings: Vec<String>,
     /// What the cameras carry along, where a reconstruction found it: masked in all views of the
@@ -164,6 +181,8 @@ impl Scene {
             views,
             rooms: None,
             mesh_stats: MeshStats::default(),
+            z_up: false,
+            mirror: Mirror::None,
             warnings: Vec::new(),
             camera_masks: Vec::new(),
             options: LoadOptions::default(),

@@ -1,7 +1,7 @@
 //! Pixels of a view on demand: radiance, class ids and masks, checked as they are read.
 
 use super::input_error::as_input;
-use super::{Scene, View};
+use super::{Mirror, Scene, View};
 use crate::formats;
 use crate::geometry::Projection;
 use crate::image::{Plane, RgbPlane};
@@ -109,7 +109,7 @@ impl Scene {
                 ));
             }
         }
-        Ok(Some(labels))
+        Ok(Some(turned_back(labels, self.mirror == Mirror::All)))
     }
 
     /// Which pixels of the view may be used (`true`), at the image's size; `None` if all may.
@@ -181,6 +181,7 @@ impl Scene {
                 ),
             ));
         }
+        let image = turned_back(image, self.mirror != Mirror::None);
         Ok(image)
     }
 
@@ -190,6 +191,7 @@ impl Scene {
             return Ok(None);
         };
         let mask = formats::read_labels(path).map_err(|e| as_input(e, path, "mask_path"))?;
+        let mask = turned_back(mask, self.mirror == Mirror::All);
         same_aspect_as_image(mask.width, mask.height, view, path, "mask")?;
         let (w, h) = (view.camera.width, view.camera.height);
         let scale = Vec2::new(mask.width as f32 / w as f32, mask.height as f32 / h as f32);
@@ -202,6 +204,17 @@ impl Scene {
             data,
         }))
     }
+}
+
+/// The plane, mirrored left to right if the file is.
+fn turned_back<T>(mut plane: Plane<T>, mirrored: bool) -> Plane<T> {
+    if mirrored {
+        plane
+            .data
+            .chunks_exact_mut(plane.width.max(1))
+            .for_each(<[T]>::reverse);
+    }
+    plane
 }
 
 fn same_aspect_as_image(

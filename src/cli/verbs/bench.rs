@@ -1,8 +1,8 @@
 //! `unbake bench`: what can be measured, and where the figures go.
 
 use crate::bench::{
-    IrtBench, RobustnessBench, TradeoffBench, TsdrBench, Workplace, bench_irt, bench_kernel,
-    bench_robustness, bench_tradeoff, bench_tsdr,
+    AlignmentBench, IrtBench, RobustnessBench, TradeoffBench, TsdrBench, Workplace,
+    bench_alignment, bench_irt, bench_kernel, bench_robustness, bench_tradeoff, bench_tsdr,
 };
 use crate::cli::config::Config;
 use crate::cli::context::Context;
@@ -11,6 +11,7 @@ use crate::cli::verb_args::{BenchVerb, Outputs, Work};
 use crate::error::{Error, Result};
 use crate::formats::{Aside, atomic_write};
 use crate::pipeline::SolveOptions;
+use crate::scene::LoadOptions;
 use serde::Serialize;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -106,6 +107,11 @@ pub(crate) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
             work,
             json_file,
         } => robustness(scene, bench, work, &Outputs::json_alone(json_file), context),
+        BenchVerb::Alignment {
+            scenes,
+            bench,
+            json_file,
+        } => alignment(scenes, bench, &Outputs::json_alone(json_file), context),
         BenchVerb::Kernel { bench, json_file } => {
             let outputs = Outputs::json_alone(json_file);
             outputs.check()?;
@@ -185,6 +191,30 @@ fn robustness(
     }
     let report = report?;
     outputs.write(context, &report.text(), &report, no_plot)
+}
+
+fn alignment(
+    scenes: &[PathBuf],
+    bench: &AlignmentBench,
+    outputs: &Outputs,
+    context: &Context,
+) -> Result<()> {
+    outputs.check()?;
+    // display-referred photographs will do: nothing is solved
+    let load = LoadOptions {
+        ldr: true,
+        ..context.config.scene.clone()
+    };
+    let (mut all, mut text, mut sum) = (Vec::new(), String::new(), (0, 0));
+    for scene in scenes {
+        let figures = bench_alignment(scene, &load, bench)?;
+        let (found, of) = figures.recognised();
+        sum = (sum.0 + found, sum.1 + of);
+        text += &figures.to_string();
+        all.push(figures);
+    }
+    text += &format!("recognised in all: {} of {}\n", sum.0, sum.1);
+    outputs.write(context, &text, &all, no_plot)
 }
 
 /// The reconstruction's options: the configuration file's, or the defaults.

@@ -1,7 +1,7 @@
 //! `unbake eval`.
 
 use crate::cli::context::Context;
-use crate::cli::inputs::read_scene;
+use crate::cli::inputs::read_solved_scene;
 use crate::cli::run_record::record;
 use crate::error::{Error, Result};
 use crate::evaluate::{evaluate, terminal_table};
@@ -14,7 +14,7 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
     let solution = context
         .progress
         .stage("reading the solution", 1, |_| Solution::load(out))?;
-    let mut scene = read_scene(scene_path, context)?;
+    let mut scene = read_solved_scene(scene_path, out, context)?;
     scene.camera_masks.clone_from(&solution.camera_masks);
     if (scene.origin - solution.origin).length() > 1e-6 {
         let message = format!(

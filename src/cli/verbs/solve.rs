@@ -1,5 +1,6 @@
 //! `unbake solve`.
 
+use crate::alignment::{Alignment, align};
 use crate::cli::context::Context;
 use crate::cli::inputs::read_scene;
 use crate::cli::run_record::{record, run_key};
@@ -7,6 +8,7 @@ use crate::error::{Error, Result};
 use crate::pipeline::{Checkpoints, reconstruct};
 use crate::render::{HybridOptions, HybridRenderer};
 use crate::report::{hash_inputs, write_report};
+use crate::scene::Scene;
 use crate::solution::{AsideFolder, SaveOptions};
 use serde_json::json;
 use std::path::Path;
@@ -22,7 +24,7 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
             out.display()
         )));
     }
-    let mut scene = read_scene(scene_path, context)?;
+    let (mut scene, alignment) = aligned_scene(scene_path, context)?;
     // before the long run: is there a place for the result?
     drop(AsideFolder::new(out)?);
     let options = context
@@ -44,6 +46,7 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
     let verdict = findings.verdict();
     let mut record = record(&scene, inputs, context)?;
     record.findings = Some(findings);
+    record.alignment = Some(alignment);
     progress.stage("report", 1, |_| {
         // one sample per pixel is enough for pictures of this size; `unbake eval` renders at full
         // quality
@@ -77,4 +80,19 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
         &text,
         &json!({"out": out, "run": record, "verdict": verdict}),
     )
+}
+
+/// The scene, corrected if it was asked for; a scene whose photographs and mesh do not fit is
+/// refused.
+fn aligned_scene(path: &Path, context: &Context) -> Result<(Scene, Alignment)> {
+    let mut scene = read_scene(path, context)?;
+    let options = &context.config.alignment;
+    let alignment = context
+        .progress
+        .stage("testing the alignment", 1, |_| align(&mut scene, options))?;
+    context.progress.note(alignment.to_string());
+    match alignment.problem() {
+        Some(problem) if !options.force => Err(Error::input(path, problem)),
+        _ => Ok((scene, alignment)),
+    }
 }

@@ -1,7 +1,7 @@
 //! `unbake view`.
 
 use crate::cli::context::Context;
-use crate::cli::inputs::read_scene;
+use crate::cli::inputs::read_solved_scene;
 use crate::error::{Error, Result};
 use crate::report::RunRecord;
 use crate::solution::Solution;
@@ -18,7 +18,7 @@ pub(crate) fn view_in_browser(
         .progress
         .stage("reading the solution", 1, |_| Solution::load(out))?;
     let scene = scene_path
-        .map(|path| read_scene(path, context))
+        .map(|path| read_solved_scene(path, out, context))
         .transpose()?;
     let manifest = RunRecord::read_manifest(out);
     let content = context.progress.stage("preparing the page", 1, |_| {

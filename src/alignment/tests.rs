@@ -1,0 +1,371 @@
+//! The test of alignment on a room whose photographs are computed: a box with a cupboard, walls
+//! painted in blotches, lit from one side.
+
+use super::apply::apply;
+use super::correction::Correction;
+use super::evidence::{EvidenceSize, ViewEvidence};
+use super::refine::refine;
+use super::score::Ground;
+use super::verdict::{Alignment, Verdict, assess_views};
+use crate::geometry::{Camera, Lens, Mesh, Projection};
+use crate::image::{Plane, RgbPlane};
+use crate::scene::{Mirror, Scene};
+use crate::trace::{EmbreeTracer, Hit, Ray, Tracer};
+use glam::{DMat3, DVec3, Mat3, Vec2, Vec3};
+use std::path::PathBuf;
+
+fn add_box(mesh: &mut Mesh, lo: Vec3, hi: Vec3) {
+    let first = mesh.positions.len() as u32;
+    for i in 0..8 {
+        let pick = |bit: u32, k: usize| if i >> bit & 1 == 1 { hi[k] } else { lo[k] };
+        mesh.positions
+            .push(Vec3::new(pick(0, 0), pick(1, 1), pick(2, 2)));
+    }
+    for q in [
+        [0, 2, 3, 1],
+        [4, 5, 7, 6],
+        [0, 1, 5, 4],
+        [2, 6, 7, 3],
+        [0, 4, 6, 2],
+        [1, 3, 7, 5],
+    ] {
+        let q = q.map(|i: u32| first + i);
+        mesh.triangles
+            .extend([[q[0], q[1], q[2]], [q[0], q[2], q[3]]]);
+    }
+    mesh.normals = vec![Vec3::Y; mesh.positions.len()];
+    mesh.uvs = vec![Vec2::ZERO; mesh.positions.len()];
+}
+
+/// A room of 5 × 2.6 × 4 m with a cupboard, its centre at the origin of the coordinates.
+fn room() -> Mesh {
+    let mut mesh = Mesh::default();
+    add_box(
+        &mut mesh,
+        Vec3::new(-2.5, -1.3, -2.0),
+        Vec3::new(2.5, 1.3, 2.0),
+    );
+    add_box(
+        &mut mesh,
+        Vec3::new(-2.4, -1.3, -1.9),
+        Vec3::new(-1.6, 0.5, -0.6),
+    );
+    mesh
+}
+
+/// Radiance of a surface point: blotches of paint under light that falls off across the room.
+fn radiance(p: Vec3, contrast: f32) -> Vec3 {
+    let wave = |a: f32, b: f32, c: f32| (a * p.x + b * p.y + c * p.z).sin();
+    let paint = wave(3.1, 1.7, -2.3) + wave(-1.3, 4.1, 2.9) + 0.5 * wave(7.0, -5.0, 6.0);
+    let light = 0.5 + 0.2 * (p.x + 0.3 * p.y);
+    let tint = Vec3::new(1.0, 1.0 + 0.3 * contrast * wave(2.0, 0.0, 1.5), 0.9);
+    tint * (light * (contrast * 0.4 * paint).exp())
+}
+
+fn places() -> Vec<Vec3> {
+    [
+        [1.2, 0.2, 0.8],
+        [-0.5, 0.3, 1.1],
+        [0.4, 0.1, -0.9],
+        [1.6, 0.4, -1.1],
+        [-1.2, 0.2, 0.6],
+        [0.1, 0.3, 0.2],
+    ]
+    .map(Vec3::from)
+    .to_vec()
+}
+
+fn photograph(tracer: &dyn Tracer, camera: &Camera, contrast: f32, gain: f32) -> RgbPlane {
+    let (w, h) = (camera.width, camera.height);
+    let rays: Vec<Ray> = (0..w * h)
+        .map(|i| {
+            let p = Vec2::new((i % w) as f32 + 0.5, (i / w) as f32 + 0.5);
+            Ray::new(camera.position, camera.direction(p), f32::INFINITY)
+        })
+        .collect();
+    let mut hits = vec![Hit::miss(); rays.len()];
+    tracer.closest(&rays, &mut hits);
+    let data = rays
+        .iter()
+        .zip(&hits)
+        .map(|(r, hit)| {
+            let p = Vec3::from(r.origin) + Vec3::from(r.direction) * hit.t;
+            radiance(p, contrast) * gain
+        })
+        .collect();
+    Plane {
+        width: w,
+        height: h,
+        data,
+    }
+}
+
+struct Photographed {
+    scene: Scene,
+    cameras: Vec<Camera>,
+    images: Vec<RgbPlane>,
+}
+
+impl Photographed {
+    fn new(projection: Projection, size: [usize; 2], contrast: f32) -> Self {
+        let mesh = room();
+        let tracer = EmbreeTracer::new(&mesh).expect("tracer");
+        let cameras: Vec<Camera> = places()
+            .into_iter()
+            .enumerate()
+            .map(|(i, position)| Camera {
+                projection,
+                width: size[0],
+                height: size[1],
+                world_from_camera: Mat3::from_rotation_y(0.9 * i as f32),
+                position,
+            })
+            .collect();
+        // exposures that drift by a stop must not matter
+        let images = cameras
+            .iter()
+            .enumerate()
+            .map(|(i, c)| photograph(&tracer, c, contrast, 1.0 + 0.2 * i as f32))
+            .collect();
+        let scene = Scene::from_parts(
+            PathBuf::new(),
+            DVec3::new(3.0, 1.3, -2.0),
+            mesh,
+            Vec::new(),
+            Vec::new(),
+        );
+        Self {
+            scene,
+            cameras,
+            images,
+        }
+    }
+
+    fn panoramas(contrast: f32) -> Self {
+        Self::new(Projection::Equirectangular, [96, 48], contrast)
+    }
+
+    /// The verdict on poses spoilt by `damage`.
+    fn judged(&self, damage: impl Fn(&Camera) -> Camera) -> Alignment {
+        let views: Vec<ViewEvidence> = self
+            .cameras
+            .iter()
+            .zip(&self.images)
+            .map(|(c, image)| {
+                ViewEvidence::new("v", &damage(c), image, None, None, EvidenceSize::COARSE)
+            })
+            .collect();
+        let tracer = EmbreeTracer::new(&self.scene.mesh).expect("tracer");
+        assess_views(&self.scene, &tracer, &views)
+    }
+
+    fn moved(&self, c: &Correction) -> Alignment {
+        self.judged(|camera| c.camera(camera, self.scene.origin, false))
+    }
+}
+
+#[test]
+fn right_poses_are_aligned_whatever_the_exposures() {
+    let a = Photographed::panoramas(1.0).judged(|c| *c);
+    assert_eq!(a.verdict, Verdict::Aligned, "{a:?}");
+    assert!(a.score > 0.7 && a.winner.is_none() && a.met > 0.99, "{a:?}");
+    assert!(a.correction.is_none() && a.problem().is_none());
+}
+
+#[test]
+fn usual_mistakes_are_named() {
+    let room = Photographed::panoramas(1.0);
+    let of = |f: fn(&mut Correction)| {
+        let mut c = Correction::default();
+        f(&mut c);
+        c
+    };
+    let cases = [
+        (of(|c| c.scale = 0.001), "millimetres"),
+        (of(|c| c.scale = 0.3048), "feet"),
+        (
+            of(|c| c.camera_turn = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0))),
+            "OpenCV",
+        ),
+        (of(|c| c.invert = true), "world-to-camera"),
+        (
+            of(|c| c.turn = crate::scene::transforms::y_up_from_z_up().transpose()),
+            "z up",
+        ),
+        (
+            of(|c| c.camera_turn = DMat3::from_rotation_y(std::f64::consts::PI)),
+            "seam",
+        ),
+    ];
+    for (damage, expected) in cases {
+        let a = room.moved(&damage);
+        let winner = a.winner.clone().unwrap_or_default();
+        assert_eq!(a.verdict, Verdict::Misaligned, "{expected}: {a:?}");
+        assert!(winner.contains(expected), "{expected}: {winner}");
+        assert!(a.problem().is_some_and(|p| p.contains("--fix-alignment")));
+    }
+}
+
+#[test]
+fn mirrored_photographs_are_told_from_right_ones() {
+    let mut room = Photographed::panoramas(1.0);
+    for image in &mut room.images {
+        image.data.chunks_exact_mut(96).for_each(<[Vec3]>::reverse);
+    }
+    let a = room.judged(|c| *c);
+    assert_eq!(a.verdict, Verdict::Misaligned, "{a:?}");
+    assert_eq!(a.correction.map(|c| c.mirror), Some(Mirror::All), "{a:?}");
+}
+
+#[test]
+fn shifts_turns_and_scales_are_found_with_their_size() {
+    let room = Photographed::panoramas(1.0);
+    let origin = room.scene.origin;
+    for damage in [
+        Correction {
+            shift: DVec3::new(0.8, 0.0, 0.6),
+            ..Correction::default()
+        },
+        Correction::about(origin, DVec3::Y, 20.0),
+        Correction::scaled(origin, 0.7),
+    ] {
+        let a = room.moved(&damage);
+        assert_eq!(a.verdict, Verdict::Misaligned, "{damage:?}: {a:?}");
+        let both = damage.then(&a.correction.expect("a correction"));
+        for c in &room.cameras {
+            let back = both.camera(c, origin, false);
+            let turn = back.world_from_camera.transpose() * c.world_from_camera;
+            let cosine = 0.5 * (turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0);
+            assert!(
+                back.position.distance(c.position) < 0.15,
+                "{damage:?}: {a:?}"
+            );
+            assert!(cosine > 4f32.to_radians().cos(), "{damage:?}: {a:?}");
+        }
+    }
+}
+
+/// A room without a pattern says nothing: no verdict of misalignment may come of noise.
+#[test]
+fn nothing_to_see_is_no_misalignment() {
+    let mut blank = Photographed::panoramas(0.0);
+    for image in &mut blank.images {
+        image.data.fill(Vec3::splat(0.5));
+    }
+    let a = blank.judged(|c| *c);
+    assert_ne!(a.verdict, Verdict::Misaligned, "{a:?}");
+}
+
+#[test]
+fn a_wrong_focal_length_is_found() {
+    let lens = Lens::centred(160, 120, 75.0);
+    let room = Photographed::new(Projection::Pinhole(lens), [160, 120], 1.0);
+    let right = room.judged(|c| *c);
+    assert_ne!(right.verdict, Verdict::Misaligned, "{right:?}");
+    let a = room.judged(|c| {
+        let wrong = Correction {
+            focal_scale: 1.114,
+            ..Correction::default()
+        };
+        wrong.camera(c, DVec3::ZERO, false)
+    });
+    let found = a.correction.map_or(1.0, |c| c.focal_scale);
+    assert!((found * 1.114 - 1.0).abs() < 0.04, "{found}: {a:?}");
+}
+
+/// A mesh in millimetres is scaled, and poses that were right keep their metres.
+#[test]
+fn the_side_that_was_wrong_is_mended() {
+    let room = Photographed::panoramas(1.0);
+    let mut scene = room.scene.clone();
+    for p in &mut scene.mesh.positions {
+        *p *= 1000.0;
+    }
+    scene.origin *= 1000.0;
+    let in_millimetres = Correction {
+        scale: 1000.0,
+        ..Correction::default()
+    };
+    apply(&mut scene, &in_millimetres, 2000.0);
+    assert!((scene.origin - room.scene.origin).length() < 1e-6);
+    for (a, b) in scene.mesh.positions.iter().zip(&room.scene.mesh.positions) {
+        assert!((*a - *b).length() < 1e-4);
+    }
+    // poses in millimetres: the mesh stays
+    let mut scene = room.scene.clone();
+    let c = Correction {
+        scale: 0.001,
+        ..Correction::default()
+    };
+    apply(&mut scene, &c, 2.0);
+    assert_eq!(scene.mesh, room.scene.mesh);
+    // a mirrored mesh keeps its faces to the same side
+    let mut scene = room.scene.clone();
+    let mirrored = Correction {
+        turn: DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0)),
+        ..Correction::default()
+    };
+    apply(&mut scene, &mirrored, 2.0);
+    let (before, after) = (&room.scene.mesh, &scene.mesh);
+    for t in 0..before.triangles.len() {
+        let n = before.face_normal(t);
+        let flipped = Vec3::new(-n.x, n.y, n.z);
+        assert!((after.face_normal(t) - flipped).length() < 1e-5);
+    }
+}
+
+fn jittered(camera: &Camera, i: usize) -> Camera {
+    let k = i as f32;
+    let axis = Vec3::new(
+        (2.1 * k).sin(),
+        (1.3 * k + 1.0).cos(),
+        (0.7 * k + 2.0).sin(),
+    )
+    .normalize();
+    let shift = Vec3::new((1.9 * k).cos(), 0.5 * (2.3 * k).sin(), (0.9 * k).cos()).normalize();
+    Camera {
+        world_from_camera: camera.world_from_camera
+            * Mat3::from_axis_angle(axis, 2.0f32.to_radians()),
+        position: camera.position + shift * 0.03,
+        ..*camera
+    }
+}
+
+fn fine(room: &Photographed, cameras: &[Camera]) -> Vec<ViewEvidence> {
+    cameras
+        .iter()
+        .zip(&room.images)
+        .enumerate()
+        .map(|(i, (c, image))| {
+            ViewEvidence::new(&i.to_string(), c, image, None, None, EvidenceSize::FINE)
+        })
+        .collect()
+}
+
+#[test]
+fn right_poses_are_left_alone_and_wrong_ones_come_back() {
+    let room = Photographed::new(Projection::Equirectangular, [192, 96], 1.0);
+    let tracer = EmbreeTracer::new(&room.scene.mesh).expect("tracer");
+    let ground = Ground {
+        mesh: &room.scene.mesh,
+        tracer: &tracer,
+    };
+    let none = refine(&ground, &fine(&room, &room.cameras), 8);
+    assert!(none.is_empty(), "{none:?}");
+
+    let spoilt: Vec<Camera> = room
+        .cameras
+        .iter()
+        .enumerate()
+        .map(|(i, c)| jittered(c, i))
+        .collect();
+    let refined = refine(&ground, &fine(&room, &spoilt), 8);
+    assert!(refined.len() >= 5, "{refined:?}");
+    for pose in &refined {
+        let i: usize = pose.stem.parse().expect("a number");
+        let back = pose.camera(&spoilt[i]);
+        let turn = back.world_from_camera.transpose() * room.cameras[i].world_from_camera;
+        let cosine = 0.5 * (turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0);
+        assert!(cosine > 0.6f32.to_radians().cos(), "{i}: {pose:?}");
+    }
+}
