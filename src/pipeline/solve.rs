@@ -2,7 +2,11 @@
 
 use super::albedo::albedo_errors;
 use super::assemble::assemble;
+<<<<<<< HEAD
 use super::findings::{findings, spread_of_looks};
+=======
+use super::clipped_light::{ClippedLight, restore_clipped_light};
+>>>>>>> d9703df (Clipped light: the radiance of lights beyond the sensor's ceiling from the shading they throw)
 use super::missing_light::add_missing_light;
 use super::painted::{Estimate, settle_paint};
 use super::{
@@ -25,8 +29,13 @@ pub struct Solved {
     pub fits: Vec<GroupFit>,
     /// Rays traced in all.
     pub rays: u64,
+<<<<<<< HEAD
     /// What is known of its faults.
     pub findings: Findings,
+=======
+    /// Light beyond the sensor's ceiling that was restored; `None` where nothing is clipped.
+    pub clipped_light: Option<ClippedLight>,
+>>>>>>> d9703df (Clipped light: the radiance of lights beyond the sensor's ceiling from the shading they throw)
 }
 
 /// Reconstructs materials and light of a scene.
@@ -35,7 +44,8 @@ pub struct Solved {
 /// Unusable options, unreadable or unusable images and labels.
 pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -> Result<Solved> {
     options.validate()?;
-    let surface = observe(scene, options, progress)?;
+    let mut surface = observe(scene, options, progress)?;
+    let clipped_light = restore_clipped_light(&mut surface, options, progress);
     let mut light = reconstruct_light(&surface, options, progress);
     let highlights = gather_highlights(&surface, &light, options, progress);
     let roughness = fit_roughness(&surface, &light, &highlights.evidence, options, progress);
@@ -82,6 +92,10 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         solution: assemble(&surface, &light, &roughness, &albedo, &errors),
         fits: roughness.materials.fits().cloned().collect(),
         rays,
+<<<<<<< HEAD
         findings,
+=======
+        clipped_light,
+>>>>>>> d9703df (Clipped light: the radiance of lights beyond the sensor's ceiling from the shading they throw)
     })
 }
