@@ -6,12 +6,7 @@ mod observe;
 mod orientation;
 mod view_buffer;
 
-<<<<<<< HEAD
-pub use clipping::clipped_pixels;
+pub use clipping::clipped_channels;
 pub use observe::{Observation, ObservedView, Observer};
 pub use orientation::{Orientation, Probe};
-=======
-pub use clipping::clipped_channels;
-pub use observe::{Observation, ObservedView, Observer, Orientation};
->>>>>>> d9703df (Clipped light: the radiance of lights beyond the sensor's ceiling from the shading they throw)
 pub use view_buffer::{ViewBuffer, pixel_rays};

@@ -4,15 +4,10 @@
 use super::SolveOptions;
 use super::decisions::choose_sizes;
 use crate::Result;
-<<<<<<< HEAD
-use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer, clipped_pixels};
+use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer, clipped_channels};
 use crate::geometry::Camera;
 use crate::image::{CameraMask, Plane, RgbPlane};
-=======
-use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer, clipped_channels};
-use crate::image::{Plane, RgbPlane};
 use crate::math::linear_from_srgb;
->>>>>>> d9703df (Clipped light: the radiance of lights beyond the sensor's ceiling from the shading they throw)
 use crate::observed::{
     Contradictions, Surface, balance_views, complete_labels, find_camera_rigs, fuse_radiance,
     leave_out_clipped_sky,
@@ -95,13 +90,8 @@ pub fn observe<'a>(
     );
     report_orientation(&orientation, scene.mesh.triangles.len(), progress);
     leave_out_clipped_sky(&mut views, &clipped);
-<<<<<<< HEAD
-    drop(clipped);
     let camera_masks = mask_rigs(scene, &mut views, &orientation, options, progress);
     let balanced = balance_views(scene, &mut views, &orientation, options.exposure, progress);
-=======
-    balance_views(scene, &mut views, &orientation, options.exposure, progress);
->>>>>>> d9703df (Clipped light: the radiance of lights beyond the sensor's ceiling from the shading they throw)
     let sizes = choose_sizes(
         &Observer {
             mesh: &scene.mesh,

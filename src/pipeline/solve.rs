@@ -2,11 +2,8 @@
 
 use super::albedo::albedo_errors;
 use super::assemble::assemble;
-<<<<<<< HEAD
+use super::clipped_light::restore_clipped_light;
 use super::findings::{findings, spread_of_looks};
-=======
-use super::clipped_light::{ClippedLight, restore_clipped_light};
->>>>>>> d9703df (Clipped light: the radiance of lights beyond the sensor's ceiling from the shading they throw)
 use super::missing_light::add_missing_light;
 use super::painted::{Estimate, settle_paint};
 use super::{
@@ -29,13 +26,8 @@ pub struct Solved {
     pub fits: Vec<GroupFit>,
     /// Rays traced in all.
     pub rays: u64,
-<<<<<<< HEAD
     /// What is known of its faults.
     pub findings: Findings,
-=======
-    /// Light beyond the sensor's ceiling that was restored; `None` where nothing is clipped.
-    pub clipped_light: Option<ClippedLight>,
->>>>>>> d9703df (Clipped light: the radiance of lights beyond the sensor's ceiling from the shading they throw)
 }
 
 /// Reconstructs materials and light of a scene.
@@ -84,7 +76,8 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     progress.stage("paint", 0, |p| {
         settle_paint(&surface, &mut light, estimate, options, p);
     });
-    let findings = findings(&surface, &light, &albedo, &errors, &spread);
+    let mut findings = findings(&surface, &light, &albedo, &errors, &spread);
+    findings.light_missing = clipped_light;
     // what no texel knows of by itself
     let model_error = findings.model_error() as f32;
     errors.iter_mut().for_each(|e| *e = e.hypot(model_error));
@@ -92,10 +85,6 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         solution: assemble(&surface, &light, &roughness, &albedo, &errors),
         fits: roughness.materials.fits().cloned().collect(),
         rays,
-<<<<<<< HEAD
         findings,
-=======
-        clipped_light,
->>>>>>> d9703df (Clipped light: the radiance of lights beyond the sensor's ceiling from the shading they throw)
     })
 }
