@@ -104,7 +104,7 @@ pub fn fit_clipped(rows: &[ShadingRow], groups: &[LightGroup], classes: usize) -
     let mut information = None;
     for iteration in 0..ITERATIONS {
         let state = problem.state(&phi);
-        let (a, g) = problem.normal_equations(&phi, &state);
+        let Normal { a, g } = problem.normal_equations(&phi, &state);
         let damping = 0.5f64.powi(iteration as i32 / 2);
         let mut damped = a.clone();
         for i in 0..phi.len() {
@@ -153,6 +153,12 @@ struct State {
     spread: Vec<f32>,
     /// ln L − ln(E/π) per row.
     residual: Vec<Vec3>,
+}
+
+/// Normal matrix and gradient of a Gauss-Newton step for ln e and the kinds' means.
+struct Normal {
+    a: DMatrix<f64>,
+    g: DVector<f64>,
 }
 
 impl Problem<'_> {
@@ -302,32 +308,29 @@ impl Problem<'_> {
     }
 
     /// Normal matrix and gradient of a Gauss-Newton step for ln e and the kinds' means.
-    fn normal_equations(&self, phi: &[f64], state: &State) -> (DMatrix<f64>, DVector<f64>) {
+    fn normal_equations(&self, phi: &[f64], state: &State) -> Normal {
         let n = phi.len();
-        let (mut a, mut g) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        let mut out = Normal {
+            a: DMatrix::zeros(n, n),
+            g: DVector::zeros(n),
+        };
         let excess = self.all_excess(phi);
         for c in 0..3 {
-            self.add_channel(c, &excess, state, (&mut a, &mut g));
+            self.add_channel(c, &excess, state, &mut out);
         }
-        self.add_priors(phi, (&mut a, &mut g));
+        self.add_priors(phi, &mut out);
         for k in 0..self.groups.len() {
             for c in 0..3 {
                 if !self.groups[k].free[c] {
-                    a[(Self::at(k, c), Self::at(k, c))] += 1e6;
+                    out.a[(Self::at(k, c), Self::at(k, c))] += 1e6;
                 }
             }
         }
-        (a, g)
+        out
     }
 
     /// The rows of one channel.
-    fn add_channel(
-        &self,
-        c: usize,
-        excess: &[Vec3],
-        state: &State,
-        (a, g): (&mut DMatrix<f64>, &mut DVector<f64>),
-    ) {
+    fn add_channel(&self, c: usize, excess: &[Vec3], state: &State, out: &mut Normal) {
         let k = self.groups.len();
         // shares of every group in a row's light, and the row's weight
         let shares: Vec<(Vec<f32>, f32)> = self
@@ -381,8 +384,8 @@ impl Problem<'_> {
                 for q in 0..k {
                     let wj = f64::from(*w) * j[q];
                     part.1[q] += wj * off;
-                    for p in 0..=q {
-                        part.0[q * k + p] += wj * j[p];
+                    for (sum, j) in part.0[q * k..=q * k + q].iter_mut().zip(&j) {
+                        *sum += wj * j;
                     }
                 }
             }
@@ -390,26 +393,20 @@ impl Problem<'_> {
         });
         for part in parts {
             for q in 0..k {
-                g[Self::at(q, c)] += part.1[q];
+                out.g[Self::at(q, c)] += part.1[q];
                 for p in 0..=q {
-                    a[(Self::at(q, c), Self::at(p, c))] += part.0[q * k + p];
+                    out.a[(Self::at(q, c), Self::at(p, c))] += part.0[q * k + p];
                     if p < q {
-                        a[(Self::at(p, c), Self::at(q, c))] += part.0[q * k + p];
+                        out.a[(Self::at(p, c), Self::at(q, c))] += part.0[q * k + p];
                     }
                 }
             }
         }
-        self.add_albedo_priors(c, state, &mean, (a, g));
+        self.add_albedo_priors(c, state, &mean, out);
     }
 
     /// Bound and expectation of large classes' albedo: ln ρ falls with every share of the light.
-    fn add_albedo_priors(
-        &self,
-        c: usize,
-        state: &State,
-        mean: &[Vec<f64>],
-        (a, g): (&mut DMatrix<f64>, &mut DVector<f64>),
-    ) {
+    fn add_albedo_priors(&self, c: usize, state: &State, mean: &[Vec<f64>], out: &mut Normal) {
         let k = self.groups.len();
         let large = |class: &usize| self.share[*class] > LARGE;
         let brightest = (0..self.classes).filter(large).max_by(|x, y| {
@@ -421,9 +418,10 @@ impl Problem<'_> {
             let mut pull = |off: f64, sd: f64| {
                 let w = 1.0 / (sd * sd);
                 for q in 0..k {
-                    g[Self::at(q, c)] += w * mean[class][q] * off;
+                    out.g[Self::at(q, c)] += w * mean[class][q] * off;
                     for p in 0..k {
-                        a[(Self::at(q, c), Self::at(p, c))] += w * mean[class][q] * mean[class][p];
+                        out.a[(Self::at(q, c), Self::at(p, c))] +=
+                            w * mean[class][q] * mean[class][p];
                     }
                 }
             };
@@ -437,16 +435,16 @@ impl Problem<'_> {
     }
 
     /// Lights of a kind are alike; a kind's mean is some way above the ceiling and near neutral.
-    fn add_priors(&self, phi: &[f64], (a, g): (&mut DMatrix<f64>, &mut DVector<f64>)) {
+    fn add_priors(&self, phi: &[f64], out: &mut Normal) {
         let mean_at = |kind: usize, c: usize| 3 * self.groups.len() + 3 * kind + c;
         // each term: Σ coefficient · φ − target, with a standard deviation
         let mut term = |parts: &[(usize, f64)], target: f64, sd: f64| {
             let w = 1.0 / (sd * sd);
             let off = parts.iter().map(|(i, f)| f * phi[*i]).sum::<f64>() - target;
             for (i, f) in parts {
-                g[*i] -= w * f * off;
+                out.g[*i] -= w * f * off;
                 for (j, h) in parts {
-                    a[(*i, *j)] += w * f * h;
+                    out.a[(*i, *j)] += w * f * h;
                 }
             }
         };

@@ -71,6 +71,14 @@ struct Group {
     basis: Vec<f32>,
 }
 
+/// What a clipped texel sends out.
+struct Restored {
+    texel: u32,
+    radiance: Vec3,
+    /// It is a light, not a surface that reflects.
+    is_light: bool,
+}
+
 /// The kinds of groups.
 const LAMP: usize = 0;
 const SKY: usize = 1;
@@ -710,17 +718,16 @@ impl<'s, 'a> Restorer<'s, 'a> {
     }
 
     /// Radiance of the clipped texels: lights with their excess (`true`), others as they reflect.
-    fn restored(&self, fit: &ClippedFit) -> Vec<(u32, Vec3, bool)> {
+    fn restored(&self, fit: &ClippedFit) -> Vec<Restored> {
         let light = self.group_of();
         (0..self.sent.len())
             .filter(|&i| self.clipped.bits[i] != 0)
-            .map(|i| match light[i] {
-                Some(k) => (
-                    i as u32,
-                    self.groups[k as usize].fit.ceiling + fit.excess[k as usize],
-                    true,
-                ),
-                None => (i as u32, self.sent[i], false),
+            .map(|i| Restored {
+                texel: i as u32,
+                radiance: light[i].map_or(self.sent[i], |k| {
+                    self.groups[k as usize].fit.ceiling + fit.excess[k as usize]
+                }),
+                is_light: light[i].is_some(),
             })
             .collect()
     }
@@ -738,9 +745,14 @@ impl<'s, 'a> Restorer<'s, 'a> {
 }
 
 /// Puts the restored light where later stages look for it.
-fn apply(surface: &mut Surface, restored: Vec<(u32, Vec3, bool)>, sky: &[Vec3; SECTORS]) {
-    for (i, radiance, is_light) in restored {
-        let (i, f) = (i as usize, &mut surface.fusion);
+fn apply(surface: &mut Surface, restored: Vec<Restored>, sky: &[Vec3; SECTORS]) {
+    for Restored {
+        texel,
+        radiance,
+        is_light,
+    } in restored
+    {
+        let (i, f) = (texel as usize, &mut surface.fusion);
         let radiance = radiance.max(f.peak[i]);
         f.radiance[i] = radiance;
         f.peak[i] = radiance;
