@@ -146,36 +146,7 @@ pub fn write_damaged(scene: &Scene, damage: Damage, seed: u64, to: &Path) -> Res
         to: to.to_path_buf(),
     };
     copy.link(Path::new("gt"))?;
-    let mesh = json["mesh_path"].as_str().unwrap_or_default().to_owned();
-    if matches!(damage, Damage::Vertices(_) | Damage::Holes(_)) {
-        if json["up_axis"]
-            .as_str()
-            .is_some_and(|a| a.contains(['z', 'Z']))
-        {
-            return Err(Error::input(
-                &file,
-                "damaging the mesh of a z-up scene is not supported; turn the scene y-up",
-            ));
-        }
-        copy.write(
-            "damaged.obj",
-            &obj(&damaged_mesh(&scene.mesh, damage, seed), scene.origin),
-        )?;
-        json["mesh_path"] = "damaged.obj".into();
-    } else {
-        copy.link(Path::new(&mesh))?;
-    }
-    if let Some(rooms) = json["rooms_path"].as_str() {
-        copy.link(Path::new(rooms))?;
-        for side in [
-            Path::new(rooms).with_extension("json"),
-            Path::new(rooms).with_file_name("rooms.json"),
-        ] {
-            if copy.source.join(&side).is_file() {
-                copy.link(&side)?;
-            }
-        }
-    }
+    copy.geometry(&mut json, &file)?;
     let frames = json["frames"]
         .as_array_mut()
         .ok_or_else(|| Error::input(&file, "has no frames"))?;
@@ -192,14 +163,17 @@ pub fn write_damaged(scene: &Scene, damage: Damage, seed: u64, to: &Path) -> Res
             renamed.push((json!(path), now));
         }
     }
-    if let Some(names) = json["train_filenames"].as_array_mut() {
-        for name in names {
-            if let Some((_, now)) = renamed.iter().find(|(before, _)| before == name) {
-                *name = now.clone();
-            }
+    rename_training(&mut json, &renamed);
+    copy.write("transforms.json", &format!("{json:#}\n"))
+}
+
+/// Training images in another format have another name.
+fn rename_training(json: &mut Value, renamed: &[(Value, Value)]) {
+    for name in (json["train_filenames"].as_array_mut().into_iter()).flatten() {
+        if let Some((_, now)) = renamed.iter().find(|(before, _)| before == name) {
+            *name = now.clone();
         }
     }
-    copy.write("transforms.json", &format!("{json:#}\n"))
 }
 
 struct Copy<'a> {
@@ -213,6 +187,40 @@ struct Copy<'a> {
 }
 
 impl Copy<'_> {
+    /// Mesh and rooms: linked, or the mesh damaged.
+    fn geometry(&self, json: &mut Value, file: &Path) -> Result<()> {
+        let mesh = json["mesh_path"].as_str().unwrap_or_default().to_owned();
+        if matches!(self.damage, Damage::Vertices(_) | Damage::Holes(_)) {
+            if json["up_axis"]
+                .as_str()
+                .is_some_and(|a| a.contains(['z', 'Z']))
+            {
+                return Err(Error::input(
+                    file,
+                    "damaging the mesh of a z-up scene is not supported; turn the scene y-up",
+                ));
+            }
+            let damaged = damaged_mesh(&self.scene.mesh, self.damage, self.seed);
+            self.write("damaged.obj", &obj(&damaged, self.scene.origin))?;
+            json["mesh_path"] = "damaged.obj".into();
+        } else {
+            self.link(Path::new(&mesh))?;
+        }
+        let Some(rooms) = json["rooms_path"].as_str() else {
+            return Ok(());
+        };
+        self.link(Path::new(rooms))?;
+        for side in [
+            Path::new(rooms).with_extension("json"),
+            Path::new(rooms).with_file_name("rooms.json"),
+        ] {
+            if self.source.join(&side).is_file() {
+                self.link(&side)?;
+            }
+        }
+        Ok(())
+    }
+
     /// Links a file or folder of the scene; nothing where the scene has none.
     fn link(&self, path: &Path) -> Result<()> {
         let from = self.source.join(path);

@@ -22,6 +22,7 @@ use crate::progress::Progress;
 use crate::radiance::{Environment, LightField};
 use crate::texture::Texels;
 use crate::trace::Hit;
+use crate::verdict::MissingLight;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -47,18 +48,6 @@ const BRIGHTER: f32 = 1.6;
 const LEAST_POWER: f32 = 0.01;
 /// Fits, with what follows from each for clipped surfaces that reflect.
 const ROUNDS: usize = 3;
-
-/// What was restored.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ClippedLight {
-    /// Share of the light on seen surfaces that the photographs do not hold, and its standard
-    /// error.
-    pub share: f32,
-    /// Its standard error.
-    pub standard_error: f32,
-    /// Groups of lights.
-    pub groups: usize,
-}
 
 /// What is known of a clipped light.
 struct Group {
@@ -98,7 +87,7 @@ pub(super) fn restore_clipped_light(
     surface: &mut Surface,
     options: &SolveOptions,
     progress: &Progress,
-) -> Option<ClippedLight> {
+) -> Option<MissingLight> {
     if options.clipped_light == Switch::Off || surface.ceilings.iter().all(Option::is_none) {
         return None;
     }
@@ -112,15 +101,15 @@ pub(super) fn restore_clipped_light(
         }
         let found = restorer.summary(&fit);
         restorer.report(&fit, p);
-        let restored = restorer.restored(&fit);
-        let sky = restorer.sky_excess(&fit);
-        apply(surface, restored, &sky);
         p.note(format!(
             "{} groups of clipped lights; the photographs lack {:.0} ± {:.0} % of the light",
-            found.groups,
+            restorer.groups.len(),
             100.0 * found.share,
             100.0 * found.standard_error
         ));
+        let restored = restorer.restored(&fit);
+        let sky = restorer.sky_excess(&fit);
+        apply(surface, restored, &sky);
         Some(found)
     })
 }
@@ -667,7 +656,7 @@ impl<'s, 'a> Restorer<'s, 'a> {
     }
 
     /// Share of the light that the photographs lack.
-    fn summary(&self, fit: &ClippedFit) -> ClippedLight {
+    fn summary(&self, fit: &ClippedFit) -> MissingLight {
         let seen = self.surface.seen(&self.coarse);
         let mut area_light = (0.0f64, 0.0f64);
         let mut of_group = vec![0.0f64; self.groups.len()];
@@ -686,10 +675,9 @@ impl<'s, 'a> Restorer<'s, 'a> {
             .zip(&fit.log_error)
             .map(|(e, s)| (e / total * f64::from(*s)).powi(2))
             .sum();
-        ClippedLight {
-            share: (1.0 - area_light.0 / total) as f32,
-            standard_error: variance.sqrt() as f32,
-            groups: self.groups.len(),
+        MissingLight {
+            share: 1.0 - area_light.0 / total,
+            standard_error: variance.sqrt(),
         }
     }
 

@@ -23,7 +23,6 @@ mod time_budget;
 pub use crate::switch::Switch;
 pub use albedo::{SolvedAlbedo, solve_albedo};
 pub use checkpoint::{Checkpoints, Kept};
-pub use clipped_light::ClippedLight;
 pub use highlights::{Highlights, gather_highlights};
 pub(crate) use light::texture_of;
 pub use light::{Light, bake_irradiance_texels, reconstruct_light};
