@@ -253,12 +253,12 @@ impl Findings {
             let share = m.share.clamp(0.0, 0.99);
             reasons.push(Reason {
                 what: format!(
-                    "{:.0} ± {:.0} % of the light comes from where no photograph looks",
+                    "{:.0} ± {:.0} % of the light is beyond the photographs' ceiling or where no photograph looks, and estimated from the shading it throws; brackets that hold the lamps and windows would record it",
                     100.0 * m.share,
                     100.0 * m.standard_error
                 ),
-                // an albedo is π L/E: with E too small by the share, it is too large by
-                weight: (self.mean_albedo * share / (1.0 - share)).min(GUESS),
+                // an albedo is π L/E, and E is the photographed light over 1 − share
+                weight: (self.mean_albedo * m.standard_error / (1.0 - share)).min(GUESS),
                 place: String::new(),
             });
         }
@@ -371,8 +371,8 @@ mod tests {
             (
                 Findings {
                     light_missing: Some(MissingLight {
-                        share: 0.2,
-                        standard_error: 0.02,
+                        share: 0.4,
+                        standard_error: 0.1,
                     }),
                     ..fine()
                 },

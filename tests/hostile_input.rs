@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use unbake::Error;
 use unbake::formats;
 use unbake::image::Plane;
-use unbake::scene::{LoadOptions, Scene, check};
+use unbake::scene::{LdrImages, LoadOptions, Scene, check};
 
 /// A change to `transforms.json` and what the refusal must say.
 type Edit = (fn(&mut Value), &'static str);
@@ -296,7 +296,7 @@ fn truncated_images_are_errors_at_every_length() {
 }
 
 #[test]
-fn display_referred_images_need_to_be_asked_for() {
+fn display_referred_images_are_ordinary_input_unless_refused() {
     let scene = SceneDir::box_room();
     formats::write_png_rgb8(
         scene.path("c.png"),
@@ -309,15 +309,24 @@ fn display_referred_images_need_to_be_asked_for() {
         t["frames"][0]["file_path"] = json!("c.png");
         t["train_filenames"] = json!(["c.png"]);
     });
-    refused(&scene, &["c.png", "--ldr"]);
-    let loaded = read_all(
-        &scene,
-        &LoadOptions {
-            ldr: true,
-            ..LoadOptions::default()
-        },
-    )
-    .expect("asked for");
+    let strict = LoadOptions {
+        ldr: LdrImages::Off,
+        ..LoadOptions::default()
+    };
+    let refusal = read_all(&scene, &strict).expect_err("refused").to_string();
+    assert!(
+        refusal.contains("c.png") && refusal.contains("--ldr"),
+        "{refusal}"
+    );
+    let loaded = read_all(&scene, &LoadOptions::default()).expect("ordinary");
+    assert!(
+        loaded
+            .warnings
+            .iter()
+            .any(|w| w.contains("display-referred")),
+        "{:?}",
+        loaded.warnings
+    );
     assert!(
         (loaded.load_radiance(&loaded.views[0]).expect("pixels").data[0] - Vec3::ONE).length()
             < 1e-5

@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 use unbake::prepare::{PrepareOptions, Prepared, prepare};
 use unbake::progress::Progress;
-use unbake::scene::{LoadOptions, Scene};
+use unbake::scene::{LdrImages, LoadOptions, Scene};
 
 fn capture(name: &str) -> Option<PathBuf> {
     let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared");
@@ -27,7 +27,7 @@ fn prepared(path: &std::path::Path, out: &std::path::Path) -> Prepared {
 
 fn load(path: &std::path::Path) -> Scene {
     let options = LoadOptions {
-        ldr: true,
+        ldr: LdrImages::On,
         ..LoadOptions::default()
     };
     Scene::load(path, &options).expect("a scene that loads")

@@ -2,7 +2,7 @@
 //! and ground truth stay as they are; what is not damaged is linked, not copied.
 
 use crate::error::{Error, Result};
-use crate::formats::{write_png16, write_rgb_float};
+use crate::formats::{srgb8_from_linear, write_png_rgb8, write_png16, write_rgb_float};
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
 use crate::math::luminance;
@@ -28,6 +28,8 @@ pub enum Damage {
     Exposure(f64, f64),
     /// Every second view clipped at this quantile of its luminance.
     Clipped(f64),
+    /// Every view as an ordinary camera takes it.
+    Camera(CameraDamage),
     /// Cameras moved (standard deviation per axis, metres) and turned (standard deviation,
     /// degrees).
     Pose(f64, f64),
@@ -35,6 +37,49 @@ pub enum Damage {
     Vertices(f64),
     /// Discs of 10 cm radius missing from the mesh: their share of its area.
     Holes(f64),
+}
+
+/// What an ordinary camera does to the light: clips it at the sensor's ceiling, adjusts exposure
+/// and white balance to each view, and writes 8 bits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraDamage {
+    /// Share of the pixels with a channel at the ceiling: of all views together, or of each one
+    /// where it is exposed for itself.
+    pub saturated: f64,
+    /// 8-bit sRGB in PNG instead of linear float in EXR.
+    pub eight_bit: bool,
+    /// Standard deviation of ln gain per channel, drawn anew for every view, which is then also
+    /// exposed for itself; `None`: one exposure and balance for all views, and it is known.
+    pub balance: Option<f64>,
+}
+
+impl CameraDamage {
+    /// Clipping alone, at a known exposure.
+    const fn clipped(saturated: f64) -> Damage {
+        Damage::Camera(Self {
+            saturated,
+            eight_bit: false,
+            balance: None,
+        })
+    }
+
+    /// Clipping and 8 bits at a known exposure.
+    const fn encoded(saturated: f64) -> Damage {
+        Damage::Camera(Self {
+            saturated,
+            eight_bit: true,
+            balance: None,
+        })
+    }
+
+    /// All of it.
+    const fn automatic(saturated: f64, balance: f64) -> Damage {
+        Damage::Camera(Self {
+            saturated,
+            eight_bit: true,
+            balance: Some(balance),
+        })
+    }
 }
 
 /// The conditions of a full run, mildest first within each kind.
@@ -48,6 +93,13 @@ pub const CONDITIONS: &[(&str, Damage)] = &[
     ("label-edges-3px", Damage::LabelShift(3)),
     ("exposure-0.2ev-wb-3%", Damage::Exposure(0.2, 0.03)),
     ("clipped-2%", Damage::Clipped(0.98)),
+    ("all-clipped-1%", CameraDamage::clipped(0.01)),
+    ("all-clipped-3%", CameraDamage::clipped(0.03)),
+    ("all-clipped-5%", CameraDamage::clipped(0.05)),
+    ("all-clipped-10%", CameraDamage::clipped(0.1)),
+    ("8bit-5%", CameraDamage::encoded(0.05)),
+    ("auto-5%-wb-0%", CameraDamage::automatic(0.05, 0.0)),
+    ("auto-5%-wb-5%", CameraDamage::automatic(0.05, 0.05)),
     ("pose-1cm-0.3deg", Damage::Pose(0.01, 0.3)),
     ("vertices-1cm", Damage::Vertices(0.01)),
     ("holes-2%", Damage::Holes(0.02)),
@@ -85,45 +137,20 @@ pub fn write_damaged(scene: &Scene, damage: Damage, seed: u64, to: &Path) -> Res
     let copy = Copy {
         scene,
         damage,
-        gains: exposure_gains(damage, train.len(), seed),
+        gains: match damage {
+            Damage::Camera(camera) => camera_gains(scene, &train, camera, seed)?,
+            _ => exposure_gains(damage, train.len(), seed),
+        },
         seed,
         source,
         to: to.to_path_buf(),
     };
     copy.link(Path::new("gt"))?;
-    let mesh = json["mesh_path"].as_str().unwrap_or_default().to_owned();
-    if matches!(damage, Damage::Vertices(_) | Damage::Holes(_)) {
-        if json["up_axis"]
-            .as_str()
-            .is_some_and(|a| a.contains(['z', 'Z']))
-        {
-            return Err(Error::input(
-                &file,
-                "damaging the mesh of a z-up scene is not supported; turn the scene y-up",
-            ));
-        }
-        copy.write(
-            "damaged.obj",
-            &obj(&damaged_mesh(&scene.mesh, damage, seed), scene.origin),
-        )?;
-        json["mesh_path"] = "damaged.obj".into();
-    } else {
-        copy.link(Path::new(&mesh))?;
-    }
-    if let Some(rooms) = json["rooms_path"].as_str() {
-        copy.link(Path::new(rooms))?;
-        for side in [
-            Path::new(rooms).with_extension("json"),
-            Path::new(rooms).with_file_name("rooms.json"),
-        ] {
-            if copy.source.join(&side).is_file() {
-                copy.link(&side)?;
-            }
-        }
-    }
+    copy.geometry(&mut json, &file)?;
     let frames = json["frames"]
         .as_array_mut()
         .ok_or_else(|| Error::input(&file, "has no frames"))?;
+    let mut renamed = Vec::new();
     for frame in frames.iter_mut() {
         let path = PathBuf::from(frame["file_path"].as_str().unwrap_or_default());
         let number = train
@@ -131,14 +158,28 @@ pub fn write_damaged(scene: &Scene, damage: Damage, seed: u64, to: &Path) -> Res
             .position(|v| v.image_path.file_name() == path.file_name());
         let damaged = number.map(|k| (k, train[k]));
         copy.frame(frame, &path, damaged)?;
+        let now = frame["file_path"].clone();
+        if now != json!(path) {
+            renamed.push((json!(path), now));
+        }
     }
+    rename_training(&mut json, &renamed);
     copy.write("transforms.json", &format!("{json:#}\n"))
+}
+
+/// Training images in another format have another name.
+fn rename_training(json: &mut Value, renamed: &[(Value, Value)]) {
+    for name in (json["train_filenames"].as_array_mut().into_iter()).flatten() {
+        if let Some((_, now)) = renamed.iter().find(|(before, _)| before == name) {
+            *name = now.clone();
+        }
+    }
 }
 
 struct Copy<'a> {
     scene: &'a Scene,
     damage: Damage,
-    /// Per training view, for drifting exposure.
+    /// Per training view, for drifting exposure; up to the camera's ceiling at 1.
     gains: Vec<Vec3>,
     seed: u64,
     source: PathBuf,
@@ -146,6 +187,40 @@ struct Copy<'a> {
 }
 
 impl Copy<'_> {
+    /// Mesh and rooms: linked, or the mesh damaged.
+    fn geometry(&self, json: &mut Value, file: &Path) -> Result<()> {
+        let mesh = json["mesh_path"].as_str().unwrap_or_default().to_owned();
+        if matches!(self.damage, Damage::Vertices(_) | Damage::Holes(_)) {
+            if json["up_axis"]
+                .as_str()
+                .is_some_and(|a| a.contains(['z', 'Z']))
+            {
+                return Err(Error::input(
+                    file,
+                    "damaging the mesh of a z-up scene is not supported; turn the scene y-up",
+                ));
+            }
+            let damaged = damaged_mesh(&self.scene.mesh, self.damage, self.seed);
+            self.write("damaged.obj", &obj(&damaged, self.scene.origin))?;
+            json["mesh_path"] = "damaged.obj".into();
+        } else {
+            self.link(Path::new(&mesh))?;
+        }
+        let Some(rooms) = json["rooms_path"].as_str() else {
+            return Ok(());
+        };
+        self.link(Path::new(rooms))?;
+        for side in [
+            Path::new(rooms).with_extension("json"),
+            Path::new(rooms).with_file_name("rooms.json"),
+        ] {
+            if self.source.join(&side).is_file() {
+                self.link(&side)?;
+            }
+        }
+        Ok(())
+    }
+
     /// Links a file or folder of the scene; nothing where the scene has none.
     fn link(&self, path: &Path) -> Result<()> {
         let from = self.source.join(path);
@@ -216,6 +291,11 @@ impl Copy<'_> {
             (Some((k, v)), Damage::Clipped(quantile)) if k % 2 == 1 => {
                 Some(clipped(&scene.load_radiance(v)?, quantile))
             }
+            (Some((k, v)), Damage::Camera(camera)) => {
+                let gain = gains[k];
+                let image = scene.load_radiance(v)?.map(|l| (*l * gain).min(Vec3::ONE));
+                return self.photograph(frame, path, &image, camera, gain);
+            }
             _ => None,
         };
         match image {
@@ -236,6 +316,80 @@ impl Copy<'_> {
         }
         Ok(())
     }
+
+    /// Writes what the camera made of a view, and says in the frame what a photographer would know.
+    fn photograph(
+        &self,
+        frame: &mut Value,
+        path: &Path,
+        image: &RgbPlane,
+        camera: CameraDamage,
+        gain: Vec3,
+    ) -> Result<()> {
+        if camera.balance.is_none() {
+            frame["exposure_ev"] = json!(-gain.x.log2());
+        } else if let Some(frame) = frame.as_object_mut() {
+            frame.remove("exposure_ev");
+        }
+        if !camera.eight_bit {
+            return write_rgb_float(self.place(&path.with_extension("exr"))?, image)
+                .map(|()| frame["file_path"] = json!(path.with_extension("exr")));
+        }
+        let pixels: Vec<u8> = image
+            .data
+            .iter()
+            .flat_map(|l| l.to_array().map(srgb8_from_linear))
+            .collect();
+        let path = path.with_extension("png");
+        write_png_rgb8(self.place(&path)?, image.width, image.height, &pixels)?;
+        frame["file_path"] = json!(path);
+        Ok(())
+    }
+}
+
+/// Gains per training view that bring the given share of pixels to the ceiling at 1.
+fn camera_gains(
+    scene: &Scene,
+    train: &[&View],
+    camera: CameraDamage,
+    seed: u64,
+) -> Result<Vec<Vec3>> {
+    let mut rng = KeyedRng::new(seed, 0xca3e7a);
+    let mut gains: Vec<Vec3> = train
+        .iter()
+        .map(|_| {
+            let sd = camera.balance.unwrap_or(0.0);
+            (DVec3::new(normal(&mut rng), normal(&mut rng), normal(&mut rng)) * sd)
+                .exp()
+                .as_vec3()
+        })
+        .collect();
+    let mut peaks: Vec<Vec<f32>> = train
+        .iter()
+        .zip(&gains)
+        .map(|(v, g)| {
+            let image = scene.load_radiance(v)?;
+            Ok(image.data.iter().map(|l| (*l * *g).max_element()).collect())
+        })
+        .collect::<Result<_>>()?;
+    if camera.balance.is_none() {
+        peaks = vec![peaks.concat(); 1];
+    }
+    let ceiling: Vec<f32> = peaks
+        .into_iter()
+        .map(|mut all| {
+            all.sort_by(f32::total_cmp);
+            let at = (all.len() as f64 * (1.0 - camera.saturated)) as usize;
+            all.get(at.min(all.len().saturating_sub(1)))
+                .copied()
+                .unwrap_or(1.0)
+                .max(f32::MIN_POSITIVE)
+        })
+        .collect();
+    for (k, gain) in gains.iter_mut().enumerate() {
+        *gain /= ceiling[k.min(ceiling.len() - 1)];
+    }
+    Ok(gains)
 }
 
 /// Gains per training view, of geometric mean 1: drift says nothing about the mean exposure.
@@ -464,6 +618,7 @@ mod tests {
                 Damage::LabelShift(_) => labels >= 2,
                 Damage::Exposure(..) => images == 3,
                 Damage::Clipped(_) => images == 1,
+                Damage::Camera(_) => images == 3,
                 Damage::Pose(..) => poses == 3,
                 Damage::Vertices(_) => copy.mesh.positions != scene.mesh.positions,
                 Damage::Holes(_) => copy.mesh.triangles.len() <= scene.mesh.triangles.len(),

@@ -18,6 +18,10 @@ pub struct RobustnessBench {
     /// default.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub only: Vec<String>,
+    /// Write the damaged copies of the scene and stop: for looking at them, or solving them by
+    /// hand.
+    #[arg(long)]
+    pub copies_only: bool,
     /// Flags for every `unbake solve`, as one string: for instance "--quality draft".
     #[arg(
         long,
@@ -105,6 +109,10 @@ pub fn bench_robustness(
         for (name, damage) in chosen {
             let folder = work.folder.join(format!("scene-{name}"));
             write_damaged(scene, *damage, seed, &folder)?;
+            if bench.copies_only {
+                p.note(format!("{name}: written to {}", folder.display()));
+                continue;
+            }
             let runner = work.within(&format!("run-{name}")).runner(&folder)?;
             let (outcome, notes) = runner.run("out", &flags, |out| {
                 let record = crate::report::RunRecord::read_manifest(out).unwrap_or_default();

@@ -2,7 +2,8 @@
 //!
 //! Clipping leaves a plateau at a channel's maximum. A lamp of constant radiance does too, but
 //! there all channels reach their maximum together, while around clipped light there are pixels
-//! with only some channels at the ceiling.
+//! with only some channels at the ceiling. In an 8-bit file the ceiling is known: it is that of the
+//! encoding.
 
 use crate::image::{Plane, RgbPlane};
 
@@ -14,9 +15,25 @@ const SHARES: (f32, f32) = (2e-5, 0.5);
 /// Share of the plateau's pixels in which not every channel is at its ceiling.
 const PARTIAL: f32 = 0.02;
 
-/// Pixels with a channel at its ceiling; `None` where the image has no ceiling.
+/// Channels at their ceiling, a bit for each, per pixel; `None` where the image has no ceiling.
+/// `encoded` is the value from which an 8-bit file is at its ceiling (in the units of `image`),
+/// whatever the neighbourhood looks like.
 #[must_use]
-pub fn clipped_pixels(image: &RgbPlane) -> Option<Plane<bool>> {
+pub fn clipped_channels(image: &RgbPlane, encoded: Option<f32>) -> Option<Plane<u8>> {
+    let ceiling = match encoded {
+        Some(level) => [level; 3],
+        None => plateau(image)?,
+    };
+    let bits = image.map(|p| {
+        (0..3)
+            .map(|c| u8::from(p[c] >= ceiling[c]) << c)
+            .sum::<u8>()
+    });
+    bits.data.iter().any(|b| *b != 0).then_some(bits)
+}
+
+/// The value from which each channel is at its ceiling, infinite where it has none.
+fn plateau(image: &RgbPlane) -> Option<[f32; 3]> {
     let n = image.data.len();
     let mut ceiling = [f32::INFINITY; 3];
     for (c, level) in ceiling.iter_mut().enumerate() {
@@ -36,13 +53,17 @@ pub fn clipped_pixels(image: &RgbPlane) -> Option<Plane<bool>> {
     }
     let plausible =
         any > 0 && any as f32 <= SHARES.1 * n as f32 && some as f32 >= PARTIAL * any as f32;
-    plausible.then(|| image.map(|p| at(p) > 0))
+    plausible.then_some(ceiling)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use glam::Vec3;
+
+    fn clipped_pixels(image: &RgbPlane) -> Option<Plane<bool>> {
+        clipped_channels(image, None).map(|bits| bits.map(|b| *b != 0))
+    }
 
     /// Light falling off from the middle of the image, of the given colour.
     fn glow(colour: Vec3) -> RgbPlane {

@@ -6,7 +6,7 @@ mod observe;
 mod orientation;
 mod view_buffer;
 
-pub use clipping::clipped_pixels;
+pub use clipping::clipped_channels;
 pub use observe::{Observation, ObservedView, Observer};
 pub use orientation::{Orientation, Probe};
 pub use view_buffer::{ViewBuffer, pixel_rays};

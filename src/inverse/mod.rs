@@ -4,6 +4,7 @@
 mod albedo;
 mod albedo_palette;
 mod class_prior;
+mod clipped_fit;
 mod confidence;
 mod materials;
 mod mixed_pixels;
@@ -16,6 +17,7 @@ mod view_residual;
 
 pub use albedo::{AlbedoEstimate, Shading, estimate_albedo};
 pub use albedo_palette::{Paint, Painting};
+pub use clipped_fit::{ClippedFit, LightGroup, ShadingRow, fit_clipped};
 pub use confidence::albedo_error;
 pub use materials::{DIVISION_GAIN, Materials, Places};
 pub use mixed_pixels::{UnmixReport, Unmixing};

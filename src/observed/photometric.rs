@@ -13,7 +13,7 @@ use crate::trace::Hit;
 
 /// Where a view's sky is clipped below what another view shows of the sky, its pixels tell nothing;
 /// if all are clipped alike, the ceiling stays as the best lower bound there is.
-pub(crate) fn leave_out_clipped_sky(views: &mut [ObservedView], clipped: &[Option<Plane<bool>>]) {
+pub(crate) fn leave_out_clipped_sky(views: &mut [ObservedView], clipped: &[Option<Plane<u8>>]) {
     let sky = |v: &ObservedView| -> f32 {
         let seen = v
             .buffer
@@ -33,7 +33,7 @@ pub(crate) fn leave_out_clipped_sky(views: &mut [ObservedView], clipped: &[Optio
         let misses = &view.buffer.triangle.data;
         let valid = view.valid.get_or_insert_with(|| clipped.map(|_| true));
         for (i, valid) in valid.data.iter_mut().enumerate() {
-            *valid &= !(clipped.data[i] && misses[i] == Hit::MISS);
+            *valid &= !(clipped.data[i] != 0 && misses[i] == Hit::MISS);
         }
     }
 }

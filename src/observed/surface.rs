@@ -29,6 +29,9 @@ pub struct Surface<'a> {
     pub tracer: EmbreeTracer,
     /// Training views.
     pub views: Vec<ObservedView>,
+    /// Channels at the sensor's ceiling, a bit for each, per pixel of every view; `None` where no
+    /// pixel is.
+    pub ceilings: Vec<Option<Plane<u8>>>,
     /// Side of each triangle the cameras see.
     pub orientation: Orientation,
     /// Sizes of the textures.
@@ -187,6 +190,7 @@ pub(crate) mod tests {
             scene,
             tracer: EmbreeTracer::new(&scene.mesh).expect("Embree"),
             views: Vec::new(),
+            ceilings: Vec::new(),
             orientation: Orientation::of_winding(triangles),
             sizes: Sizes {
                 albedo: side,

@@ -283,7 +283,7 @@ impl Surface<'_> {
 }
 
 /// Triangles whose class is known to emit.
-fn known_lights(surface: &Surface, options: &SolveOptions) -> Vec<bool> {
+pub(super) fn known_lights(surface: &Surface, options: &SolveOptions) -> Vec<bool> {
     if options.emission == Switch::Off {
         return vec![false; surface.scene.mesh.triangles.len()];
     }
@@ -391,7 +391,7 @@ fn filled_radiance(surface: &Surface, values: &[Vec3], observed: &[bool]) -> Rgb
 /// A first look at the radiance: where no clean pixel shows it, that of texels nearby in the atlas.
 /// Lamps are no guide to those around them: unseen books beside a lamp's chart would shine like the
 /// lamp, and light their shelf.
-fn first_radiance(surface: &Surface, values: &[Vec3], known: &[bool]) -> RgbPlane {
+pub(super) fn first_radiance(surface: &Surface, values: &[Vec3], known: &[bool]) -> RgbPlane {
     let lamp = |i: usize| lit(surface, known, i);
     let guides: Vec<bool> = (0..values.len())
         .map(|i| surface.fusion.clean[i] && !lamp(i))
@@ -414,7 +414,7 @@ pub(crate) fn texture_of(texels: &Texels, values: &[Vec3]) -> RgbPlane {
     fill_uncovered(&texels.scatter(values, Vec3::ZERO), &coverage(texels))
 }
 
-fn light_field(
+pub(super) fn light_field(
     surface: &Surface,
     radiance: &RgbPlane,
     emissive: &[bool],
@@ -520,7 +520,7 @@ fn lit(surface: &Surface, emissive: &[bool], i: usize) -> bool {
 /// Observed radiance; on emitters without a clean pixel the brightest view, and where no view sees
 /// them the median of their lamp, or that of their class if the whole lamp is unseen: a lamp of few
 /// pixels must not count as dark, for all albedos hang on its light.
-fn trusted_radiance(surface: &Surface, emissive: &[bool]) -> Vec<Vec3> {
+pub(super) fn trusted_radiance(surface: &Surface, emissive: &[bool]) -> Vec<Vec3> {
     let f = &surface.fusion;
     let look = |i: usize| {
         if lit(surface, emissive, i) && !f.clean[i] {

@@ -3,6 +3,7 @@
 mod albedo;
 mod assemble;
 mod checkpoint;
+mod clipped_light;
 mod decisions;
 mod findings;
 mod highlights;

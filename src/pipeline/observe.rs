@@ -4,15 +4,16 @@
 use super::SolveOptions;
 use super::decisions::choose_sizes;
 use crate::Result;
-use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer, clipped_pixels};
+use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer, clipped_channels};
 use crate::geometry::Camera;
 use crate::image::{CameraMask, Plane, RgbPlane};
+use crate::math::linear_from_srgb;
 use crate::observed::{
     Contradictions, Surface, balance_views, complete_labels, find_camera_rigs, fuse_radiance,
     leave_out_clipped_sky,
 };
 use crate::progress::Progress;
-use crate::scene::{Scene, Split};
+use crate::scene::{Scene, Split, View};
 use crate::texture::Texels;
 use crate::trace::{EmbreeTracer, Hit};
 use glam::Vec3;
@@ -39,7 +40,8 @@ pub fn observe<'a>(
             .iter()
             .map(|view| {
                 let full = scene.load_radiance(view)?;
-                let ceiling = clipped_pixels(&full).map(|c| any_of(&c, options.photo_reduction));
+                let ceiling = clipped_channels(&full, encoded_ceiling(view))
+                    .map(|c| blocks(&c, options.photo_reduction.max(1), |a, b| a | b));
                 let radiance = reduced(full, options.photo_reduction);
                 let labels = scene.load_labels(view)?;
                 let valid = scene
@@ -56,9 +58,9 @@ pub fn observe<'a>(
                         .data
                         .iter_mut()
                         .zip(&at.data)
-                        .for_each(|(clean, clipped)| *clean &= !clipped);
+                        .for_each(|(clean, clipped)| *clean &= *clipped == 0);
                     let share =
-                        at.data.iter().filter(|c| **c).count() as f64 / at.data.len() as f64;
+                        at.data.iter().filter(|c| **c != 0).count() as f64 / at.data.len() as f64;
                     p.note(format!(
                         "{}: {:.2} % of the pixels are clipped",
                         view.stem,
@@ -88,7 +90,6 @@ pub fn observe<'a>(
     );
     report_orientation(&orientation, scene.mesh.triangles.len(), progress);
     leave_out_clipped_sky(&mut views, &clipped);
-    drop(clipped);
     let camera_masks = mask_rigs(scene, &mut views, &orientation, options, progress);
     let balanced = balance_views(scene, &mut views, &orientation, options.exposure, progress);
     let sizes = choose_sizes(
@@ -130,6 +131,7 @@ pub fn observe<'a>(
         scene,
         tracer,
         views,
+        ceilings: clipped,
         orientation,
         sizes,
         texels,
@@ -236,9 +238,12 @@ fn all_valid(mask: &Plane<bool>, factor: usize) -> Plane<bool> {
     blocks(mask, factor, |a, b| a && b)
 }
 
-/// Marks at the size of [`reduced`]: a block is marked if any of it is.
-fn any_of(marks: &Plane<bool>, factor: usize) -> Plane<bool> {
-    blocks(marks, factor, |a, b| a || b)
+/// From which radiance on a display-referred file is at its ceiling; `None` for linear files.
+fn encoded_ceiling(view: &View) -> Option<f32> {
+    /// Encoders of JPEG ring, cameras roll off: the last steps below 255 are the ceiling too.
+    const TOP: f32 = 250.0 / 255.0;
+    let info = crate::formats::image_info(&view.image_path).ok()?;
+    (!info.format.is_linear()).then(|| linear_from_srgb(TOP) * view.exposure_ev.exp2())
 }
 
 /// The factor, but no more than leaves one block.

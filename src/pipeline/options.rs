@@ -78,6 +78,9 @@ pub struct SolveOptions {
     pub edges: Switch,
     /// Whether light that no camera looks along is added once materials are known.
     pub missing_light: Switch,
+    /// Radiance of lights beyond the sensor's ceiling from the shading they throw; nothing happens
+    /// where no pixel is clipped.
+    pub clipped_light: Switch,
     /// Whether classes take the colours they are painted in: `Auto` = where they have no texture.
     pub painted: Switch,
     /// Whether exposure and white balance of the views are solved for and taken out.

@@ -38,6 +38,7 @@ impl SolveOptions {
             divide: Switch::Auto,
             edges: Switch::Auto,
             missing_light: Switch::Auto,
+            clipped_light: Switch::Auto,
             painted: Switch::Auto,
             exposure: Switch::Auto,
             emission: Switch::Auto,
@@ -169,6 +170,10 @@ pub struct SolveRequest {
     /// known: off = as observed.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub missing_light: Switch,
+    /// Restore the light of lamps and windows that the photographs clip, from the shading it
+    /// throws: auto = where pixels are clipped, off = take the ceiling for the light
+    #[arg(long, value_name = "WHEN", default_value_t, value_enum)]
+    pub clipped_light: Switch,
     /// Give classes the few colours they are painted in: auto = where flat surface shows no
     /// texture, on = whatever it shows, off = every texel has what its own pixels show.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
@@ -237,6 +242,7 @@ impl SolveRequest {
             divide: self.divide_classes,
             edges: self.edges,
             missing_light: self.missing_light,
+            clipped_light: self.clipped_light,
             painted: self.painted,
             exposure: self.exposure,
             emission: self.emission,

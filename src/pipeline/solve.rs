@@ -2,6 +2,7 @@
 
 use super::albedo::albedo_errors;
 use super::assemble::assemble;
+use super::clipped_light::restore_clipped_light;
 use super::findings::{findings, spread_of_looks};
 use super::missing_light::add_missing_light;
 use super::painted::{Estimate, settle_paint};
@@ -35,7 +36,8 @@ pub struct Solved {
 /// Unusable options, unreadable or unusable images and labels.
 pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -> Result<Solved> {
     options.validate()?;
-    let surface = observe(scene, options, progress)?;
+    let mut surface = observe(scene, options, progress)?;
+    let clipped_light = restore_clipped_light(&mut surface, options, progress);
     let mut light = reconstruct_light(&surface, options, progress);
     let highlights = gather_highlights(&surface, &light, options, progress);
     let roughness = fit_roughness(&surface, &light, &highlights.evidence, options, progress);
@@ -74,7 +76,8 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     progress.stage("paint", 0, |p| {
         settle_paint(&surface, &mut light, estimate, options, p);
     });
-    let findings = findings(&surface, &light, &albedo, &errors, &spread);
+    let mut findings = findings(&surface, &light, &albedo, &errors, &spread);
+    findings.light_missing = clipped_light;
     // what no texel knows of by itself
     let model_error = findings.model_error() as f32;
     errors.iter_mut().for_each(|e| *e = e.hypot(model_error));

@@ -3,7 +3,7 @@
 use super::*;
 use crate::formats;
 use crate::image::Plane;
-use crate::scene::{LoadOptions, Scene};
+use crate::scene::{LdrImages, LoadOptions, Scene};
 use glam::Vec3;
 use std::fs;
 
@@ -21,7 +21,7 @@ fn run(source: Option<&str>, dir: &Path, out: &Path, options: &PrepareOptions) -
 
 fn load(out: &Path) -> Scene {
     let options = LoadOptions {
-        ldr: true,
+        ldr: LdrImages::On,
         ..LoadOptions::default()
     };
     Scene::load(out, &options).expect("a scene that loads")

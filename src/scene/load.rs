@@ -3,7 +3,7 @@
 use super::input_error::{as_input, limited};
 use super::mesh_prep::prepare_mesh;
 use super::transforms::{Frame, Model, Transforms, parse_usable};
-use super::{Class, LoadOptions, Mirror, Scene, Split, View, rooms};
+use super::{Class, LdrImages, LoadOptions, Mirror, Scene, Split, View, rooms};
 use crate::formats::{self, ImageInfo};
 use crate::geometry::Camera;
 use crate::{Error, Result};
@@ -94,7 +94,25 @@ impl Scene {
             camera_masks: Vec::new(),
             options: options.clone(),
         };
-        Ok(scene.with_mesh_warnings(&mesh_path))
+        Ok(scene.with_ldr_note().with_mesh_warnings(&mesh_path))
+    }
+
+    /// Says what display-referred photographs are taken for.
+    fn with_ldr_note(mut self) -> Self {
+        let referred = |v: &&View| {
+            formats::image_info(&v.image_path).is_ok_and(|info| !info.format.is_linear())
+        };
+        let names: Vec<&str> = (self.views.iter().filter(referred))
+            .map(|v| v.stem.as_str())
+            .collect();
+        if let Some(first) = names.first() {
+            self.warnings.push(format!(
+                "{} of {} photographs are display-referred (PNG or JPEG; first: {first}): taken as sRGB, their brightest values as lower bounds of the light",
+                names.len(),
+                self.views.len()
+            ));
+        }
+        self
     }
 
     /// Adds what a user should know about geometry and cameras although the scene is usable.
@@ -278,10 +296,10 @@ fn view(
             None
         }
     };
-    if info.as_ref().is_some_and(|i| !i.format.is_linear()) && !options.ldr {
+    if info.as_ref().is_some_and(|i| !i.format.is_linear()) && options.ldr == LdrImages::Off {
         issues.push(Error::input(
             &image_path,
-            "display-referred image: its values are not proportional to light. Give EXR or Radiance HDR, or pass --ldr to treat it as sRGB",
+            "display-referred image: its values are not proportional to light. Give EXR or Radiance HDR, or leave out --ldr off to take it as sRGB",
         ));
     }
     if let Some(i) = &info {

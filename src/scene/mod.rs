@@ -24,14 +24,38 @@ use crate::image::{CameraMask, Plane};
 use glam::DVec3;
 use std::path::PathBuf;
 
+/// Whether display-referred photographs are taken.
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    serde::Serialize,
+    serde::Deserialize,
+    clap::ValueEnum,
+)]
+#[serde(rename_all = "kebab-case")]
+pub enum LdrImages {
+    /// As sRGB, whose brightest values are lower bounds; a note says so.
+    #[default]
+    Auto,
+    /// The same.
+    On,
+    /// Refused.
+    Off,
+}
+
 /// How a scene is read.
 #[derive(clap::Args, Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 #[command(next_help_heading = "Scene")]
 pub struct LoadOptions {
-    /// Accept display-referred images (PNG, JPEG) as sRGB.
-    #[arg(long)]
-    pub ldr: bool,
+    /// Display-referred photographs (PNG, JPEG): auto = taken as sRGB whose brightest values are
+    /// lower bounds of the light, off = refused.
+    #[arg(long, value_name = "WHEN", num_args = 0..=1, default_missing_value = "on", default_value = "auto")]
+    pub ldr: LdrImages,
     /// Ignore NaN and infinite pixels instead of refusing the image.
     #[arg(long)]
     pub clamp_nan: bool,
@@ -52,7 +76,7 @@ pub struct LoadOptions {
 impl Default for LoadOptions {
     fn default() -> Self {
         Self {
-            ldr: false,
+            ldr: LdrImages::Auto,
             clamp_nan: false,
             unwrap: false,
             unwrap_resolution: 2048,

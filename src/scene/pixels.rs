@@ -1,7 +1,7 @@
 //! Pixels of a view on demand: radiance, class ids and masks, checked as they are read.
 
 use super::input_error::as_input;
-use super::{Mirror, Scene, View};
+use super::{LdrImages, Mirror, Scene, View};
 use crate::formats;
 use crate::geometry::Projection;
 use crate::image::{Plane, RgbPlane};
@@ -168,7 +168,7 @@ impl Scene {
         let path = &view.image_path;
         let linear = formats::image_info(path).map(|i| i.format.is_linear());
         let image = match linear {
-            Ok(false) if self.options.ldr => formats::read_ldr(path),
+            Ok(false) if self.options.ldr != LdrImages::Off => formats::read_ldr(path),
             _ => formats::read_rgb(path),
         };
         let image = image.map_err(|e| as_input(e, path, "file_path"))?;
