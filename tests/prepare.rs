@@ -6,10 +6,14 @@ use unbake::prepare::{PrepareOptions, Prepared, prepare};
 use unbake::progress::Progress;
 use unbake::scene::{LdrImages, LoadOptions, Scene};
 
-fn capture(name: &str) -> Option<PathBuf> {
+fn shared() -> Option<PathBuf> {
     let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared");
     let root = std::env::var_os("UNBAKE_SHARED").map_or(beside, PathBuf::from);
-    let path = root.join("captures").join(name);
+    root.exists().then_some(root)
+}
+
+fn capture(name: &str) -> Option<PathBuf> {
+    let path = shared()?.join("captures").join(name);
     if path.exists() {
         return Some(path);
     }
@@ -69,4 +73,92 @@ fn the_zind_tour_equals_the_scene_made_by_hand() {
             .sum::<f32>()
     };
     assert!((area(&ours) / area(&theirs) - 1.0).abs() < 1e-4);
+}
+
+#[test]
+fn the_texir_export_equals_the_scene_it_was_made_from() {
+    let Some(root) = shared() else {
+        return;
+    };
+    let (export, original) = (
+        root.join("scenes/aws-house-texir"),
+        root.join("scenes/aws-house"),
+    );
+    if !export.exists() || !original.exists() {
+        eprintln!("skipped: {} is not here", export.display());
+        return;
+    }
+    let dir = tempfile::tempdir().expect("folder");
+    let out = dir.path().join("scene");
+    let made = prepared(&export, &out);
+    assert_eq!((made.kind, made.frames, made.rooms), ("texir", 13, 5));
+    let hdr = LoadOptions::default();
+    let ours = Scene::load(&out, &hdr).expect("loads");
+    let theirs = Scene::load(&original, &hdr).expect("loads");
+    for a in &ours.views {
+        let b = theirs
+            .views
+            .iter()
+            .find(|v| v.stem == a.stem)
+            .expect("view");
+        let place = |s: &Scene, p: glam::Vec3| s.origin + p.as_dvec3();
+        let apart = place(&ours, a.camera.position) - place(&theirs, b.camera.position);
+        assert!(apart.length() < 1e-4, "{}: {apart}", a.stem);
+        let turned = a.camera.world_from_camera - b.camera.world_from_camera;
+        let off = turned
+            .to_cols_array()
+            .iter()
+            .fold(0.0f32, |m, x| m.max(x.abs()));
+        assert!(off < 1e-5, "{}: {off}", a.stem);
+        assert_eq!(a.exposure_ev, 5.0);
+    }
+    let (p, q) = (
+        unbake::formats::read_rgb(&ours.views[0].image_path).expect("image"),
+        unbake::formats::read_rgb(&theirs.views[0].image_path).expect("image"),
+    );
+    let mean = |i: &unbake::image::RgbPlane| i.data.iter().map(|v| f64::from(v.y)).sum::<f64>();
+    let ratio = 32.0 * mean(&p) / mean(&q);
+    assert!((ratio - 1.0).abs() < 0.02, "radiance {ratio}");
+}
+
+#[test]
+fn roomplan_is_a_labelled_mesh() {
+    let Some(room) = capture("roomplan") else {
+        return;
+    };
+    let dir = tempfile::tempdir().expect("folder");
+    let made = prepared(&room, &dir.path().join("scene"));
+    assert_eq!((made.kind, made.frames), ("roomplan", 0));
+    // 26 walls, 3 doors, a window and furniture as boxes of 12, and the floor
+    assert!(made.triangles > 40 * 12, "{}", made.triangles);
+    let text = made.notes.join("\n");
+    for class in ["wall", "door", "window", "floor", "sofa", "television"] {
+        assert!(text.contains(class), "{class} in {text}");
+    }
+}
+
+#[test]
+fn real_brackets_agree_among_themselves() {
+    for (name, stops) in [("brackets-room", 13.0), ("brackets-handheld", 4.0)] {
+        let Some(folder) = capture(name) else {
+            return;
+        };
+        let dir = tempfile::tempdir().expect("folder");
+        let out = dir.path().join("scene");
+        let made = prepared(&folder, &out);
+        assert_eq!((made.kind, made.frames), ("brackets", 1));
+        let text = made.notes.join("\n");
+        assert!(text.contains(&format!("over {stops:.1} stops")), "{text}");
+        let image = std::fs::read_dir(out.join("images"))
+            .expect("images")
+            .flatten()
+            .next()
+            .expect("one image");
+        let hdr = unbake::formats::read_rgb(image.path()).expect("image");
+        assert!(
+            hdr.data
+                .iter()
+                .all(|v| v.is_finite() && v.min_element() >= 0.0)
+        );
+    }
 }

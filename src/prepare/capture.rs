@@ -1,5 +1,7 @@
 //! What an importer hands over: posed photographs, a surface, rooms, in one world of metres.
 
+use super::lens::Lens;
+use super::plan::RoomIds;
 use crate::formats::RawMesh;
 use crate::scene::Class;
 use glam::{DMat4, DVec2};
@@ -12,6 +14,8 @@ pub enum Optics {
     Panorama,
     /// Perspective with OpenCV's k1 k2 p1 p2: what the solver models itself.
     Perspective(Perspective),
+    /// Any other lens: the writer resamples the photograph.
+    Distorted(Lens),
 }
 
 /// Intrinsics in pixels of the photograph's own size, pixel centres at +0.5.
@@ -25,6 +29,26 @@ pub struct Perspective {
     pub radial: [f64; 2],
     /// p1, p2.
     pub tangential: [f64; 2],
+}
+
+/// Pixels to ignore.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Mask {
+    /// A grey image, 0 = ignore.
+    File(PathBuf),
+    /// The fourth channel of a PNG, 0 = ignore.
+    Alpha(PathBuf),
+}
+
+/// Depth that came with a photograph.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Depth {
+    /// EXR of metres, or a grey PNG of steps.
+    pub path: PathBuf,
+    /// Metres per step of a PNG.
+    pub metres_per_step: f64,
+    /// Measured along the optical axis instead of along the ray.
+    pub along_axis: bool,
 }
 
 /// A posed photograph.
@@ -42,10 +66,10 @@ pub struct Shot {
     pub size: Option<[usize; 2]>,
     /// Class ids per pixel that came with the capture.
     pub labels: Option<PathBuf>,
-    /// 0 = ignore the pixel.
-    pub mask: Option<PathBuf>,
-    /// Depth that came with the capture: EXR, metres along the ray.
-    pub depth: Option<PathBuf>,
+    /// Pixels to ignore.
+    pub mask: Option<Mask>,
+    /// Depth that came with the capture.
+    pub depth: Option<Depth>,
     /// Working radiance = image · 2^ev.
     pub exposure_ev: Option<f64>,
     /// Stated split of the capture: held out or not.
@@ -109,6 +133,18 @@ pub struct RoomOutline {
     pub corners: Vec<DVec2>,
 }
 
+/// Which axis of the capture's world points up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Up {
+    /// y, as in a scene folder.
+    #[default]
+    Y,
+    /// z.
+    Z,
+    /// The source leaves it open: found from the photographs (`orient`).
+    Unknown,
+}
+
 /// All an importer found.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Capture {
@@ -120,6 +156,10 @@ pub struct Capture {
     pub classes: Vec<Class>,
     /// Rooms, if the capture names them.
     pub rooms: Vec<RoomOutline>,
-    /// The world's z points up (else y).
-    pub z_up: bool,
+    /// Rooms the capture has as a grid of ids (world x, z; y up).
+    pub room_grid: Option<RoomIds>,
+    /// Which axis points up.
+    pub up: Up,
+    /// The source's unit is no metre but arbitrary.
+    pub unit_unknown: bool,
 }

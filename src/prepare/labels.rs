@@ -1,7 +1,7 @@
 //! Class ids per pixel, rendered from a surface whose triangles have classes: one ray per pixel
 //! centre. For captures that label geometry instead of photographs.
 
-use super::capture::{LabelledMesh, Optics, Shot};
+use super::capture::{LabelledMesh, Optics};
 use crate::error::Result;
 use crate::geometry::{Camera, Lens, Mesh, Projection};
 use crate::image::Plane;
@@ -38,13 +38,14 @@ impl LabelSource {
         })
     }
 
-    /// What a shot of this size sees; 0 where it sees nothing.
+    /// What a photograph of this pose, projection and size sees; 0 where it sees nothing.
     #[must_use]
-    pub fn render(&self, shot: &Shot, size: [usize; 2]) -> Plane<u16> {
-        let camera = camera(&shot.world_from_camera, &shot.optics, size, self.origin);
+    pub fn render(&self, pose: &DMat4, optics: &Optics, size: [usize; 2]) -> Plane<u16> {
+        let camera = camera(pose, optics, size, self.origin);
         let width = size[0].min(MOST_COLUMNS);
         let height = ((size[1] * width) as f64 / size[0] as f64).round().max(1.0) as usize;
         let camera = camera.resized(width, height);
+        // a lens that is resampled first never comes here
         let rays: Vec<Ray> = (0..width * height)
             .map(|i| {
                 let pixel = Vec2::new((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
@@ -68,7 +69,7 @@ impl LabelSource {
 /// The solver's camera for a shot, positions relative to `origin`.
 fn camera(pose: &DMat4, optics: &Optics, [width, height]: [usize; 2], origin: DVec3) -> Camera {
     let projection = match optics {
-        Optics::Panorama => Projection::Equirectangular,
+        Optics::Panorama | Optics::Distorted(_) => Projection::Equirectangular,
         Optics::Perspective(p) => Projection::Pinhole(Lens {
             fl_x: p.focal[0] as f32,
             fl_y: p.focal[1] as f32,

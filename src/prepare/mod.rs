@@ -7,15 +7,28 @@
 //! Called by `cli`.
 
 mod account;
+mod brackets;
 mod capture;
+mod colmap;
+mod frame;
 mod labels;
+mod lens;
+mod nerfstudio;
+mod orient;
 mod plan;
 mod ply_out;
+mod roomplan;
+mod scan;
+mod texir;
+mod usda;
 mod write;
 mod zind;
 
 pub use account::Account;
-pub use capture::{Capture, LabelledMesh, Optics, RoomOutline, Shot, Surface};
+pub use capture::{
+    Capture, Depth, LabelledMesh, Mask, Optics, Perspective, RoomOutline, Shot, Surface, Up,
+};
+pub use lens::{Distortion, Lens};
 pub use write::write_scene;
 
 use crate::error::{Error, Result};
@@ -46,6 +59,9 @@ pub struct PrepareOptions {
     /// as they are.
     #[arg(long, value_name = "N", default_value_t = Self::default().hold_out)]
     pub hold_out: usize,
+    /// Exposure times of brackets without EXIF, in the order of the file names: "1/4,1/15,1/60".
+    #[arg(long, value_name = "TIMES")]
+    pub exposure_times: Option<String>,
     /// Links the photographs instead of copying them: the scene then needs the capture to stay
     /// where it is.
     #[arg(long)]
@@ -60,6 +76,7 @@ impl Default for PrepareOptions {
             up: None,
             floor: None,
             hold_out: 8,
+            exposure_times: None,
             link: false,
         }
     }
@@ -87,7 +104,14 @@ pub trait Importer: Sync {
 /// All importers in the order in which they are asked; the more particular ones come first.
 #[must_use]
 pub fn importers() -> &'static [&'static dyn Importer] {
-    &[&zind::Zind]
+    &[
+        &zind::Zind,
+        &texir::TexIr,
+        &colmap::Colmap,
+        &nerfstudio::Nerfstudio,
+        &roomplan::RoomPlan,
+        &scan::Scan,
+    ]
 }
 
 /// What [`prepare`] made.
@@ -118,14 +142,20 @@ pub fn prepare(
     progress: &Progress,
 ) -> Result<Prepared> {
     options.check()?;
+    if source == Some("brackets")
+        || (source.is_none() && looked_at(path).is_none() && brackets::recognises(path))
+    {
+        return brackets::run(path, out, options, progress);
+    }
     let importer = match source {
         Some(name) => named(name)?,
         None => found(path)?,
     };
     let mut account = Account::default();
-    let capture = progress.stage("reading the capture", 1, |_| {
+    let mut capture = progress.stage("reading the capture", 1, |_| {
         importer.read(path, options, &mut account)
     })?;
+    orient::orient(&mut capture, options, &mut account);
     let written = write_scene(capture, out, options, &mut account, progress)?;
     Ok(Prepared {
         kind: importer.kind(),
@@ -157,7 +187,8 @@ fn named(name: &str) -> Result<&'static dyn Importer> {
         .find(|i| i.kind() == name)
         .copied()
         .ok_or_else(|| {
-            let known: Vec<&str> = importers().iter().map(|i| i.kind()).collect();
+            let mut known: Vec<&str> = importers().iter().map(|i| i.kind()).collect();
+            known.push("brackets");
             Error::Usage(format!(
                 "\"{name}\" is no source known here; expected one of {}, or leave it out",
                 known.join(", ")
@@ -165,15 +196,15 @@ fn named(name: &str) -> Result<&'static dyn Importer> {
         })
 }
 
+fn looked_at(path: &Path) -> Option<&'static dyn Importer> {
+    importers().iter().find(|i| i.recognises(path)).copied()
+}
+
 fn found(path: &Path) -> Result<&'static dyn Importer> {
     if !path.exists() {
         return Err(Error::input(path, "no such file or folder"));
     }
-    importers()
-        .iter()
-        .find(|i| i.recognises(path))
-        .copied()
-        .ok_or_else(|| {
+    looked_at(path).ok_or_else(|| {
             let known: Vec<String> = importers()
                 .iter()
                 .map(|i| format!("  {:<12} {}", i.kind(), i.looks_like()))
@@ -181,7 +212,7 @@ fn found(path: &Path) -> Result<&'static dyn Importer> {
             Error::input(
                 path,
                 format!(
-                    "no capture known here; expected one of\n{}\nName the source before the folder if it looks different",
+                    "no capture known here; expected one of\n{}\n  brackets     photographs of several exposures (EXIF)\nName the source before the folder if it looks different",
                     known.join("\n")
                 ),
             )

@@ -134,3 +134,133 @@ fn folders_of_others_are_not_replaced() {
     let empty: Plane<u16> = formats::read_labels(own.join("rooms.png")).expect("grid");
     assert!(empty.data.contains(&2));
 }
+
+/// Three photographs of a COLMAP model: a panorama, a pinhole camera, a wide fisheye.
+fn colmap_model(dir: &Path) {
+    fs::create_dir_all(dir.join("sparse/0")).expect("folder");
+    fs::create_dir_all(dir.join("images")).expect("folder");
+    panorama(&dir.join("images/a.png"), 64);
+    panorama(&dir.join("images/b.png"), 64);
+    panorama(&dir.join("images/c.png"), 64);
+    fs::write(
+        dir.join("sparse/0/cameras.txt"),
+        "1 EQUIRECTANGULAR 64 32 64 32\n2 RADIAL 64 32 50 32 16 0.1 0.02\n3 OPENCV_FISHEYE 64 32 16 16 32 16 0.01 0 0 0\n",
+    )
+    .expect("cameras");
+    fs::write(
+        dir.join("sparse/0/images.txt"),
+        "1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 -1 0 0 2 b.png\n\n3 1 0 0 0 0 0 -2 3 c.png\n\n",
+    )
+    .expect("images");
+    fs::write(
+        dir.join("room.obj"),
+        "v -5 -5 -5\nv 5 -5 -5\nv 5 5 -5\nv -5 5 9\nf 1 2 3\nf 1 3 4\nf 2 3 4\nf 1 2 4\n",
+    )
+    .expect("mesh");
+}
+
+#[test]
+fn a_colmap_model_of_three_lenses_becomes_an_upright_scene() {
+    let dir = tempfile::tempdir().expect("folder");
+    colmap_model(dir.path());
+    let out = dir.path().join("scene");
+    let options = PrepareOptions {
+        mesh: Some(dir.path().join("room.obj")),
+        scale: Some(2.0),
+        ..PrepareOptions::default()
+    };
+    let made = run(None, dir.path(), &out, &options).expect("prepared");
+    assert_eq!((made.kind, made.frames, made.triangles), ("colmap", 3, 4));
+    let scene = load(&out);
+    let place = |i: usize| scene.origin + scene.views[i].camera.position.as_dvec3();
+    // COLMAP's y-down world stands on its feet: half a turn about x
+    assert!((place(1) - glam::DVec3::new(2.0, 0.0, 0.0)).length() < 1e-5);
+    assert!((place(2) - glam::DVec3::new(0.0, 0.0, -4.0)).length() < 1e-5);
+    let up = scene.views[0].camera.world_from_camera.y_axis;
+    assert!((up - Vec3::Y).length() < 1e-6);
+    let size = |i: usize| [scene.views[i].camera.width, scene.views[i].camera.height];
+    assert_eq!((size(0), size(1)), ([64, 32], [64, 32]));
+    assert!(
+        scene.views[2].mask_path.is_some(),
+        "the fisheye became a masked panorama"
+    );
+    assert_eq!(size(2)[0], 2 * size(2)[1]);
+    // the mesh went along: its lowest point was at y = 5 of a world that hung upside down
+    let low = scene.origin.y + f64::from(scene.mesh.bounds().0.y);
+    assert!((low + 10.0).abs() < 1e-5, "{low}");
+}
+
+#[test]
+fn colmap_says_what_is_missing() {
+    let dir = tempfile::tempdir().expect("folder");
+    colmap_model(dir.path());
+    fs::remove_file(dir.path().join("images/b.png")).expect("removed");
+    let out = dir.path().join("scene");
+    let error = run(None, dir.path(), &out, &PrepareOptions::default()).expect_err("missing");
+    assert!(error.to_string().contains("b.png"), "{error}");
+    panorama(&dir.path().join("images/b.png"), 32);
+    let error = run(None, dir.path(), &out, &PrepareOptions::default()).expect_err("size");
+    assert!(error.to_string().contains("64x32"), "{error}");
+    fs::write(dir.path().join("sparse/0/cameras.txt"), "1 MEI 64 32 5\n").expect("file");
+    let error = run(None, dir.path(), &out, &PrepareOptions::default()).expect_err("model");
+    assert!(
+        error.to_string().contains("MEI") || error.to_string().contains("camera 2"),
+        "{error}"
+    );
+}
+
+#[test]
+fn nerfstudio_poses_return_to_where_the_mesh_is() {
+    let dir = tempfile::tempdir().expect("folder");
+    let at = |n: &str| dir.path().join(n);
+    panorama(&at("a.png"), 64);
+    let depth = Plane::filled(64, 32, 2000u16);
+    formats::write_png16(at("depth.png"), &depth).expect("depth");
+    formats::write_png8(at("mask.png"), &Plane::filled(64, 32, 255u8)).expect("mask");
+    fs::write(
+        at("mesh.obj"),
+        "v 0 0 0\nv 4 0 0\nv 4 4 0\nv 0 4 4\nf 1 2 3\nf 1 3 4\n",
+    )
+    .expect("mesh");
+    // the pose was turned by (x, y, z) → (x, −z, y) and scaled by a half
+    fs::write(
+        at("transforms.json"),
+        r#"{"camera_model": "OPENCV", "fl_x": 64, "fl_y": 64, "cx": 32, "cy": 16, "k1": 0.1, "w": 64, "h": 32,
+        "applied_transform": [[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0]], "applied_scale": 0.5, "mood": "good", "up_axis": "y",
+        "frames": [{"file_path": "./a", "mask_path": "mask.png", "depth_file_path": "depth.png", "k1": 0.0,
+        "transform_matrix": [[1, 0, 0, 0.5], [0, 0, -1, -1.5], [0, 1, 0, 1], [0, 0, 0, 1]]}]}"#,
+    )
+    .expect("file");
+    let out = at("scene");
+    let made = run(None, dir.path(), &out, &PrepareOptions::default()).expect("prepared");
+    assert_eq!(
+        (made.kind, made.frames, made.triangles),
+        ("nerfstudio", 1, 2)
+    );
+    assert!(
+        made.notes.iter().any(|n| n.contains("mood")),
+        "{:?}",
+        made.notes
+    );
+    let scene = load(&out);
+    let view = &scene.views[0];
+    let place = scene.origin + view.camera.position.as_dvec3();
+    assert!(
+        (place - glam::DVec3::new(1.0, 2.0, 3.0)).length() < 1e-6,
+        "{place}"
+    );
+    let turned = view.camera.world_from_camera - glam::Mat3::IDENTITY;
+    assert!(turned.to_cols_array().iter().all(|x| x.abs() < 1e-6));
+    assert!(view.mask_path.is_some());
+    // 2 m along the axis are 2·√(1 + 0.5²) m along the ray at the left edge's middle
+    let metres = formats::read_plane(out.join("depth/a.exr")).expect("depth");
+    let expected = 2.0 * (1.0f32 + (31.5f32 / 64.0).powi(2) + (0.5f32 / 64.0).powi(2)).sqrt();
+    assert!(
+        (metres[(0, 16)] - expected).abs() < 1e-4,
+        "{}",
+        metres[(0, 16)]
+    );
+    fs::write(at("transforms.json"), r#"{"camera_model": "FISHEYE624", "fl_x": 9, "frames": [{"file_path": "a.png", "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}"#).expect("file");
+    let error = run(None, dir.path(), &out, &PrepareOptions::default()).expect_err("refused");
+    assert!(error.to_string().contains("FISHEYE624"), "{error}");
+}

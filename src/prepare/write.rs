@@ -1,6 +1,7 @@
 //! The scene folder of a capture: made aside, then renamed into place whole.
 
-use super::capture::{Capture, LabelledMesh, Optics, Shot, Surface};
+use super::capture::{Capture, LabelledMesh, Optics, Shot, Surface, Up};
+use super::frame::FrameWriter;
 use super::labels::LabelSource;
 use super::plan::room_ids;
 use super::ply_out::write_ply;
@@ -61,8 +62,13 @@ pub fn write_scene(
     };
     let steps = capture.shots.len() as u64;
     let frames: Vec<Result<Value>> = progress.stage("writing the frames", steps, |progress| {
+        let writer = FrameWriter {
+            folder: &folder,
+            labels: source.as_ref(),
+            link: options.link,
+        };
         let one = |shot: &Shot| {
-            let frame = folder.frame(shot, source.as_ref(), options.link);
+            let frame = writer.write(shot);
             progress.advance(1);
             frame
         };
@@ -76,18 +82,28 @@ pub fn write_scene(
         _ => return Err(Error::Inputs(failed)),
     }
     let frames: Vec<Value> = frames.into_iter().flatten().collect();
+    let resampled = capture
+        .shots
+        .iter()
+        .filter(|s| matches!(s.optics, Optics::Distorted(_)))
+        .count();
+    if resampled > 0 {
+        account.converted(format!(
+            "{resampled} photographs of lenses beyond OpenCV's k1 k2 p1 p2 were resampled without distortion, with masks"
+        ));
+    }
     let rooms = folder.rooms(&capture)?;
     if source.is_some() && !frames.is_empty() {
         account.converted("labels per pixel were rendered from the classes of the surface");
     }
     if mesh.is_none() {
         account.ignored(
-            "nothing: but there is no mesh. Give one with --mesh, then run `unbake prepare` again",
+            "nothing, but there is no mesh. Give one with --mesh, then run `unbake prepare` again",
         );
     }
     if frames.is_empty() {
         account.ignored(
-            "nothing: but there are no photographs, so this folder holds geometry and labels only",
+            "nothing, but there are no photographs: so this folder holds geometry and labels only",
         );
     }
     let scene = transforms(&capture, frames, mesh_name.as_deref(), rooms > 0);
@@ -114,6 +130,10 @@ fn rescale(capture: &mut Capture, scale: Option<f64>, account: &mut Account) {
         }) => *world_from_file = DMat4::from_scale(DVec3::splat(s)) * *world_from_file,
         Some(Surface::Built(m)) => m.mesh.positions.iter_mut().for_each(|p| *p *= s),
         None => {}
+    }
+    if let Some(grid) = &mut capture.room_grid {
+        grid.cell *= s;
+        grid.min *= s;
     }
     for room in &mut capture.rooms {
         room.corners.iter_mut().for_each(|c| *c *= s);
@@ -235,7 +255,7 @@ fn transforms(capture: &Capture, frames: Vec<Value>, mesh: Option<&str>, rooms: 
     }
     scene.insert(
         "up_axis".into(),
-        json!(if capture.z_up { "z" } else { "y" }),
+        json!(if capture.up == Up::Z { "z" } else { "y" }),
     );
     if let Some(mesh) = mesh {
         scene.insert("mesh_path".into(), json!(mesh));
@@ -265,14 +285,14 @@ fn transforms(capture: &Capture, frames: Vec<Value>, mesh: Option<&str>, rooms: 
 }
 
 /// A scene folder under construction beside its destination; dropped unpublished, it disappears.
-struct SceneFolder {
+pub(super) struct SceneFolder {
     target: PathBuf,
     temporary: PathBuf,
 }
 
 impl SceneFolder {
     /// Begins a folder; refuses to replace one that `unbake prepare` did not write.
-    fn new(target: &Path) -> Result<Self> {
+    pub(super) fn new(target: &Path) -> Result<Self> {
         let occupied = target.is_file()
             || fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_some());
         if occupied && !target.join(MARK).is_file() {
@@ -298,17 +318,17 @@ impl SceneFolder {
         Ok(folder)
     }
 
-    fn at(&self, name: impl AsRef<Path>) -> PathBuf {
+    pub(super) fn at(&self, name: impl AsRef<Path>) -> PathBuf {
         self.temporary.join(name)
     }
 
-    fn write_json(&self, name: &str, value: &Value) -> Result<()> {
+    pub(super) fn write_json(&self, name: &str, value: &Value) -> Result<()> {
         let path = self.at(name);
         fs::write(&path, format!("{value:#}\n")).map_err(|e| Error::io(&path, e))
     }
 
     /// Copies (or links) a file of the capture.
-    fn take(&self, from: &Path, name: &str, link: bool) -> Result<()> {
+    pub(super) fn take(&self, from: &Path, name: &str, link: bool) -> Result<()> {
         let to = self.at(name);
         let from = from
             .canonicalize()
@@ -340,54 +360,9 @@ impl SceneFolder {
         }
     }
 
-    /// Writes a frame's files and returns its entry.
-    fn frame(&self, shot: &Shot, labels: Option<&LabelSource>, link: bool) -> Result<Value> {
-        let info = formats::image_info(&shot.image)?;
-        let size = [info.width, info.height];
-        if let Some([w, h]) = shot.size.filter(|s| *s != size) {
-            return Err(Error::input(
-                &shot.image,
-                format!(
-                    "is {}x{}, the capture's camera file says {w}x{h}; take the images the cameras were solved for",
-                    size[0], size[1]
-                ),
-            ));
-        }
-        let mut entry = Map::new();
-        let image = format!("images/{}.{}", shot.stem, extension(&shot.image));
-        self.take(&shot.image, &image, link)?;
-        entry.insert("file_path".into(), json!(image));
-        if let Some(path) = &shot.labels {
-            let name = format!("labels/{}.{}", shot.stem, extension(path));
-            self.take(path, &name, link)?;
-            entry.insert("label_path".into(), json!(name));
-        } else if let Some(source) = labels {
-            let name = format!("labels/{}.png", shot.stem);
-            formats::write_png16(self.at(&name), &source.render(shot, size))?;
-            entry.insert("label_path".into(), json!(name));
-        }
-        for (path, key, sub) in [
-            (&shot.mask, "mask_path", "masks"),
-            (&shot.depth, "depth_file_path", "depth"),
-        ] {
-            if let Some(path) = path {
-                let name = format!("{sub}/{}.{}", shot.stem, extension(path));
-                self.take(path, &name, link)?;
-                entry.insert(key.into(), json!(name));
-            }
-        }
-        if let Some(ev) = shot.exposure_ev {
-            entry.insert("exposure_ev".into(), json!(ev));
-        }
-        optics_keys(&shot.optics, size, &mut entry);
-        let rows = shot.world_from_camera.transpose().to_cols_array_2d();
-        entry.insert("transform_matrix".into(), json!(rows));
-        Ok(Value::Object(entry))
-    }
-
     /// Writes the grid of room ids; the number of rooms.
     fn rooms(&self, capture: &Capture) -> Result<usize> {
-        let Some(ids) = room_ids(&capture.rooms) else {
+        let Some(ids) = room_ids(&capture.rooms).or_else(|| capture.room_grid.clone()) else {
             return Ok(0);
         };
         formats::write_png16(self.at("rooms.png"), &ids.cells)?;
@@ -396,11 +371,14 @@ impl SceneFolder {
             "rooms.json",
             &json!({"cell": ids.cell, "x_min": ids.min.x, "z_min": ids.min.y, "names": names}),
         )?;
-        Ok(capture.rooms.len())
+        let mut found: Vec<u16> = ids.cells.data.clone();
+        found.sort_unstable();
+        found.dedup();
+        Ok(found.iter().filter(|&&id| id > 0).count())
     }
 
     /// Renames the folder into place.
-    fn publish(self) -> Result<()> {
+    pub(super) fn publish(self) -> Result<()> {
         for sub in ["images", "labels", "masks", "depth"] {
             // only empty ones can be removed this way
             let _ = fs::remove_dir(self.at(sub));
@@ -422,40 +400,9 @@ impl Drop for SceneFolder {
     }
 }
 
-fn extension(path: &Path) -> String {
+pub(super) fn extension(path: &Path) -> String {
     path.extension().map_or_else(
         || "bin".into(),
         |e| e.to_string_lossy().to_ascii_lowercase(),
     )
-}
-
-fn optics_keys(optics: &Optics, size: [usize; 2], entry: &mut Map<String, Value>) {
-    entry.insert("w".into(), json!(size[0]));
-    entry.insert("h".into(), json!(size[1]));
-    let Optics::Perspective(p) = optics else {
-        entry.insert("camera_model".into(), json!("EQUIRECTANGULAR"));
-        return;
-    };
-    let plain = p.radial == [0.0; 2] && p.tangential == [0.0; 2];
-    entry.insert(
-        "camera_model".into(),
-        json!(if plain { "PINHOLE" } else { "OPENCV" }),
-    );
-    let mut keys = vec![
-        ("fl_x", p.focal[0]),
-        ("fl_y", p.focal[1]),
-        ("cx", p.centre[0]),
-        ("cy", p.centre[1]),
-    ];
-    if !plain {
-        keys.extend([
-            ("k1", p.radial[0]),
-            ("k2", p.radial[1]),
-            ("p1", p.tangential[0]),
-            ("p2", p.tangential[1]),
-        ]);
-    }
-    for (key, value) in keys {
-        entry.insert(key.into(), json!(value));
-    }
 }

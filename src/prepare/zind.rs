@@ -7,7 +7,7 @@
 //! are triples (end, end, (lower, upper edge relative to the camera)). The world here is
 //! (−x, y, height): z up, the floor at 0.
 
-use super::capture::{Capture, LabelledMesh, Optics, RoomOutline, Shot, Surface};
+use super::capture::{Capture, LabelledMesh, Optics, RoomOutline, Shot, Surface, Up};
 use super::plan::{Opening, Shell, ShellClasses, extrude};
 use super::{Account, Importer, PrepareOptions};
 use crate::error::{Error, Result};
@@ -352,7 +352,8 @@ fn read_floor(
                 is_light: false,
             })
             .collect(),
-        z_up: true,
+        up: Up::Z,
+        ..Capture::default()
     })
 }
 

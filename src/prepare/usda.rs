@@ -1,0 +1,441 @@
+//! USD in text form (`.usda`): prims, their properties and references, as far as rooms need them.
+//!
+//! A recursive-descent reader of the grammar in USD's documentation: `def Type "name" (metadata)
+//! { properties and prims }`. Binary layers are refused by name. Hand-written because the one
+//! maintained Rust reader (`openusd`) asks for a newer compiler than this program's.
+
+use std::collections::BTreeMap;
+
+/// Nesting beyond this is damage.
+const DEEPEST: usize = 64;
+
+/// A value of a property or of metadata.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Value {
+    /// Any number.
+    Number(f64),
+    /// A string, token, path or asset.
+    Text(String),
+    /// A tuple, or a list of values.
+    List(Vec<Value>),
+    /// A dictionary.
+    Map(BTreeMap<String, Value>),
+}
+
+impl Value {
+    /// The number, if it is one.
+    pub fn number(&self) -> Option<f64> {
+        match self {
+            Self::Number(n) => Some(*n),
+            _ => None,
+        }
+    }
+
+    /// The text, if it is one.
+    pub fn text(&self) -> Option<&str> {
+        match self {
+            Self::Text(t) => Some(t),
+            _ => None,
+        }
+    }
+
+    /// The elements; a single value is a list of itself.
+    pub fn list(&self) -> &[Value] {
+        match self {
+            Self::List(l) => l,
+            other => std::slice::from_ref(other),
+        }
+    }
+
+    /// All numbers in it, in order.
+    pub fn numbers(&self, into: &mut Vec<f64>) {
+        match self {
+            Self::Number(n) => into.push(*n),
+            Self::List(l) => l.iter().for_each(|v| v.numbers(into)),
+            _ => {}
+        }
+    }
+}
+
+/// A prim or, at the top, the whole layer.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Prim {
+    /// `Xform`, `Mesh`, ...; empty where none is stated.
+    pub kind: String,
+    /// Name without its path.
+    pub name: String,
+    /// Metadata in parentheses.
+    pub metadata: BTreeMap<String, Value>,
+    /// Properties by name (type and `uniform` left out).
+    pub properties: BTreeMap<String, Value>,
+    /// Prims inside.
+    pub children: Vec<Prim>,
+}
+
+/// Reads a layer.
+///
+/// # Errors
+/// What was expected, and the line.
+pub fn parse(text: &str) -> Result<Prim, String> {
+    if text.as_bytes().starts_with(b"PXR-USDC") {
+        return Err("a binary USD layer; convert it to text (`usdcat -o out.usda`)".into());
+    }
+    if !text.trim_start_matches('\u{feff}').starts_with("#usda") {
+        return Err("line 1: expected #usda 1.0".into());
+    }
+    let mut reader = Reader {
+        bytes: text.as_bytes(),
+        at: 0,
+    };
+    let mut layer = Prim::default();
+    reader.space();
+    if reader.eat(b'(') {
+        layer.metadata = reader.metadata(0)?;
+    }
+    reader.body(&mut layer, 0, true)?;
+    Ok(layer)
+}
+
+struct Reader<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl Reader<'_> {
+    fn fail<T>(&self, expected: &str) -> Result<T, String> {
+        let line = 1 + self.bytes[..self.at.min(self.bytes.len())]
+            .iter()
+            .filter(|b| **b == b'\n')
+            .count();
+        Err(format!("line {line}: expected {expected}"))
+    }
+
+    fn peek(&self) -> Option<u8> {
+        self.bytes.get(self.at).copied()
+    }
+
+    /// Skips blanks and comments.
+    fn space(&mut self) {
+        while let Some(b) = self.peek() {
+            match b {
+                b'#' => {
+                    while self.peek().is_some_and(|b| b != b'\n') {
+                        self.at += 1;
+                    }
+                }
+                b' ' | b'\t' | b'\r' | b'\n' | b';' | b',' => self.at += 1,
+                _ => break,
+            }
+        }
+    }
+
+    fn eat(&mut self, wanted: u8) -> bool {
+        self.space();
+        let found = self.peek() == Some(wanted);
+        self.at += usize::from(found);
+        found
+    }
+
+    /// A word of a name, type or number.
+    fn word(&mut self) -> String {
+        self.space();
+        let start = self.at;
+        let part = |b: u8| b.is_ascii_alphanumeric() || b"_:.-+[]".contains(&b) || b >= 0x80;
+        while self.peek().is_some_and(part) {
+            // a bracket belongs to a word as in `float3[]` only
+            if self.peek() == Some(b'[') && self.bytes.get(self.at + 1) != Some(&b']') {
+                break;
+            }
+            if self.peek() == Some(b']') && (self.at == start || self.bytes[self.at - 1] != b'[') {
+                break;
+            }
+            self.at += 1;
+        }
+        String::from_utf8_lossy(&self.bytes[start..self.at]).into_owned()
+    }
+
+    fn delimited(&mut self, end: &[u8]) -> Result<String, String> {
+        let start = self.at;
+        while self.at < self.bytes.len() {
+            if self.bytes[self.at] == b'\\' && end[0] != b'@' {
+                self.at += 2;
+                continue;
+            }
+            if self.bytes[self.at..].starts_with(end) {
+                let text = String::from_utf8_lossy(&self.bytes[start..self.at]).into_owned();
+                self.at += end.len();
+                return Ok(text);
+            }
+            self.at += 1;
+        }
+        self.at = start;
+        self.fail("the end of a text")
+    }
+
+    fn string(&mut self) -> Result<String, String> {
+        self.space();
+        for quote in [&b"\"\"\""[..], b"'''", b"\"", b"'"] {
+            if self.bytes[self.at..].starts_with(quote) {
+                self.at += quote.len();
+                return self.delimited(quote);
+            }
+        }
+        self.fail("a text in quotes")
+    }
+
+    fn value(&mut self, depth: usize) -> Result<Value, String> {
+        if depth > DEEPEST {
+            return self.fail("less nesting");
+        }
+        self.space();
+        match self.peek() {
+            Some(b'"' | b'\'') => self.string().map(Value::Text),
+            Some(b'@') => {
+                self.at += 1;
+                let asset = self.delimited(b"@")?;
+                // a prim path after it names a prim inside
+                self.space();
+                if self.peek() == Some(b'<') {
+                    self.at += 1;
+                    self.delimited(b">")?;
+                }
+                Ok(Value::Text(asset))
+            }
+            Some(b'<') => {
+                self.at += 1;
+                self.delimited(b">").map(Value::Text)
+            }
+            Some(open @ (b'[' | b'(')) => {
+                self.at += 1;
+                let close = if open == b'[' { b']' } else { b')' };
+                let mut list = Vec::new();
+                while !self.eat(close) {
+                    list.push(self.value(depth + 1)?);
+                }
+                Ok(Value::List(list))
+            }
+            Some(b'{') => {
+                self.at += 1;
+                self.dictionary(depth + 1).map(Value::Map)
+            }
+            Some(_) => {
+                let word = self.word();
+                match (word.is_empty(), word.parse::<f64>()) {
+                    (true, _) => self.fail("a value"),
+                    (false, Ok(n)) => Ok(Value::Number(n)),
+                    (false, Err(_)) => Ok(Value::Text(word)),
+                }
+            }
+            None => self.fail("a value"),
+        }
+    }
+
+    /// `type name = value` entries up to `}`; keys may be quoted (`0.5: value` of time samples
+    /// too).
+    fn dictionary(&mut self, depth: usize) -> Result<BTreeMap<String, Value>, String> {
+        let mut map = BTreeMap::new();
+        while !self.eat(b'}') {
+            let mut key = String::new();
+            while !self.eat(b'=') && !self.eat(b':') {
+                self.space();
+                key = match self.peek() {
+                    Some(b'"' | b'\'') => self.string()?,
+                    Some(_) => self.word(),
+                    None => return self.fail("}"),
+                };
+                if key.is_empty() {
+                    return self.fail("a key");
+                }
+                // the colon of a time sample sticks to its word
+                if key.ends_with(':') {
+                    key.pop();
+                    break;
+                }
+            }
+            let value = self.value(depth + 1)?;
+            map.insert(key, value);
+        }
+        Ok(map)
+    }
+
+    /// `name = value` entries up to `)`; a lone text is documentation.
+    fn metadata(&mut self, depth: usize) -> Result<BTreeMap<String, Value>, String> {
+        let mut map = BTreeMap::new();
+        while !self.eat(b')') {
+            match self.peek() {
+                Some(b'"' | b'\'') => {
+                    self.string()?;
+                }
+                Some(_) => {
+                    let mut key = String::new();
+                    while !self.eat(b'=') {
+                        key = self.word();
+                        if key.is_empty() {
+                            return self.fail("name = value");
+                        }
+                    }
+                    let value = self.value(depth + 1)?;
+                    map.insert(key, value);
+                }
+                None => return self.fail(")"),
+            }
+        }
+        Ok(map)
+    }
+
+    /// Properties and prims up to `}` (the end of the file at the top).
+    fn body(&mut self, prim: &mut Prim, depth: usize, top: bool) -> Result<(), String> {
+        if depth > DEEPEST {
+            return self.fail("less nesting");
+        }
+        loop {
+            self.space();
+            match self.peek() {
+                None if top => return Ok(()),
+                None => return self.fail("}"),
+                Some(b'}') if !top => {
+                    self.at += 1;
+                    return Ok(());
+                }
+                Some(_) => {}
+            }
+            let word = self.word();
+            match word.as_str() {
+                "def" | "over" | "class" => {
+                    let child = self.prim(depth + 1)?;
+                    if word != "class" {
+                        prim.children.push(child);
+                    }
+                }
+                "variantSet" => {
+                    self.string()?;
+                    self.eat(b'=');
+                    self.value(depth + 1)?;
+                }
+                "" => return self.fail("a property or a prim"),
+                _ => self.property(word, prim, depth)?,
+            }
+        }
+    }
+
+    fn prim(&mut self, depth: usize) -> Result<Prim, String> {
+        let mut prim = Prim::default();
+        self.space();
+        if self.peek() != Some(b'"') {
+            prim.kind = self.word();
+        }
+        prim.name = self.string()?;
+        if self.eat(b'(') {
+            prim.metadata = self.metadata(depth)?;
+        }
+        if !self.eat(b'{') {
+            return self.fail("{");
+        }
+        self.body(&mut prim, depth, false)?;
+        Ok(prim)
+    }
+
+    /// The rest of `[uniform] type name = value (metadata)`, its first word read already.
+    fn property(&mut self, first: String, prim: &mut Prim, depth: usize) -> Result<(), String> {
+        let mut name = first;
+        loop {
+            self.space();
+            match self.peek() {
+                Some(b'=') => {
+                    self.at += 1;
+                    let value = self.value(depth + 1)?;
+                    prim.properties.insert(name, value);
+                    break;
+                }
+                Some(b) if b.is_ascii_alphabetic() || b == b'_' => {
+                    // declared without a value: the next line begins another one
+                    let ended = self.bytes[..self.at].iter().rev();
+                    let newline = ended
+                        .take_while(|b| b.is_ascii_whitespace())
+                        .any(|b| *b == b'\n');
+                    if newline {
+                        return Ok(());
+                    }
+                    name = self.word();
+                }
+                _ => break,
+            }
+        }
+        if self.eat(b'(') {
+            self.metadata(depth)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LAYER: &str = r#"#usda 1.0
+(
+    "a document"
+    defaultPrim = "Room"
+    upAxis = "Y"
+)
+def Xform "Room" (
+    kind = "assembly"
+    prepend references = [
+        @./a.usda@,
+        @./b.usda@</Inner>
+    ]
+    customData = {
+        string Category = "Wall"
+        dictionary deep = { int n = 3 }
+    }
+)
+{
+    token outputs:surface
+    float[] empty = []
+    double3 xformOp:scale = (2, 3.5, -1e-3) (
+        doc = "scaled"
+    )
+    uniform token[] xformOpOrder = ["xformOp:scale"]
+    double x.timeSamples = {
+        0: 1.5,
+        1: 2,
+    }
+    # a comment
+    def Mesh "M" { point3f[] points = [(0, 0, 0), (1, 0, 0)] }
+    over "Nothing" { }
+}
+"#;
+
+    #[test]
+    fn prims_properties_and_references_are_read() {
+        let layer = parse(LAYER).expect("readable");
+        assert_eq!(layer.metadata["defaultPrim"].text(), Some("Room"));
+        let room = &layer.children[0];
+        assert_eq!((room.kind.as_str(), room.name.as_str()), ("Xform", "Room"));
+        let references: Vec<_> = room.metadata["references"]
+            .list()
+            .iter()
+            .map(Value::text)
+            .collect();
+        assert_eq!(references, [Some("./a.usda"), Some("./b.usda")]);
+        let mut scale = Vec::new();
+        room.properties["xformOp:scale"].numbers(&mut scale);
+        assert_eq!(scale, [2.0, 3.5, -1e-3]);
+        assert_eq!(room.children.len(), 2);
+        let mut points = Vec::new();
+        room.children[0].properties["points"].numbers(&mut points);
+        assert_eq!(points.len(), 6);
+    }
+
+    #[test]
+    fn every_truncation_ends_without_a_panic() {
+        for n in 0..LAYER.len() {
+            let _ = parse(&LAYER[..n]);
+        }
+        let deep = format!("#usda 1.0\n{}", "def X \"a\" {".repeat(10_000));
+        assert!(parse(&deep).is_err());
+        let deep = format!("#usda 1.0\ndef X \"a\" {{ int a = {}", "[".repeat(100_000));
+        assert!(parse(&deep).is_err());
+        assert!(parse("PXR-USDC").is_err_and(|e| e.contains("usdcat")));
+    }
+}
