@@ -8,7 +8,7 @@
 //!
 //! * [`ggx`]: value and derivative in R, generic over [`crate::math::Real`], in the form that
 //!   survives f32;
-//! * [`vndf`]: sampling of visible normals and its density;
+//! * `vndf`: sampling of visible normals and its density;
 //! * [`material`]: a surface's parameters with evaluation, sampling and density in world space;
 //! * [`chunk`]: the same value and derivative over structure-of-arrays slices, vectorised.
 

@@ -213,7 +213,7 @@ pub enum Verb {
         /// Cameras and destination.
         #[command(flatten)]
         places: Places,
-        /// Changes of the light: a TOML file with [[lamp]], [[add]] and [environment].
+        /// Changes of the light: a TOML file with `[[lamp]]`, `[[add]]` and `[environment]`.
         #[arg(long, value_name = "FILE")]
         lights: Option<PathBuf>,
         /// Another solution of the same scene, such as the truth of a synthetic one: relight both

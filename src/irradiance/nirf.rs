@@ -40,7 +40,7 @@ type Lanes = [f32; BATCH];
 pub struct NirfOptions {
     /// Epochs.
     pub epochs: u32,
-    /// Points per epoch, a multiple of [`BATCH`].
+    /// Points per epoch, a multiple of `BATCH`.
     pub points: usize,
     /// Rays per point.
     pub rays: u32,

@@ -44,7 +44,7 @@ impl Picks {
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Aimed {
     pub weight: f32,
-    /// Address in the light field, or [`super::sources::PORTAL`].
+    /// Address in the light field, or `PORTAL`.
     pub address: u32,
     pub owner: u32,
 }

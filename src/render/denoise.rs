@@ -175,7 +175,7 @@ pub struct SpecularFeature {
 
 /// Filters specular reflection of few samples per pixel, whose noise is known only from the
 /// neighbourhood. Rough surfaces blur what they reflect, so pixels of one surface may share; up to
-/// [`SHARP`] nothing is shared, from [`ROUGH`] on everything.
+/// `SHARP` nothing is shared, from `ROUGH` on everything.
 pub fn filter_specular(specular: &mut RgbPlane, features: &[SpecularFeature], camera: &Camera) {
     let (w, h) = (specular.width, specular.height);
     let grid = Grid {

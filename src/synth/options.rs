@@ -106,7 +106,7 @@ impl SynthOptions {
     }
 }
 
-/// What [`generate`] made.
+/// What [`super::generate`] made.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SynthSummary {
     /// Triangles of the mesh.

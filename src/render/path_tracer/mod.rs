@@ -1,4 +1,4 @@
-//! Unbiased light transport over any [`Tracer`], in batches.
+//! Unbiased light transport over any [`crate::trace::Tracer`], in batches.
 //!
 //! A task takes a run of pixels with all their samples, a wavefront of a few thousand paths: all
 //! closest hits of one bounce are found by one call, then all shadow rays by another. Light is

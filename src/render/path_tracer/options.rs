@@ -35,7 +35,7 @@ impl Default for PathTracerOptions {
     }
 }
 
-/// When [`PathTracer::render_adaptive`] is content.
+/// When [`super::PathTracer::render_adaptive`] is content.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adaptive {
     /// Samples every pixel gets at least.
