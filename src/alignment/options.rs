@@ -11,9 +11,7 @@ use crate::switch::Switch;
 use crate::trace::EmbreeTracer;
 
 /// What is done about photographs and mesh that do not fit.
-#[derive(
-    clap::Args, Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize,
-)]
+#[derive(clap::Args, Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 #[command(next_help_heading = "Alignment")]
 pub struct AlignmentOptions {

@@ -11,7 +11,7 @@ use crate::cli::verb_args::{BenchVerb, Outputs, Work};
 use crate::error::{Error, Result};
 use crate::formats::{Aside, atomic_write};
 use crate::pipeline::SolveOptions;
-use crate::scene::LoadOptions;
+use crate::scene::{LdrImages, LoadOptions};
 use serde::Serialize;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -202,7 +202,7 @@ fn alignment(
     outputs.check()?;
     // display-referred photographs will do: nothing is solved
     let load = LoadOptions {
-        ldr: true,
+        ldr: LdrImages::Auto,
         ..context.config.scene.clone()
     };
     let (mut all, mut text, mut sum) = (Vec::new(), String::new(), (0, 0));
