@@ -17,5 +17,6 @@ fn main() -> unbake::Result<()> {
     let solution = reconstruct(&scene, &options, &Progress::silent())?.solution;
     let (width, height) = (solution.albedo.width, solution.albedo.height);
     println!("albedo {width}x{height}");
-    solution.save(out.as_ref(), &SaveOptions::default())
+    solution.save(out.as_ref(), &SaveOptions::default())?;
+    Ok(())
 }

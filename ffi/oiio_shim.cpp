@@ -51,7 +51,8 @@ extern "C" int unbake_image_abi(void) { return UNBAKE_IMAGE_ABI; }
 
 extern "C" int unbake_image_version(void) { return OIIO::openimageio_version(); }
 
-extern "C" void *unbake_image_open(const char *path, const char *format, UnbakeImageInfo *info, char *error, size_t size) {
+extern "C" void *unbake_image_open(const char *path, const char *format, int part, UnbakeImageInfo *info, char *error,
+                                   size_t size) {
     return guarded<void *>(error, size, nullptr, [&]() -> void * {
         std::unique_ptr<OIIO::ImageInput> input = OIIO::ImageInput::create(format);
         if (!input) {
@@ -62,6 +63,13 @@ extern "C" void *unbake_image_open(const char *path, const char *format, UnbakeI
         if (!input->open(path, spec)) {
             report(error, size, input->geterror());
             return nullptr;
+        }
+        if (part > 0) {
+            if (!input->seek_subimage(part, 0)) {
+                report(error, size, "it has no part " + std::to_string(part));
+                return nullptr;
+            }
+            spec = input->spec();
         }
         *info = UnbakeImageInfo{spec.width,      spec.height,
                                 spec.depth,      spec.nchannels,
@@ -86,7 +94,7 @@ extern "C" int unbake_image_read(void *image, int begin, int end, float *out, si
                                  size_t size) {
     return guarded<int>(error, size, 0, [&]() -> int {
         auto *input = static_cast<OIIO::ImageInput *>(image);
-        if (input->read_image(0, 0, begin, end, OIIO::TypeDesc::FLOAT, out, static_cast<OIIO::stride_t>(stride))) {
+        if (input->read_image(input->current_subimage(), 0, begin, end, OIIO::TypeDesc::FLOAT, out, static_cast<OIIO::stride_t>(stride))) {
             return 1;
         }
         report(error, size, input->geterror());
@@ -102,7 +110,7 @@ extern "C" void unbake_image_close(void *image) {
 }
 
 extern "C" int unbake_image_write(const char *path, int width, int height, int channels, const char *const *names, int sample,
-                                  const void *data, char *error, size_t size) {
+                                  const void *data, const char *mark, int colour, char *error, size_t size) {
     return guarded<int>(error, size, 0, [&]() -> int {
         std::unique_ptr<OIIO::ImageOutput> output = OIIO::ImageOutput::create("openexr");
         if (!output) {
@@ -115,6 +123,14 @@ extern "C" int unbake_image_write(const char *path, int width, int height, int c
         spec.attribute("compression", "zip");
         // Otherwise the hour of writing: equal pixels are to be equal files.
         spec.attribute("DateTime", "1970:01:01 00:00:00");
+        if (mark[0] != '\0') {
+            spec.attribute("unbake:generation", mark);
+        }
+        if (colour != 0) {
+            // ITU-R BT.709: red, green, blue, white
+            const float rec709[8] = {0.64f, 0.33f, 0.30f, 0.60f, 0.15f, 0.06f, 0.3127f, 0.3290f};
+            spec.attribute("chromaticities", OIIO::TypeDesc(OIIO::TypeDesc::FLOAT, 8), rec709);
+        }
         if (!output->open(path, spec) || !output->write_image(type, data) || !output->close()) {
             report(error, size, output->geterror());
             return 0;

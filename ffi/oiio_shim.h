@@ -12,7 +12,7 @@
 extern "C" {
 #endif
 
-#define UNBAKE_IMAGE_ABI 1
+#define UNBAKE_IMAGE_ABI 2
 
 // Sample types of a file.
 enum { UNBAKE_SAMPLE_OTHER = 0, UNBAKE_SAMPLE_U8 = 1, UNBAKE_SAMPLE_U16 = 2, UNBAKE_SAMPLE_HALF = 3, UNBAKE_SAMPLE_FLOAT = 4 };
@@ -34,8 +34,9 @@ int unbake_image_abi(void);
 // OpenImageIO's run-time version as major * 10000 + minor * 100 + patch.
 int unbake_image_version(void);
 
-// Opens `path` with the reader called `format` ("openexr", "hdr", "jpeg"), whatever the file's name says.
-void *unbake_image_open(const char *path, const char *format, UnbakeImageInfo *info, char *error, size_t error_size);
+// Opens part `part` (0 is the first) of `path` with the reader called `format` ("openexr", "hdr", "jpeg"), whatever the file's name says.
+void *unbake_image_open(const char *path, const char *format, int part, UnbakeImageInfo *info, char *error,
+                        size_t error_size);
 // Name of a channel; the pointer lives as long as the image is open.
 const char *unbake_image_channel(void *image, int channel);
 // Reads channels [begin, end) into floats; pixels lie `stride` bytes apart.
@@ -44,8 +45,9 @@ void unbake_image_close(void *image);
 
 // Writes scanlines as OpenEXR with ZIP compression. `data` holds width * height * channels samples, interleaved, of type
 // `sample` (HALF or FLOAT), stored as they are.
+// `mark`, if not empty, becomes the text attribute "unbake:generation"; `colour` says that the pixels are linear Rec. 709.
 int unbake_image_write(const char *path, int width, int height, int channels, const char *const *names, int sample,
-                       const void *data, char *error, size_t error_size);
+                       const void *data, const char *mark, int colour, char *error, size_t error_size);
 
 #ifdef __cplusplus
 }

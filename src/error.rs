@@ -1,15 +1,36 @@
 //! What can go wrong, in words a user can act on.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 /// Result of everything that can fail.
 pub type Result<T> = std::result::Result<T, Error>;
 
+/// Text for a terminal: control characters are shown as escapes, so that a name in a file cannot
+/// move the cursor, forge a line or set the window's title.
+#[must_use]
+pub fn printable(text: &str) -> Cow<'_, str> {
+    // C0, DEL and C1, and the marks that turn the direction of writing round
+    let bad =
+        |c: char| c.is_control() || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    if !text.contains(bad) {
+        return Cow::Borrowed(text);
+    }
+    let mut out = String::with_capacity(text.len() + 16);
+    for c in text.chars() {
+        match bad(c) {
+            true => out.extend(c.escape_default()),
+            false => out.push(c),
+        }
+    }
+    Cow::Owned(out)
+}
+
 /// An error that names the file, the place in it, what was expected and how to mend it.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// Input that cannot be used: exit code 2. The message says what is wrong and the way out.
-    #[error("{}: {message}", path.display())]
+    #[error("{}: {}", shown(path), printable_lines(message))]
     Input {
         /// The file or folder concerned.
         path: PathBuf,
@@ -24,7 +45,7 @@ pub enum Error {
     Usage(String),
     /// Reading or writing failed: exit code 1 when writing, 2 when reading input (use
     /// [`Error::Input`] there).
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {source}", shown(path))]
     Io {
         /// The file concerned.
         path: PathBuf,
@@ -39,12 +60,35 @@ pub enum Error {
     Failed(String),
 }
 
+/// [`printable`] for texts of several lines.
+#[must_use]
+pub fn printable_lines(text: &str) -> String {
+    let lines: Vec<_> = text.split('\n').map(printable).collect();
+    lines.join("\n")
+}
+
+fn shown(path: &Path) -> String {
+    printable(&path.to_string_lossy()).into_owned()
+}
+
 impl Error {
     /// Unusable input at `path`.
     pub fn input(path: impl AsRef<Path>, message: impl Into<String>) -> Self {
         Self::Input {
             path: path.as_ref().to_path_buf(),
             message: message.into(),
+        }
+    }
+
+    /// The same with one more piece of advice, if it is about input; other errors stay as they are.
+    #[must_use]
+    pub fn advise(self, more: &str) -> Self {
+        match self {
+            Self::Input { path, message } => Self::Input {
+                path,
+                message: format!("{message}; {more}"),
+            },
+            other => other,
         }
     }
 
@@ -63,5 +107,24 @@ impl Error {
             Self::Input { .. } | Self::Inputs(_) | Self::Usage(_) => 2,
             Self::Io { .. } | Self::Native(_) | Self::Failed(_) => 1,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_cannot_drive_the_terminal() {
+        assert_eq!(printable("wall, Stuck é"), "wall, Stuck é");
+        let evil = "\u{1b}]0;pwn\u{7}\u{1b}[2J\nerror: all is well \u{202e}";
+        let shown = printable(evil);
+        assert!(!shown.contains(|c: char| c.is_control()), "{shown}");
+        assert!(shown.contains("\\u{1b}]0;pwn\\u{7}") && shown.contains("\\nerror"));
+        let e = Error::input("a\u{1b}\nb", "c\u{1b}d\ne").to_string();
+        assert_eq!(
+            e, "a\\u{1b}\\nb: c\\u{1b}d\ne",
+            "messages may have lines, paths not"
+        );
     }
 }

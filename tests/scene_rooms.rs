@@ -59,6 +59,8 @@ fn two_rooms(door: f32, scale: f32) -> Scene {
         mask_path: None,
         exposure_ev: 0.0,
         split: Split::Train,
+        colour_space: None,
+        account: Default::default(),
     };
     Scene::from_parts(
         PathBuf::new(),

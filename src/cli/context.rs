@@ -1,7 +1,7 @@
 //! What every verb works with: configuration, progress, the record of the run, and where results go.
 
 use super::config::Config;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable_lines};
 use crate::progress::Progress;
 use crate::report::Recorder;
 use std::io::Write;
@@ -34,7 +34,7 @@ impl Context {
         if self.config.json {
             print(&format!("{json:#}\n"))
         } else {
-            print(text)
+            print(&printable_lines(text))
         }
     }
 }

@@ -1,12 +1,13 @@
 //! Where frames come from and go to: the options that all verbs share that make pictures.
 
 use super::context::Context;
+use super::guard::{files_of_cameras, keep_inputs};
 use super::inputs::read_scene;
 use crate::Result;
 use crate::export::FrameWriter;
 use crate::geometry::Camera;
 use crate::render::{FrameOptions, NamedCamera, cameras_of_scene, read_cameras, viewpoints};
-use crate::solution::Solution;
+use crate::solution::{OutputLock, Solution};
 use crate::trace::EmbreeTracer;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -59,6 +60,22 @@ impl Places {
             }
         };
         options.frames(given)
+    }
+
+    /// The folder for a verb's files, with the right to write there.
+    pub(super) fn folder(&self, out: &Path, verb: &str) -> Result<(PathBuf, OutputLock)> {
+        let folder = self.to.clone().unwrap_or_else(|| out.join(verb));
+        // the solution's own files are read as well
+        keep_inputs(&folder, out, &[])?;
+        for list in self.cameras.iter().chain(&self.scene) {
+            let list = match list.is_dir() {
+                true => list.join("transforms.json"),
+                false => list.clone(),
+            };
+            keep_inputs(&folder, out, &files_of_cameras(&list))?;
+        }
+        let lock = OutputLock::acquire(&folder, &[])?;
+        Ok((folder, lock))
     }
 }
 

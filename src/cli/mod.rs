@@ -9,6 +9,7 @@ mod args;
 mod config;
 mod context;
 mod frames;
+mod guard;
 mod inputs;
 mod progress;
 mod run_record;
@@ -23,7 +24,7 @@ pub use frames::Places;
 pub use progress::{Bars, LogLines, Tee};
 pub use verb_args::BenchVerb;
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable_lines};
 use crate::progress::{Observer, Progress};
 use crate::report::Recorder;
 use clap::{CommandFactory, FromArgMatches};
@@ -56,7 +57,8 @@ pub fn run(arguments: Vec<OsString>) -> ExitCode {
     match outcome {
         Ok(code) => ExitCode::from(code),
         Err(e) => {
-            let _ = writeln!(std::io::stderr(), "error: {e}");
+            let said = printable_lines(&e.to_string());
+            let _ = writeln!(std::io::stderr(), "error: {said}");
             if wants_json {
                 let _ = print(&format!(
                     "{:#}\n",

@@ -1,5 +1,6 @@
 //! Drawing progress: bars on a terminal, log lines in a pipe.
 
+use crate::error::printable;
 use crate::progress::{Decision, Observer};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::Write;
@@ -114,7 +115,7 @@ impl Observer for Bars {
     }
 
     fn note(&self, message: &str) {
-        let _ = self.all.println(format!("  · {message}"));
+        let _ = self.all.println(format!("  · {}", printable(message)));
     }
 }
 
@@ -202,6 +203,6 @@ impl Observer for LogLines {
     }
 
     fn note(&self, message: &str) {
-        self.line(&format!("note: {message}"));
+        self.line(&format!("note: {}", printable(message)));
     }
 }

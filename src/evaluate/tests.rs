@@ -83,6 +83,8 @@ fn scene(folder: &Path, views: &[(&str, Split)]) -> Scene {
                 mask_path: None,
                 exposure_ev: 1.0,
                 split: *split,
+                colour_space: None,
+                account: Default::default(),
             }
         })
         .collect();

@@ -129,11 +129,11 @@ pub struct OpenImage {
 
 impl OpenImage {
     /// Opens `path` with the reader `format` (`openexr`, `hdr`, `jpeg`), whatever the file is
-    /// called.
+    /// called; of a file of several parts the one numbered `part`.
     ///
     /// # Errors
     /// In the library's own words: the file is missing, damaged or of another format.
-    pub fn open(path: &Path, format: &CStr) -> Result<Self, String> {
+    pub fn open(path: &Path, format: &CStr, part: usize) -> Result<Self, String> {
         let shim = shim()?;
         let name = c_path(path)?;
         // SAFETY: the structure holds only integers, for which all zeros is a value.
@@ -145,6 +145,7 @@ impl OpenImage {
             shim.unbake_image_open(
                 name.as_ptr(),
                 format.as_ptr(),
+                c_int::try_from(part).unwrap_or(c_int::MAX),
                 &raw mut info,
                 error.as_mut_ptr(),
                 error.0.len(),
@@ -267,16 +268,17 @@ pub enum Samples<'a> {
 }
 
 /// Writes an OpenEXR image of `width × height × names.len()` interleaved samples to `path`,
-/// ZIP-compressed.
+/// ZIP-compressed; `mark`, if not empty, becomes its attribute `unbake:generation`, and three
+/// channels are called linear Rec. 709.
 ///
 /// # Errors
 /// If the sizes disagree or the file system refuses.
 pub fn write(
     path: &Path,
-    width: usize,
-    height: usize,
+    (width, height): (usize, usize),
     names: &[&CStr],
     samples: Samples,
+    mark: &str,
 ) -> Result<(), String> {
     let (length, kind, data): (usize, _, *const c_void) = match samples {
         Samples::Half(s) => (s.len(), sys::UNBAKE_SAMPLE_HALF, s.as_ptr().cast()),
@@ -296,6 +298,7 @@ pub fn write(
     }
     let shim = shim()?;
     let name = c_path(path)?;
+    let mark = CString::new(mark).map_err(|_| "the mark contains a zero byte")?;
     let names: Vec<*const c_char> = names.iter().map(|n| n.as_ptr()).collect();
     let mut error = ErrorText::new();
     // SAFETY: `data` holds `w · h · names.len()` samples of the stated type, every string is
@@ -309,6 +312,8 @@ pub fn write(
             names.as_ptr(),
             kind as c_int,
             data,
+            mark.as_ptr(),
+            c_int::from(names.len() == 3),
             error.as_mut_ptr(),
             error.0.len(),
         )

@@ -6,11 +6,13 @@
 //! the origin by its node keeps its shape.
 
 use super::raw_mesh::{Part, RawMesh};
+use super::{MOST_DATA, read_input};
 use crate::{Error, Result};
 use base64::engine::Engine;
 use glam::{DMat4, DQuat, DVec3, Vec2, Vec3};
 use serde::Deserialize;
-use std::path::Path;
+use std::borrow::Cow;
+use std::path::{Component, Path};
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
@@ -42,12 +44,21 @@ struct SceneRoot {
 #[derive(Deserialize)]
 struct Node {
     #[serde(default)]
+    extensions: NodeExtensions,
+    #[serde(default)]
     children: Vec<usize>,
     mesh: Option<usize>,
     matrix: Option<[f64; 16]>,
     translation: Option<[f64; 3]>,
     rotation: Option<[f64; 4]>,
     scale: Option<[f64; 3]>,
+}
+
+/// Extensions of a node that change where its mesh is.
+#[derive(Default, Deserialize)]
+struct NodeExtensions {
+    #[serde(rename = "EXT_mesh_gpu_instancing")]
+    instancing: Option<serde::de::IgnoredAny>,
 }
 
 #[derive(Deserialize)]
@@ -103,16 +114,25 @@ struct Buffer {
     uri: Option<String>,
 }
 
-/// Extensions that change how geometry is stored in ways not read here.
-const UNREADABLE: [&str; 3] = [
-    "KHR_draco_mesh_compression",
-    "EXT_meshopt_compression",
-    "KHR_meshopt_compression",
+/// Beginnings of the names of extensions that a file may require without changing what is read
+/// here: materials, textures, lights, and positions stored as integers.
+const UNDERSTOOD: [&str; 8] = [
+    "KHR_mesh_quantization",
+    "KHR_materials_",
+    "KHR_texture_",
+    "KHR_lights_",
+    "KHR_xmp",
+    "EXT_texture_",
+    "EXT_lights_",
+    "MSFT_texture_",
 ];
 /// Deepest node hierarchy followed; real files stay far below, and a cycle must end.
 const MAX_DEPTH: usize = 256;
 /// Most mesh instances; a hostile hierarchy can reach one node along exponentially many paths.
 const MAX_INSTANCES: usize = 1 << 20;
+/// Most vertices and most indices of all instances together. Derived: 2²⁷ vertices take 6 GB here;
+/// a file of a few MB can ask for a thousand times that by naming the same data again and again.
+const MAX_ELEMENTS: u64 = 1 << 27;
 
 /// Geometry of a `.glb` or `.gltf` from its bytes; neighbouring buffer files are looked up beside
 /// `path`.
@@ -134,10 +154,10 @@ pub fn mesh_from_gltf(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     if let Some(e) = document
         .extensions_required
         .iter()
-        .find(|e| UNREADABLE.contains(&e.as_str()))
+        .find(|e| !UNDERSTOOD.iter().any(|u| e.starts_with(u)))
     {
         return Err(fail(format!(
-            "the geometry is compressed with {e}, which is not supported; export without compression"
+            "it requires the extension {e}, which is not supported; export without it"
         )));
     }
     let buffers = document
@@ -145,12 +165,12 @@ pub fn mesh_from_gltf(bytes: &[u8], path: &Path) -> Result<RawMesh> {
         .iter()
         .enumerate()
         .map(|(i, b)| load_buffer(i, b, blob, path))
-        .collect::<std::result::Result<Vec<_>, _>>()
-        .map_err(fail)?;
+        .collect::<Result<Vec<_>>>()?;
     let reader = Reader {
         document: &document,
         buffers,
     };
+    reader.check_instances().map_err(fail)?;
     let parts = reader.parts().map_err(fail)?;
     if parts.is_empty() {
         return Err(fail(
@@ -205,37 +225,45 @@ fn split_glb(bytes: &[u8]) -> std::result::Result<(&[u8], Option<&[u8]>), String
     ))
 }
 
-fn load_buffer(
+fn load_buffer<'a>(
     i: usize,
     buffer: &Buffer,
-    blob: Option<&[u8]>,
+    blob: Option<&'a [u8]>,
     path: &Path,
-) -> std::result::Result<Vec<u8>, String> {
+) -> Result<Cow<'a, [u8]>> {
+    let fail = |m: String| Error::input(path, m);
     let Some(uri) = &buffer.uri else {
-        return blob.map(<[u8]>::to_vec).ok_or_else(|| {
-            format!("buffer {i} has neither a uri nor a binary chunk; export the mesh again")
+        return blob.map(Cow::Borrowed).ok_or_else(|| {
+            fail(format!(
+                "buffer {i} has neither a uri nor a binary chunk; export the mesh again"
+            ))
         });
     };
     if let Some(data) = uri.strip_prefix("data:") {
         let encoded = data
             .split_once(";base64,")
-            .ok_or_else(|| format!("buffer {i}: the data uri is not base64"))?
+            .ok_or_else(|| fail(format!("buffer {i}: the data uri is not base64")))?
             .1;
         return decode_base64(encoded)
-            .ok_or_else(|| format!("buffer {i}: damaged base64; export the mesh again"));
+            .map(Cow::Owned)
+            .ok_or_else(|| fail(format!("buffer {i}: damaged base64; export the mesh again")));
     }
-    if uri.contains("://") {
-        return Err(format!(
-            "buffer {i} lies at {uri}; only files beside the mesh are read. Export with embedded buffers"
-        ));
+    let name = decode_percent(uri);
+    let inside = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
+    // a scene from a stranger must not put the bytes of any file into what its user publishes
+    if uri.contains("://") || !Path::new(&name).components().all(inside) {
+        return Err(fail(format!(
+            "buffer {i} lies at {uri}; only files beside the mesh or below are read. Export with embedded buffers"
+        )));
     }
-    let file = path.with_file_name("").join(decode_percent(uri));
-    std::fs::read(&file).map_err(|e| {
-        format!(
-            "buffer {i}, {}: {e}; keep the buffer beside the .gltf or export a .glb",
-            file.display()
-        )
-    })
+    read_input(&path.with_file_name("").join(name), MOST_DATA)
+        .map(Cow::Owned)
+        .map_err(|e| {
+            e.advise(&format!(
+                "it is buffer {i} of {}: keep it beside the .gltf or export a .glb",
+                path.display()
+            ))
+        })
 }
 
 /// Padding and line breaks as they come: what exporters write differs in both.
@@ -275,14 +303,69 @@ fn decode_percent(uri: &str) -> String {
 
 struct Reader<'a> {
     document: &'a Document,
-    buffers: Vec<Vec<u8>>,
+    buffers: Vec<Cow<'a, [u8]>>,
 }
 
 type Reading<T> = std::result::Result<T, String>;
 
 impl Reader<'_> {
-    /// All triangle primitives of the default scene, in world coordinates.
+    /// Refuses node extensions that would put a mesh where it is not read.
+    fn check_instances(&self) -> Reading<()> {
+        let instanced = |n: &Node| n.extensions.instancing.is_some();
+        match self.document.nodes.iter().position(instanced) {
+            Some(n) => Err(format!(
+                "node {n} uses EXT_mesh_gpu_instancing, which is not supported; export every copy as a node of its own"
+            )),
+            None => Ok(()),
+        }
+    }
+
+    /// Adds a primitive's vertices and indices to what the file has asked for so far.
+    fn count(&self, primitive: &Primitive, asked: &mut u64) -> Reading<()> {
+        let of = |a: Option<usize>| a.and_then(|a| self.document.accessors.get(a));
+        for accessor in [of(primitive.attributes.position), of(primitive.indices)] {
+            // a count that no buffer can hold is refused where it is read, with better words
+            let most = self.buffers.iter().map(|b| b.len() as u64).max();
+            let count = accessor.map_or(0, |a| a.count);
+            *asked += if count <= most.unwrap_or(0) { count } else { 0 };
+        }
+        if *asked <= 2 * MAX_ELEMENTS {
+            return Ok(());
+        }
+        Err(format!(
+            "its instances ask for more than {MAX_ELEMENTS} vertices in all; simplify the mesh"
+        ))
+    }
+
+    /// All triangle primitives of the default scene, in world coordinates; counted before any is
+    /// read.
     fn parts(&self) -> Reading<Vec<Part>> {
+        let instances = self.instances()?;
+        let mut asked = 0;
+        for (m, _) in &instances {
+            for primitive in &self.mesh(*m)?.primitives {
+                self.count(primitive, &mut asked)?;
+            }
+        }
+        let mut parts = Vec::new();
+        for (m, world) in &instances {
+            for (p, primitive) in self.mesh(*m)?.primitives.iter().enumerate() {
+                let part = self
+                    .part(primitive, world)
+                    .map_err(|e| format!("mesh {m}, primitive {p}: {e}"))?;
+                parts.extend(part);
+            }
+        }
+        Ok(parts)
+    }
+
+    fn mesh(&self, m: usize) -> Reading<&MeshEntry> {
+        let found = self.document.meshes.get(m);
+        found.ok_or_else(|| format!("mesh {m} does not exist; export the mesh again"))
+    }
+
+    /// Meshes of the default scene with their world transforms, in the order of the hierarchy.
+    fn instances(&self) -> Reading<Vec<(usize, DMat4)>> {
         let d = self.document;
         let roots: Vec<usize> = match d.scenes.get(d.scene.unwrap_or(0)) {
             Some(scene) => scene.nodes.clone(),
@@ -298,8 +381,7 @@ impl Reader<'_> {
                     .collect()
             }
         };
-        let mut parts = Vec::new();
-        let mut visited = 0usize;
+        let (mut found, mut visited) = (Vec::new(), 0usize);
         let mut stack: Vec<(usize, DMat4, usize)> = roots
             .iter()
             .rev()
@@ -319,20 +401,9 @@ impl Reader<'_> {
                 .ok_or_else(|| format!("node {index} does not exist; export the mesh again"))?;
             let world = parent * local_transform(node);
             stack.extend(node.children.iter().rev().map(|&c| (c, world, depth + 1)));
-            if let Some(m) = node.mesh {
-                let mesh = d
-                    .meshes
-                    .get(m)
-                    .ok_or_else(|| format!("mesh {m} does not exist; export the mesh again"))?;
-                for (p, primitive) in mesh.primitives.iter().enumerate() {
-                    let part = self
-                        .part(primitive, &world)
-                        .map_err(|e| format!("mesh {m}, primitive {p}: {e}"))?;
-                    parts.extend(part);
-                }
-            }
+            found.extend(node.mesh.map(|m| (m, world)));
         }
-        Ok(parts)
+        Ok(found)
     }
 
     fn part(&self, primitive: &Primitive, world: &DMat4) -> Reading<Option<Part>> {
@@ -626,6 +697,64 @@ mod tests {
         let [a, b, c] = mesh.triangles[0].map(|i| mesh.positions[i as usize]);
         assert!((b - a).cross(c - a).z > 0.0, "the front still faces +z");
         assert!(mesh.uvs.is_empty() && mesh.normals.is_empty());
+    }
+
+    #[test]
+    fn what_is_named_many_times_is_counted_before_it_is_read() {
+        // a million vertices in zeros, a thousand nodes: 36 MB that would become 24 GB
+        let nodes = vec![r#"{"mesh":0}"#; 1000].join(",");
+        let document = format!(
+            r#"{{"nodes":[{nodes}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],
+            "accessors":[{{"bufferView":0,"componentType":5126,"count":3000000,"type":"VEC3"}}],
+            "bufferViews":[{{"buffer":0,"byteLength":36000000}}],"buffers":[{{"byteLength":36000000}}]}}"#
+        );
+        let mut glb = b"glTF\x02\0\0\0".to_vec();
+        let json = format!("{document}{}", " ".repeat((4 - document.len() % 4) % 4));
+        glb.extend((28 + json.len() as u32 + 36_000_000).to_le_bytes());
+        glb.extend((json.len() as u32).to_le_bytes());
+        glb.extend(b"JSON");
+        glb.extend(json.as_bytes());
+        glb.extend(36_000_000u32.to_le_bytes());
+        glb.extend(b"BIN\0");
+        glb.resize(glb.len() + 36_000_000, 0);
+        let e = mesh_from_gltf(&glb, Path::new("t.glb")).expect_err("too much");
+        assert!(
+            e.exit_code() == 2 && e.to_string().contains("vertices in all"),
+            "{e}"
+        );
+    }
+
+    #[test]
+    fn buffers_lie_beside_the_mesh_and_extensions_are_understood() {
+        let dir = tempfile::tempdir().expect("temp");
+        let (outside, mesh) = (dir.path().join("outside.bin"), dir.path().join("in/m.gltf"));
+        std::fs::create_dir(dir.path().join("in")).expect("folder");
+        std::fs::write(&outside, [0u8; 36]).expect("buffer");
+        let with = |uri: &str, more: &str| {
+            let text = format!(
+                r#"{{{more}"nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],
+                "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}}],
+                "bufferViews":[{{"buffer":0,"byteLength":36}}],"buffers":[{{"byteLength":36,"uri":"{uri}"}}]}}"#
+            );
+            mesh_from_gltf(text.as_bytes(), &mesh).map_err(|e| e.to_string())
+        };
+        let absolute = outside.display().to_string();
+        for uri in [
+            "../outside.bin",
+            "%2e%2e/outside.bin",
+            "./../in/../outside.bin",
+            &absolute,
+        ] {
+            assert!(with(uri, "").is_err_and(|e| e.contains("beside")), "{uri}");
+        }
+        std::fs::write(dir.path().join("in/b.bin"), [0u8; 36]).expect("buffer");
+        assert!(with("./b.bin", "").is_ok());
+        let required = r#""extensionsRequired":["KHR_materials_unlit"],"#;
+        assert!(with("b.bin", required).is_ok());
+        let required = r#""extensionsRequired":["EXT_mesh_gpu_instancing"],"#;
+        assert!(with("b.bin", required).is_err_and(|e| e.contains("EXT_mesh_gpu_instancing")));
+        std::os::unix::fs::symlink("/dev/zero", dir.path().join("in/z.bin")).expect("link");
+        assert!(with("z.bin", "").is_err_and(|e| e.contains("device")));
     }
 
     #[test]

@@ -1,10 +1,9 @@
 //! Which format an image file has, by its first bytes, and what its header states.
 
-use super::exr_header;
+use super::{exr_header, open_regular};
 use crate::ffi::oiio::Sample;
 use crate::{Error, Result};
 use std::ffi::CStr;
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
@@ -57,18 +56,10 @@ pub struct ImageInfo {
 /// Tells the format by the first bytes; errors name what was found instead.
 pub(super) fn sniff(path: &Path) -> Result<ImageFormat> {
     let mut head = Vec::new();
-    let open = |e: std::io::Error| match e.kind() {
-        std::io::ErrorKind::NotFound => Error::input(
-            path,
-            "no such file; expected an image (check the path where it is named: transforms.json, a list of edits or lights)",
-        ),
-        _ => Error::input(path, format!("cannot be read: {e}")),
-    };
-    File::open(path)
-        .map_err(open)?
+    open_regular(path)?
         .take(32)
         .read_to_end(&mut head)
-        .map_err(open)?;
+        .map_err(|e| Error::input(path, format!("cannot be read: {e}")))?;
     let found = match head.as_slice() {
         h if h.starts_with(&exr_header::MAGIC) => return Ok(ImageFormat::Exr),
         h if h.starts_with(b"#?") => return Ok(ImageFormat::Hdr),

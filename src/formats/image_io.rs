@@ -5,7 +5,7 @@
 
 use super::image_format::{ImageFormat, sniff};
 use super::whole::Aside;
-use super::{checked_size, exr_header, pixel_buffer};
+use super::{checked_size, exr_header, hdr, open_regular, pixel_buffer};
 use crate::ffi::oiio::{self, OpenImage, Samples};
 use crate::image::{Plane, RgbPlane};
 use crate::{Error, Result};
@@ -14,7 +14,6 @@ use half::f16;
 use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
 use std::ffi::CStr;
-use std::fs::File;
 use std::path::Path;
 
 /// Largest finite half-precision value.
@@ -25,15 +24,22 @@ const MAX_CHANNELS: i32 = 1024;
 
 /// Opens an image after judging its header; the size is then within limits.
 pub(super) fn open(path: &Path, format: ImageFormat) -> Result<OpenImage> {
+    open_part(path, format, 0)
+}
+
+/// [`open`] for one part of a multi-part file, counted from 0.
+pub(super) fn open_part(path: &Path, format: ImageFormat, part: usize) -> Result<OpenImage> {
     if format == ImageFormat::Exr {
-        let file =
-            File::open(path).map_err(|e| Error::input(path, format!("cannot be read: {e}")))?;
-        let (w, h) = exr_header::data_window(file).map_err(|e| Error::input(path, damaged(&e)))?;
-        checked_size(path, w, h)?;
+        let file = open_regular(path)?;
+        let bytes = file.metadata().map_or(0, |m| m.len());
+        let parts = exr_header::vetted(file, bytes).map_err(|e| Error::input(path, damaged(&e)))?;
+        for part in &parts {
+            checked_size(path, part.size.0, part.size.1)?;
+        }
     }
     crate::ffi::oiio::version().map_err(Error::Native)?;
-    let image =
-        OpenImage::open(path, format.reader()).map_err(|e| Error::input(path, damaged(&e)))?;
+    let image = OpenImage::open(path, format.reader(), part)
+        .map_err(|e| Error::input(path, damaged(&e)))?;
     let (w, h, c) = image.size();
     checked_size(path, w.into(), h.into())?;
     let refuse = |what: &str| Err(Error::input(path, what.to_string()));
@@ -51,15 +57,10 @@ pub(super) fn open(path: &Path, format: ImageFormat) -> Result<OpenImage> {
             "its data window differs from its display window; expected every pixel: save it uncropped",
         );
     }
-    if format == ImageFormat::Hdr && image.orientation() != 1 {
-        return refuse(
-            "its rows or columns are stored in another order than -Y +X; save it in the usual order",
-        );
-    }
     Ok(image)
 }
 
-fn damaged(reason: &str) -> String {
+pub(super) fn damaged(reason: &str) -> String {
     format!("damaged or cut short: {reason}; copy, render or download it again")
 }
 
@@ -74,45 +75,17 @@ fn open_linear(path: &Path) -> Result<OpenImage> {
     }
 }
 
-/// The three channels that hold red, green and blue (one channel serves as all three).
-fn pick_rgb(path: &Path, image: &OpenImage) -> Result<[usize; 3]> {
-    let names: Vec<String> = (0..image.size().2 as usize)
-        .map(|c| image.channel_name(c))
-        .collect();
-    let find = |wanted: &str| names.iter().position(|n| n.eq_ignore_ascii_case(wanted));
-    if let (Some(r), Some(g), Some(b)) = (find("R"), find("G"), find("B")) {
-        return Ok([r, g, b]);
+/// The three channels that hold red, green and blue in a file of one's own kind: by name, else the
+/// first three; one channel serves as all three.
+fn rgb_channels(image: &OpenImage) -> [usize; 3] {
+    let count = image.size().2 as usize;
+    let find =
+        |wanted: &str| (0..count).find(|c| image.channel_name(*c).eq_ignore_ascii_case(wanted));
+    match (find("R"), find("G"), find("B")) {
+        (Some(r), Some(g), Some(b)) => [r, g, b],
+        _ if count >= 3 => [0, 1, 2],
+        _ => [0; 3],
     }
-    // A layer called `combined` or `diffuse` names its channels `combined.R`.
-    let layers: Vec<&str> = names
-        .iter()
-        .filter_map(|n| n.strip_suffix(".R").or_else(|| n.strip_suffix(".r")))
-        .collect();
-    if let [layer] = layers[..] {
-        let of = |c: &str| find(&format!("{layer}.{c}"));
-        if let (Some(r), Some(g), Some(b)) = (of("R"), of("G"), of("B")) {
-            return Ok([r, g, b]);
-        }
-    }
-    if layers.len() <= 1 {
-        match names.len() {
-            // Luminance, perhaps with alpha.
-            1 | 2 => return Ok([0; 3]),
-            // Nothing says what they are: the order of every other program.
-            3 | 4 => return Ok([0, 1, 2]),
-            _ => {}
-        }
-    }
-    let listed = names
-        .iter()
-        .take(12)
-        .map(String::as_str)
-        .collect::<Vec<_>>()
-        .join(", ");
-    Err(Error::input(
-        path,
-        format!("channels R, G and B expected, found {listed}: save one layer as R, G, B"),
-    ))
 }
 
 /// Reads an OpenEXR or Radiance HDR image as linear RGB: channels R, G, B by name, else the first
@@ -122,8 +95,11 @@ fn pick_rgb(path: &Path, image: &OpenImage) -> Result<[usize; 3]> {
 /// If the file cannot be read, is damaged, or is of another format.
 pub fn read_rgb(path: impl AsRef<Path>) -> Result<RgbPlane> {
     let path = path.as_ref();
+    if sniff(path)? == ImageFormat::Hdr {
+        return hdr::read(path).map(|(plane, _)| plane);
+    }
     let image = open_linear(path)?;
-    let channels = pick_rgb(path, &image)?;
+    let channels = rgb_channels(&image);
     read_rgb_channels(path, image, channels)
 }
 
@@ -155,24 +131,31 @@ pub(super) fn read_rgb_channels(
     })
 }
 
-/// Reads the first channel of an OpenEXR or Radiance HDR image.
-///
-/// # Errors
-/// If the file cannot be read, is damaged, or is of another format.
-pub fn read_plane(path: impl AsRef<Path>) -> Result<Plane<f32>> {
-    let path = path.as_ref();
-    let mut image = open_linear(path)?;
+/// Reads one channel of an open image.
+pub(super) fn read_channel(path: &Path, image: &mut OpenImage, c: usize) -> Result<Plane<f32>> {
     let (w, h, _) = image.size();
     let (width, height) = (w as usize, h as usize);
     let mut data = pixel_buffer(path, width * height)?;
     image
-        .read(0..1, &mut data, 0, 1)
+        .read(c..c + 1, &mut data, 0, 1)
         .map_err(|e| Error::input(path, damaged(&e)))?;
     Ok(Plane {
         width,
         height,
         data,
     })
+}
+
+/// Reads the first channel of an OpenEXR or Radiance HDR image.
+///
+/// # Errors
+/// If the file cannot be read, is damaged, or is of another format.
+pub fn read_plane(path: impl AsRef<Path>) -> Result<Plane<f32>> {
+    let path = path.as_ref();
+    if sniff(path)? == ImageFormat::Hdr {
+        return hdr::read(path).map(|(plane, _)| plane.map(|p| p.x));
+    }
+    read_channel(path, &mut open_linear(path)?, 0)
 }
 
 /// Reads the first two channels of an OpenEXR image.
@@ -208,13 +191,7 @@ const TWO: &[&CStr] = &[c"R", c"G"];
 /// # Errors
 /// If the file system refuses, or a value is not finite.
 pub fn write_rgb_half(path: impl AsRef<Path>, plane: &RgbPlane) -> Result<usize> {
-    write_half(
-        path.as_ref(),
-        plane.width,
-        plane.height,
-        RGB,
-        bytemuck::cast_slice(&plane.data),
-    )
+    Marked("").rgb_half(path.as_ref(), plane)
 }
 
 /// Writes linear RGB in single precision; values that are not finite are an error.
@@ -222,13 +199,7 @@ pub fn write_rgb_half(path: impl AsRef<Path>, plane: &RgbPlane) -> Result<usize>
 /// # Errors
 /// If the file system refuses, or a value is not finite.
 pub fn write_rgb_float(path: impl AsRef<Path>, plane: &RgbPlane) -> Result<()> {
-    write_float(
-        path.as_ref(),
-        plane.width,
-        plane.height,
-        RGB,
-        bytemuck::cast_slice(&plane.data),
-    )
+    Marked("").rgb_float(path.as_ref(), plane)
 }
 
 /// Writes one channel in half precision; as [`write_rgb_half`].
@@ -236,7 +207,7 @@ pub fn write_rgb_float(path: impl AsRef<Path>, plane: &RgbPlane) -> Result<()> {
 /// # Errors
 /// If the file system refuses, or a value is not finite.
 pub fn write_plane_half(path: impl AsRef<Path>, plane: &Plane<f32>) -> Result<usize> {
-    write_half(path.as_ref(), plane.width, plane.height, GREY, &plane.data)
+    Marked("").plane_half(path.as_ref(), plane)
 }
 
 /// Writes one channel in single precision; values that are not finite are an error.
@@ -244,7 +215,7 @@ pub fn write_plane_half(path: impl AsRef<Path>, plane: &Plane<f32>) -> Result<us
 /// # Errors
 /// If the file system refuses, or a value is not finite.
 pub fn write_plane_float(path: impl AsRef<Path>, plane: &Plane<f32>) -> Result<()> {
-    write_float(path.as_ref(), plane.width, plane.height, GREY, &plane.data)
+    write_float(path.as_ref(), &Layout::of(plane, GREY, ""), &plane.data)
 }
 
 /// Writes two channels, called R and G, in half precision; as [`write_rgb_half`].
@@ -252,13 +223,7 @@ pub fn write_plane_float(path: impl AsRef<Path>, plane: &Plane<f32>) -> Result<(
 /// # Errors
 /// If the file system refuses, or a value is not finite.
 pub fn write_two_channels_half(path: impl AsRef<Path>, plane: &Plane<Vec2>) -> Result<usize> {
-    write_half(
-        path.as_ref(),
-        plane.width,
-        plane.height,
-        TWO,
-        bytemuck::cast_slice(&plane.data),
-    )
+    Marked("").two_channels_half(path.as_ref(), plane)
 }
 
 /// Writes two channels, called R and G, in single precision; values that are not finite are an
@@ -267,25 +232,76 @@ pub fn write_two_channels_half(path: impl AsRef<Path>, plane: &Plane<Vec2>) -> R
 /// # Errors
 /// If the file system refuses, or a value is not finite.
 pub fn write_two_channels_float(path: impl AsRef<Path>, plane: &Plane<Vec2>) -> Result<()> {
-    write_float(
-        path.as_ref(),
-        plane.width,
-        plane.height,
-        TWO,
-        bytemuck::cast_slice(&plane.data),
-    )
+    let layout = Layout::of(plane, TWO, "");
+    write_float(path.as_ref(), &layout, bytemuck::cast_slice(&plane.data))
+}
+
+/// Name of the text attribute that tells which files belong together.
+pub(super) const GENERATION: &str = "unbake:generation";
+
+/// Writers of files that carry a mark of the set they belong to; no mark if it is empty.
+pub struct Marked<'a>(pub &'a str);
+
+impl Marked<'_> {
+    /// As [`write_rgb_half`].
+    ///
+    /// # Errors
+    /// A value is not finite, or the file cannot be written.
+    pub fn rgb_half(&self, path: &Path, plane: &RgbPlane) -> Result<usize> {
+        let layout = Layout::of(plane, RGB, self.0);
+        write_half(path, &layout, bytemuck::cast_slice(&plane.data))
+    }
+
+    /// As [`write_rgb_float`].
+    ///
+    /// # Errors
+    /// As [`Self::rgb_half`].
+    pub fn rgb_float(&self, path: &Path, plane: &RgbPlane) -> Result<()> {
+        let layout = Layout::of(plane, RGB, self.0);
+        write_float(path, &layout, bytemuck::cast_slice(&plane.data))
+    }
+
+    /// As [`write_plane_half`].
+    ///
+    /// # Errors
+    /// As [`Self::rgb_half`].
+    pub fn plane_half(&self, path: &Path, plane: &Plane<f32>) -> Result<usize> {
+        write_half(path, &Layout::of(plane, GREY, self.0), &plane.data)
+    }
+
+    /// As [`write_two_channels_half`].
+    ///
+    /// # Errors
+    /// As [`Self::rgb_half`].
+    pub fn two_channels_half(&self, path: &Path, plane: &Plane<Vec2>) -> Result<usize> {
+        let layout = Layout::of(plane, TWO, self.0);
+        write_half(path, &layout, bytemuck::cast_slice(&plane.data))
+    }
+}
+
+/// Size, channels and mark of an OpenEXR file to write.
+struct Layout<'a> {
+    width: usize,
+    height: usize,
+    names: &'a [&'a CStr],
+    mark: &'a str,
+}
+
+impl<'a> Layout<'a> {
+    fn of<T>(plane: &Plane<T>, names: &'a [&'a CStr], mark: &'a str) -> Self {
+        Self {
+            width: plane.width,
+            height: plane.height,
+            names,
+            mark,
+        }
+    }
 }
 
 /// Samples per piece of a parallel conversion.
 const PIECE: usize = 1 << 16;
 
-fn write_half(
-    path: &Path,
-    width: usize,
-    height: usize,
-    names: &[&CStr],
-    values: &[f32],
-) -> Result<usize> {
+fn write_half(path: &Path, layout: &Layout<'_>, values: &[f32]) -> Result<usize> {
     let mut halves = vec![f16::ZERO; values.len()];
     let clamped = halves
         .par_chunks_mut(PIECE)
@@ -301,29 +317,22 @@ fn write_half(
             beyond
         })
         .sum();
-    write(path, width, height, names, values, Samples::Half(&halves))?;
+    write(path, layout, values, Samples::Half(&halves))?;
     Ok(clamped)
 }
 
-fn write_float(
-    path: &Path,
-    width: usize,
-    height: usize,
-    names: &[&CStr],
-    values: &[f32],
-) -> Result<()> {
-    write(path, width, height, names, values, Samples::Float(values))
+fn write_float(path: &Path, layout: &Layout<'_>, values: &[f32]) -> Result<()> {
+    write(path, layout, values, Samples::Float(values))
 }
 
 /// Refuses values that are not finite, then writes aside and renames.
-fn write(
-    path: &Path,
-    width: usize,
-    height: usize,
-    names: &[&CStr],
-    values: &[f32],
-    samples: Samples,
-) -> Result<()> {
+fn write(path: &Path, layout: &Layout<'_>, values: &[f32], samples: Samples) -> Result<()> {
+    let Layout {
+        width,
+        height,
+        names,
+        mark,
+    } = *layout;
     let bad: usize = values
         .par_chunks(PIECE)
         .map(|piece| piece.iter().filter(|v| !v.is_finite()).count())
@@ -345,7 +354,8 @@ fn write(
         )));
     }
     let aside = Aside::new(path)?;
-    oiio::write(aside.path(), width, height, names, samples)
+    let size = (width, height);
+    oiio::write(aside.path(), size, names, samples, mark)
         .map_err(|e| Error::Failed(format!("{}: could not be written: {e}", path.display())))?;
     aside.finish()
 }

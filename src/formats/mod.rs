@@ -7,12 +7,16 @@
 mod exr_header;
 mod glb;
 pub mod gltf;
+mod hdr;
 mod image_format;
 mod image_io;
+mod input;
 pub mod obj;
+mod photograph;
 mod picture;
 pub mod ply;
 mod png_io;
+mod polygon;
 mod probe;
 mod raw_mesh;
 mod read_mesh;
@@ -25,16 +29,18 @@ mod tests;
 pub use glb::GlbWriter;
 pub use image_format::{ImageFormat, ImageInfo};
 pub use image_io::{
-    read_plane, read_rgb, read_two_channels, write_plane_float, write_plane_half, write_rgb_float,
-    write_rgb_half, write_two_channels_float, write_two_channels_half,
+    Marked, read_plane, read_rgb, read_two_channels, write_plane_float, write_plane_half,
+    write_rgb_float, write_rgb_half, write_two_channels_float, write_two_channels_half,
 };
+pub use input::{MOST_DATA, MOST_TEXT, open_regular, read_input, read_input_text};
+pub use photograph::{ImageAccount, Photograph, image_account, read_photograph};
 pub use picture::{encode_grey8, encode_rgb8, encode_webp8, srgb8_from_linear};
-pub use png_io::{read_labels, read_ldr, write_png_rgb8, write_png8, write_png16};
-pub use probe::image_info;
+pub use png_io::{read_labels, read_ldr, read_mask, write_png_rgb8, write_png8, write_png16};
+pub use probe::{generation_mark, image_info};
 pub use raw_mesh::RawMesh;
 pub use read_mesh::read_mesh;
 pub use text::grouped;
-pub use whole::{Aside, atomic_write};
+pub use whole::{Aside, atomic_write, sync};
 
 use crate::{Error, Result};
 use std::path::Path;

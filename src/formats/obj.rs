@@ -1,86 +1,217 @@
 //! Wavefront OBJ geometry. Polygons are triangulated; v is flipped, because OBJ counts it from the
 //! bottom of the image.
+//!
+//! Only what geometry needs is read: `v`, `vt`, `vn`, `f`, and `o`, `g`, `usemtl` as borders of
+//! parts. Names, comments, lines, points and curves do not matter, nor do their bytes. Source:
+//! "Object Files (.obj)", Appendix B1 of the Advanced Visualizer manual.
 
+use super::polygon;
 use super::raw_mesh::{Part, RawMesh};
 use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
+use std::collections::HashMap;
 use std::path::Path;
 
 /// Geometry of an OBJ file from its bytes; materials are ignored.
 ///
 /// # Errors
-/// If the text is damaged, an index has no vertex, or there are no triangles.
+/// A line is malformed, or names what is not there: the message names the line.
 pub fn mesh_from_obj(bytes: &[u8], path: &Path) -> Result<RawMesh> {
-    let options = tobj::LoadOptions {
-        triangulate: true,
-        single_index: true,
-        ignore_points: true,
-        ignore_lines: true,
-    };
-    let mut cursor = std::io::Cursor::new(bytes);
-    let (models, _) = tobj::load_obj_buf(&mut cursor, &options, |_| Ok(Default::default()))
-        .map_err(|e| {
-            Error::input(
-                path,
-                format!("the OBJ file is malformed: {e}; export the mesh again"),
-            )
-        })?;
-    let parts: Vec<Part> = models
-        .into_iter()
-        .filter(|m| !m.mesh.indices.is_empty())
-        .map(|m| part(m.mesh))
-        .collect();
-    if parts.is_empty() {
+    // names may be in any encoding; numbers are ASCII
+    let text = String::from_utf8_lossy(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes));
+    let mut reader = Reader::default();
+    let mut lines = text.lines().enumerate();
+    let mut whole = String::new();
+    while let Some((number, line)) = lines.next() {
+        let mut line = line;
+        // a backslash at the end continues the line
+        if line.trim_end().ends_with('\\') {
+            whole.clear();
+            whole.push_str(line.trim_end().trim_end_matches('\\'));
+            for (_, next) in lines.by_ref() {
+                let next = next.trim_end();
+                whole.push(' ');
+                whole.push_str(next.trim_end_matches('\\'));
+                if !next.ends_with('\\') {
+                    break;
+                }
+            }
+            line = &whole;
+        }
+        reader
+            .line(line)
+            .map_err(|e| Error::input(path, format!("line {}: {e}", number + 1)))?;
+    }
+    reader.close();
+    if reader.parts.is_empty() {
         return Err(Error::input(
             path,
             "no faces; export the mesh with its triangles",
         ));
     }
-    RawMesh::from_parts(parts, path)
+    RawMesh::from_parts(reader.parts, path)
 }
 
-fn part(mesh: tobj::Mesh) -> Part {
-    let positions: Vec<DVec3> = mesh
-        .positions
-        .chunks_exact(3)
-        .map(|p| DVec3::new(p[0], p[1], p[2]))
-        .collect();
-    // attributes some faces lack come out shorter than the positions: then the part counts as
-    // having none
-    let normals = (mesh.normals.len() == mesh.positions.len()).then(|| {
-        let unit = |n: &[f64]| DVec3::new(n[0], n[1], n[2]).normalize_or_zero().as_vec3();
-        mesh.normals
-            .chunks_exact(3)
-            .map(unit)
-            .collect::<Vec<Vec3>>()
-    });
-    let uvs = (mesh.texcoords.len() == 2 * positions.len()).then(|| {
-        mesh.texcoords
-            .chunks_exact(2)
-            .map(|t| Vec2::new(t[0] as f32, (1.0 - t[1]) as f32))
-            .collect()
-    });
-    let triangles = mesh
-        .indices
-        .chunks_exact(3)
-        .map(|t| [t[0], t[1], t[2]])
-        .collect();
-    Part {
-        positions,
-        normals,
-        uvs,
-        triangles,
+/// Position, texture coordinate and normal of a corner, by their places in the file.
+type Corner = (u32, Option<u32>, Option<u32>);
+
+/// What has been read so far.
+#[derive(Default)]
+struct Reader {
+    positions: Vec<DVec3>,
+    uvs: Vec<Vec2>,
+    normals: Vec<Vec3>,
+    parts: Vec<Part>,
+    open: Open,
+    face: Vec<Corner>,
+}
+
+/// The part under way.
+#[derive(Default)]
+struct Open {
+    vertices: HashMap<Corner, u32>,
+    corners: Vec<Corner>,
+    triangles: Vec<[u32; 3]>,
+}
+
+type Reading<T> = std::result::Result<T, String>;
+
+impl Reader {
+    fn line(&mut self, line: &str) -> Reading<()> {
+        let line = line.split('#').next().unwrap_or_default();
+        let mut words = line.split_ascii_whitespace();
+        match words.next() {
+            Some("v") => {
+                let [x, y, z] = numbers(words, 3)?;
+                self.positions.push(DVec3::new(x, y, z));
+            }
+            Some("vt") => {
+                // one number is a coordinate along a curve: v is 0
+                let [u, v, _] = numbers(words, 1)?;
+                self.uvs.push(Vec2::new(u as f32, (1.0 - v) as f32));
+            }
+            Some("vn") => {
+                let [x, y, z] = numbers(words, 3)?;
+                let unit = DVec3::new(x, y, z).normalize_or_zero();
+                self.normals.push(unit.as_vec3());
+            }
+            Some("f" | "fo") => self.face(words)?,
+            Some("o" | "g" | "usemtl") => self.close(),
+            _ => {}
+        }
+        Ok(())
     }
+
+    fn face<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Reading<()> {
+        let mut face = std::mem::take(&mut self.face);
+        face.clear();
+        for word in words {
+            face.push(self.corner(word)?);
+        }
+        if face.len() < 3 {
+            return Err(format!("a face of {} corners", face.len()));
+        }
+        let places: Vec<DVec3> = face.iter().map(|c| self.positions[c.0 as usize]).collect();
+        let vertices: Vec<u32> = face.iter().map(|c| self.open.vertex(*c)).collect();
+        let triangles = polygon::triangulate(&places);
+        self.open
+            .triangles
+            .extend(triangles.into_iter().map(|t| t.map(|i| vertices[i])));
+        self.face = face;
+        Ok(())
+    }
+
+    /// `position/uv/normal`, the last two optional; negative numbers count back from the last.
+    fn corner(&self, word: &str) -> Reading<Corner> {
+        let mut fields = word.split('/');
+        let place = |field: &str, count: usize, what: &str| -> Reading<u32> {
+            let n: i64 = field
+                .parse()
+                .map_err(|_| format!("\"{word}\" is no corner of a face"))?;
+            let at = if n < 0 { count as i64 + n } else { n - 1 };
+            let found = u32::try_from(at).ok().filter(|i| (*i as usize) < count);
+            found.ok_or_else(|| format!("{what} {n} of {count} does not exist"))
+        };
+        let mut optional = |count: usize, what: &str| -> Reading<Option<u32>> {
+            match fields.next() {
+                None | Some("") => Ok(None),
+                Some(field) => place(field, count, what).map(Some),
+            }
+        };
+        let position = optional(self.positions.len(), "vertex")?;
+        let uv = optional(self.uvs.len(), "texture coordinate")?;
+        let normal = optional(self.normals.len(), "normal")?;
+        let position = position.ok_or_else(|| format!("\"{word}\" is no corner of a face"))?;
+        Ok((position, uv, normal))
+    }
+
+    /// Ends the part under way; an attribute that some of its corners lack counts as absent.
+    fn close(&mut self) {
+        let open = std::mem::take(&mut self.open);
+        if open.triangles.is_empty() {
+            return;
+        }
+        let uvs = open.corners.iter().map(|c| Some(self.uvs[c.1? as usize]));
+        let normals = open
+            .corners
+            .iter()
+            .map(|c| Some(self.normals[c.2? as usize]));
+        self.parts.push(Part {
+            positions: open
+                .corners
+                .iter()
+                .map(|c| self.positions[c.0 as usize])
+                .collect(),
+            normals: normals.collect(),
+            uvs: uvs.collect(),
+            triangles: open.triangles,
+        });
+    }
+}
+
+impl Open {
+    fn vertex(&mut self, corner: Corner) -> u32 {
+        let next = self.corners.len() as u32;
+        let index = *self.vertices.entry(corner).or_insert(next);
+        if index == next {
+            self.corners.push(corner);
+        }
+        index
+    }
+}
+
+/// At least `least` numbers of up to three; the rest is 0.
+fn numbers<'a>(words: impl Iterator<Item = &'a str>, least: usize) -> Reading<[f64; 3]> {
+    let mut out = [0.0; 3];
+    let mut n = 0;
+    for (slot, word) in out.iter_mut().zip(words) {
+        *slot = word.parse().map_err(|_| {
+            let comma = word.contains(',');
+            let why = if comma { " (decimal comma?)" } else { "" };
+            format!("'{word}' is no number{why}")
+        })?;
+        n += 1;
+    }
+    if n < least {
+        return Err(format!("{n} numbers where {least} are expected"));
+    }
+    Ok(out)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn read(text: &str) -> Result<RawMesh> {
+        mesh_from_obj(text.as_bytes(), Path::new("q.obj"))
+    }
+
+    const TRIANGLE: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+
     #[test]
     fn a_quad_with_uvs_is_triangulated_and_v_flipped() {
         let text = "v 10000.001 0 0\nv 10001 0 0\nv 10001 1 0\nv 10000 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 0.75\nf 1/1 2/2 3/3 4/4\n";
-        let mesh = mesh_from_obj(text.as_bytes(), Path::new("q.obj")).expect("readable");
+        let mesh = read(text).expect("readable");
         assert_eq!(mesh.triangles.len(), 2);
         assert_eq!(mesh.positions[0].x, 10000.001, "positions keep f64");
         assert_eq!(mesh.uvs[3], Vec2::new(0.0, 0.25));
@@ -88,38 +219,63 @@ mod tests {
     }
 
     #[test]
-    fn damage_is_an_error_and_never_a_panic() {
+    fn what_is_no_surface_does_not_matter() {
+        let plain = read(TRIANGLE).expect("readable");
         for text in [
-            "",
-            "f 1 2 3\n",
-            "v 0 0\nf 1 1 1\n",
-            "v 0 0 0\nf 1 2 99999999999\n",
-            "v 0 0 0\nf -5 -6 -7\n",
-            "v a b c\n",
-            "f\n",
-            "v 0 0 0\nf 1/ 1/ 1/\nf 1//9 1 1",
+            format!("\u{feff}{TRIANGLE}"),
+            format!("{TRIANGLE}l 1 2 3 1\np 1\ncurv 0 1 1 2\n"),
+            TRIANGLE.replace("f 1 2 3", "f 1 \\\n2 \\\n 3"),
+            TRIANGLE.replace('\n', "\r\n"),
+            format!("# caf\u{fffd}\nmtllib x.mtl\nusemtl caf\u{e9}\ns off\n{TRIANGLE}"),
+            TRIANGLE.replace("f 1 2 3", "f -3 -2 -1"),
         ] {
-            match mesh_from_obj(text.as_bytes(), Path::new("q.obj")) {
-                Ok(m) => assert!(
-                    m.triangles
-                        .iter()
-                        .flatten()
-                        .all(|&i| (i as usize) < m.positions.len()),
-                    "{text:?}"
-                ),
-                Err(e) => assert!(
-                    e.to_string().contains("q.obj") && e.exit_code() == 2,
-                    "{text:?}: {e}"
-                ),
-            }
+            assert_eq!(read(&text).expect("readable"), plain, "{text:?}");
+        }
+        let mut latin = b"# caf\xe9\n".to_vec();
+        latin.extend(TRIANGLE.as_bytes());
+        assert_eq!(
+            mesh_from_obj(&latin, Path::new("q.obj")).expect("read"),
+            plain
+        );
+    }
+
+    #[test]
+    fn damage_is_an_error_that_names_its_line() {
+        for (text, said) in [
+            ("", "no faces"),
+            ("f 1 2 3\n", "line 1: vertex 1 of 0"),
+            ("v 0 0\nf 1 1 1\n", "line 1: 2 numbers"),
+            ("v 0 0 0\nf 1 2 99999999999\n", "line 2: vertex 2 of 1"),
+            ("v 0 0 0\nf -5 -6 -7\n", "line 2"),
+            ("v a b c\n", "line 1: 'a' is no number"),
+            ("v 4,5 0 0\n", "'4,5' is no number (decimal comma?)"),
+            ("f\n", "a face of 0 corners"),
+            ("v 0 0 0\nf 1/ 1/ 1/\nf 1//9 1 1", "line 3: normal 9 of 0"),
+        ] {
+            let e = read(text).expect_err(said);
+            assert!(
+                e.exit_code() == 2 && e.to_string().contains(said),
+                "{text:?}: {e}"
+            );
         }
     }
 
     #[test]
     fn faces_with_and_without_uvs_count_as_without() {
         let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\nf 1 2 3\n";
-        if let Ok(mesh) = mesh_from_obj(text.as_bytes(), Path::new("q.obj")) {
-            assert!(mesh.uvs.is_empty() || mesh.uvs.len() == mesh.positions.len());
-        }
+        let mesh = read(text).expect("readable");
+        assert!(mesh.uvs.is_empty() && mesh.triangles.len() == 2);
+    }
+
+    #[test]
+    fn dented_faces_keep_their_area() {
+        let mesh = read("v 0 0 0\nv 4 0 0\nv 4 4 0\nv 3 1 0\nf 2 3 4 1\n").expect("readable");
+        let area: f64 = mesh
+            .triangles
+            .iter()
+            .map(|t| t.map(|i| mesh.positions[i as usize]))
+            .map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length())
+            .sum();
+        assert!((area - 4.0).abs() < 1e-12, "{area}");
     }
 }

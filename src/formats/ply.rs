@@ -4,11 +4,13 @@
 //! The header's counts are checked against the size of the file before anything is read: every
 //! element takes at least one byte, so a larger count is damage.
 
+use super::polygon;
 use super::raw_mesh::{Part, RawMesh};
 use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
+use std::collections::HashMap;
 use std::io::Cursor;
 use std::path::Path;
 
@@ -20,6 +22,10 @@ struct Element {
     uv: [f64; 2],
     indices: Vec<u32>,
     bad_index: bool,
+    /// Indices of a list that has negative ones: strips, ended by −1.
+    signed: Vec<i32>,
+    /// Texture coordinates by corner: u and v in turn.
+    wedge: Vec<f32>,
 }
 
 fn scalar(property: &Property) -> Option<f64> {
@@ -45,7 +51,23 @@ impl PropertyAccess for Element {
         if matches!(name, "vertex_indices" | "vertex_index") {
             match property.to_u32_list() {
                 Some(list) => self.indices = list,
-                None => self.bad_index = true, // negative or fractional
+                // negative or fractional
+                None => {
+                    self.bad_index = true;
+                    if let Property::ListInt(list) = property {
+                        self.signed = list;
+                    }
+                }
+            }
+            return PropertyAccessResult::Set;
+        }
+        if name == "texcoord" {
+            match property {
+                Property::ListFloat(list) => self.wedge = list,
+                Property::ListDouble(list) => {
+                    self.wedge = list.into_iter().map(|v| v as f32).collect();
+                }
+                _ => return PropertyAccessResult::Ignored,
             }
             return PropertyAccessResult::Set;
         }
@@ -82,6 +104,7 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
         .read_header(&mut reader)
         .map_err(|e| fail(format!("the PLY header is malformed: {e}")))?;
     let (mut part, mut found_vertices, mut found_faces) = (Part::default(), false, false);
+    let mut faces: Vec<Element> = Vec::new();
     for (name, element) in &header.elements {
         if element.count > bytes.len() {
             return Err(fail(format!(
@@ -121,19 +144,27 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
             }
             "face" => {
                 found_faces = true;
-                for (i, e) in elements.iter().enumerate() {
-                    if e.bad_index {
-                        return Err(fail(format!(
-                            "face {i} has vertex indices that are no whole numbers from 0 up"
-                        )));
-                    }
-                    part.triangles.extend(
-                        e.indices
-                            .get(1..)
-                            .unwrap_or_default()
-                            .windows(2)
-                            .map(|w| [e.indices[0], w[0], w[1]]),
-                    );
+                if let Some(i) = elements.iter().position(|e| e.bad_index) {
+                    return Err(fail(format!(
+                        "face {i} has vertex indices that are no whole numbers from 0 up"
+                    )));
+                }
+                faces = elements;
+            }
+            "tristrips" => {
+                found_faces = true;
+                for e in &elements {
+                    let whole: Vec<i32> = match e.bad_index {
+                        true => e.signed.clone(),
+                        false => e
+                            .indices
+                            .iter()
+                            .filter_map(|i| i32::try_from(*i).ok())
+                            .collect(),
+                    };
+                    whole
+                        .split(|i| *i < 0)
+                        .for_each(|strip| part.triangles.extend(of_strip(strip)));
                 }
             }
             _ => {}
@@ -145,7 +176,67 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
             "no elements \"vertex\" and \"face\": a point cloud is no mesh; reconstruct a surface first",
         ));
     }
+    add_faces(&mut part, &faces).map_err(fail)?;
     RawMesh::from_parts(vec![part], path)
+}
+
+/// Triangles of a strip: every corner closes one with the two before it, windings in turn.
+fn of_strip(strip: &[i32]) -> impl Iterator<Item = [u32; 3]> + '_ {
+    strip.windows(3).enumerate().map(|(i, w)| {
+        let [a, b, c] = [w[0] as u32, w[1] as u32, w[2] as u32];
+        if i % 2 == 0 { [a, b, c] } else { [b, a, c] }
+    })
+}
+
+/// Triangulates faces into a part; texture coordinates by corner, where every face has them, become
+/// vertices of their own.
+fn add_faces(part: &mut Part, faces: &[Element]) -> std::result::Result<(), String> {
+    let count = part.positions.len();
+    let wedges = !faces.is_empty() && faces.iter().all(|f| f.wedge.len() == 2 * f.indices.len());
+    let mut made: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
+    let mut corners: Vec<(u32, Vec2)> = Vec::new();
+    for (f, face) in faces.iter().enumerate() {
+        if let Some(bad) = face.indices.iter().find(|i| **i as usize >= count) {
+            return Err(format!("face {f} uses vertex {bad} of {count}"));
+        }
+        let places: Vec<DVec3> = face
+            .indices
+            .iter()
+            .map(|i| part.positions[*i as usize])
+            .collect();
+        let vertex = |k: usize| -> u32 {
+            let v = face.indices[k];
+            if !wedges {
+                return v;
+            }
+            // like OBJ, PLY counts v from the bottom of the image
+            let uv = Vec2::new(face.wedge[2 * k], 1.0 - face.wedge[2 * k + 1]);
+            let next = corners.len() as u32;
+            let index = *made
+                .entry((v, uv.to_array().map(f32::to_bits)))
+                .or_insert(next);
+            if index == next {
+                corners.push((v, uv));
+            }
+            index
+        };
+        let vertices: Vec<u32> = (0..places.len()).map(vertex).collect();
+        let triangles = polygon::triangulate(&places);
+        part.triangles
+            .extend(triangles.into_iter().map(|t| t.map(|i| vertices[i])));
+    }
+    if wedges {
+        part.uvs = Some(corners.iter().map(|c| c.1).collect());
+        part.positions = corners
+            .iter()
+            .map(|c| part.positions[c.0 as usize])
+            .collect();
+        part.normals = part
+            .normals
+            .take()
+            .map(|n| corners.iter().map(|c| n[c.0 as usize]).collect());
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -160,6 +251,34 @@ mod tests {
         assert_eq!(mesh.triangles, vec![[0, 1, 2], [0, 2, 3]]);
         assert_eq!(mesh.positions[0].x, 10000.001);
         assert_eq!(mesh.uvs[3], Vec2::new(0.0, 0.25));
+    }
+
+    #[test]
+    fn texture_coordinates_by_corner_make_vertices() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\nend_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2 6 0 0 0.5 0 0.5 0.25\n3 0 2 3 6 0 0 0.75 0.5 0 0.5\n";
+        let mesh = mesh_from_ply(text.as_bytes(), Path::new("m.ply")).expect("readable");
+        assert_eq!(
+            (mesh.positions.len(), mesh.triangles.len()),
+            (5, 2),
+            "one corner is shared"
+        );
+        assert_eq!(
+            mesh.uvs[mesh.triangles[0][2] as usize],
+            Vec2::new(0.5, 0.75)
+        );
+        assert_eq!(
+            mesh.positions[mesh.triangles[1][1] as usize],
+            DVec3::new(1.0, 1.0, 0.0)
+        );
+    }
+
+    #[test]
+    fn strips_end_at_minus_one_and_turn_in_turn() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement tristrips 1\nproperty list int int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n1 1 0\n8 0 1 2 3 -1 3 2 1\n";
+        let mesh = mesh_from_ply(text.as_bytes(), Path::new("m.ply")).expect("readable");
+        assert_eq!(mesh.triangles, vec![[0, 1, 2], [2, 1, 3], [3, 2, 1]]);
+        let beyond = text.replace("3 2 1\n", "9 2 1\n");
+        assert!(mesh_from_ply(beyond.as_bytes(), Path::new("m.ply")).is_err());
     }
 
     fn binary(vertices: u64, faces: u64, list: u8) -> Vec<u8> {

@@ -1,8 +1,8 @@
 //! PNG: class and room ids in and out, pictures for the report, display-referred photographs in.
 
 use super::image_format::{ImageFormat, ImageInfo, sniff};
-use super::image_io;
-use super::{MAX_PIXELS, atomic_write, checked_size, pixel_buffer};
+use super::image_io::{self, GENERATION, Marked};
+use super::{atomic_write, checked_size, open_regular, pixel_buffer};
 use crate::ffi::oiio::Sample;
 use crate::image::{Plane, RgbPlane};
 use crate::math::linear_from_srgb;
@@ -14,16 +14,15 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
+/// What the library may allocate for itself: lines it works on, texts, colour profiles. Derived:
+/// two lines of 16-bit RGBA of the widest panorama (2²⁸ pixels) take 0.4 MB; a colour profile has
+/// at most a few MB.
+const OWN_BYTES: usize = 64 << 20;
+
 /// Opens a PNG and judges its size; nothing is allocated for pixels yet.
 fn open(path: &Path, transform: Transformations) -> Result<Reader<BufReader<File>>> {
-    let file = File::open(path).map_err(|e| Error::input(path, format!("cannot be read: {e}")))?;
-    // The library's own allocations: the lines it works on, text and colour profiles.
-    let mut decoder = Decoder::new_with_limits(
-        BufReader::new(file),
-        Limits {
-            bytes: MAX_PIXELS * 8,
-        },
-    );
+    let file = open_regular(path)?;
+    let mut decoder = Decoder::new_with_limits(BufReader::new(file), Limits { bytes: OWN_BYTES });
     decoder.set_transformations(transform);
     let header = decoder.read_header_info().map_err(|e| damaged(path, &e))?;
     checked_size(path, header.width.into(), header.height.into())?;
@@ -118,20 +117,60 @@ pub fn read_labels(path: impl AsRef<Path>) -> Result<Plane<u16>> {
         .ok_or_else(|| Error::input(path, "fewer pixels than its header states"))
 }
 
+/// Reads a mask: `true` where a pixel is to be kept.
+///
+/// Any number of channels: a pixel is kept if one of its colour channels (or its palette index) is
+/// not 0 and it is not fully transparent.
+pub fn read_mask(path: impl AsRef<Path>) -> Result<Plane<bool>> {
+    let path = path.as_ref();
+    expect_png(path, "a mask")?;
+    let mut reader = open(path, Transformations::IDENTITY)?;
+    let (color, depth) = (reader.info().color_type, reader.info().bit_depth);
+    if matches!(color, ColorType::Grayscale | ColorType::Indexed) {
+        return read_labels(path).map(|ids| ids.map(|id| *id != 0));
+    }
+    let (width, height) = (reader.info().width as usize, reader.info().height as usize);
+    let bytes = pixels(path, &mut reader)?;
+    let sample = if depth == BitDepth::Sixteen { 2 } else { 1 };
+    let alpha = matches!(color, ColorType::GrayscaleAlpha | ColorType::Rgba);
+    let keeps = |p: &[u8]| {
+        let (colour, a) = p.split_at(p.len() - if alpha { sample } else { 0 });
+        colour.iter().any(|v| *v != 0) && (a.is_empty() || a.iter().any(|v| *v != 0))
+    };
+    let data = bytes.chunks_exact(color.samples() * sample).map(keeps);
+    Plane::from_data(width, height, data.collect())
+        .ok_or_else(|| Error::input(path, "fewer pixels than its header states"))
+}
+
 /// Writes ids as a 16-bit greyscale PNG.
 ///
 /// # Errors
 /// If the file system refuses.
 pub fn write_png16(path: impl AsRef<Path>, plane: &Plane<u16>) -> Result<()> {
-    let bytes: Vec<u8> = plane.data.iter().flat_map(|v| v.to_be_bytes()).collect();
-    write_png(
-        path.as_ref(),
-        plane.width,
-        plane.height,
-        ColorType::Grayscale,
-        BitDepth::Sixteen,
-        &bytes,
-    )
+    Marked("").png16(path.as_ref(), plane)
+}
+
+impl Marked<'_> {
+    /// As [`write_png16`].
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn png16(&self, path: &Path, plane: &Plane<u16>) -> Result<()> {
+        let bytes: Vec<u8> = plane.data.iter().flat_map(|v| v.to_be_bytes()).collect();
+        let kind = (ColorType::Grayscale, BitDepth::Sixteen);
+        write_png(path, (plane.width, plane.height), kind, &bytes, self.0)
+    }
+}
+
+/// The mark of the set that a PNG belongs to, if it has one.
+///
+/// # Errors
+/// It cannot be read.
+pub(super) fn mark(path: &Path) -> Result<Option<String>> {
+    let reader = open(path, Transformations::IDENTITY)?;
+    let texts = &reader.info().uncompressed_latin1_text;
+    let own = texts.iter().find(|t| t.keyword == GENERATION);
+    Ok(own.map(|t| t.text.clone()))
 }
 
 /// Writes 8-bit greyscale.
@@ -139,14 +178,9 @@ pub fn write_png16(path: impl AsRef<Path>, plane: &Plane<u16>) -> Result<()> {
 /// # Errors
 /// If the file system refuses.
 pub fn write_png8(path: impl AsRef<Path>, plane: &Plane<u8>) -> Result<()> {
-    write_png(
-        path.as_ref(),
-        plane.width,
-        plane.height,
-        ColorType::Grayscale,
-        BitDepth::Eight,
-        &plane.data,
-    )
+    let kind = (ColorType::Grayscale, BitDepth::Eight);
+    let size = (plane.width, plane.height);
+    write_png(path.as_ref(), size, kind, &plane.data, "")
 }
 
 /// Writes 8-bit RGB, three bytes per pixel.
@@ -159,23 +193,16 @@ pub fn write_png_rgb8(
     height: usize,
     rgb: &[u8],
 ) -> Result<()> {
-    write_png(
-        path.as_ref(),
-        width,
-        height,
-        ColorType::Rgb,
-        BitDepth::Eight,
-        rgb,
-    )
+    let kind = (ColorType::Rgb, BitDepth::Eight);
+    write_png(path.as_ref(), (width, height), kind, rgb, "")
 }
 
 fn write_png(
     path: &Path,
-    width: usize,
-    height: usize,
-    color: ColorType,
-    depth: BitDepth,
+    (width, height): (usize, usize),
+    (color, depth): (ColorType, BitDepth),
     bytes: &[u8],
+    mark: &str,
 ) -> Result<()> {
     let failed = |e: &dyn std::fmt::Display| {
         Error::Failed(format!("{}: could not be written: {e}", path.display()))
@@ -187,6 +214,11 @@ fn write_png(
     let mut encoder = Encoder::new(&mut file, w, h);
     encoder.set_color(color);
     encoder.set_depth(depth);
+    if !mark.is_empty() {
+        encoder
+            .add_text_chunk(GENERATION.into(), mark.into())
+            .map_err(|e| failed(&e))?;
+    }
     let mut writer = encoder.write_header().map_err(|e| failed(&e))?;
     writer.write_image_data(bytes).map_err(|e| failed(&e))?;
     writer.finish().map_err(|e| failed(&e))?;

@@ -1,7 +1,7 @@
 //! Reads a mesh of any known format: a new format gets a file of its own and a line here.
 
 use super::raw_mesh::RawMesh;
-use super::{gltf, obj, ply};
+use super::{MOST_DATA, gltf, obj, ply, read_input};
 use crate::{Error, Result};
 use std::path::Path;
 
@@ -28,7 +28,5 @@ pub fn read_mesh(path: &Path) -> Result<RawMesh> {
             ));
         }
     };
-    let bytes = std::fs::read(path)
-        .map_err(|e| Error::input(path, format!("the mesh cannot be read: {e}")))?;
-    parse(&bytes, path)
+    parse(&read_input(path, MOST_DATA)?, path)
 }

@@ -156,10 +156,10 @@ fn reading_returns_nan_as_stored() {
     let bits = [f32::NAN, f32::INFINITY, 1.0];
     crate::ffi::oiio::write(
         &path,
-        3,
-        1,
+        (3, 1),
         &[c"Y"],
         crate::ffi::oiio::Samples::Float(&bits),
+        "",
     )
     .expect("written");
     let read = read_plane(&path).expect("read");
@@ -174,13 +174,13 @@ fn channels_are_picked_by_name() {
         let values: Vec<f32> = (0..names.len()).map(|c| c as f32).collect();
         crate::ffi::oiio::write(
             &path,
-            1,
-            1,
+            (1, 1),
             names,
             crate::ffi::oiio::Samples::Float(&values),
+            "",
         )
         .expect("written");
-        read_rgb(&path).map(|p| p.data[0])
+        read_photograph(&path, None).map(|p| p.pixels.data[0])
     };
     assert_eq!(
         write(&[c"R", c"G", c"B", c"A"]).expect("rgba"),

@@ -62,6 +62,8 @@ impl Aside {
     /// If the file system refuses; the file written aside is then removed.
     pub fn finish(self) -> Result<()> {
         let Self { temporary, target } = self;
+        // or a power cut could leave the new name with nothing behind it
+        sync(&temporary).map_err(|e| Error::io(&target, e))?;
         temporary
             .persist(&target)
             .map_err(|e| Error::io(&target, e.error))
@@ -74,6 +76,14 @@ fn folder_of(file: &Path) -> &Path {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
     }
+}
+
+/// Waits until a file's, or a folder's, content is on the disk.
+///
+/// # Errors
+/// It cannot be opened, or the disk reports a failure that writing had not seen.
+pub fn sync(path: &Path) -> std::io::Result<()> {
+    fs::File::open(path)?.sync_all()
 }
 
 /// Writes `bytes` to `path`, whole or not at all.

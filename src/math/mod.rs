@@ -1,6 +1,7 @@
 //! Scalars, duals and frames: the small mathematics every other module is written in.
 
 mod angle;
+pub mod colour;
 mod dual;
 mod frame;
 mod real;

@@ -6,6 +6,7 @@
 //! symmetric distribution, or one plane of a rotationally symmetric one.
 
 use crate::error::{Error, Result};
+use crate::formats::{MOST_TEXT, read_input};
 use std::path::Path;
 
 /// Luminous intensity over directions, as a share of its maximum.
@@ -98,12 +99,8 @@ impl IesProfile {
     /// # Errors
     /// It cannot be read, or is no LM-63 file of type C; the message names what was expected.
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|e| {
-            Error::input(
-                path,
-                format!("cannot be read ({e}); expected a luminaire's IES file (LM-63)"),
-            )
-        })?;
+        let bytes = read_input(path, MOST_TEXT)
+            .map_err(|e| e.advise("expected a luminaire's IES file (LM-63)"))?;
         Self::parse(&String::from_utf8_lossy(&bytes)).map_err(|m| Error::input(path, m))
     }
 

@@ -193,25 +193,8 @@ impl RunRecord {
 /// If a file cannot be read.
 pub fn hash_inputs(scene: &Scene) -> Result<Vec<InputFile>> {
     use rayon::prelude::*;
-    let transforms = scene.folder.join("transforms.json");
-    let mut paths = vec![transforms.clone()];
-    let json: serde_json::Value = std::fs::read(&transforms)
-        .ok()
-        .and_then(|bytes| serde_json::from_slice(&bytes).ok())
-        .unwrap_or_default();
-    paths.extend(
-        ["mesh_path", "rooms_path"]
-            .iter()
-            .filter_map(|key| Some(scene.folder.join(json.get(key)?.as_str()?))),
-    );
-    for view in &scene.views {
-        paths.push(view.image_path.clone());
-        paths.extend(view.label_path.clone());
-        paths.extend(view.mask_path.clone());
-    }
+    let mut paths = scene.input_files();
     paths.retain(|p| p.is_file());
-    paths.sort();
-    paths.dedup();
     paths
         .par_iter()
         .map(|path| {

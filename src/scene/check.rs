@@ -1,7 +1,8 @@
 //! `unbake check`: what the program understands of a scene, and everything that is wrong with it,
 //! in one report.
 
-use super::{LoadOptions, RoomGrid, Scene, Split, View, find_rooms};
+use super::frame_account;
+use super::{FrameAccount, LoadOptions, RoomGrid, Scene, Split, View, find_rooms};
 use crate::geometry::Projection;
 use crate::image::RgbPlane;
 use crate::math::luminance;
@@ -37,6 +38,8 @@ pub struct Summary {
     pub test_views: usize,
     /// Image sizes and projections, with the number of views of each.
     pub images: Vec<ImageKind>,
+    /// Every frame whose files could be read.
+    pub frames: Vec<FrameAccount>,
     /// Geometry.
     pub mesh: MeshSummary,
     /// Radiance of the training images, exposure applied.
@@ -227,6 +230,7 @@ pub fn check_loaded(scene: &Scene, tracer: &dyn Tracer, report: &mut CheckReport
         rooms_given: scene.rooms.is_some(),
         ..Summary::default()
     };
+    summary.frames = findings.iter().map(|f| f.account.clone()).collect();
     let total: f64 = findings
         .iter()
         .filter(|f| f.train)
@@ -237,7 +241,8 @@ pub fn check_loaded(scene: &Scene, tracer: &dyn Tracer, report: &mut CheckReport
         .filter(|f| f.train)
         .map(|f| f.holes)
         .sum::<f64>()
-        / total.max(f64::MIN_POSITIVE);
+        / total.max(f64::MIN_POSITIVE)
+        + 0.0;
     (summary.classes, summary.unlabelled_share) = class_shares(scene, &findings);
     let labelled: f64 = findings
         .iter()
@@ -255,12 +260,16 @@ pub fn check_loaded(scene: &Scene, tracer: &dyn Tracer, report: &mut CheckReport
         }
     };
     summary.rooms = room_summaries(scene, grid);
-    warn(scene, &summary, &findings, &mut report.warnings);
+    // nothing is concluded from images that could not be read
+    if findings.len() == scene.views.len() {
+        warn(scene, &summary, &findings, &mut report.warnings);
+    }
     report.summary = Some(summary);
 }
 
 /// What one view contributes.
 struct ViewFindings {
+    account: FrameAccount,
     stem: String,
     train: bool,
     labelled: bool,
@@ -285,13 +294,15 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
     let radiance = radiance.map_err(&mut keep).ok();
     let labels = labels.map_err(&mut keep).ok();
     let mask = mask.map_err(&mut keep).ok();
-    let (Some((image, stats)), Some(labels), Some(_), true) =
+    let (Some((image, stats)), Some(labels), Some(mask), true) =
         (radiance, labels, mask, errors.is_empty())
     else {
         return Err(Error::Inputs(errors));
     };
     let camera = &view.camera;
+    let account = frame_account::account(scene, view, (&stats, mask.as_ref(), labels.as_ref()))?;
     let mut f = ViewFindings {
+        account,
         stem: view.stem.clone(),
         train: view.split == Split::Train,
         labelled: labels.is_some(),
@@ -527,6 +538,7 @@ fn room_summaries(scene: &Scene, grid: &RoomGrid) -> Vec<RoomSummary> {
 }
 
 fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Vec<String>) {
+    warnings.extend(frame_account::warnings(&s.frames));
     for f in findings
         .iter()
         .filter(|f| f.luminances.iter().all(|&l| l <= 0.0))

@@ -2,7 +2,9 @@
 //! verdict in the last line.
 
 use super::{CheckReport, Summary};
+use crate::error::printable;
 use crate::formats::grouped;
+use std::collections::BTreeMap;
 use std::fmt::{Display, Formatter, Result};
 
 fn percent(share: f64) -> String {
@@ -11,7 +13,7 @@ fn percent(share: f64) -> String {
 
 impl Display for CheckReport {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        writeln!(f, "{}", self.path)?;
+        writeln!(f, "{}", printable(&self.path))?;
         if let Some(s) = &self.summary {
             summary(f, s)?;
         }
@@ -38,7 +40,27 @@ fn list(f: &mut Formatter<'_>, what: &str, lines: &[String]) -> Result {
         lines.len(),
         if lines.len() == 1 { "" } else { "s" }
     )?;
-    lines.iter().try_for_each(|l| writeln!(f, "  - {l}"))
+    lines
+        .iter()
+        .try_for_each(|l| writeln!(f, "  - {}", printable(l)))
+}
+
+/// How the photographs were understood, with their numbers.
+fn image_kinds(s: &Summary) -> BTreeMap<String, usize> {
+    let mut kinds = BTreeMap::new();
+    for frame in &s.frames {
+        let i = &frame.image;
+        let part = i
+            .part
+            .as_ref()
+            .map_or(String::new(), |p| format!(", part {p}"));
+        let kind = format!(
+            "{} {}, channels {}{part}, {}, {}",
+            i.format, i.sample, i.channels, i.primaries, i.transfer
+        );
+        *kinds.entry(printable(&kind).into_owned()).or_default() += 1;
+    }
+    kinds
 }
 
 fn summary(f: &mut Formatter<'_>, s: &Summary) -> Result {
@@ -54,6 +76,9 @@ fn summary(f: &mut Formatter<'_>, s: &Summary) -> Result {
             "images",
             format!("{} × {}: {}×{}", k.views, k.projection, k.width, k.height),
         )?;
+    }
+    for (kind, count) in image_kinds(s) {
+        row(f, "read as", format!("{count} × {kind}"))?;
     }
     let m = &s.mesh;
     row(
@@ -130,7 +155,7 @@ fn summary(f: &mut Formatter<'_>, s: &Summary) -> Result {
                 f,
                 "  {:>6}  {:<28} {:>8} {:>8}",
                 c.id,
-                format!("{}{light}", c.name),
+                format!("{}{light}", printable(&c.name)),
                 percent(c.pixel_share),
                 percent(c.mesh_share)
             )?;

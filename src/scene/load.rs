@@ -2,12 +2,12 @@
 
 use super::input_error::{as_input, limited};
 use super::mesh_prep::prepare_mesh;
-use super::transforms::{Frame, Model, Transforms, parse_usable};
+use super::transforms::{Frame, Model, Transforms, parse_usable, y_up_from_z_up};
 use super::{Class, LdrImages, LoadOptions, Mirror, Scene, Split, View, rooms};
-use crate::formats::{self, ImageInfo};
+use crate::formats::{self, ImageAccount, ImageInfo};
 use crate::geometry::Camera;
 use crate::{Error, Result};
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -35,16 +35,19 @@ impl Scene {
             .to_path_buf();
         let (transforms, mut issues) =
             read_transforms(&file).map_err(|e| limited(e, options.max_issues))?;
-        let mut warnings = Vec::new();
+        let mut warnings = transforms.warnings.clone();
         let splits = splits(&transforms, &file, &mut issues, &mut warnings);
         check_stems(&transforms.frames, &file, &mut issues);
-        let mesh_path = folder.join(&transforms.mesh_path);
+        let mesh_path = resolved(&folder, &transforms.mesh_path);
         let mesh = if transforms.mesh_path.is_empty() {
             return Err(limited(issues, options.max_issues));
         } else {
             formats::read_mesh(&mesh_path)
         };
-        let mesh = mesh.and_then(|raw| prepare_mesh(raw, &mesh_path, transforms.z_up, options));
+        let mesh = mesh.and_then(|raw| {
+            let z_up = mesh_is_z_up(&transforms, &raw, &mut warnings);
+            prepare_mesh(raw, &mesh_path, z_up, options)
+        });
         let origin = mesh.as_ref().map_or(DVec3::ZERO, |m| m.1);
         let checked: Vec<_> = transforms
             .frames
@@ -59,13 +62,14 @@ impl Scene {
                 Err(e) => issues.extend(e),
             }
         }
+        warnings.extend(level_white(&mut views));
         let classes_declared = transforms.classes.is_some();
         let classes = match transforms.classes {
             Some(c) => c,
             None => derived_classes(&views, &mut issues),
         };
         let rooms = transforms.rooms_path.as_ref().and_then(|p| {
-            rooms::read_rooms(&folder.join(p), origin)
+            rooms::read_rooms(&resolved(&folder, p), origin)
                 .map_err(|e| issues.push(e))
                 .ok()
         });
@@ -80,7 +84,6 @@ impl Scene {
             return Err(limited(issues, options.max_issues));
         }
         let scene = Self {
-            folder,
             origin,
             mesh,
             classes,
@@ -93,6 +96,12 @@ impl Scene {
             warnings,
             camera_masks: Vec::new(),
             options: options.clone(),
+            files: {
+                let rooms = transforms.rooms_path.iter().map(|p| resolved(&folder, p));
+                let grids = rooms.flat_map(|p| [rooms::description(&p), p]);
+                [file, mesh_path.clone()].into_iter().chain(grids).collect()
+            },
+            folder,
         };
         Ok(scene.with_ldr_note().with_mesh_warnings(&mesh_path))
     }
@@ -126,6 +135,12 @@ impl Scene {
                 s.degenerate, s.file_triangles
             ));
         }
+        if s.coincident > 0 {
+            notes.push(format!(
+                "{name}: {} of {} triangles lie on others with the same corners (faces stored once per side) and are merged with them",
+                s.coincident, s.file_triangles
+            ));
+        }
         if s.normals_computed > 0 {
             notes.push(format!(
                 "{name}: normals of {} vertices were missing and are computed from the faces",
@@ -133,8 +148,16 @@ impl Scene {
             ));
         }
         if let Some(u) = &s.unwrapped {
+            let why = match s.overlap_dropped {
+                share if share > 0.0 => format!(
+                    "{:.0} % of the atlas is claimed by several triangles (one atlas per material?), so it is not used",
+                    100.0 * share
+                ),
+                _ if self.options.unwrap => "a new atlas is asked for".into(),
+                _ => "no atlas given".into(),
+            };
             notes.push(format!(
-                "{name}: no atlas given; unwrapped into {} charts, {:.0} % filled",
+                "{name}: {why}; unwrapped into {} charts, {:.0} % filled",
                 u.charts,
                 100.0 * u.fill
             ));
@@ -171,10 +194,59 @@ impl Scene {
     }
 }
 
+/// A path of the file, relative to the scene's folder. Windows writes `\` between folders: read as
+/// `/` where no file of that very name exists.
+fn resolved(folder: &Path, named: &str) -> PathBuf {
+    let path = folder.join(named);
+    let forward = folder.join(named.replace('\\', "/"));
+    match named.contains('\\') && !path.exists() && forward.exists() {
+        true => forward,
+        false => path,
+    }
+}
+
+/// Whether the mesh has to be turned from z up to y up.
+///
+/// `mesh_up_axis` decides, else `up_axis`. glTF is y up by its standard, but not every exporter
+/// keeps to it: in a z-up scene it is turned unless more cameras stand inside its bounding box as
+/// it is.
+fn mesh_is_z_up(t: &Transforms, raw: &formats::RawMesh, warnings: &mut Vec<String>) -> bool {
+    if let Some(z_up) = t.mesh_z_up {
+        return z_up;
+    }
+    let extension = Path::new(&t.mesh_path).extension().unwrap_or_default();
+    let gltf = ["glb", "gltf"]
+        .iter()
+        .any(|e| extension.eq_ignore_ascii_case(e));
+    if !(t.z_up && gltf) {
+        return t.z_up;
+    }
+    let inside = |turn: DMat3| -> usize {
+        let corners = raw
+            .positions
+            .iter()
+            .filter(|p| p.is_finite())
+            .map(|p| turn * *p);
+        let start = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        let (lo, hi) = corners.fold(start, |(lo, hi), p| (lo.min(p), hi.max(p)));
+        let contains = |f: &&Frame| f.position.cmpge(lo).all() && f.position.cmple(hi).all();
+        t.frames.iter().filter(contains).count()
+    };
+    let (as_it_is, turned) = (inside(DMat3::IDENTITY), inside(y_up_from_z_up()));
+    if as_it_is > turned {
+        warnings.push(format!(
+            "{}: glTF is y up by its standard, so up_axis \"z\" turns the poses only ({as_it_is} of {} cameras stand inside it as it is, {turned} if it were turned); mesh_up_axis \"z\" turns it too",
+            t.mesh_path,
+            t.frames.len()
+        ));
+    }
+    as_it_is <= turned
+}
+
 /// The usable part of the file with the problems of the rest; `Err` if nothing of it can be used.
 fn read_transforms(file: &Path) -> std::result::Result<(Transforms, Vec<Error>), Vec<Error>> {
-    let bytes = std::fs::read(file).map_err(|e| {
-        vec![Error::input(file, format!("cannot be read: {e}; give a scene folder that holds transforms.json, or such a file"))]
+    let bytes = formats::read_input(file, formats::MOST_TEXT).map_err(|e| {
+        vec![e.advise("give a scene folder that holds transforms.json, or such a file")]
     })?;
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     let text = std::str::from_utf8(bytes).map_err(|e| {
@@ -287,16 +359,17 @@ fn view(
     origin: DVec3,
     options: &LoadOptions,
 ) -> std::result::Result<View, Vec<Error>> {
-    let image_path = folder.join(&f.file_path);
+    let image_path = resolved(folder, &f.file_path);
     let mut issues = Vec::new();
-    let info = match formats::image_info(&image_path) {
+    let info = match formats::image_account(&image_path, f.colour_space) {
         Ok(i) => Some(i),
         Err(e) => {
             issues.push(as_input(e, &image_path, &format!("frames[{}]", f.index)));
             None
         }
     };
-    if info.as_ref().is_some_and(|i| !i.format.is_linear()) && options.ldr == LdrImages::Off {
+    let referred = info.as_ref().is_some_and(|i| i.is_display_referred());
+    if referred && options.ldr == LdrImages::Off {
         issues.push(Error::input(
             &image_path,
             "display-referred image: its values are not proportional to light. Give EXR or Radiance HDR, or leave out --ldr off to take it as sRGB",
@@ -325,7 +398,7 @@ fn view(
                      what: &str,
                      issues: &mut Vec<Error>|
      -> Option<PathBuf> {
-        let path = folder.join(path.as_ref()?);
+        let path = resolved(folder, path.as_ref()?);
         match (formats::image_info(&path), &info) {
             (Err(e), _) => issues.push(as_input(e, &path, &format!("frames[{}]", f.index))),
             (Ok(side), Some(image)) if !same_aspect(&side, image) => issues.push(Error::input(
@@ -346,6 +419,8 @@ fn view(
     };
     let camera = camera(f, &info, origin);
     Ok(View {
+        colour_space: f.colour_space,
+        account: info,
         stem,
         camera,
         image_path,
@@ -356,7 +431,7 @@ fn view(
     })
 }
 
-fn camera(f: &Frame, info: &ImageInfo, origin: DVec3) -> Camera {
+fn camera(f: &Frame, info: &ImageAccount, origin: DVec3) -> Camera {
     Camera {
         projection: f.model.projection(info.width, info.height),
         width: info.width,
@@ -366,8 +441,38 @@ fn camera(f: &Frame, info: &ImageInfo, origin: DVec3) -> Camera {
     }
 }
 
+/// Brings views to one scale whose files state different luminances of white (`whiteLuminance`);
+/// what a user should know of it.
+fn level_white(views: &mut [View]) -> Vec<String> {
+    let stated: Vec<f64> = views
+        .iter()
+        .filter_map(|v| v.account.white_luminance)
+        .collect();
+    let Some(first) = stated.first().copied() else {
+        return Vec::new();
+    };
+    if stated.iter().all(|w| (w / first - 1.0).abs() < 1e-3) {
+        return Vec::new();
+    }
+    if stated.len() < views.len() {
+        return vec![format!(
+            "{} of {} images state whiteLuminance, with different values, the others do not: it is ignored; set exposure_ev where exposures differ",
+            stated.len(),
+            views.len()
+        )];
+    }
+    for v in views.iter_mut() {
+        let own = v.account.white_luminance.unwrap_or(first);
+        v.exposure_ev += (own / first).log2() as f32;
+    }
+    vec![
+        "the images state different whiteLuminance: all are brought to the scale of the first"
+            .into(),
+    ]
+}
+
 /// Whether two sizes show the same aspect to within one pixel of the smaller.
-fn same_aspect(a: &ImageInfo, b: &ImageInfo) -> bool {
+fn same_aspect(a: &ImageInfo, b: &ImageAccount) -> bool {
     let (aw, ah, bw, bh) = (
         a.width as f64,
         a.height as f64,

@@ -17,6 +17,9 @@ pub struct MeshStats {
     pub file_triangles: usize,
     /// Triangles without area, kept out.
     pub degenerate: usize,
+    /// Triangles that lay on another one with the same corners, merged with it: faces stored once
+    /// per side. Only where the program makes the atlas.
+    pub coincident: usize,
     /// Triangles with area whose texture coordinates have none: they get no texels.
     pub without_texels: usize,
     /// The file had no normals, or some were zero: they were computed from the faces.
@@ -25,12 +28,18 @@ pub struct MeshStats {
     pub covered_texels: usize,
     /// Texels of a 2048² atlas claimed by more than one triangle.
     pub overlapping_texels: usize,
+    /// Share of the file's own atlas that several triangles claimed, if it was dropped for that.
+    pub overlap_dropped: f64,
     /// Present if the program made the atlas itself.
     pub unwrapped: Option<UnwrapStats>,
 }
 
 /// Side of the atlas on which overlaps are counted.
 const OVERLAP_SIDE: usize = 2048;
+/// Share of an atlas that several triangles may claim before it is taken for several atlases in
+/// one: a new one is made. Derived: overlaps of single charts (mirrored halves, decals) are a few
+/// per cent; two atlases of equal size overlap in half.
+const MOST_OVERLAP: f64 = 0.1;
 /// Texture coordinates this far outside [0, 1] are rounding and clamped.
 const UV_SLACK: f32 = 1e-3;
 /// A triangle whose height is this small against its longest edge has no direction in f32.
@@ -110,15 +119,24 @@ pub fn prepare_mesh(
             stats.file_triangles
         )));
     }
+    if mesh.uvs.is_empty() || options.unwrap {
+        stats.coincident = merge_coincident(&mut mesh);
+    }
     compact(&mut mesh);
     stats.normals_computed = complete_normals(&mut mesh);
+    if !mesh.uvs.is_empty() && !options.unwrap {
+        clamp_uvs(&mut mesh).map_err(fail)?;
+        let (covered, shared) = atlas_overlap(&mesh, OVERLAP_SIDE);
+        if shared as f64 > MOST_OVERLAP * covered as f64 {
+            stats.overlap_dropped = shared as f64 / covered.max(1) as f64;
+            mesh.uvs.clear();
+        }
+    }
     if mesh.uvs.is_empty() || options.unwrap {
         let (unwrapped, made) =
             unwrap_mesh(&mesh, options.unwrap_resolution, options.unwrap_padding).map_err(fail)?;
         mesh = unwrapped;
         stats.unwrapped = Some(made);
-    } else {
-        clamp_uvs(&mut mesh).map_err(fail)?;
     }
     stats.without_texels = (0..mesh.triangles.len())
         .filter(|&t| {
@@ -163,6 +181,27 @@ fn has_area(mesh: &Mesh, t: usize) -> bool {
         .max((c - b).length_squared());
     let double_area = (b - a).cross(c - a).length();
     double_area > DEGENERATE * longest && mesh.face_normal(t) != Vec3::ZERO
+}
+
+/// Keeps one triangle of those with the same three corners, whatever their winding; returns how many
+/// went. Which side counts is found from the views; two surfaces in one place would share rays and
+/// cut every chart into single triangles.
+fn merge_coincident(mesh: &mut Mesh) -> usize {
+    let bits = |v: u32| {
+        mesh.positions[v as usize]
+            .to_array()
+            .map(|x| (x + 0.0).to_bits())
+    };
+    let mut seen = std::collections::HashSet::new();
+    let first = |t: &[u32; 3]| {
+        let mut corners = t.map(bits);
+        corners.sort_unstable();
+        seen.insert(corners)
+    };
+    let before = mesh.triangles.len();
+    let kept: Vec<[u32; 3]> = mesh.triangles.iter().copied().filter(first).collect();
+    mesh.triangles = kept;
+    before - mesh.triangles.len()
 }
 
 /// Drops vertices no triangle uses, keeping the order.
@@ -382,6 +421,18 @@ mod tests {
                 ..LoadOptions::default()
             },
         )
+    }
+
+    #[test]
+    fn faces_stored_once_per_side_are_merged() {
+        let mut raw = cube(DVec3::ZERO);
+        let turned: Vec<[u32; 3]> = raw.triangles.iter().map(|t| [t[1], t[0], t[2]]).collect();
+        raw.triangles.extend(turned);
+        let (mesh, _, stats) = prepare(raw).expect("usable");
+        let (single, _, alone) = prepare(cube(DVec3::ZERO)).expect("usable");
+        assert_eq!((mesh.triangles.len(), stats.coincident), (12, 12));
+        assert_eq!(mesh, single, "the atlas is that of the single faces");
+        assert_eq!(alone.coincident, 0);
     }
 
     #[test]

@@ -2,10 +2,14 @@
 
 mod check;
 mod check_text;
+mod frame_account;
+mod frame_change;
 mod input_error;
+pub mod known_keys;
 mod load;
 mod mesh_prep;
 mod pixels;
+mod rigid;
 mod rooms;
 pub mod transforms;
 mod unwrap;
@@ -14,13 +18,16 @@ pub use check::{
     CheckReport, ClassShare, ImageKind, MeshSummary, RadianceRange, RoomSummary, Summary, check,
     check_loaded, check_scene, load_for_check,
 };
+pub use frame_account::FrameAccount;
 pub use mesh_prep::{MeshStats, atlas_overlap, prepare_mesh};
 pub use pixels::PixelStats;
 pub use rooms::find_rooms;
 pub use unwrap::{UnwrapStats, unwrap_mesh};
 
+use crate::formats::ImageAccount;
 use crate::geometry::{Camera, Mesh};
 use crate::image::{CameraMask, Plane};
+use crate::math::colour::ColourSpace;
 use glam::DVec3;
 use std::path::PathBuf;
 
@@ -136,6 +143,10 @@ pub struct View {
     pub exposure_ev: f32,
     /// Training or held out.
     pub split: Split,
+    /// The colour space that `transforms.json` states; `None` if the file is to be asked.
+    pub colour_space: Option<ColourSpace>,
+    /// How the image is understood.
+    pub account: ImageAccount,
 }
 
 /// Room ids on a floor plan: `cells[(column, row)]` covers x = x_min + column·cell, z = z_min +
@@ -184,6 +195,8 @@ pub struct Scene {
     pub camera_masks: Vec<CameraMask>,
     /// How the scene was read; pixels are read the same way.
     pub options: LoadOptions,
+    /// What was read besides the views' files: `transforms.json`, the mesh, the grid of rooms.
+    pub files: Vec<PathBuf>,
 }
 
 impl Scene {
@@ -210,7 +223,25 @@ impl Scene {
             warnings: Vec::new(),
             camera_masks: Vec::new(),
             options: LoadOptions::default(),
+            files: Vec::new(),
         }
+    }
+
+    /// Every file the scene was read from, images, labels and masks included; never ground truth.
+    /// Sorted, each once.
+    #[must_use]
+    pub fn input_files(&self) -> Vec<PathBuf> {
+        let of_view = |v: &View| {
+            let side = [&v.label_path, &v.mask_path];
+            std::iter::once(v.image_path.clone())
+                .chain(side.into_iter().flatten().cloned())
+                .collect::<Vec<_>>()
+        };
+        let mut files: Vec<PathBuf> = self.views.iter().flat_map(of_view).collect();
+        files.extend(self.files.iter().cloned());
+        files.sort();
+        files.dedup();
+        files
     }
 
     /// Training views in file order.

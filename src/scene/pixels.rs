@@ -2,7 +2,7 @@
 
 use super::input_error::as_input;
 use super::{LdrImages, Mirror, Scene, View};
-use crate::formats;
+use crate::formats::{self, Photograph};
 use crate::geometry::Projection;
 use crate::image::{Plane, RgbPlane};
 use crate::{Error, Result};
@@ -17,7 +17,15 @@ pub struct PixelStats {
     /// Pixels with a negative channel, which was set to 0 (ringing of a resampling filter, as a
     /// rule).
     pub negative: usize,
+    /// Infinite pixels among those that are not finite: lamps beyond half precision, as a rule.
+    pub infinite: usize,
 }
+
+/// Radiance that is taken for a slip: photographs in any unit lie within (measured: W/m² of the sun
+/// 2e7, starlight in candelas 1e-8), and squares of it within single precision.
+const DARKEST: f32 = 1e-16;
+/// See [`DARKEST`].
+const BRIGHTEST: f32 = 1e16;
 
 impl Scene {
     /// The view's radiance, exposure applied. NaN and infinite pixels are an error unless masked
@@ -35,10 +43,13 @@ impl Scene {
     /// As [`Scene::load_radiance`].
     pub fn load_radiance_with_stats(&self, view: &View) -> Result<(RgbPlane, PixelStats)> {
         let path = &view.image_path;
-        let mut image = self.read_image(view)?;
+        let Photograph {
+            pixels: mut image,
+            alpha,
+        } = self.read_image(view)?;
         let gain = view.exposure_ev.exp2();
         let mut stats = PixelStats::default();
-        let mut bad = Vec::new();
+        let (mut bad, mut brightest) = (Vec::new(), 0f32);
         for (i, p) in image.data.iter_mut().enumerate() {
             let scaled = *p * gain;
             if !scaled.is_finite() {
@@ -53,14 +64,16 @@ impl Scene {
                     ));
                 }
                 bad.push(i);
+                stats.infinite += usize::from(!p.is_nan());
                 *p = Vec3::ZERO;
                 continue;
             }
+            brightest = brightest.max(scaled.max_element());
             stats.negative += usize::from(scaled.min_element() < 0.0);
             *p = scaled.max(Vec3::ZERO);
         }
         if !bad.is_empty() && !self.options.clamp_nan {
-            let mask = self.read_mask(view)?;
+            let mask = joined(self.read_mask(view)?, alpha.as_ref());
             let seen: Vec<usize> = bad
                 .iter()
                 .copied()
@@ -78,6 +91,7 @@ impl Scene {
             }
         }
         stats.not_finite = bad.len();
+        sane(path, &image, &stats, brightest)?;
         Ok((image, stats))
     }
 
@@ -114,17 +128,24 @@ impl Scene {
 
     /// Which pixels of the view may be used (`true`), at the image's size; `None` if all may.
     ///
-    /// Joins the mask file, the camera's own mask and, with `clamp_nan`, the pixels that are not
-    /// finite.
+    /// Joins the mask file, the camera's own mask, the image's alpha (pixels it does not wholly
+    /// cover) and, with `clamp_nan`, the pixels that are not finite.
     ///
     /// # Errors
     /// If the file cannot be read or does not fit the view.
     pub fn load_mask(&self, view: &View) -> Result<Option<Plane<bool>>> {
         let mask = self.without_rig(view, self.read_mask(view)?);
+        if !self.options.clamp_nan && !view.account.has_alpha {
+            return Ok(mask);
+        }
+        let Photograph {
+            pixels: image,
+            alpha,
+        } = self.read_image(view)?;
+        let mask = joined(mask, alpha.as_ref());
         if !self.options.clamp_nan {
             return Ok(mask);
         }
-        let image = self.read_image(view)?;
         if image.data.iter().all(|p| p.is_finite()) {
             return Ok(mask);
         }
@@ -164,14 +185,17 @@ impl Scene {
         known
     }
 
-    fn read_image(&self, view: &View) -> Result<RgbPlane> {
+    fn read_image(&self, view: &View) -> Result<Photograph> {
         let path = &view.image_path;
         let linear = formats::image_info(path).map(|i| i.format.is_linear());
         let image = match linear {
-            Ok(false) if self.options.ldr != LdrImages::Off => formats::read_ldr(path),
-            _ => formats::read_rgb(path),
+            Ok(false) if self.options.ldr != LdrImages::Off => {
+                formats::read_ldr(path).map(Photograph::opaque)
+            }
+            _ => formats::read_photograph(path, view.colour_space),
         };
-        let image = image.map_err(|e| as_input(e, path, "file_path"))?;
+        let photograph = image.map_err(|e| as_input(e, path, "file_path"))?;
+        let image = &photograph.pixels;
         if (image.width, image.height) != (view.camera.width, view.camera.height) {
             return Err(Error::input(
                 path,
@@ -181,8 +205,11 @@ impl Scene {
                 ),
             ));
         }
-        let image = turned_back(image, self.mirror != Mirror::None);
-        Ok(image)
+        let mirrored = self.mirror != Mirror::None;
+        Ok(Photograph {
+            pixels: turned_back(photograph.pixels, mirrored),
+            alpha: photograph.alpha.map(|a| turned_back(a, mirrored)),
+        })
     }
 
     /// The mask file, brought to the image's size.
@@ -190,13 +217,13 @@ impl Scene {
         let Some(path) = &view.mask_path else {
             return Ok(None);
         };
-        let mask = formats::read_labels(path).map_err(|e| as_input(e, path, "mask_path"))?;
+        let mask = formats::read_mask(path).map_err(|e| as_input(e, path, "mask_path"))?;
         let mask = turned_back(mask, self.mirror == Mirror::All);
         same_aspect_as_image(mask.width, mask.height, view, path, "mask")?;
         let (w, h) = (view.camera.width, view.camera.height);
         let scale = Vec2::new(mask.width as f32 / w as f32, mask.height as f32 / h as f32);
         let data = (0..w * h)
-            .map(|i| *mask.nearest((Vec2::new((i % w) as f32, (i / w) as f32) + 0.5) * scale) != 0)
+            .map(|i| *mask.nearest((Vec2::new((i % w) as f32, (i / w) as f32) + 0.5) * scale))
             .collect();
         Ok(Some(Plane {
             width: w,
@@ -215,6 +242,48 @@ fn turned_back<T>(mut plane: Plane<T>, mirrored: bool) -> Plane<T> {
             .for_each(<[T]>::reverse);
     }
     plane
+}
+
+/// A mask that also leaves out what the image's alpha does not wholly cover: values there are
+/// weighted with what lies behind, or were never photographed.
+fn joined(mask: Option<Plane<bool>>, alpha: Option<&Plane<f32>>) -> Option<Plane<bool>> {
+    // one step of half precision below 1
+    const WHOLE: f32 = 1.0 - 1.0 / 1024.0;
+    let Some(alpha) = alpha else {
+        return mask;
+    };
+    if alpha.data.iter().all(|a| *a >= WHOLE) {
+        return mask;
+    }
+    let mut mask = mask.unwrap_or_else(|| Plane::filled(alpha.width, alpha.height, true));
+    for (m, a) in mask.data.iter_mut().zip(&alpha.data) {
+        *m &= *a >= WHOLE;
+    }
+    Some(mask)
+}
+
+/// Refuses images of which nothing can be learnt: nothing finite, nothing but negative values, or
+/// values that no photograph has.
+fn sane(path: &Path, image: &RgbPlane, stats: &PixelStats, brightest: f32) -> Result<()> {
+    let count = image.data.len();
+    let refuse = |m: String| Err(Error::input(path, m));
+    if stats.not_finite == count {
+        return refuse(format!(
+            "all {count} pixels are NaN or infinite; render or convert it again"
+        ));
+    }
+    if brightest <= 0.0 && stats.negative > 0 {
+        return refuse(format!(
+            "no pixel is above 0, and {} are negative; render or convert it again",
+            stats.negative
+        ));
+    }
+    if brightest > 0.0 && !(DARKEST..=BRIGHTEST).contains(&brightest) {
+        return refuse(format!(
+            "its brightest value is {brightest:e}; expected radiance between {DARKEST:e} and {BRIGHTEST:e}: scale the images or set exposure_ev"
+        ));
+    }
+    Ok(())
 }
 
 fn same_aspect_as_image(

@@ -15,7 +15,7 @@ use crate::trace::{Hit, Ray, Tracer};
 use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use serde::Deserialize;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Storey height that fixes the unit of the lengths below, metres.
 const STOREY: f32 = 2.6;
@@ -50,17 +50,24 @@ struct RoomsFile {
     z_min: f64,
 }
 
-/// Reads a room grid: a PNG of ids and, beside it, its JSON (same stem, or `rooms.json`).
-pub(super) fn read_rooms(path: &Path, origin: DVec3) -> Result<RoomGrid> {
-    let cells = formats::read_labels(path).map_err(|e| as_input(e, path, "rooms_path"))?;
+/// The JSON file beside a grid: of the same stem, else `rooms.json`.
+pub(super) fn description(path: &Path) -> PathBuf {
     let own = path.with_extension("json");
-    let json = if own.is_file() {
+    if own.is_file() {
         own
     } else {
         path.with_file_name("rooms.json")
-    };
-    let text = std::fs::read_to_string(&json).map_err(|e| {
-        Error::input(&json, format!("{e}; rooms_path needs it beside the grid with {{\"cell\", \"x_min\", \"z_min\"}} in metres"))
+    }
+}
+
+/// Reads a room grid: a PNG of ids and, beside it, its JSON (same stem, or `rooms.json`).
+pub(super) fn read_rooms(path: &Path, origin: DVec3) -> Result<RoomGrid> {
+    let cells = formats::read_labels(path).map_err(|e| as_input(e, path, "rooms_path"))?;
+    let json = description(path);
+    let text = formats::read_input_text(&json).map_err(|e| {
+        e.advise(
+            "rooms_path needs it beside the grid with {\"cell\", \"x_min\", \"z_min\"} in metres",
+        )
     })?;
     let file: RoomsFile = serde_json::from_str(&text).map_err(|e| {
         Error::input(

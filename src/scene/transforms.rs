@@ -3,22 +3,43 @@
 //! Everything wrong is collected, each message naming the frame and the key, so that one run shows
 //! all there is to mend.
 
-use super::Class;
+use super::known_keys::{distance, examine};
+use super::rigid::rigid;
+use super::{Class, frame_change::AppliedChange};
+use crate::error::printable;
 use crate::geometry::{Lens, Projection};
+use crate::math::colour::ColourSpace;
 use glam::{DMat3, DVec3};
 use serde_json::{Map, Value};
 
 /// Pinhole intrinsics as the file gives them, in pixels of `w` × `h`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
-    /// `fl_x`, `fl_y`.
-    pub focal: [f64; 2],
+    /// `fl_x`, `fl_y`; `None` where the angles of view are given instead.
+    pub focal: Option<[f64; 2]>,
+    /// `camera_angle_x`, `camera_angle_y`: whole horizontal and vertical angle of view, radians.
+    pub angle: [Option<f64>; 2],
     /// `cx`, `cy`; the image centre where absent.
     pub centre: Option<[f64; 2]>,
     /// `k1`, `k2`.
     pub k: [f64; 2],
     /// `p1`, `p2`.
     pub p: [f64; 2],
+}
+
+impl Intrinsics {
+    /// Focal lengths in pixels of an image of this size.
+    fn focal_in(&self, width: usize, height: usize) -> [f64; 2] {
+        let of = |side: usize, angle: f64| 0.5 * side as f64 / (0.5 * angle).tan();
+        self.focal.unwrap_or_else(|| {
+            let [x, y] = self.angle;
+            let fl_x = x.map(|a| of(width, a));
+            let fl_y = y.map(|a| of(height, a));
+            // square pixels where one angle is given
+            let [x, y] = [fl_x.or(fl_y), fl_y.or(fl_x)];
+            [x.unwrap_or(1.0), y.unwrap_or(1.0)]
+        })
+    }
 }
 
 impl Model {
@@ -31,7 +52,7 @@ impl Model {
         let [cx, cy] = i
             .centre
             .unwrap_or([0.5 * width as f64, 0.5 * height as f64]);
-        let [fl_x, fl_y] = i.focal.map(|x| x as f32);
+        let [fl_x, fl_y] = i.focal_in(width, height).map(|x| x as f32);
         Projection::Pinhole(Lens {
             fl_x,
             fl_y,
@@ -73,6 +94,8 @@ pub struct Frame {
     pub size: Option<[usize; 2]>,
     /// Working radiance = image · 2^ev.
     pub exposure_ev: f32,
+    /// `color_space` of the frame or the scene, where the file itself is not to be asked.
+    pub colour_space: Option<ColourSpace>,
 }
 
 /// The content of `transforms.json`.
@@ -94,6 +117,10 @@ pub struct Transforms {
     pub rooms_path: Option<String>,
     /// The file's world is z-up: meshes and rooms have to be turned like the poses already are.
     pub z_up: bool,
+    /// `mesh_up_axis`: the same for the mesh alone; `None` if the key is absent.
+    pub mesh_z_up: Option<bool>,
+    /// What a user should know of the file although it can be used.
+    pub warnings: Vec<String>,
 }
 
 /// Turns z-up coordinates into y-up ones: (x, y, z) → (x, z, −y).
@@ -102,8 +129,8 @@ pub fn y_up_from_z_up() -> DMat3 {
     DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y)
 }
 
-/// Deviation from a rigid rotation that is taken for rounding and mended.
-const RIGID_TOLERANCE: f64 = 1e-3;
+/// What `classes[].kind` may say.
+pub const CLASS_KINDS: [&str; 2] = ["surface", "light"];
 
 /// Reads the text of a `transforms.json`; on failure every problem found, each naming its place and
 /// the cure.
@@ -137,14 +164,26 @@ pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<
         map: &root,
         place: String::new(),
     };
-    let z_up = match globals.text("up_axis", &mut issues).as_deref() {
-        None | Some("y" | "Y" | "+y") => false,
-        Some("z" | "Z" | "+z") => true,
-        Some(other) => {
-            issues.push(format!("up_axis: \"{other}\"; expected \"y\" or \"z\""));
-            false
+    let mut axis = |key: &str| -> Option<bool> {
+        match globals.text(key, &mut issues)?.as_str() {
+            "y" | "Y" | "+y" => Some(false),
+            "z" | "Z" | "+z" => Some(true),
+            other => {
+                issues.push(format!("{key}: \"{other}\"; expected \"y\" or \"z\""));
+                None
+            }
         }
     };
+    let (z_up, mesh_z_up) = (axis("up_axis").unwrap_or(false), axis("mesh_up_axis"));
+    let keys = examine(&root);
+    issues.extend(keys.issues);
+    let mut warnings = keys.warnings;
+    let change = AppliedChange::read(&root).unwrap_or_else(|e| {
+        issues.push(e);
+        AppliedChange::default()
+    });
+    warnings.extend(change.note());
+    let world = FileWorld { z_up, change };
     let mesh_path = globals.text("mesh_path", &mut issues).unwrap_or_else(|| {
         if !root.contains_key("mesh_path") {
             issues
@@ -158,7 +197,7 @@ pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<
         Some(Value::Array(entries)) => {
             for (index, entry) in entries.iter().enumerate() {
                 match entry {
-                    Value::Object(map) => frames.extend(frame(index, map, &globals, z_up, &mut issues)),
+                    Value::Object(map) => frames.extend(frame(index, map, &globals, &world, &mut issues)),
                     _ => issues.push(format!("frames[{index}]: expected an object with file_path and transform_matrix")),
                 }
             }
@@ -196,9 +235,17 @@ pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<
             test,
             rooms_path,
             z_up,
+            mesh_z_up,
+            warnings,
         },
         issues,
     ))
+}
+
+/// How the file's coordinates become the world's.
+struct FileWorld {
+    z_up: bool,
+    change: AppliedChange,
 }
 
 /// Typed access to an object's keys with messages that name the place.
@@ -219,8 +266,16 @@ impl Keys<'_> {
     fn text(&self, key: &str, issues: &mut Vec<String>) -> Option<String> {
         match self.map.get(key)? {
             Value::Null => None,
-            Value::String(s) if s.contains('\0') => {
-                issues.push(format!("{}: the path contains a zero byte", self.at(key)));
+            // names are only shown; paths have to be opened
+            Value::String(s) if s.contains(char::is_control) && key == "name" => {
+                Some(printable(s).into_owned())
+            }
+            Value::String(s) if s.contains(char::is_control) => {
+                issues.push(format!(
+                    "{}: \"{}\" contains a control character; rename it",
+                    self.at(key),
+                    printable(s)
+                ));
                 None
             }
             Value::String(s) if !s.is_empty() => Some(s.clone()),
@@ -285,7 +340,7 @@ fn frame(
     index: usize,
     map: &Map<String, Value>,
     globals: &Keys<'_>,
-    z_up: bool,
+    world: &FileWorld,
     issues: &mut Vec<String>,
 ) -> Option<Frame> {
     let before = issues.len();
@@ -302,7 +357,7 @@ fn frame(
         None => {}
     }
     let pose = match map.get("transform_matrix") {
-        Some(v) => match pose(v, z_up) {
+        Some(v) => match pose(v, world) {
             Ok(p) => Some(p),
             Err(m) => {
                 issues.push(format!("{}: {m}", keys.at("transform_matrix")));
@@ -318,7 +373,8 @@ fn frame(
         }
     };
     let size = size(&keys, globals, issues);
-    let model = model(&keys, globals, size, issues);
+    let model = model(&keys, globals, issues);
+    let colour_space = colour_space(&keys, globals, issues);
     let exposure = keys.number("exposure_ev", issues).unwrap_or(0.0);
     if exposure.abs() > 60.0 {
         issues.push(format!(
@@ -339,8 +395,30 @@ fn frame(
         model: model?,
         size,
         exposure_ev: exposure as f32,
+        colour_space,
     };
     (issues.len() == before).then_some(frame)
+}
+
+/// The frame's own colour space, else the scene's.
+fn colour_space(
+    keys: &Keys<'_>,
+    globals: &Keys<'_>,
+    issues: &mut Vec<String>,
+) -> Option<ColourSpace> {
+    let name = keys
+        .text("color_space", issues)
+        .or_else(|| globals.text("color_space", &mut Vec::new()))?;
+    let found = ColourSpace::named(&name);
+    if found.is_none() {
+        let known: Vec<&str> = ColourSpace::NAMES.iter().map(|n| n.0).collect();
+        issues.push(format!(
+            "{}: \"{name}\"; expected one of {}",
+            keys.at("color_space"),
+            known.join(", ")
+        ));
+    }
+    found
 }
 
 /// A frame's own value of a number, else the global one.
@@ -371,21 +449,18 @@ fn size(keys: &Keys<'_>, globals: &Keys<'_>, issues: &mut Vec<String>) -> Option
     Some([w?, h?])
 }
 
-fn model(
-    keys: &Keys<'_>,
-    globals: &Keys<'_>,
-    size: Option<[usize; 2]>,
-    issues: &mut Vec<String>,
-) -> Option<Model> {
+fn model(keys: &Keys<'_>, globals: &Keys<'_>, issues: &mut Vec<String>) -> Option<Model> {
     let name = keys
         .text("camera_model", issues)
         .or_else(|| globals.text("camera_model", &mut Vec::new()));
-    let has_focal = inherited(keys, globals, "fl_x", &mut Vec::new()).is_some();
+    let given = |key: &str| inherited(keys, globals, key, &mut Vec::new()).is_some();
+    let pinhole = ["fl_x", "camera_angle_x", "camera_angle_y"]
+        .into_iter()
+        .any(given);
     match name.as_deref() {
         Some("EQUIRECTANGULAR") => return Some(Model::Equirectangular),
         Some("PINHOLE" | "OPENCV") => {}
-        None if has_focal
-            || inherited(keys, globals, "camera_angle_x", &mut Vec::new()).is_some() => {}
+        None if pinhole => {}
         None => {
             issues.push(format!(
                 "{}: missing; state EQUIRECTANGULAR, PINHOLE or OPENCV, globally or per frame",
@@ -402,32 +477,25 @@ fn model(
         }
     }
     let mut get = |key: &str| inherited(keys, globals, key, issues);
-    let (fl_x, fl_y, angle) = (get("fl_x"), get("fl_y"), get("camera_angle_x"));
+    let (fl_x, fl_y) = (get("fl_x"), get("fl_y"));
+    let angle = [get("camera_angle_x"), get("camera_angle_y")];
     let (cx, cy) = (get("cx"), get("cy"));
-    let coefficients = ["k1", "k2", "p1", "p2", "k3", "k4"].map(|k| get(k).unwrap_or(0.0));
-    // the older NeRF form states the horizontal angle of view instead of a focal length
-    let from_angle = angle
-        .zip(size)
-        .map(|(a, [w, _])| 0.5 * w as f64 / (0.5 * a).tan());
-    let Some(fl_x) = fl_x.or(from_angle) else {
+    let coefficients = ["k1", "k2", "p1", "p2"].map(|k| get(k).unwrap_or(0.0));
+    let focal = fl_x.map(|x| [x, fl_y.unwrap_or(x)]);
+    if let Some([x, y]) = focal.filter(|f| f[0].min(f[1]) <= 0.0 || !(f[0] + f[1]).is_finite()) {
         issues.push(format!(
-            "{}: missing; a pinhole camera needs its focal length in pixels",
-            keys.at("fl_x")
-        ));
-        return None;
-    };
-    let fl_y = fl_y.unwrap_or(fl_x);
-    if fl_x.min(fl_y) <= 0.0 || !(fl_x + fl_y).is_finite() {
-        issues.push(format!(
-            "{}: focal lengths {fl_x}, {fl_y}; expected positive pixels",
+            "{}: focal lengths {x}, {y}; expected positive pixels",
             keys.at("fl_x")
         ));
         return None;
     }
-    if coefficients[4] != 0.0 || coefficients[5] != 0.0 {
+    // the older NeRF form states angles of view instead of focal lengths
+    let angles: Vec<f64> = angle.iter().flatten().copied().collect();
+    let usable = |a: &f64| (1e-3..std::f64::consts::PI - 1e-3).contains(a);
+    if focal.is_none() && (angles.is_empty() || !angles.iter().all(usable)) {
         issues.push(format!(
-            "{}: only k1, k2, p1, p2 are supported; undistort the images first",
-            keys.at("k3")
+            "{}: missing; a pinhole camera needs its focal length in pixels, or camera_angle_x in radians (0 to pi)",
+            keys.at("fl_x")
         ));
         return None;
     }
@@ -438,9 +506,10 @@ fn model(
         ));
         return None;
     }
-    let [k1, k2, p1, p2, ..] = coefficients;
+    let [k1, k2, p1, p2] = coefficients;
     Some(Model::Pinhole(Intrinsics {
-        focal: [fl_x, fl_y],
+        focal,
+        angle,
         centre: cx.zip(cy).map(|(x, y)| [x, y]),
         k: [k1, k2],
         p: [p1, p2],
@@ -448,7 +517,7 @@ fn model(
 }
 
 /// Rotation (exactly orthonormal) and position of a 4×4 or 3×4 camera-to-world matrix.
-fn pose(value: &Value, z_up: bool) -> Result<(DMat3, DVec3), String> {
+fn pose(value: &Value, world: &FileWorld) -> Result<(DMat3, DVec3), String> {
     let shape = || "expected 4 rows of 4 finite numbers".to_owned();
     let rows = value
         .as_array()
@@ -470,55 +539,17 @@ fn pose(value: &Value, z_up: bool) -> Result<(DMat3, DVec3), String> {
     }
     let column = |j: usize| DVec3::new(m[0][j], m[1][j], m[2][j]);
     let rotation = rigid(DMat3::from_cols(column(0), column(1), column(2)))?;
-    let position = column(3);
+    let (rotation, position) = world.change.undone(rotation, column(3));
     if position.abs().max_element() > 1e9 {
         return Err(format!(
             "the camera lies at {position}, over 1e9 m from the origin; one unit is one metre"
         ));
     }
-    Ok(if z_up {
+    Ok(if world.z_up {
         (y_up_from_z_up() * rotation, y_up_from_z_up() * position)
     } else {
         (rotation, position)
     })
-}
-
-/// The exact rotation next to `m`, or why `m` is none.
-fn rigid(m: DMat3) -> Result<DMat3, String> {
-    let det = m.determinant();
-    if det.abs() <= 1e-12 || !det.is_finite() {
-        return Err(format!(
-            "the pose is singular (determinant {det:.3e}); expected a rotation with determinant 1. Export the cameras again"
-        ));
-    }
-    if det < 0.0 {
-        return Err(format!(
-            "the pose is mirrored (determinant {det:.4}); expected +1. OpenGL axes are x right, y up, -z forward: negate one column twice or none"
-        ));
-    }
-    let gram = m.transpose() * m;
-    let scale = (gram.x_axis.x + gram.y_axis.y + gram.z_axis.z) / 3.0;
-    let off = |s: f64| {
-        let d = gram - DMat3::from_diagonal(DVec3::splat(s));
-        d.to_cols_array()
-            .into_iter()
-            .fold(0.0f64, |a, x| a.max(x.abs()))
-    };
-    if off(1.0) <= 2.0 * RIGID_TOLERANCE && (det - 1.0).abs() <= RIGID_TOLERANCE {
-        // Gram-Schmidt removes what rounding in the file left
-        let x = m.x_axis.normalize();
-        let y = (m.y_axis - x * x.dot(m.y_axis)).normalize();
-        return Ok(DMat3::from_cols(x, y, x.cross(y)));
-    }
-    if off(scale) <= 2.0 * RIGID_TOLERANCE * scale {
-        let s = scale.sqrt();
-        return Err(format!(
-            "the rotation is scaled by {s:.6} (determinant {det:.6}, expected 1); divide its upper left 3x3 block by {s:.6}, and bring mesh and positions to metres"
-        ));
-    }
-    Err(format!(
-        "the pose is not rigid (determinant {det:.6}, columns not orthonormal to 1e-3); remove shear and scale from the camera"
-    ))
 }
 
 fn classes(value: &Value, issues: &mut Vec<String>) -> Vec<Class> {
@@ -563,11 +594,31 @@ fn classes(value: &Value, issues: &mut Vec<String>) -> Vec<Class> {
         let name = keys
             .text("name", issues)
             .unwrap_or_else(|| format!("class {id}"));
-        let is_light = keys.text("kind", issues).as_deref() == Some("light");
+        let is_light = is_light(&keys, issues);
         classes.push(Class { id, name, is_light });
     }
     classes.sort_by_key(|c| c.id);
     classes
+}
+
+/// Whether a class is of kind `light`; capitals do not count, other words than the known ones are
+/// an issue.
+fn is_light(keys: &Keys<'_>, issues: &mut Vec<String>) -> bool {
+    let Some(kind) = keys.text("kind", issues) else {
+        return false;
+    };
+    let kind = kind.trim().to_lowercase();
+    if !CLASS_KINDS.contains(&kind.as_str()) {
+        let near = CLASS_KINDS.iter().filter(|k| distance(&kind, k) <= 2);
+        let near = near.map(|k| format!(": did you mean \"{k}\"?"));
+        issues.push(format!(
+            "{}: \"{kind}\" is not one of {}{}",
+            keys.at("kind"),
+            CLASS_KINDS.join(", "),
+            near.take(1).collect::<String>()
+        ));
+    }
+    kind == "light"
 }
 
 #[cfg(test)]
@@ -660,7 +711,7 @@ mod tests {
         };
         assert_eq!(
             (i.focal, i.centre, i.k),
-            ([120.0, 110.0], Some([30.0, 20.0]), [0.1, 0.0])
+            (Some([120.0, 110.0]), Some([30.0, 20.0]), [0.1, 0.0])
         );
         for (globals, expected) in [
             (r#""camera_model":"OPENCV_FISHEYE","#, "undistort"),

@@ -9,7 +9,9 @@
 use super::Solution;
 use crate::brdf::Reflectance;
 use crate::error::{Error, Result};
-use crate::formats::{GlbWriter, encode_rgb8, encode_webp8, srgb8_from_linear};
+use crate::formats::{
+    GlbWriter, MOST_DATA, encode_rgb8, encode_webp8, read_input, srgb8_from_linear,
+};
 use crate::geometry::Mesh;
 use crate::image::{Plane, RgbPlane};
 use glam::{DVec3, Vec2, Vec3};
@@ -54,6 +56,18 @@ impl Default for GlbOptions {
     }
 }
 
+/// What a solution needs of its `scene.glb`.
+pub(super) struct GlbContent {
+    /// Geometry, relative to `origin`.
+    pub mesh: Mesh,
+    /// File coordinates of the internal origin.
+    pub origin: DVec3,
+    /// The reflection model of the textures.
+    pub reflectance: Reflectance,
+    /// The set of files it belongs to; `None` in files of older versions.
+    pub generation: Option<String>,
+}
+
 const LINEAR: u32 = 9729;
 const LINEAR_MIPMAP_LINEAR: u32 = 9987;
 const CLAMP_TO_EDGE: u32 = 33071;
@@ -73,6 +87,15 @@ struct Pictures {
 /// # Errors
 /// If the mesh has no triangles, a texture cannot be encoded, or the file would exceed 4 GiB.
 pub fn scene_glb(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
+    marked_glb(solution, options, "")
+}
+
+/// [`scene_glb`] with the generation of the set of files it belongs to.
+pub(super) fn marked_glb(
+    solution: &Solution,
+    options: &GlbOptions,
+    generation: &str,
+) -> Result<Vec<u8>> {
     let mesh = &solution.mesh;
     if mesh.triangles.is_empty() || mesh.positions.is_empty() {
         return Err(Error::Failed(
@@ -112,7 +135,7 @@ pub fn scene_glb(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
         "asset": {"version": "2.0", "generator": concat!("unbake ", env!("CARGO_PKG_VERSION"))},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [node(solution.origin, solution.reflectance)],
+        "nodes": [node(solution.origin, solution.reflectance, generation)],
         "meshes": [{"name": "scene", "primitives": [
             {"attributes": attributes, "indices": indices, "material": 0},
         ]}],
@@ -242,8 +265,11 @@ fn name_extensions(root: &mut Value, pictures: &Pictures, options: &GlbOptions) 
     }
 }
 
-fn node(origin: DVec3, reflectance: Reflectance) -> Value {
+fn node(origin: DVec3, reflectance: Reflectance, generation: &str) -> Value {
     let mut node = json!({"name": "scene", "mesh": 0, "extras": {"origin": origin.to_array(), "reflectance": reflectance}});
+    if !generation.is_empty() {
+        node["extras"]["generation"] = json!(generation);
+    }
     if origin != DVec3::ZERO {
         node["translation"] = json!(origin.to_array());
     }
@@ -318,19 +344,14 @@ where
 
 /// Mesh, origin and reflection model of a file that [`scene_glb`] wrote; positions come back bit
 /// for bit.
-pub(super) fn read_glb_mesh(path: &Path) -> Result<(Mesh, DVec3, Reflectance)> {
+pub(super) fn read_glb(path: &Path) -> Result<GlbContent> {
     let foreign = |what: &str| {
         Error::input(
             path,
             format!("{what}; expected the scene.glb that `unbake solve` wrote: run it again"),
         )
     };
-    let bytes = std::fs::read(path).map_err(|e| {
-        Error::input(
-            path,
-            format!("cannot be read ({e}); run `unbake solve` first"),
-        )
-    })?;
+    let bytes = read_input(path, MOST_DATA).map_err(|e| e.advise("run `unbake solve` first"))?;
     let gltf = gltf::Gltf::from_slice(&bytes)
         .map_err(|e| foreign(&format!("is not a valid GLB ({e})")))?;
     let blob = gltf
@@ -383,8 +404,8 @@ pub(super) fn read_glb_mesh(path: &Path) -> Result<(Mesh, DVec3, Reflectance)> {
         DVec3::from_array,
     );
     let reflectance = serde_json::from_value(extras["reflectance"].clone()).unwrap_or_default();
-    Ok((
-        Mesh {
+    Ok(GlbContent {
+        mesh: Mesh {
             positions,
             normals,
             uvs,
@@ -392,7 +413,8 @@ pub(super) fn read_glb_mesh(path: &Path) -> Result<(Mesh, DVec3, Reflectance)> {
         },
         origin,
         reflectance,
-    ))
+        generation: extras["generation"].as_str().map(str::to_owned),
+    })
 }
 
 /// The extras of the first node with a mesh.

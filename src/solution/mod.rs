@@ -4,10 +4,12 @@
 mod camera_masks;
 mod glb;
 mod lamps;
+mod lock;
 mod store;
 
 pub use glb::{GlbOptions, PunctualLight, scene_glb};
 pub use lamps::{LIGHTS, Lamp, LampKind, find_lamps, lamp_gap, triangle_emission};
+pub use lock::OutputLock;
 pub use store::{AsideFolder, FILES, SaveOptions};
 
 use crate::brdf::Reflectance;

@@ -6,12 +6,11 @@
 
 use super::Solution;
 use super::camera_masks::{read_camera_masks, replace_camera_masks, write_camera_masks};
-use super::glb::{GlbOptions, read_glb_mesh, scene_glb};
+use super::glb::{GlbOptions, marked_glb, read_glb};
 use super::lamps::{self, LIGHTS};
 use crate::error::{Error, Result};
-use crate::formats::{read_labels, read_plane, read_rgb, read_two_channels};
 use crate::formats::{
-    write_plane_half, write_png16, write_rgb_float, write_rgb_half, write_two_channels_half,
+    Marked, generation_mark, read_labels, read_plane, read_rgb, read_two_channels, sync,
 };
 use crate::image::RgbPlane;
 use std::path::Path;
@@ -48,31 +47,35 @@ pub struct SaveOptions {
 impl Solution {
     /// Writes the files of docs/outputs.md into `folder`, creating it if need be: all or none.
     ///
+    /// Every file carries the solution's [generation](Solution::generation), which is returned.
+    ///
     /// # Errors
     /// If the folder cannot be written to; what was there before then stays.
-    pub fn save(&self, folder: &Path, options: &SaveOptions) -> Result<()> {
+    pub fn save(&self, folder: &Path, options: &SaveOptions) -> Result<String> {
         self.check_finite()?;
+        let generation = self.generation();
+        let marked = Marked(&generation);
         let aside = AsideFolder::new(folder)?;
         let at = |name: &str| aside.path().join(name);
         let glb = || {
-            let bytes = scene_glb(self, &options.glb)?;
+            let bytes = marked_glb(self, &options.glb, &generation)?;
             std::fs::write(at("scene.glb"), bytes)
                 .map_err(|e| Error::io(folder.join("scene.glb"), e))
         };
         let textures = || {
-            write_rgb_half(at("albedo.exr"), &self.albedo)?;
-            write_plane_half(at("roughness.exr"), &self.roughness)?;
-            write_radiometric(&at("irradiance.exr"), &self.irradiance)?;
-            write_radiometric(&at("radiance.exr"), &self.radiance)?;
-            write_radiometric(&at("emission.exr"), &self.emission)?;
-            write_two_channels_half(at("confidence.exr"), &self.confidence)?;
+            marked.rgb_half(&at("albedo.exr"), &self.albedo)?;
+            marked.plane_half(&at("roughness.exr"), &self.roughness)?;
+            write_radiometric(&marked, &at("irradiance.exr"), &self.irradiance)?;
+            write_radiometric(&marked, &at("radiance.exr"), &self.radiance)?;
+            write_radiometric(&marked, &at("emission.exr"), &self.emission)?;
+            marked.two_channels_half(&at("confidence.exr"), &self.confidence)?;
             if let Some(error) = &self.irradiance_error {
-                write_plane_half(at(IRRADIANCE_ERROR), error)?;
+                marked.plane_half(&at(IRRADIANCE_ERROR), error)?;
             }
-            write_png16(at("labels.png"), &self.labels)?;
-            write_png16(at("rooms.png"), &self.rooms)?;
+            marked.png16(&at("labels.png"), &self.labels)?;
+            marked.png16(&at("rooms.png"), &self.rooms)?;
             write_camera_masks(aside.path(), &self.camera_masks)?;
-            write_radiometric(&at("environment.exr"), &self.environment)?;
+            write_radiometric(&marked, &at("environment.exr"), &self.environment)?;
             let path = at(LIGHTS);
             std::fs::write(&path, lamps::encode(&self.lamps)?)
                 .map_err(|e| Error::io(folder.join(LIGHTS), e))
@@ -84,7 +87,40 @@ impl Solution {
             None => remove_if_there(&folder.join(IRRADIANCE_ERROR))?,
         }
         replace_camera_masks(&aside, folder)?;
-        aside.publish(folder, &FILES)
+        aside.publish(folder, &FILES)?;
+        Ok(generation)
+    }
+
+    /// What tells this solution from any other: a hash of all it consists of, so that the same
+    /// content has the same generation.
+    #[must_use]
+    pub fn generation(&self) -> String {
+        let mut hash = blake3::Hasher::new();
+        let mesh = &self.mesh;
+        let columns: [&[u8]; 13] = [
+            bytemuck::cast_slice(&mesh.positions),
+            bytemuck::cast_slice(&mesh.normals),
+            bytemuck::cast_slice(&mesh.uvs),
+            bytemuck::cast_slice(&mesh.triangles),
+            bytemuck::cast_slice(&self.albedo.data),
+            bytemuck::cast_slice(&self.roughness.data),
+            bytemuck::cast_slice(&self.irradiance.data),
+            bytemuck::cast_slice(&self.radiance.data),
+            bytemuck::cast_slice(&self.emission.data),
+            bytemuck::cast_slice(&self.confidence.data),
+            bytemuck::cast_slice(&self.labels.data),
+            bytemuck::cast_slice(&self.rooms.data),
+            bytemuck::cast_slice(&self.environment.data),
+        ];
+        for column in columns {
+            hash.update(&(column.len() as u64).to_le_bytes());
+            hash.update_rayon(column);
+        }
+        if let Some(error) = &self.irradiance_error {
+            hash.update_rayon(bytemuck::cast_slice(&error.data));
+        }
+        hash.update(format!("{:?} {:?}", self.origin, self.reflectance).as_bytes());
+        hash.finalize().to_hex()[..32].to_owned()
     }
 
     /// Reads what [`Solution::save`] wrote. Textures come back at file precision (half), the mesh
@@ -113,11 +149,12 @@ impl Solution {
         if !missing.is_empty() {
             return Err(Error::Inputs(missing));
         }
-        let (mesh, origin, reflectance) = read_glb_mesh(&folder.join("scene.glb"))?;
+        let glb = read_glb(&folder.join("scene.glb"))?;
+        one_generation(folder, glb.generation.as_deref())?;
         let rgb = |name: &str| read_rgb(folder.join(name));
         let mut solution = Self {
-            mesh,
-            origin,
+            mesh: glb.mesh,
+            origin: glb.origin,
             albedo: rgb("albedo.exr")?,
             roughness: read_plane(folder.join("roughness.exr"))?,
             irradiance: rgb("irradiance.exr")?,
@@ -131,7 +168,7 @@ impl Solution {
             labels: read_labels(folder.join("labels.png"))?,
             rooms: read_labels(folder.join("rooms.png"))?,
             environment: rgb("environment.exr")?,
-            reflectance,
+            reflectance: glb.reflectance,
             lamps: Vec::new(),
             camera_masks: read_camera_masks(folder)?,
         };
@@ -181,12 +218,44 @@ impl Solution {
     }
 }
 
-/// Half precision where it can hold the values, 32-bit float where they exceed 65,504.
-fn write_radiometric(path: &Path, plane: &RgbPlane) -> Result<()> {
-    if plane.data.iter().any(|v| v.abs().max_element() > HALF_MAX) {
-        write_rgb_float(path, plane)
+/// Refuses a folder whose files come from different runs: one that was killed between two renames,
+/// or copied together. Files without a mark (of an older version, or changed by hand) are accepted.
+fn one_generation(folder: &Path, of_glb: Option<&str>) -> Result<()> {
+    let Some(expected) = of_glb else {
+        return Ok(());
+    };
+    for name in FILES.iter().chain([&IRRADIANCE_ERROR]) {
+        let path = folder.join(name);
+        if ["scene.glb", LIGHTS].contains(name) || !path.is_file() {
+            continue;
+        }
+        if generation_mark(&path)?.is_some_and(|mark| mark != expected) {
+            return Err(Error::input(
+                path,
+                "is of another run than scene.glb: a run was stopped while it wrote, or files were mixed. Run `unbake solve` again",
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Smallest value that half precision holds to its full 11 bits: 2⁻¹⁴ (derived).
+const HALF_NORMAL: f32 = 6.103_515_6e-5;
+
+/// Share of the lit values that may lose precision before a texture is written in single precision.
+/// Derived: at most one in a hundred keeps sums and quantiles right to a per cent.
+const MAY_UNDERFLOW: f64 = 0.01;
+
+/// Half precision where it can hold the values; 32-bit float where some exceed 65,504, or more than
+/// a few of those that are not 0 lie below what it holds precisely.
+fn write_radiometric(marked: &Marked<'_>, path: &Path, plane: &RgbPlane) -> Result<()> {
+    let values = || plane.data.iter().flat_map(|v| v.abs().to_array());
+    let lit = values().filter(|v| *v > 0.0).count();
+    let faint = values().filter(|v| *v > 0.0 && *v < HALF_NORMAL).count();
+    if values().any(|v| v > HALF_MAX) || faint as f64 > MAY_UNDERFLOW * lit as f64 {
+        marked.rgb_float(path, plane)
     } else {
-        write_rgb_half(path, plane).map(drop)
+        marked.rgb_half(path, plane).map(drop)
     }
 }
 
@@ -224,16 +293,20 @@ impl AsideFolder {
         self.folder.path()
     }
 
-    /// Renames the named files into `target`, in order.
+    /// Renames the named files into `target`, in order, once all of them are on the disk.
     ///
     /// # Errors
     /// If the file system refuses one; those before it have then been renamed.
     pub fn publish<N: AsRef<Path>>(&self, target: &Path, names: &[N]) -> Result<()> {
         for name in names {
             let to = target.join(name);
+            sync(&self.path().join(name)).map_err(|e| Error::io(&to, e))?;
+        }
+        for name in names {
+            let to = target.join(name);
             std::fs::rename(self.path().join(name), &to).map_err(|e| Error::io(&to, e))?;
         }
-        Ok(())
+        sync(target).map_err(|e| Error::io(target, e))
     }
 }
 
@@ -289,6 +362,60 @@ mod tests {
         for (a, b) in back.confidence.data.iter().zip(&solution.confidence.data) {
             assert!((*a - *b).abs().max_element() <= 1e-3 * b.abs().max_element());
         }
+    }
+
+    #[test]
+    fn files_of_two_runs_are_no_solution() {
+        let (first, second) = (tempfile::tempdir(), tempfile::tempdir());
+        let (first, second) = (first.expect("temp"), second.expect("temp"));
+        let mut solution = small_solution();
+        let options = SaveOptions::default();
+        let one = solution.save(first.path(), &options).expect("saves");
+        assert_eq!(one, solution.generation(), "the content decides");
+        solution.albedo.data[0].x += 0.25;
+        let two = solution.save(second.path(), &options).expect("saves");
+        assert_ne!(one, two);
+        let marked = FILES.iter().filter(|n| **n != LIGHTS);
+        for name in marked.chain([&IRRADIANCE_ERROR]) {
+            let path = first.path().join(name);
+            let own = std::fs::read(&path).expect("reads");
+            std::fs::copy(second.path().join(name), &path).expect("mixes");
+            let e = Solution::load(first.path()).expect_err("a mixture");
+            assert!(
+                e.exit_code() == 2 && e.to_string().contains("another run"),
+                "{name}: {e}"
+            );
+            std::fs::write(&path, own).expect("restores");
+        }
+        Solution::load(first.path()).expect("whole again");
+        // a texture painted by hand has no mark
+        let path = first.path().join("albedo.exr");
+        crate::formats::write_rgb_half(path, &solution.albedo).expect("painted");
+        Solution::load(first.path()).expect("accepted");
+    }
+
+    #[test]
+    fn outputs_say_their_primaries() {
+        let folder = tempfile::tempdir().expect("temp");
+        let options = SaveOptions::default();
+        small_solution()
+            .save(folder.path(), &options)
+            .expect("saves");
+        let bytes = std::fs::read(folder.path().join("albedo.exr")).expect("reads");
+        let found = |w: &[u8]| bytes.windows(w.len()).any(|x| x == w);
+        assert!(found(b"chromaticities\0chromaticities\0"));
+    }
+
+    #[test]
+    fn faint_light_keeps_its_precision() {
+        let folder = tempfile::tempdir().expect("temp");
+        let mut solution = small_solution();
+        solution.radiance.data.iter_mut().for_each(|v| *v *= 1e-7);
+        let expected = solution.radiance.clone();
+        let options = SaveOptions::default();
+        solution.save(folder.path(), &options).expect("saves");
+        let back = Solution::load(folder.path()).expect("loads").radiance;
+        assert_eq!(back, expected, "single precision");
     }
 
     #[test]

@@ -154,6 +154,8 @@ mod tests {
             mask_path: None,
             exposure_ev: 0.0,
             split: Split::Train,
+            colour_space: None,
+            account: Default::default(),
         };
         // the mesh is a square at height 0.1: from below it is hidden by nothing, from above
         // neither; a point above is hidden from below

@@ -4,6 +4,7 @@ use crate::cli::context::Context;
 use crate::cli::inputs::read_scene;
 use crate::edit::{EDITED, EDITS, EditList, apply_to_folder};
 use crate::error::{Error, Result};
+use crate::solution::OutputLock;
 use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
@@ -33,6 +34,7 @@ pub(crate) fn edit(
             &json!({"out": out, "edits": 0}),
         );
     }
+    let _lock = OutputLock::acquire(out, &[EDITED])?;
     let before = std::fs::read(&list).ok();
     if let Some(file) = edits {
         let mut taken = EditList::read(file)?;

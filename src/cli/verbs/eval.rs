@@ -1,13 +1,14 @@
 //! `unbake eval`.
 
 use crate::cli::context::Context;
+use crate::cli::guard::keep_inputs;
 use crate::cli::inputs::read_solved_scene;
 use crate::cli::run_record::record;
 use crate::error::{Error, Result};
 use crate::evaluate::{evaluate, terminal_table};
 use crate::render::{HybridOptions, HybridRenderer};
 use crate::report::{self, Photographer, RunRecord, hash_inputs, write_report};
-use crate::solution::Solution;
+use crate::solution::{OutputLock, Solution};
 use std::path::Path;
 
 pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<()> {
@@ -25,6 +26,8 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
         );
         return Err(Error::input(out, message));
     }
+    keep_inputs(out, &scene.folder, &scene.input_files())?;
+    let _lock = OutputLock::acquire(out, &["eval"])?;
     let renderer = HybridRenderer::new(
         &solution,
         HybridOptions {

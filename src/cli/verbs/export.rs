@@ -12,7 +12,7 @@ pub(crate) fn export(out: &Path, places: &Places, context: &Context) -> Result<(
     let options = &context.config.export;
     let solution = read_solution(out, &context.progress)?;
     let cameras = places.frames(&options.frames, &solution, context)?;
-    let folder = places.to.clone().unwrap_or_else(|| out.join("export"));
+    let (folder, _lock) = places.folder(out, "export")?;
     let files = context.progress.stage("exporting", 1, |_| {
         crate::export::export(&folder, &solution, &cameras, &options.formats)
     })?;

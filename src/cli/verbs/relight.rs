@@ -35,7 +35,7 @@ pub(crate) fn relight(
     }
     let lighting = changed_light(&solution.lamps, lights, context)?;
     let cameras = places.frames(&options.frames, &solution, context)?;
-    let folder = places.to.clone().unwrap_or_else(|| out.join("relight"));
+    let (folder, _lock) = places.folder(out, "relight")?;
     let relit = Relit {
         solution: &solution,
         lighting,

@@ -23,7 +23,7 @@ pub(crate) fn render(out: &Path, places: &Places, context: &Context) -> Result<(
     }
     let solution = read_solution(out, progress)?;
     let cameras = places.frames(&options.frames, &solution, context)?;
-    let folder = places.to.clone().unwrap_or_else(|| out.join("render"));
+    let (folder, _lock) = places.folder(out, "render")?;
     let mut writer = FrameWriter::new(&folder, options.frames.exposure, !options.frames.no_exr)?;
     let mut seconds = Vec::new();
     let mut clock = Instant::now();

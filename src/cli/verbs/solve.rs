@@ -2,6 +2,7 @@
 
 use crate::alignment::{Alignment, align};
 use crate::cli::context::Context;
+use crate::cli::guard::keep_inputs;
 use crate::cli::inputs::read_scene;
 use crate::cli::run_record::{record, run_key};
 use crate::error::{Error, Result};
@@ -9,23 +10,17 @@ use crate::pipeline::{Checkpoints, reconstruct};
 use crate::render::{HybridOptions, HybridRenderer};
 use crate::report::{hash_inputs, write_report};
 use crate::scene::Scene;
-use crate::solution::{AsideFolder, SaveOptions};
+use crate::solution::{AsideFolder, OutputLock, SaveOptions};
 use serde_json::json;
 use std::path::Path;
 use std::time::Duration;
 
 pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
-    if out
-        .canonicalize()
-        .is_ok_and(|o| scene_path.canonicalize().is_ok_and(|s| o == s))
-    {
-        return Err(Error::Usage(format!(
-            "{}: is the scene itself; give another folder to --out",
-            out.display()
-        )));
-    }
+    keep_inputs(out, scene_path, &[])?;
     let (mut scene, alignment) = aligned_scene(scene_path, context)?;
-    // before the long run: is there a place for the result?
+    keep_inputs(out, &scene.folder, &scene.input_files())?;
+    // before the long run: is there a place for the result, and is it ours alone?
+    let _lock = OutputLock::acquire(out, &[])?;
     drop(AsideFolder::new(out)?);
     let options = context
         .config

@@ -1,0 +1,116 @@
+//! No verb may overwrite what it reads: an output folder in which an input lies is refused.
+
+use crate::error::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// Refuses `out` if it is `scene`'s folder or any of `inputs` lies directly in it.
+///
+/// Names do not count, only the folder: later versions write other names. Inputs in folders below
+/// are safe, since outputs there have folders of their own.
+///
+/// # Errors
+/// An input lies in `out`; the message names it.
+pub fn keep_inputs(out: &Path, scene: &Path, inputs: &[PathBuf]) -> Result<()> {
+    // what does not exist yet holds nothing
+    let Ok(out_really) = out.canonicalize() else {
+        return Ok(());
+    };
+    if scene.canonicalize().is_ok_and(|s| s == out_really) {
+        return Err(Error::Usage(format!(
+            "{}: is the scene itself; give another output folder",
+            out.display()
+        )));
+    }
+    // a link is safe where it leads and where it lies
+    let in_out = |p: &PathBuf| {
+        let lies = p.parent().and_then(|f| f.canonicalize().ok());
+        let leads = p.canonicalize().ok();
+        let leads = leads.as_deref().and_then(Path::parent);
+        lies.as_deref() == Some(&out_really) || leads == Some(&out_really)
+    };
+    match inputs.iter().find(|p| in_out(p)) {
+        None => Ok(()),
+        Some(input) => Err(Error::Usage(format!(
+            "{}: holds {}, which is read; give another output folder",
+            out.display(),
+            input.display()
+        ))),
+    }
+}
+
+/// Files that a list of cameras or a scene's `transforms.json` names, and the list itself; nothing where it cannot be read, which
+/// is somebody else's error.
+#[must_use]
+pub fn files_of_cameras(list: &Path) -> Vec<PathBuf> {
+    let text = crate::formats::read_input_text(list).unwrap_or_default();
+    let json: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
+    let folder = list.parent().unwrap_or(Path::new("."));
+    let frames = json.get("frames").and_then(|f| f.as_array());
+    let named = frames.into_iter().flatten().flat_map(|f| {
+        let keys = ["file_path", "label_path", "mask_path"];
+        keys.map(|k| f.get(k).and_then(|v| v.as_str()))
+    });
+    let whole = ["mesh_path", "rooms_path"].map(|k| json.get(k).and_then(|v| v.as_str()));
+    let all = named.chain(whole).flatten();
+    let mut files: Vec<PathBuf> = all.map(|n| folder.join(n)).collect();
+    files.push(list.to_path_buf());
+    files
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_that_hold_inputs_are_refused() {
+        let dir = tempfile::tempdir().expect("temp");
+        let scene = dir.path().join("s");
+        std::fs::create_dir_all(scene.join("images")).expect("folders");
+        let image = scene.join("images/a.exr");
+        std::fs::write(&image, b"x").expect("file");
+        let linked = dir.path().join("linked");
+        std::os::unix::fs::symlink(scene.join("images"), &linked).expect("link");
+        let inputs = [image];
+        for out in [
+            scene.clone(),
+            scene.join("./images/.."),
+            scene.join("images"),
+            linked,
+        ] {
+            assert!(
+                keep_inputs(&out, &scene, &inputs).is_err(),
+                "{}",
+                out.display()
+            );
+        }
+        for out in [scene.join("out"), dir.path().to_path_buf()] {
+            assert!(
+                keep_inputs(&out, &scene, &inputs).is_ok(),
+                "{}",
+                out.display()
+            );
+        }
+    }
+
+    #[test]
+    fn a_link_to_an_input_elsewhere_protects_both_places() {
+        let dir = tempfile::tempdir().expect("temp");
+        let (scene, store) = (dir.path().join("s"), dir.path().join("store"));
+        std::fs::create_dir_all(&scene).expect("folder");
+        std::fs::create_dir_all(&store).expect("folder");
+        std::fs::write(store.join("a.exr"), b"x").expect("file");
+        let image = scene.join("a.exr");
+        std::os::unix::fs::symlink(store.join("a.exr"), &image).expect("link");
+        assert!(keep_inputs(&store, &scene, std::slice::from_ref(&image)).is_err());
+    }
+
+    #[test]
+    fn a_list_of_cameras_names_its_files() {
+        let dir = tempfile::tempdir().expect("temp");
+        let list = dir.path().join("c.json");
+        std::fs::write(&list, r#"{"frames":[{"file_path":"images/a.exr"},{}]}"#).expect("file");
+        let files = files_of_cameras(&list);
+        assert_eq!(files, [dir.path().join("images/a.exr"), list]);
+        assert_eq!(files_of_cameras(Path::new("/none")).len(), 1);
+    }
+}

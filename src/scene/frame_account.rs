@@ -1,0 +1,136 @@
+//! What `check` says of each photograph: how it was understood, and what of it is left out.
+
+use super::{PixelStats, Scene, View};
+use crate::formats::{ImageAccount, read_photograph};
+use crate::image::Plane;
+use crate::{Error, Result};
+use glam::Vec2;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// One frame as it was read.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct FrameAccount {
+    /// The view's name.
+    pub stem: String,
+    /// How the image was understood.
+    #[serde(flatten)]
+    pub image: ImageAccount,
+    /// Working radiance = image · 2^ev.
+    pub exposure_ev: f32,
+    /// Share of the pixels that a mask, the alpha channel or `--clamp-nan` leaves out.
+    pub masked_share: f64,
+    /// Infinite pixels on surfaces of kind `light`.
+    pub infinite_on_lights: usize,
+}
+
+/// The account of a view whose files were all read.
+///
+/// # Errors
+/// Its mask leaves no pixel.
+pub(super) fn account(
+    scene: &Scene,
+    view: &View,
+    (stats, mask, labels): (&PixelStats, Option<&Plane<bool>>, Option<&Plane<u16>>),
+) -> Result<FrameAccount> {
+    let count = view.camera.width * view.camera.height;
+    let out = mask.map_or(0, |m| m.data.iter().filter(|k| !**k).count());
+    if out == count {
+        let path = view.mask_path.as_ref().unwrap_or(&view.image_path);
+        return Err(Error::input(
+            path,
+            format!(
+                "the mask of {} leaves no pixel (0 is left out, anything else kept): is it inverted?",
+                view.stem
+            ),
+        ));
+    }
+    let infinite_on_lights = match labels {
+        Some(labels) if stats.infinite > 0 => infinite_on_lights(scene, view, labels)?,
+        _ => 0,
+    };
+    Ok(FrameAccount {
+        stem: view.stem.clone(),
+        image: view.account.clone(),
+        exposure_ev: view.exposure_ev,
+        masked_share: out as f64 / count as f64,
+        infinite_on_lights,
+    })
+}
+
+/// Infinite pixels whose class is of kind `light`.
+fn infinite_on_lights(scene: &Scene, view: &View, labels: &Plane<u16>) -> Result<usize> {
+    let image = read_photograph(&view.image_path, view.colour_space)?.pixels;
+    let scale = Vec2::new(
+        labels.width as f32 / image.width as f32,
+        labels.height as f32 / image.height as f32,
+    );
+    let on_light = |i: usize| {
+        let p = Vec2::new((i % image.width) as f32, (i / image.width) as f32) + 0.5;
+        let class = scene.class(*labels.nearest(p * scale));
+        class.is_some_and(|c| c.is_light)
+    };
+    let infinite = |i: &usize| image.data[*i].is_finite() || image.data[*i].is_nan();
+    Ok((0..image.data.len())
+        .filter(|i| !infinite(i))
+        .filter(|i| on_light(*i))
+        .count())
+}
+
+/// What a user should know of the photographs although they can be used.
+pub(super) fn warnings(frames: &[FrameAccount]) -> Vec<String> {
+    let mut notes = Vec::new();
+    let mut converted: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for f in frames {
+        if let Some(done) = &f.image.converted {
+            converted.entry(done).or_default().push(&f.stem);
+        }
+    }
+    for (done, stems) in converted {
+        notes.push(format!(
+            "{} images: {done} (first: {})",
+            stems.len(),
+            stems[0]
+        ));
+    }
+    let with = |of: &dyn Fn(&FrameAccount) -> bool| -> Vec<&FrameAccount> {
+        frames.iter().filter(|f| of(f)).collect()
+    };
+    let transparent = with(&|f| f.image.has_alpha && f.masked_share > 0.0);
+    if let [first, ..] = transparent[..] {
+        let share: f64 = transparent.iter().map(|f| f.masked_share).sum();
+        notes.push(format!(
+            "{} images have pixels that their alpha does not cover, which are left out ({:.1} % of them; first: {})",
+            transparent.len(),
+            100.0 * share / transparent.len() as f64,
+            first.stem
+        ));
+    }
+    let masked = with(&|f| f.masked_share > 0.5);
+    if let [first, ..] = masked[..] {
+        notes.push(format!(
+            "{} images lose more than half of their pixels to masks (first: {}, {:.0} %)",
+            masked.len(),
+            first.stem,
+            100.0 * first.masked_share
+        ));
+    }
+    let infinite = with(&|f| f.infinite_on_lights > 0);
+    if let [first, ..] = infinite[..] {
+        let count: usize = infinite.iter().map(|f| f.infinite_on_lights).sum();
+        notes.push(format!(
+            "{count} infinite pixels lie on classes of kind light (first: {}): the brightest light of the scene is left out; save the images in single precision",
+            first.stem
+        ));
+    }
+    let turned = with(&|f| f.image.orientation > 1);
+    if let [first, ..] = turned[..] {
+        notes.push(format!(
+            "{} images carry EXIF orientation {} (first: {}), which viewers apply and unbake does not, as COLMAP does not either: poses must be those of the stored rows",
+            turned.len(),
+            first.image.orientation,
+            first.stem
+        ));
+    }
+    notes
+}

@@ -1,0 +1,160 @@
+//! One writer per output folder: an advisory lock (`flock`) on the folder itself.
+//!
+//! Two runs into one folder would interleave their renames file by file, and one would remove what
+//! the other keeps for resuming. Whoever holds the lock also clears what killed runs left behind:
+//! hidden `.writing-*` folders and `.name.*.part` files.
+
+use crate::error::{Error, Result};
+use std::fs::{File, TryLockError};
+use std::path::{Path, PathBuf};
+
+/// The right to write into an output folder; given up when dropped, or when the process dies.
+#[derive(Debug)]
+pub struct OutputLock {
+    /// Holds the lock; `None` on a file system that has none.
+    _held: Option<File>,
+}
+
+impl OutputLock {
+    /// Makes `folder` if need be, takes its lock and removes what killed runs left in it and in the
+    /// folders of `below` in it.
+    ///
+    /// # Errors
+    /// The folder cannot be made or opened, or another process is writing into it.
+    pub fn acquire(folder: &Path, below: &[&str]) -> Result<Self> {
+        make_folder(folder)?;
+        let open = File::open(folder).map_err(|e| Error::io(folder, e))?;
+        let held = match open.try_lock() {
+            Ok(()) => Some(open),
+            Err(TryLockError::WouldBlock) => {
+                return Err(Error::input(
+                    folder,
+                    "another run is writing into this folder; wait for it to end, or give another folder",
+                ));
+            }
+            // some network file systems have no locks: no reason not to work there
+            Err(TryLockError::Error(_)) => None,
+        };
+        if held.is_some() {
+            clear(folder);
+            below.iter().for_each(|name| clear(&folder.join(name)));
+        }
+        Ok(Self { _held: held })
+    }
+}
+
+/// Creates a folder and those above it, with words for what may be in the way.
+fn make_folder(folder: &Path) -> Result<()> {
+    let dangling = folder.symlink_metadata().is_ok() && !folder.exists();
+    if dangling {
+        return Err(Error::input(
+            folder,
+            "is a link that leads nowhere; remove it or make the folder it names",
+        ));
+    }
+    if folder.is_file() {
+        return Err(Error::input(
+            folder,
+            "is a file where a folder is to be made; give another name",
+        ));
+    }
+    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))
+}
+
+/// Removes left-overs; what cannot be removed stays, and does no harm but take room.
+fn clear(folder: &Path) {
+    for path in left_over(folder) {
+        let _ = if path.is_dir() {
+            std::fs::remove_dir_all(&path)
+        } else {
+            std::fs::remove_file(&path)
+        };
+    }
+}
+
+/// What killed runs left in a folder.
+fn left_over(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    // the endings that `tempfile` gives, or process and count of older versions
+    let ending = |s: &str| {
+        let count = s
+            .split_once('-')
+            .is_some_and(|(a, b)| number(a) && number(b));
+        count || number(s) || (s.len() == 6 && s.bytes().all(|b| b.is_ascii_alphanumeric()))
+    };
+    let is_left = |name: &str| -> bool {
+        if let Some(end) = name.strip_prefix(".writing-") {
+            return ending(end);
+        }
+        let part = |rest: &str| -> Option<bool> {
+            let (name, end) = rest.strip_suffix(".part")?.rsplit_once('.')?;
+            Some(!name.is_empty() && ending(end))
+        };
+        name.strip_prefix('.').and_then(part).unwrap_or(false)
+    };
+    entries
+        .filter(|e| is_left(&e.file_name().to_string_lossy()))
+        .map(|e| e.path())
+        .collect()
+}
+
+fn number(s: &str) -> bool {
+    !s.is_empty() && s.bytes().all(|b| b.is_ascii_digit())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_writer_at_a_time() {
+        let dir = tempfile::tempdir().expect("temp");
+        let out = dir.path().join("deep/out");
+        let held = OutputLock::acquire(&out, &[]).expect("free");
+        let e = OutputLock::acquire(&out, &[]).expect_err("taken");
+        assert!(
+            e.exit_code() == 2 && e.to_string().contains("another run"),
+            "{e}"
+        );
+        drop(held);
+        OutputLock::acquire(&out, &[]).expect("free again");
+    }
+
+    #[test]
+    fn rubbish_of_killed_runs_goes_and_nothing_else() {
+        let dir = tempfile::tempdir().expect("temp");
+        let at = |name: &str| dir.path().join(name);
+        std::fs::create_dir_all(at(".writing-12/x")).expect("folder");
+        std::fs::create_dir_all(at("eval/.writing-7")).expect("folder");
+        std::fs::create_dir_all(at(".partial")).expect("folder");
+        let rubbish = [".report.json.12-3.part", ".a.b.exr.Xy12zZ.part"];
+        let kept = [
+            "albedo.exr",
+            ".part",
+            ".x.part",
+            ".writing-my-own",
+            "a.1-2.part",
+            ".1-2.part",
+        ];
+        for name in rubbish.iter().chain(&kept) {
+            std::fs::write(at(name), b"x").expect("file");
+        }
+        OutputLock::acquire(dir.path(), &["eval"]).expect("free");
+        assert!(!at(".writing-12").exists() && !at("eval/.writing-7").exists());
+        assert!(rubbish.iter().all(|n| !at(n).exists()));
+        assert!(kept.iter().all(|n| at(n).exists()) && at(".partial").exists());
+    }
+
+    #[test]
+    fn what_is_in_the_way_is_named() {
+        let dir = tempfile::tempdir().expect("temp");
+        let link = dir.path().join("link");
+        std::os::unix::fs::symlink(dir.path().join("nowhere"), &link).expect("link");
+        let file = dir.path().join("file");
+        std::fs::write(&file, b"x").expect("file");
+        for (path, said) in [(&link, "leads nowhere"), (&file, "is a file")] {
+            let e = OutputLock::acquire(path, &[]).expect_err("refused");
+            assert!(e.exit_code() == 2 && e.to_string().contains(said), "{e}");
+        }
+    }
+}

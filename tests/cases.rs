@@ -1,0 +1,189 @@
+//! The small cases of `../shared/cases`: inputs that people really have, each with the right
+//! outcome. Skipped, with a message, where the folder is absent.
+
+use std::path::{Path, PathBuf};
+use unbake::scene::{CheckReport, LoadOptions, check};
+
+/// Where the cases lie.
+fn cases() -> Option<PathBuf> {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/cases");
+    let named = std::env::var_os("UNBAKE_SHARED").map(|p| PathBuf::from(p).join("cases"));
+    let usual = PathBuf::from("/work/shared/cases");
+    let found = named
+        .into_iter()
+        .chain([beside, usual])
+        .find(|p| p.is_dir());
+    if found.is_none() {
+        eprintln!("skipped: no ../shared/cases beside the repository");
+    }
+    found
+}
+
+/// What must come out of a case.
+enum Outcome {
+    /// The plain scene's figures: 12 triangles, 94.0 m², median 0.386, largest 12, no hole.
+    Plain,
+    /// Usable, with these triangles and area, and the plain scene's radiance.
+    Mesh(usize, f64),
+    /// Usable, with this in a warning.
+    Warned(&'static str),
+    /// Refused, with this in a problem.
+    Refused(&'static str),
+    /// Somebody else's duty: only that it does not panic.
+    Elsewhere,
+}
+
+use Outcome::{Elsewhere, Mesh, Plain, Refused, Warned};
+
+/// Folder and outcome.
+const CASES: &[(&str, Outcome)] = &[
+    ("fc01-hdr-exposure", Plain),
+    ("fc03-exr-rec2020", Plain),
+    ("fc05-exr-alpha-nadir", Warned("alpha does not cover")),
+    ("fc06-exr-multipart", Plain),
+    ("fc09-exr-luminance-chroma", Plain),
+    ("fc10-obj-polyline", Plain),
+    ("fc11-obj-concave-ngon", Mesh(16, 100.0)),
+    ("fc13-obj-bom", Plain),
+    (
+        "fc14-gltf-gpu-instancing",
+        Refused("EXT_mesh_gpu_instancing"),
+    ),
+    ("fc16-obj-latin1", Plain),
+    ("fc17-obj-continuation", Plain),
+    (
+        "fc20-obj-decimal-comma",
+        Refused("line 1: '4,5' is no number (decimal comma?)"),
+    ),
+    ("fc21-ply-tristrips", Plain),
+    ("fc23-ply-wedge-uv", Plain),
+    ("fc24-double-faces", Mesh(3888, 94.0)),
+    ("fc26-mirrored-panoramas", Elsewhere),
+    ("fc29-mesh-in-millimetres", Elsewhere),
+    ("fc30-applied-transform", Plain),
+    ("fc32-zup-poses-yup-glb", Plain),
+    ("fc33-kind-Light", Plain),
+    ("fc35-mask-all-zero", Refused("leaves no pixel")),
+    ("fc36-mask-rgb", Plain),
+    ("fc38-backslash-paths", Plain),
+    ("fc40-camera-angle-no-size", Elsewhere),
+    (
+        "fc42-inf-lamps",
+        Warned("infinite pixels lie on classes of kind light"),
+    ),
+    ("fc44-material-atlases", Warned("one atlas per material?")),
+    ("fc45-hdr-xyze", Plain),
+    ("fc47-is-fisheye", Refused("is_fisheye")),
+    ("fc49-exr-htj2k", Refused("HTJ2K needs OpenEXR 3.4")),
+    ("fc50-jpeg-exif-orientation", Warned("EXIF orientation 3")),
+    ("fc52-check-after-failed-images", Refused("NaN or infinite")),
+    ("fc53-outward-windings", Elsewhere),
+    ("fc56-ground-plane", Warned("seen by no training view")),
+];
+
+#[track_caller]
+fn plain_figures(name: &str, report: &CheckReport, (triangles, area): (usize, f64)) {
+    assert!(report.is_usable(), "{name}: {report}");
+    let s = report.summary.as_ref().expect("understood");
+    assert_eq!(s.mesh.triangles, triangles, "{name}");
+    assert!(
+        (s.mesh.area - area).abs() < 0.01 * area,
+        "{name}: {} m²",
+        s.mesh.area
+    );
+    // RGBE keeps 8 bits
+    let near = |found: f32, right: f32| (found / right - 1.0).abs() < 0.01;
+    assert!(
+        near(s.radiance.median, 0.386),
+        "{name}: median {}",
+        s.radiance.median
+    );
+    assert!(near(s.radiance.max, 12.0), "{name}: max {}", s.radiance.max);
+    assert!(s.hole_share < 1e-3, "{name}: holes {}", s.hole_share);
+}
+
+#[test]
+fn every_case_has_its_outcome() {
+    let Some(folder) = cases() else { return };
+    for (name, outcome) in CASES {
+        let path = folder.join(name);
+        if !path.is_dir() {
+            eprintln!("skipped: no {}", path.display());
+            continue;
+        }
+        let options = LoadOptions {
+            clamp_nan: *name == "fc42-inf-lamps",
+            unwrap_resolution: 256,
+            ..LoadOptions::default()
+        };
+        let report = check(&path, &options);
+        match outcome {
+            Plain => plain_figures(name, &report, (12, 94.0)),
+            Mesh(triangles, area) => plain_figures(name, &report, (*triangles, *area)),
+            Warned(said) => {
+                let all = report.warnings.join("\n");
+                assert!(report.is_usable() && all.contains(said), "{name}: {report}");
+            }
+            Refused(said) => {
+                let all = report.problems.join("\n");
+                assert!(
+                    report.exit_code() == 2 && all.contains(said),
+                    "{name}: {report}"
+                );
+            }
+            Elsewhere => {}
+        }
+    }
+}
+
+#[test]
+fn after_images_that_failed_nothing_is_concluded_from_them() {
+    let Some(folder) = cases() else { return };
+    let report = check(
+        folder.join("fc52-check-after-failed-images"),
+        &LoadOptions::default(),
+    );
+    assert_eq!(report.problems.len(), 3, "{report}");
+    assert!(
+        !report.warnings.iter().any(|w| w.contains("label")),
+        "{report}"
+    );
+}
+
+#[test]
+fn an_atlas_by_corner_is_used() {
+    let Some(folder) = cases() else { return };
+    let report = check(folder.join("fc23-ply-wedge-uv"), &LoadOptions::default());
+    let summary = report.summary.expect("understood");
+    assert!(summary.mesh.details.unwrapped.is_none());
+}
+
+#[test]
+fn images_that_made_the_library_abort_are_refused() {
+    let Some(folder) = cases() else { return };
+    for name in ["exr-abort.exr", "exr-abort-two-bytes.exr"] {
+        let path = folder.join("rel01-exr-abort").join(name);
+        let e = unbake::formats::read_photograph(&path, None)
+            .err()
+            .expect("refused");
+        assert!(e.exit_code() == 2 && e.to_string().contains("part"), "{e}");
+    }
+}
+
+/// The colours of fc03: floor 0.2, 0.2, 0.22, left wall 0.45, 0.3, 0.2 in linear Rec. 709.
+#[test]
+fn wide_primaries_become_rec709() {
+    let Some(folder) = cases() else { return };
+    let path = folder.join("fc03-exr-rec2020/0.exr");
+    let image = unbake::formats::read_photograph(&path, None)
+        .expect("read")
+        .pixels;
+    let has = |rgb: [f32; 3]| {
+        let wanted = glam::Vec3::from_array(rgb);
+        image
+            .data
+            .iter()
+            .any(|p| (*p / wanted - 1.0).abs().max_element() < 0.02)
+    };
+    assert!(has([0.2, 0.2, 0.22]) && has([0.45, 0.3, 0.2]));
+}
