@@ -526,7 +526,22 @@ fn room_summaries(scene: &Scene, grid: &RoomGrid) -> Vec<RoomSummary> {
         .collect()
 }
 
+/// What does not keep a scene from being used, but makes the result worse.
 fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Vec<String>) {
+    warn_of_pixels(s, findings, warnings);
+    warn_of_places(scene, warnings);
+    warn_of_coverage(s, warnings);
+    warn_of_labels(s, findings, warnings);
+    for r in s.rooms.iter().filter(|r| r.train_views == 0) {
+        warnings.push(format!(
+            "room {} ({:.1} m²) holds no training camera",
+            r.id, r.area
+        ));
+    }
+}
+
+/// Black images, and values that are no radiance.
+fn warn_of_pixels(s: &Summary, findings: &[ViewFindings], warnings: &mut Vec<String>) {
     for f in findings
         .iter()
         .filter(|f| f.luminances.iter().all(|&l| l <= 0.0))
@@ -548,6 +563,10 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
             s.radiance.not_finite
         ));
     }
+}
+
+/// Panoramas that stand at the same place.
+fn warn_of_places(scene: &Scene, warnings: &mut Vec<String>) {
     let (lo, hi) = scene.mesh.bounds();
     let near = 1e-3 * (hi - lo).length();
     let panoramas: Vec<&View> = scene
@@ -565,6 +584,10 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
             }
         }
     }
+}
+
+/// Too few views, holes in the geometry, surfaces that nobody sees.
+fn warn_of_coverage(s: &Summary, warnings: &mut Vec<String>) {
     if s.train_views < 3 {
         warnings.push(format!(
             "{} training views: highlights cannot be told from paint; take at least 3 per room",
@@ -583,6 +606,10 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
             100.0 * s.unseen_area_share
         ));
     }
+}
+
+/// Label images that are missing, surfaces without a class, classes without a surface.
+fn warn_of_labels(s: &Summary, findings: &[ViewFindings], warnings: &mut Vec<String>) {
     let labelled = findings.iter().filter(|f| f.labelled).count();
     if labelled == 0 {
         warnings.push(
@@ -610,11 +637,5 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
         .collect();
     if labelled > 0 && !absent.is_empty() {
         warnings.push(format!("classes met by no ray: {}", absent.join(", ")));
-    }
-    for r in s.rooms.iter().filter(|r| r.train_views == 0) {
-        warnings.push(format!(
-            "room {} ({:.1} m²) holds no training camera",
-            r.id, r.area
-        ));
     }
 }

@@ -44,48 +44,36 @@ const CREASE_DEGREES: f32 = 40.0;
 /// # Errors
 /// If no triangle of the mesh can be used, or it cannot be unwrapped.
 pub fn prepare_mesh(
-    mut raw: RawMesh,
+    raw: RawMesh,
     path: &Path,
     z_up: bool,
     options: &LoadOptions,
 ) -> Result<(Mesh, DVec3, MeshStats)> {
-    let fail = |m: String| Error::input(path, m);
+    prepare(raw, z_up, options).map_err(|message| Error::input(path, message))
+}
+
+/// What is wrong with a mesh, and how to mend it.
+type Usable<T> = std::result::Result<T, String>;
+
+fn prepare(
+    mut raw: RawMesh,
+    z_up: bool,
+    options: &LoadOptions,
+) -> Usable<(Mesh, DVec3, MeshStats)> {
     let mut stats = MeshStats {
         file_triangles: raw.triangles.len(),
         ..MeshStats::default()
     };
-    if raw.triangles.is_empty() {
-        return Err(fail("no triangles; export the mesh with its faces".into()));
-    }
-    let count = raw.positions.len();
-    if let Some((t, i)) = raw
-        .triangles
-        .iter()
-        .enumerate()
-        .find_map(|(t, c)| c.iter().find(|&&i| i as usize >= count).map(|&i| (t, i)))
-    {
-        return Err(fail(format!(
-            "triangle {t} uses vertex {i}, but there are {count} vertices; export the mesh again"
-        )));
-    }
+    check_triangles(&raw)?;
     if z_up {
         let turn = y_up_from_z_up();
         raw.positions.iter_mut().for_each(|p| *p = turn * *p);
         let turn = turn.as_mat3();
         raw.normals.iter_mut().for_each(|n| *n = turn * *n);
     }
-    let used = used_vertices(&raw.triangles, count);
-    let bad: Vec<usize> = (0..count)
-        .filter(|&i| used[i] && !raw.positions[i].is_finite())
-        .collect();
-    if let Some(first) = bad.first() {
-        return Err(fail(format!(
-            "{} of {count} vertices are NaN or infinite (first: vertex {first}); repair the mesh",
-            bad.len()
-        )));
-    }
-    let origin = centre(&raw, &used).map_err(fail)?;
-
+    let used = used_vertices(&raw.triangles, raw.positions.len());
+    check_finite(&raw, &used)?;
+    let origin = centre(&raw, &used)?;
     let mut mesh = Mesh {
         positions: raw
             .positions
@@ -96,29 +84,16 @@ pub fn prepare_mesh(
         uvs: raw.uvs,
         triangles: raw.triangles,
     };
-    mesh.triangles = {
-        let kept: Vec<[u32; 3]> = (0..mesh.triangles.len())
-            .filter(|&t| has_area(&mesh, t))
-            .map(|t| mesh.triangles[t])
-            .collect();
-        stats.degenerate = stats.file_triangles - kept.len();
-        kept
-    };
-    if mesh.triangles.is_empty() {
-        return Err(fail(format!(
-            "none of the {} triangles has an area; expected a surface in metres. Check the export",
-            stats.file_triangles
-        )));
-    }
+    stats.degenerate = leave_out_degenerate(&mut mesh)?;
     compact(&mut mesh);
     stats.normals_computed = complete_normals(&mut mesh);
     if mesh.uvs.is_empty() || options.unwrap {
         let (unwrapped, made) =
-            unwrap_mesh(&mesh, options.unwrap_resolution, options.unwrap_padding).map_err(fail)?;
+            unwrap_mesh(&mesh, options.unwrap_resolution, options.unwrap_padding)?;
         mesh = unwrapped;
         stats.unwrapped = Some(made);
     } else {
-        clamp_uvs(&mut mesh).map_err(fail)?;
+        clamp_uvs(&mut mesh)?;
     }
     stats.without_texels = (0..mesh.triangles.len())
         .filter(|&t| {
@@ -128,6 +103,52 @@ pub fn prepare_mesh(
         .count();
     (stats.covered_texels, stats.overlapping_texels) = atlas_overlap(&mesh, OVERLAP_SIDE);
     Ok((mesh, origin, stats))
+}
+
+/// There are triangles, and all of their vertices are there.
+fn check_triangles(raw: &RawMesh) -> Usable<()> {
+    if raw.triangles.is_empty() {
+        return Err("no triangles; export the mesh with its faces".into());
+    }
+    let count = raw.positions.len();
+    for (t, corners) in raw.triangles.iter().enumerate() {
+        if let Some(i) = corners.iter().find(|&&i| i as usize >= count) {
+            return Err(format!(
+                "triangle {t} uses vertex {i}, but there are {count} vertices; export the mesh again"
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// The vertices in use are numbers.
+fn check_finite(raw: &RawMesh, used: &[bool]) -> Usable<()> {
+    let count = raw.positions.len();
+    let bad: Vec<usize> = (0..count)
+        .filter(|&i| used[i] && !raw.positions[i].is_finite())
+        .collect();
+    match bad.first() {
+        None => Ok(()),
+        Some(first) => Err(format!(
+            "{} of {count} vertices are NaN or infinite (first: vertex {first}); repair the mesh",
+            bad.len()
+        )),
+    }
+}
+
+/// Keeps the triangles that have an area; returns how many have none.
+fn leave_out_degenerate(mesh: &mut Mesh) -> Usable<usize> {
+    let count = mesh.triangles.len();
+    mesh.triangles = (0..count)
+        .filter(|&t| has_area(mesh, t))
+        .map(|t| mesh.triangles[t])
+        .collect();
+    if mesh.triangles.is_empty() {
+        return Err(format!(
+            "none of the {count} triangles has an area; expected a surface in metres. Check the export"
+        ));
+    }
+    Ok(count - mesh.triangles.len())
 }
 
 fn used_vertices(triangles: &[[u32; 3]], count: usize) -> Vec<bool> {

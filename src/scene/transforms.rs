@@ -152,20 +152,7 @@ pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<
         }
         String::new()
     });
-    let mut frames = Vec::new();
-    match root.get("frames") {
-        Some(Value::Array(entries)) if entries.is_empty() => issues.push("frames: empty; list at least one posed image".into()),
-        Some(Value::Array(entries)) => {
-            for (index, entry) in entries.iter().enumerate() {
-                match entry {
-                    Value::Object(map) => frames.extend(frame(index, map, &globals, z_up, &mut issues)),
-                    _ => issues.push(format!("frames[{index}]: expected an object with file_path and transform_matrix")),
-                }
-            }
-        }
-        Some(_) => issues.push("frames: expected a list".into()),
-        None => issues.push("frames: missing; list the posed images as [{\"file_path\": ..., \"transform_matrix\": ...}]".into()),
-    }
+    let frames = frames(&root, &globals, z_up, &mut issues);
     let classes = root
         .get("classes")
         .filter(|v| !v.is_null())
@@ -173,24 +160,11 @@ pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<
     let train = globals.names("train_filenames", &mut issues);
     let test = globals.names("test_filenames", &mut issues);
     let rooms_path = globals.text("rooms_path", &mut issues);
-    let named = |entry: &Value| {
-        entry
-            .get("file_path")
-            .and_then(Value::as_str)
-            .map(str::to_owned)
-    };
-    let names = root
-        .get("frames")
-        .and_then(Value::as_array)
-        .into_iter()
-        .flatten()
-        .filter_map(named)
-        .collect();
     Ok((
         Transforms {
             mesh_path,
             frames,
-            names,
+            names: file_names(&root),
             classes,
             train,
             test,
@@ -199,6 +173,46 @@ pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<
         },
         issues,
     ))
+}
+
+/// The frames that can be used.
+fn frames(
+    root: &Map<String, Value>,
+    globals: &Keys<'_>,
+    z_up: bool,
+    issues: &mut Vec<String>,
+) -> Vec<Frame> {
+    let mut frames = Vec::new();
+    match root.get("frames") {
+        Some(Value::Array(entries)) if entries.is_empty() => issues.push("frames: empty; list at least one posed image".into()),
+        Some(Value::Array(entries)) => {
+            for (index, entry) in entries.iter().enumerate() {
+                match entry {
+                    Value::Object(map) => frames.extend(frame(index, map, globals, z_up, issues)),
+                    _ => issues.push(format!("frames[{index}]: expected an object with file_path and transform_matrix")),
+                }
+            }
+        }
+        Some(_) => issues.push("frames: expected a list".into()),
+        None => issues.push("frames: missing; list the posed images as [{\"file_path\": ..., \"transform_matrix\": ...}]".into()),
+    }
+    frames
+}
+
+/// The `file_path` of every frame that has one, whether the frame can be used or not.
+fn file_names(root: &Map<String, Value>) -> Vec<String> {
+    let named = |entry: &Value| {
+        entry
+            .get("file_path")
+            .and_then(Value::as_str)
+            .map(str::to_owned)
+    };
+    root.get("frames")
+        .and_then(Value::as_array)
+        .into_iter()
+        .flatten()
+        .filter_map(named)
+        .collect()
 }
 
 /// Typed access to an object's keys with messages that name the place.
