@@ -1,7 +1,6 @@
 //! `camera_mask_*.png` of an output folder: 0 where a photograph shows what its camera carries
 //! along, 255 where it shows the scene, as `mask_path` of a scene.
 
-use super::AsideFolder;
 use crate::error::{Error, Result};
 use crate::formats::{read_labels, write_png8};
 use crate::image::CameraMask;
@@ -47,14 +46,15 @@ pub(super) fn write_camera_masks(folder: &Path, masks: &[CameraMask]) -> Result<
     Ok(())
 }
 
-/// Puts the new masks in the place of those an earlier solution left.
-pub(super) fn replace_camera_masks(aside: &AsideFolder, folder: &Path) -> Result<()> {
-    let new = names(aside.path())?;
+/// Removes the masks that an earlier solution left in `folder` and that `new` has none in place of;
+/// returns the names of the new ones.
+pub(super) fn outdate_camera_masks(new: &Path, folder: &Path) -> Result<Vec<String>> {
+    let new = names(new)?;
     for old in names(folder)?.iter().filter(|n| !new.contains(n)) {
         let path = folder.join(old);
         std::fs::remove_file(&path).map_err(|e| Error::io(&path, e))?;
     }
-    aside.publish(folder, &new)
+    Ok(new)
 }
 
 /// Reads the masks of an output folder; none where it has none.

@@ -5,7 +5,7 @@
 //! old solution or the new one, and a full disk leaves the old one untouched.
 
 use super::Solution;
-use super::camera_masks::{read_camera_masks, replace_camera_masks, write_camera_masks};
+use super::camera_masks::{outdate_camera_masks, read_camera_masks, write_camera_masks};
 use super::glb::{GlbOptions, read_glb_mesh, scene_glb};
 use super::lamps::{self, LIGHTS};
 use crate::error::{Error, Result};
@@ -83,7 +83,8 @@ impl Solution {
             Some(_) => aside.publish(folder, &[IRRADIANCE_ERROR])?,
             None => remove_if_there(&folder.join(IRRADIANCE_ERROR))?,
         }
-        replace_camera_masks(&aside, folder)?;
+        let masks = outdate_camera_masks(aside.path(), folder)?;
+        aside.publish(folder, &masks)?;
         aside.publish(folder, &FILES)
     }
 
