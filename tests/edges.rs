@@ -12,7 +12,7 @@ use unbake::geometry::{Camera, Projection};
 use unbake::image::Plane;
 use unbake::inverse::{AlbedoEstimate, Shading, TexelReflectance, Unmixing, estimate_albedo};
 use unbake::progress::Progress;
-use unbake::radiance::{Environment, LightField};
+use unbake::radiance::{Environment, LightField, SurfaceRadiance};
 use unbake::texture::Texels;
 use unbake::trace::{EmbreeTracer, Hit, Ray, Tracer};
 
@@ -154,15 +154,11 @@ fn bars(label_of_bars: u16, shift: Vec3) -> (f32, f32, usize) {
     };
     let (before, count) = error(&albedo);
     let walls: Vec<Vec3> = albedo.value.clone();
-    let none = Plane::filled(8, 8, false);
     let black = Environment::from_map(Plane::filled(2, 1, Vec3::ZERO));
     let field = LightField::new(
         &mesh,
         &orientation,
-        Plane::filled(8, 8, Vec3::ZERO),
-        &none,
-        &[],
-        Vec::new(),
+        SurfaceRadiance::reflected(Plane::filled(8, 8, Vec3::ZERO)),
         black,
     );
     let report = Unmixing {

@@ -16,7 +16,7 @@ use unbake::irradiance::{
 };
 use unbake::math::luminance;
 use unbake::progress::Progress;
-use unbake::radiance::{Environment, LightField};
+use unbake::radiance::{Environment, LightField, SurfaceRadiance};
 use unbake::texture::Texels;
 use unbake::trace::{EmbreeTracer, Hit};
 
@@ -275,10 +275,12 @@ fn a_texel_shared_with_a_lamp_counts_once() {
     let field = LightField::new(
         &mesh,
         &orientation,
-        radiance,
-        &emitting,
-        &emissive,
-        Vec::new(),
+        SurfaceRadiance {
+            radiance,
+            emissive: emitting,
+            emissive_triangles: &emissive,
+            back: Vec::new(),
+        },
         environment,
     );
     for t in 0..mesh.triangles.len() {

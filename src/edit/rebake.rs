@@ -14,7 +14,7 @@ use crate::image::{Plane, RgbPlane, Wrap};
 use crate::irradiance::{Bake, Estimator, IrtOptions, Receiver, bake_irradiance};
 use crate::lights::{Emitters, LitScene};
 use crate::progress::Progress;
-use crate::radiance::{Environment, LightField};
+use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use crate::solution::Solution;
 use crate::texture::{Texels, fill_uncovered};
 use crate::trace::EmbreeTracer;
@@ -204,15 +204,10 @@ impl<'a> Gathering<'a> {
 
     /// The irradiance that surfaces of the given radiance cause.
     fn gather(&self, radiance: RgbPlane, options: &IrtOptions, progress: &Progress) -> Gathered {
-        let none = radiance.map(|_| false);
-        let dark = vec![false; self.mesh.triangles.len()];
         let field = LightField::new(
             self.mesh,
             &self.orientation,
-            radiance,
-            &none,
-            &dark,
-            Vec::new(),
+            SurfaceRadiance::reflected(radiance),
             Environment::black(),
         );
         let emitters = Emitters::new(self.mesh, &field, &self.tracer, &[]);

@@ -32,102 +32,133 @@ const MOST_UNEXPLAINED: f32 = 0.2;
 /// At most this many texels per class are looked at.
 const SAMPLES: usize = 40_000;
 
+/// What the albedo inherits errors from besides its looks, per covered texel.
+#[derive(Clone, Debug)]
+pub struct ErrorSources {
+    /// Relative standard error of the irradiance.
+    pub irradiance: Vec<f32>,
+    /// Side of the sharpest pixel footprint, in texels.
+    pub footprint: Vec<f32>,
+    /// Whether the texel only reflects: how lamps scatter tells nothing of albedo.
+    pub reflects: Vec<bool>,
+}
+
 /// Standard error of each covered texel's albedo luminance; infinite where unobserved.
-/// `footprint(i)` is the side of the sharpest pixel footprint in texels, `irradiance_error(i)` the
-/// relative standard error of E; `considered(i)` leaves out lamps.
 #[must_use]
 pub fn albedo_error(
     albedo: &AlbedoEstimate,
     texels: &Texels,
     labels: &[u16],
-    irradiance_error: impl Fn(usize) -> f32 + Sync,
-    footprint: impl Fn(usize) -> f32 + Sync,
-    considered: impl Fn(usize) -> bool,
+    sources: &ErrorSources,
 ) -> Vec<f32> {
-    let value: Vec<f32> = albedo
-        .value
-        .iter()
-        .map(|v| luminance(*v).clamp(0.0, 1.0))
+    let estimate = Luminances::of(albedo);
+    let known: Vec<f32> = (0..estimate.value.len())
+        .map(|i| {
+            if estimate.known(i) {
+                estimate.value[i]
+            } else {
+                f32::NAN
+            }
+        })
         .collect();
-    let known = |i: usize| albedo.error[i].is_finite() && albedo.looks[i] > 0.0;
-    let plane = texels.scatter(
-        &(0..value.len())
-            .map(|i| if known(i) { value[i] } else { f32::NAN })
-            .collect::<Vec<_>>(),
-        f32::NAN,
-    );
-    let spread = |i: usize| albedo.error[i] * albedo.looks[i].sqrt() / value[i].max(1e-3);
-    let (typical, unexplained) = statistics(
-        albedo,
-        labels,
-        &value,
-        &|i| known(i) && considered(i),
-        &spread,
-    );
-    crate::parallel::map_chunks(value.len(), 4096, |range| {
+    let plane = texels.scatter(&known, f32::NAN);
+    let scatter = estimate.scatter(labels, &sources.reflects);
+    crate::parallel::map_chunks(estimate.value.len(), 4096, |range| {
         range
             .map(|i| {
-                if !known(i) {
+                if !estimate.known(i) {
                     return f32::INFINITY;
                 }
                 let looks = albedo.looks[i];
-                let own = spread(i).powi(2) * looks
-                    + typical.get(&labels[i]).map_or(0.0, |t| t * t) * PRIOR_LOOKS;
+                let typical = scatter.typical.get(&labels[i]).map_or(0.0, |t| t * t);
+                let own = estimate.spread(i).powi(2) * looks + typical * PRIOR_LOOKS;
                 let share = albedo.specular_share[i].min(0.9);
                 let specular = SPECULAR_DOUBT * share / (1.0 - share);
                 let relative = own / (looks + PRIOR_LOOKS)
-                    + irradiance_error(i).powi(2)
+                    + sources.irradiance[i].powi(2)
                     + specular * specular
-                    + unexplained * unexplained;
-                let place = contrast(&plane, texels.cell[i] as usize, footprint(i));
-                (relative * value[i] * value[i] + place * place).sqrt()
+                    + scatter.unexplained * scatter.unexplained;
+                let value = estimate.value[i];
+                let place = contrast(&plane, texels.cell[i] as usize, sources.footprint[i]);
+                (relative * value * value + place * place).sqrt()
             })
             .collect::<Vec<_>>()
     })
     .concat()
 }
 
-/// Per class the median spread of the looks; over all, the scatter of ln albedo of the quiet
-/// classes.
-fn statistics(
-    albedo: &AlbedoEstimate,
-    labels: &[u16],
-    value: &[f32],
-    counts: &dyn Fn(usize) -> bool,
-    spread: &dyn Fn(usize) -> f32,
-) -> (BTreeMap<u16, f32>, f32) {
-    let mut members: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
-    for i in (0..value.len())
-        .filter(|&i| counts(i) && albedo.clean[i] && albedo.looks[i] >= 1.5 && value[i] > 0.005)
-    {
-        members.entry(labels[i]).or_default().push(i);
+/// An estimate and the luminances of its albedos, 0 to 1.
+struct Luminances<'a> {
+    albedo: &'a AlbedoEstimate,
+    value: Vec<f32>,
+}
+
+/// How much the estimate scatters.
+struct Scatter {
+    /// Per class the median relative spread of the looks.
+    typical: BTreeMap<u16, f32>,
+    /// That of ln albedo over the quiet classes.
+    unexplained: f32,
+}
+
+impl<'a> Luminances<'a> {
+    fn of(albedo: &'a AlbedoEstimate) -> Self {
+        let value = albedo
+            .value
+            .iter()
+            .map(|v| luminance(*v).clamp(0.0, 1.0))
+            .collect();
+        Self { albedo, value }
     }
-    let mut typical = BTreeMap::new();
-    let mut scatter: Vec<(f32, usize)> = Vec::new();
-    for (label, ids) in members {
-        let stride = (ids.len() / SAMPLES).max(1);
-        let chosen: Vec<usize> = ids.iter().copied().step_by(stride).collect();
-        typical.insert(
-            label,
-            median(chosen.iter().map(|&i| spread(i)).collect()).unwrap_or(0.0),
-        );
-        let logs: Vec<f32> = chosen.iter().map(|&i| value[i].ln()).collect();
-        let centre = median(logs.clone()).unwrap_or(0.0);
-        // 1.4826 turns a median absolute deviation into a Gaussian's standard deviation
-        let deviation = median(logs.iter().map(|l| (l - centre).abs()).collect()).unwrap_or(0.0);
-        scatter.push((1.4826 * deviation, ids.len()));
+
+    fn known(&self, i: usize) -> bool {
+        self.albedo.error[i].is_finite() && self.albedo.looks[i] > 0.0
     }
-    scatter.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let total: usize = scatter.iter().map(|s| s.1).sum();
-    let mut below = 0;
-    let quiet = scatter.iter().find(|s| {
-        below += s.1;
-        below as f64 >= QUIET_SHARE * total as f64
-    });
-    (
-        typical,
-        quiet.map_or(MOST_UNEXPLAINED, |q| q.0.min(MOST_UNEXPLAINED)),
-    )
+
+    /// Standard deviation of a texel's looks, relative to its albedo.
+    fn spread(&self, i: usize) -> f32 {
+        self.albedo.error[i] * self.albedo.looks[i].sqrt() / self.value[i].max(1e-3)
+    }
+
+    fn scatter(&self, labels: &[u16], reflects: &[bool]) -> Scatter {
+        let (albedo, value) = (self.albedo, &self.value);
+        let counts = |i: usize| {
+            self.known(i)
+                && reflects[i]
+                && albedo.clean[i]
+                && albedo.looks[i] >= 1.5
+                && value[i] > 0.005
+        };
+        let mut members: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
+        for i in (0..value.len()).filter(|&i| counts(i)) {
+            members.entry(labels[i]).or_default().push(i);
+        }
+        let mut typical = BTreeMap::new();
+        let mut scatter: Vec<(f32, usize)> = Vec::new();
+        for (label, ids) in members {
+            let stride = (ids.len() / SAMPLES).max(1);
+            let chosen: Vec<usize> = ids.iter().copied().step_by(stride).collect();
+            let spreads = chosen.iter().map(|&i| self.spread(i)).collect();
+            typical.insert(label, median(spreads).unwrap_or(0.0));
+            let logs: Vec<f32> = chosen.iter().map(|&i| value[i].ln()).collect();
+            let centre = median(logs.clone()).unwrap_or(0.0);
+            // 1.4826 turns a median absolute deviation into a Gaussian's standard deviation
+            let deviation =
+                median(logs.iter().map(|l| (l - centre).abs()).collect()).unwrap_or(0.0);
+            scatter.push((1.4826 * deviation, ids.len()));
+        }
+        scatter.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let total: usize = scatter.iter().map(|s| s.1).sum();
+        let mut below = 0;
+        let quiet = scatter.iter().find(|s| {
+            below += s.1;
+            below as f64 >= QUIET_SHARE * total as f64
+        });
+        Scatter {
+            typical,
+            unexplained: quiet.map_or(MOST_UNEXPLAINED, |q| q.0.min(MOST_UNEXPLAINED)),
+        }
+    }
 }
 
 /// Root mean square difference between a texel and its eight neighbours `footprint` texels away
@@ -192,13 +223,22 @@ mod tests {
         }
     }
 
+    /// The same sources at every texel.
+    fn even(n: usize, irradiance: f32, footprint: f32) -> ErrorSources {
+        ErrorSources {
+            irradiance: vec![irradiance; n],
+            footprint: vec![footprint; n],
+            reflects: vec![true; n],
+        }
+    }
+
     #[test]
     fn variances_add_and_do_not_vanish_with_more_looks() {
         let texels = square();
         let labels = vec![1u16; texels.len()];
         let state = |looks: f32, share: f32, e: f32| {
             let a = estimate(texels.len(), |_| 0.5, looks, share);
-            albedo_error(&a, &texels, &labels, |_| e, |_| 1.0, |_| true)[300]
+            albedo_error(&a, &texels, &labels, &even(texels.len(), e, 1.0))[300]
         };
         // disagreement of 0.01 between looks, whatever their number
         assert!(
@@ -227,8 +267,8 @@ mod tests {
             0.0,
         );
         a.error[7] = f32::INFINITY;
-        let near = albedo_error(&a, &texels, &labels, |_| 0.0, |_| 1.0, |_| true);
-        let far = albedo_error(&a, &texels, &labels, |_| 0.0, |_| 2.0, |_| true);
+        let near = albedo_error(&a, &texels, &labels, &even(texels.len(), 0.0, 1.0));
+        let far = albedo_error(&a, &texels, &labels, &even(texels.len(), 0.0, 2.0));
         assert!(near[7].is_infinite());
         // six of eight neighbours have the other value at a distance of one texel, none at two
         let unexplained = far[300];
@@ -253,7 +293,7 @@ mod tests {
         };
         let labels = vec![0u16; texels.len()];
         assert!(
-            albedo_error(&none, &texels, &labels, |_| 0.0, |_| 1.0, |_| true)
+            albedo_error(&none, &texels, &labels, &even(texels.len(), 0.0, 1.0))
                 .iter()
                 .all(|e| e.is_infinite())
         );

@@ -18,7 +18,7 @@ mod view_residual;
 pub use albedo::{AlbedoEstimate, Shading, estimate_albedo};
 pub use albedo_palette::{Paint, Painting};
 pub use clipped_fit::{ClippedFit, LightGroup, ShadingRow, fit_clipped};
-pub use confidence::albedo_error;
+pub use confidence::{ErrorSources, albedo_error};
 pub use materials::{DIVISION_GAIN, Materials, Places};
 pub use mixed_pixels::{UnmixReport, Unmixing};
 pub use reflectance::TexelReflectance;

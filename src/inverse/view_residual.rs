@@ -34,7 +34,7 @@ pub(super) struct Disagreement<'a> {
 impl<'a> Disagreement<'a> {
     /// The disagreement of points, given by their indices.
     pub(super) fn of(evidence: &'a Evidence, model: Reflectance, points: &[usize]) -> Self {
-        Self::of_sights(evidence, model, points, |_| true)
+        Self::of_sights(evidence, model, points, Views::All)
     }
 
     /// As [`Self::of`], of every other view only: the even ones for `half` 0, the odd ones for 1.
@@ -45,17 +45,17 @@ impl<'a> Disagreement<'a> {
         points: &[usize],
         half: u32,
     ) -> Self {
-        Self::of_sights(evidence, model, points, |view| view % 2 == half)
+        Self::of_sights(evidence, model, points, Views::EveryOther(half))
     }
 
     fn of_sights(
         evidence: &'a Evidence,
         model: Reflectance,
         points: &[usize],
-        take: impl Fn(u32) -> bool + Sync,
+        views: Views,
     ) -> Self {
         let row = |&i: &usize| {
-            let mut looks = Looks::of(evidence, model, i, &take);
+            let mut looks = Looks::of(evidence, model, i, views);
             (0..evidence.levels.len())
                 .map(|k| looks.disagreement(k))
                 .collect()
@@ -102,6 +102,23 @@ pub(super) fn points_by_class(evidence: &Evidence) -> BTreeMap<u16, Vec<usize>> 
     classes
 }
 
+/// The views whose sights are taken.
+#[derive(Clone, Copy)]
+enum Views {
+    All,
+    /// The even ones for 0, the odd ones for 1.
+    EveryOther(u32),
+}
+
+impl Views {
+    fn has(self, view: u32) -> bool {
+        match self {
+            Self::All => true,
+            Self::EveryOther(half) => view % 2 == half,
+        }
+    }
+}
+
 /// A point's views less their specular part: what is left should be one diffuse radiance.
 struct Looks<'a> {
     evidence: &'a Evidence,
@@ -118,15 +135,12 @@ struct Looks<'a> {
 }
 
 impl<'a> Looks<'a> {
-    fn of(
-        evidence: &'a Evidence,
-        model: Reflectance,
-        point: usize,
-        take: impl Fn(u32) -> bool,
-    ) -> Self {
+    fn of(evidence: &'a Evidence, model: Reflectance, point: usize, views: Views) -> Self {
         let p = &evidence.points[point];
         let all = p.first as usize..(p.first + p.count) as usize;
-        let sights: Vec<usize> = all.filter(|&j| take(evidence.sights[j].view)).collect();
+        let sights: Vec<usize> = all
+            .filter(|&j| views.has(evidence.sights[j].view))
+            .collect();
         let scale = median(
             sights
                 .iter()
@@ -213,7 +227,7 @@ pub(super) fn diffuse_radiance(
     let nearest = (0..evidence.levels.len())
         .min_by(|a, b| away(a).total_cmp(&away(b)))
         .unwrap_or(0);
-    Looks::of(evidence, model, point, |_| true).centre(nearest)
+    Looks::of(evidence, model, point, Views::All).centre(nearest)
 }
 
 /// Weighted mean refined twice by Cauchy-like weights, per colour together. `share` takes what each

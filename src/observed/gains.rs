@@ -7,7 +7,7 @@
 //! still contradict each other, geometry is only roughly right, and pairs of views vote instead
 //! ([`super::pair_gains`]).
 
-use super::pair_gains::pairwise_gains;
+use super::pair_gains::{Look, pairwise_gains};
 use crate::gbuffer::{Observation, Observer, Orientation};
 use crate::math::luminance;
 use crate::parallel;
@@ -81,9 +81,6 @@ impl ViewGains {
         (-self.log_gain[v]).exp()
     }
 }
-
-/// One look at a point: view, ln radiance, weight.
-pub(super) type Look = (u32, Vec3, f32);
 
 /// Solves for the gains; zeros where views share nothing.
 #[must_use]

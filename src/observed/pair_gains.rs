@@ -9,10 +9,12 @@
 //! and with a prior for views that share little. White balance likewise. Called by
 //! [`super::estimate_gains`].
 
-use super::gains::Look;
 use glam::Vec3;
 use nalgebra::DMatrix;
 use std::collections::BTreeMap;
+
+/// One look at a point: view, ln radiance, weight.
+pub(super) type Look = (u32, Vec3, f32);
 
 /// Standard deviation of ln exposure between views: cameras that expose for themselves indoors
 /// range over some ±1.5 stops (measured on the house: 0.55 to 3.8 times the mean). Twice that, so

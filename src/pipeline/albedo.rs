@@ -2,7 +2,9 @@
 //! and what is known of its error.
 
 use super::{Light, Reflections, Roughness, SolveOptions};
-use crate::inverse::{AlbedoEstimate, Shading, Unmixing, estimate_albedo};
+use crate::inverse::{
+    AlbedoEstimate, ErrorSources, Shading, Unmixing, albedo_error, estimate_albedo,
+};
 use crate::math::luminance;
 use crate::observed::Surface;
 use crate::progress::Progress;
@@ -141,12 +143,11 @@ pub(super) fn albedo_errors(surface: &Surface, light: &Light, albedo: &AlbedoEst
         albedo.footprint[i] / side.max(f32::MIN_POSITIVE)
     };
     let reflects = |i: usize| !light.emissive[texels.point[i].triangle as usize];
-    crate::inverse::albedo_error(
-        albedo,
-        texels,
-        &surface.labels,
-        irradiance_error,
-        footprint,
-        reflects,
-    )
+    let all = || (0..texels.len()).into_par_iter();
+    let sources = ErrorSources {
+        irradiance: all().map(irradiance_error).collect(),
+        footprint: all().map(footprint).collect(),
+        reflects: all().map(reflects).collect(),
+    };
+    albedo_error(albedo, texels, &surface.labels, &sources)
 }

@@ -19,7 +19,7 @@ use crate::math::luminance;
 use crate::observed::Surface;
 use crate::optim::median;
 use crate::progress::Progress;
-use crate::radiance::{Environment, LightField};
+use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use crate::texture::Texels;
 use crate::trace::Hit;
 use crate::verdict::MissingLight;
@@ -456,15 +456,13 @@ impl<'s, 'a> Restorer<'s, 'a> {
         let on_light: Vec<bool> = (texels.point.iter())
             .map(|p| emissive[p.triangle as usize])
             .collect();
-        let field = LightField::new(
-            mesh,
-            &surface.orientation,
-            texture_of(texels, &sent),
-            &texels.scatter(&on_light, false),
-            &emissive,
-            Vec::new(),
-            environment,
-        );
+        let surfaces = SurfaceRadiance {
+            radiance: texture_of(texels, &sent),
+            emissive: texels.scatter(&on_light, false),
+            emissive_triangles: &emissive,
+            back: Vec::new(),
+        };
+        let field = LightField::new(mesh, &surface.orientation, surfaces, environment);
         let probes: Vec<(Vec3, Vec3)> = (0..self.coarse.len())
             .map(|i| surface.receiver(&self.coarse, i))
             .map(|r| (r.position, r.normal))

@@ -28,117 +28,163 @@ const RESOLVED_HIGH: f64 = 0.9;
 /// Sizes are multiples of this.
 const STEP: usize = 64;
 
-/// Texture sizes: as given, or as sharp as the photographs and no sharper.
+/// Texture sizes: as given, or as sharp as the photographs and no sharper, and within the budget if
+/// there is one.
 pub(super) fn choose_sizes(
     observer: &Observer,
     orientation: &Orientation,
     options: &SolveOptions,
     progress: &Progress,
 ) -> Sizes {
-    let given = [
-        options.albedo_size,
-        options.roughness_size,
-        options.irradiance_size,
-    ];
-    let fit = [
-        options.fit.albedo,
-        options.fit.roughness,
-        options.fit.irradiance,
-    ];
-    let begin = Instant::now();
-    let asked = fit.contains(&true) || options.budget.is_some();
-    let resolved = if options.quality == Quality::High {
-        RESOLVED_HIGH
-    } else {
-        RESOLVED
-    };
-    let supported = if asked {
-        supported_side(observer, orientation, resolved, options.seed)
-    } else {
-        None
-    };
-    let lookup = begin.elapsed().as_secs_f64() / POINTS as f64;
-    let mut sides = given;
-    for (i, (name, flag)) in [
-        ("albedo", "albedo-size"),
-        ("roughness", "roughness-size"),
-        ("irradiance", "irradiance-size"),
-    ]
-    .into_iter()
-    .enumerate()
-    {
-        let what = format!("{name} texture");
-        match supported {
-            Some(needed) if fit[i] => {
-                sides[i] = given[i].min(needed);
-                let why = format!(
-                    "at {needed}² a texel is as small as the sharpest pixel on {:.0} % of the seen surface; at most {}² allowed",
-                    100.0 * resolved,
-                    given[i]
-                );
-                progress.decide(&what, format!("{0}²", sides[i]), why, false);
-            }
-            None if fit[i] => progress.decide(
-                &what,
-                format!("{0}²", given[i]),
-                "no view sees the surface clearly",
-                false,
-            ),
-            _ => progress.decide(
-                &what,
-                format!("{0}²", given[i]),
-                format!("--{flag} or --fit-textures"),
-                true,
-            ),
-        }
-    }
+    let asked = Asked::textures(options);
+    let supported = Supported::of(observer, orientation, options);
+    let [albedo, roughness, irradiance] = asked.each_ref().map(|a| a.side(&supported));
     let sizes = Sizes {
-        albedo: sides[0],
-        roughness: sides[1],
-        irradiance: sides[2],
+        albedo,
+        roughness,
+        irradiance,
     };
+    for (a, side) in asked.iter().zip([albedo, roughness, irradiance]) {
+        a.report(side, &supported, progress);
+    }
     let Some(budget) = &options.budget else {
         return sizes;
     };
-    let mesh = observer.mesh;
-    let covered: f64 = (0..mesh.triangles.len())
-        .map(|t| atlas_area(mesh, t))
-        .filter(|a| a.is_finite())
-        .sum();
-    let edge_pixels: usize = observer
-        .views
-        .iter()
-        .map(|v| {
-            v.clean
-                .data
-                .iter()
-                .zip(&v.buffer.triangle.data)
-                .filter(|(clean, t)| !**clean && **t != Hit::MISS)
-                .count()
-        })
-        .sum();
-    let work = Workload {
-        covered: covered.clamp(0.01, 1.0),
-        lookup,
-        pixels: observer
-            .views
-            .iter()
-            .map(|v| v.radiance.data.len())
-            .sum::<usize>() as f64,
-        edge_pixels: if options.edges == Switch::Off {
-            0.0
-        } else {
-            edge_pixels as f64
-        },
-        report_pixels: report_pixels(observer),
-    };
+    let work = workload(observer, &supported, options);
     let cheaper = budget.sizes(sizes, &work, progress);
-    let keep = |i: usize, size: usize, lower: usize| if fit[i] { lower } else { size };
+    let keep = |i: usize, size: usize, lower: usize| if asked[i].fit { lower } else { size };
     Sizes {
         albedo: keep(0, sizes.albedo, cheaper.albedo),
         roughness: keep(1, sizes.roughness, cheaper.roughness),
         irradiance: keep(2, sizes.irradiance, cheaper.irradiance),
     }
+}
+
+/// What the options ask of a texture's size.
+struct Asked {
+    name: &'static str,
+    flag: &'static str,
+    /// Its side, or the largest allowed if it is to fit.
+    given: usize,
+    /// Whether it is to be no sharper than the photographs.
+    fit: bool,
+}
+
+impl Asked {
+    /// Albedo, roughness, irradiance.
+    fn textures(options: &SolveOptions) -> [Self; 3] {
+        [
+            Self {
+                name: "albedo",
+                flag: "albedo-size",
+                given: options.albedo_size,
+                fit: options.fit.albedo,
+            },
+            Self {
+                name: "roughness",
+                flag: "roughness-size",
+                given: options.roughness_size,
+                fit: options.fit.roughness,
+            },
+            Self {
+                name: "irradiance",
+                flag: "irradiance-size",
+                given: options.irradiance_size,
+                fit: options.fit.irradiance,
+            },
+        ]
+    }
+
+    fn side(&self, supported: &Supported) -> usize {
+        match supported.side {
+            Some(needed) if self.fit => self.given.min(needed),
+            _ => self.given,
+        }
+    }
+
+    fn report(&self, side: usize, supported: &Supported, progress: &Progress) {
+        let why = match supported.side {
+            Some(needed) if self.fit => format!(
+                "at {needed}² a texel is as small as the sharpest pixel on {:.0} % of the seen surface; at most {}² allowed",
+                100.0 * supported.share,
+                self.given
+            ),
+            None if self.fit => "no view sees the surface clearly".to_owned(),
+            _ => format!("--{} or --fit-textures", self.flag),
+        };
+        let what = format!("{} texture", self.name);
+        progress.decide(&what, format!("{side}²"), why, !self.fit);
+    }
+}
+
+/// How sharp a texture the photographs support.
+struct Supported {
+    /// Its side; `None` if nothing is seen, or nothing asks.
+    side: Option<usize>,
+    /// Share of the seen surface on which its texels are no larger than the sharpest pixel.
+    share: f64,
+    /// Seconds that asking took, per point.
+    lookup: f64,
+}
+
+impl Supported {
+    fn of(observer: &Observer, orientation: &Orientation, options: &SolveOptions) -> Self {
+        let begin = Instant::now();
+        let fit = [
+            options.fit.albedo,
+            options.fit.roughness,
+            options.fit.irradiance,
+        ];
+        let share = if options.quality == Quality::High {
+            RESOLVED_HIGH
+        } else {
+            RESOLVED
+        };
+        let side = if fit.contains(&true) || options.budget.is_some() {
+            supported_side(observer, orientation, share, options.seed)
+        } else {
+            None
+        };
+        Self {
+            side,
+            share,
+            lookup: begin.elapsed().as_secs_f64() / POINTS as f64,
+        }
+    }
+}
+
+/// What a reconstruction from these views costs by.
+fn workload(observer: &Observer, supported: &Supported, options: &SolveOptions) -> Workload {
+    let mesh = observer.mesh;
+    let covered: f64 = (0..mesh.triangles.len())
+        .map(|t| atlas_area(mesh, t))
+        .filter(|a| a.is_finite())
+        .sum();
+    let pixels: usize = observer.views.iter().map(|v| v.radiance.data.len()).sum();
+    Workload {
+        covered: covered.clamp(0.01, 1.0),
+        lookup: supported.lookup,
+        pixels: pixels as f64,
+        edge_pixels: if options.edges == Switch::Off {
+            0.0
+        } else {
+            edge_pixels(observer) as f64
+        },
+        report_pixels: report_pixels(observer),
+    }
+}
+
+/// Pixels that show a surface and are not clean.
+fn edge_pixels(observer: &Observer) -> usize {
+    let of = |v: &ObservedView| {
+        v.clean
+            .data
+            .iter()
+            .zip(&v.buffer.triangle.data)
+            .filter(|(clean, t)| !**clean && **t != Hit::MISS)
+            .count()
+    };
+    observer.views.iter().map(of).sum()
 }
 
 /// Pixels that a report of these views renders: up to six views of up to 768 columns.

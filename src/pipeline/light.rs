@@ -9,16 +9,17 @@ use super::time_budget::{samples_for, split_samples};
 use super::{SolveOptions, Switch};
 use crate::gbuffer::Probe;
 use crate::geometry::{Mesh, Shells, clusters};
-use crate::image::{Plane, RgbPlane};
+use crate::image::RgbPlane;
 use crate::irradiance::{
-    Budget, Irradiance, IrtOptions, PARTS, Patch, Receiver, bake_irradiance, bake_surface, spread,
+    Budget, Irradiance, IrtOptions, NirfOptions, PARTS, Patch, Receiver, bake_irradiance,
+    bake_surface, spread,
 };
 use crate::lights::{EmissionEvidence, Emitters, LitScene, detect_emissive};
 use crate::math::luminance;
 use crate::observed::{Surface, coverage};
 use crate::optim::median;
 use crate::progress::Progress;
-use crate::radiance::{Environment, LightField};
+use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use crate::solution::lamp_gap;
 use crate::texture::{Texels, fill_uncovered};
 use glam::{Vec2, Vec3};
@@ -61,90 +62,37 @@ const BORDER: f32 = 0.25;
 /// Reconstructs the light from the fused observations.
 #[must_use]
 pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &Progress) -> Light {
-    let scene = surface.scene;
+    let mesh = &surface.scene.mesh;
     let environment = choose_environment(&surface.views, options, progress);
-    let known = with_slivers(&scene.mesh, &surface.texels, known_lights(surface, options));
-    let observed: Vec<bool> = surface.fusion.views.iter().map(|v| *v > 0).collect();
-    let first_look = trusted_radiance(surface, &known);
-    let mut radiance = first_radiance(surface, &first_look, &known);
-    let coarse = coarse_texels(surface);
-    let coarse_options = IrtOptions {
-        rays: 64,
-        emitter_samples: 16,
-        seed: options.seed ^ 1,
-        ..IrtOptions::default()
-    };
-    let mut rays = 0;
-
-    // light as observed, known lamps only
-    let (field, emitters) = light_field(
-        surface,
-        &radiance,
-        &known,
-        environment.clone(),
-        &coarse,
-        options,
-    );
-    let begin = Instant::now();
-    let first = progress.stage("emitters", coarse.len() as u64, |p| {
-        bake(surface, &field, &emitters, &coarse, &coarse_options, p)
-    });
-    let coarse_seconds = begin.elapsed().as_secs_f64();
-    rays += first.rays;
-    let coarse_irradiance = texture_of(&coarse, &first.value);
-    let emissive = match options.emission {
-        Switch::Off => known.clone(),
-        Switch::Auto | Switch::On => with_slivers(
-            &scene.mesh,
-            &surface.texels,
-            emitting_triangles(surface, &coarse_irradiance, &known),
-        ),
-    };
+    let known = with_slivers(mesh, &surface.texels, known_lights(surface, options));
+    let coarse = coarse_light(surface, &known, environment.clone(), options, progress);
+    let emissive = emissive_by(surface, &coarse.irradiance, &known, options);
     report_emission(&emissive, &known, options, progress);
 
     // surfaces nobody sees send out their class's albedo times their irradiance
-    let unseen = observed.iter().filter(|o| !**o).count();
-    let predicted = complete_radiance(surface, &coarse_irradiance, &emissive);
-    radiance = filled_radiance(surface, &predicted, &vec![true; observed.len()]);
-    let (field, emitters) =
-        light_field(surface, &radiance, &emissive, environment, &coarse, options);
+    let predicted = complete_radiance(surface, &coarse.irradiance, &emissive);
+    let radiance = filled_radiance(surface, &predicted, &vec![true; predicted.len()]);
+    let (field, emitters) = light_field(
+        surface,
+        &radiance,
+        &emissive,
+        environment,
+        &coarse.texels,
+        options,
+    );
+    let seen = &surface.fusion.views;
+    let unseen = seen.iter().filter(|v| **v == 0).count();
     progress.note(format!(
         "{} lamps and portals to sample; {:.1} % of texels unseen by any view",
         emitters.lamp_count(),
-        100.0 * unseen as f64 / observed.len().max(1) as f64
+        100.0 * unseen as f64 / seen.len().max(1) as f64
     ));
-    let texels = Texels::rasterize(
-        &scene.mesh,
-        surface.sizes.irradiance,
-        surface.sizes.irradiance,
-    );
-    let mut options = options.clone();
-    let rounds = if options.irradiance_filter {
-        options.irradiance_rounds
-    } else {
-        0
-    };
-    let chosen = match (&options.budget, options.target_error) {
-        (Some(b), _) => {
-            Some(b.irradiance_samples(texels.len(), first.rays, coarse_seconds, rounds, progress))
-        }
-        (None, Some(target)) => {
-            let coarse = coarse_options.rays + coarse_options.emitter_samples;
-            Some((
-                samples_for(target, unfiltered_error(&first), coarse, progress),
-                rounds,
-            ))
-        }
-        (None, None) => None,
-    };
-    if let Some((samples, rounds)) = chosen {
-        [options.irradiance_rays, options.emitter_samples] = split_samples(samples);
-        options.irradiance_rounds = rounds.max(1);
-    }
+    let side = surface.sizes.irradiance;
+    let texels = Texels::rasterize(mesh, side, side);
+    let options = with_samples(options, &coarse, texels.len(), progress);
     let baked = options.checkpoints.reuse("irradiance", progress, || {
         bake_irradiance_texels(surface, &field, &emitters, &texels, &options, progress)
     });
-    rays += baked.rays;
     let irradiance = texture_of(&texels, &baked.value);
     Light {
         field,
@@ -154,8 +102,99 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
         texels,
         irradiance,
         error: baked.error,
-        rays,
+        rays: coarse.bake.rays + baked.rays,
     }
+}
+
+/// The light as a coarse bake shows it: as observed, from known lamps only.
+struct CoarseLight {
+    /// Texels of the coarse texture.
+    texels: Texels,
+    bake: Irradiance,
+    /// The bake as a texture, filled outside charts.
+    irradiance: RgbPlane,
+    /// Rays and emitter samples per texel.
+    samples: u32,
+    /// How long the bake took.
+    seconds: f64,
+}
+
+fn coarse_light(
+    surface: &Surface,
+    known: &[bool],
+    environment: Environment,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> CoarseLight {
+    let first_look = trusted_radiance(surface, known);
+    let radiance = first_radiance(surface, &first_look, known);
+    let texels = coarse_texels(surface);
+    let (field, emitters) = light_field(surface, &radiance, known, environment, &texels, options);
+    let coarse = IrtOptions {
+        rays: 64,
+        emitter_samples: 16,
+        seed: options.seed ^ 1,
+        ..IrtOptions::default()
+    };
+    let begin = Instant::now();
+    let bake = progress.stage("emitters", texels.len() as u64, |p| {
+        bake(surface, &field, &emitters, &texels, &coarse, p)
+    });
+    CoarseLight {
+        seconds: begin.elapsed().as_secs_f64(),
+        irradiance: texture_of(&texels, &bake.value),
+        samples: coarse.rays + coarse.emitter_samples,
+        texels,
+        bake,
+    }
+}
+
+/// Triangles that send out light: known lamps and, if the options let it be decided, those that
+/// send out more than they can reflect of the coarse irradiance.
+fn emissive_by(
+    surface: &Surface,
+    irradiance: &RgbPlane,
+    known: &[bool],
+    options: &SolveOptions,
+) -> Vec<bool> {
+    match options.emission {
+        Switch::Off => known.to_vec(),
+        Switch::Auto | Switch::On => with_slivers(
+            &surface.scene.mesh,
+            &surface.texels,
+            emitting_triangles(surface, irradiance, known),
+        ),
+    }
+}
+
+/// The options with the samples that a budget or a target error asks for at `count` texels, by what
+/// the coarse bake cost and how it scatters.
+fn with_samples(
+    options: &SolveOptions,
+    coarse: &CoarseLight,
+    count: usize,
+    progress: &Progress,
+) -> SolveOptions {
+    let rounds = if options.irradiance_filter {
+        options.irradiance_rounds
+    } else {
+        0
+    };
+    let (rays, seconds) = (coarse.bake.rays, coarse.seconds);
+    let chosen = match (&options.budget, options.target_error) {
+        (Some(b), _) => Some(b.irradiance_samples(count, rays, seconds, rounds, progress)),
+        (None, Some(target)) => {
+            let error = unfiltered_error(&coarse.bake);
+            Some((samples_for(target, error, coarse.samples, progress), rounds))
+        }
+        (None, None) => None,
+    };
+    let mut options = options.clone();
+    if let Some((samples, rounds)) = chosen {
+        [options.irradiance_rays, options.emitter_samples] = split_samples(samples);
+        options.irradiance_rounds = rounds.max(1);
+    }
+    options
 }
 
 /// Relative error of a bake by how its parts scatter: √(Σ variance of their mean/Σ mean²).
@@ -186,9 +225,9 @@ pub fn bake_irradiance_texels(
     progress: &Progress,
 ) -> Irradiance {
     if let Some(epochs) = options.nirf {
-        return super::neural::field_at_texels(
-            surface, field, emitters, texels, epochs, options, progress,
-        );
+        let training = NirfOptions::of_run(epochs, options.seed);
+        let lit = surface.lit(field, emitters);
+        return super::neural::field_at_texels(surface, lit, texels, &training, progress);
     }
     let budget = Budget {
         estimator: options.irradiance_estimator,
@@ -429,14 +468,15 @@ pub(super) fn light_field(
         .iter()
         .map(|p| emissive[p.triangle as usize])
         .collect();
-    let emitting: Plane<bool> = surface.texels.scatter(&emitting, false);
     let mut field = LightField::new(
         mesh,
         &surface.orientation,
-        radiance.clone(),
-        &emitting,
-        emissive,
-        surface.back.clone(),
+        SurfaceRadiance {
+            radiance: radiance.clone(),
+            emissive: surface.texels.scatter(&emitting, false),
+            emissive_triangles: emissive,
+            back: surface.back.clone(),
+        },
         environment,
     );
     field.prefilter = options.prefilter;

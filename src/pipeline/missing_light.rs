@@ -24,7 +24,7 @@ use crate::math::luminance;
 use crate::observed::Surface;
 use crate::optim::median;
 use crate::progress::Progress;
-use crate::radiance::{Environment, LightField};
+use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use crate::specular::{Glossy, Reflector, SpecularBounce, WIDE};
 use crate::texture::Texels;
 use crate::trace::Hit;
@@ -67,18 +67,15 @@ pub(super) fn add_missing_light(
     progress: &Progress,
 ) -> MissingLight {
     let texels = &surface.texels;
-    let none = Plane::filled(texels.width, texels.height, false);
     let (far_sides, far_rays) = unseen_far_sides(surface, light, albedo, seed, progress);
+    let unsent = unsent_radiance(surface, light, albedo, reflectance);
     let field = LightField::new(
         &surface.scene.mesh,
         &surface.orientation,
-        texture_of(
-            texels,
-            &unsent_radiance(surface, light, albedo, reflectance),
-        ),
-        &none,
-        &[],
-        far_sides,
+        SurfaceRadiance {
+            back: far_sides,
+            ..SurfaceRadiance::reflected(texture_of(texels, &unsent))
+        },
         Environment::from_map(Plane::filled(2, 1, Vec3::ZERO)),
     );
     let glossy = |i: usize| is_known(surface, light, albedo, i) && reflectance.roughness[i] < WIDE;
@@ -401,14 +398,10 @@ mod tests {
                 .map(|i| Vec3::splat(wall(number(i)).radiance))
                 .collect::<Vec<_>>(),
         );
-        let none = Plane::filled(SIDE, SIDE, false);
         let field = LightField::new(
             mesh,
             &surface.orientation,
-            radiance.clone(),
-            &none,
-            &[],
-            Vec::new(),
+            SurfaceRadiance::reflected(radiance.clone()),
             Environment::black(),
         );
         let emitters = Emitters::new(mesh, &field, &surface.tracer, &[]);

@@ -1,36 +1,32 @@
 //! Irradiance from the paper's neural field in place of the texture's rays: its lighting ablation
 //! (method §3.2).
 
-use super::SolveOptions;
 use crate::irradiance::{Irradiance, NirfOptions, PARTS, train_nirf};
-use crate::lights::Emitters;
+use crate::lights::LitScene;
 use crate::math::luminance;
 use crate::observed::Surface;
 use crate::progress::Progress;
-use crate::radiance::LightField;
 use crate::texture::Texels;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::f32::consts::FRAC_PI_2;
 
-/// Trains a field for `epochs` and reads it out at every texel. The stated error is what the last
+/// Trains a field and reads it out at every texel. The stated error is what the last
 /// epoch's loss amounts to, the noise of its targets included.
 pub(super) fn field_at_texels(
     surface: &Surface,
-    field: &LightField,
-    emitters: &Emitters,
+    lit: LitScene<'_>,
     texels: &Texels,
-    epochs: u32,
-    options: &SolveOptions,
+    training: &NirfOptions,
     progress: &Progress,
 ) -> Irradiance {
-    let training = NirfOptions::of_run(epochs, options.seed);
-    let bake = surface.lit(field, emitters).into();
-    let (nirf, cost) = progress.stage("neural irradiance field", u64::from(epochs), |p| {
+    let bake = lit.into();
+    let epochs = u64::from(training.epochs);
+    let (nirf, cost) = progress.stage("neural irradiance field", epochs, |p| {
         train_nirf(
             &bake,
             &|t, u, v| surface.normals(t, u, v),
-            &training,
+            training,
             p,
             &mut |_, _| {},
         )

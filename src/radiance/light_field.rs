@@ -75,19 +75,47 @@ pub struct LightField {
     pub prefilter: bool,
 }
 
+/// What the surfaces of a scene send out.
+#[derive(Clone, Debug)]
+pub struct SurfaceRadiance<'a> {
+    /// Radiance of the sides that cameras see, over the atlas, filled outside charts.
+    pub radiance: RgbPlane,
+    /// Texels that emit, in a plane of the same size.
+    pub emissive: Plane<bool>,
+    /// Triangles that emit (empty = none).
+    pub emissive_triangles: &'a [bool],
+    /// Mean radiance of each triangle's far side (empty = black).
+    pub back: Vec<Vec3>,
+}
+
+impl SurfaceRadiance<'_> {
+    /// Surfaces that only reflect, black on their far sides.
+    #[must_use]
+    pub fn reflected(radiance: RgbPlane) -> Self {
+        Self {
+            emissive: radiance.map(|_| false),
+            radiance,
+            emissive_triangles: &[],
+            back: Vec::new(),
+        }
+    }
+}
+
 impl LightField {
-    /// Assembles the field. `radiance` is filled outside charts; `emissive` marks emitting texels;
-    /// `back` holds the radiance of each triangle's far side (empty = black).
+    /// Assembles the field of what surfaces send out and what comes from where there are none.
     #[must_use]
     pub fn new(
         mesh: &Mesh,
         orientation: &Orientation,
-        radiance: RgbPlane,
-        emissive: &Plane<bool>,
-        emissive_triangles: &[bool],
-        back: Vec<Vec3>,
+        surfaces: SurfaceRadiance<'_>,
         environment: Environment,
     ) -> Self {
+        let SurfaceRadiance {
+            radiance,
+            emissive,
+            emissive_triangles,
+            back,
+        } = surfaces;
         let size = Vec2::new(radiance.width as f32, radiance.height as f32);
         let mut lookups: Vec<Lookup> = (0..mesh.triangles.len())
             .map(|t| {

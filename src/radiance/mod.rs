@@ -6,4 +6,4 @@ mod light_field;
 mod packed_texels;
 
 pub use environment::Environment;
-pub use light_field::LightField;
+pub use light_field::{LightField, SurfaceRadiance};

@@ -9,7 +9,7 @@ use crate::geometry::Camera;
 use crate::image::{Plane, RgbPlane, Wrap};
 use crate::lights::{Emitters, LitScene};
 use crate::math::luminance;
-use crate::radiance::{Environment, LightField};
+use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use crate::sampling::hash_u64;
 use crate::solution::Solution;
 use crate::specular::{Gaze, Levels, Reflector};
@@ -134,10 +134,12 @@ impl<'a> HybridRenderer<'a> {
         let field = LightField::new(
             mesh,
             &orientation,
-            solution.radiance.clone(),
-            &emissive,
-            &emissive_triangles,
-            Vec::new(),
+            SurfaceRadiance {
+                radiance: solution.radiance.clone(),
+                emissive,
+                emissive_triangles: &emissive_triangles,
+                back: Vec::new(),
+            },
             environment,
         );
         let probes: Vec<(Vec3, Vec3)> = (0..mesh.triangles.len())

@@ -106,78 +106,35 @@ impl<'a> Photographer<'a> {
         let (photograph, valid) = crate::evaluate::protocol::box_average(&photograph, &valid, w, h);
         let (a, b, counted) = comparable(&photograph, &valid, &rendered.radiance, 0.0);
         let mse = masked_mse(&a, &b, &counted).unwrap_or(1.0);
-        let error = Plane {
-            width: a.width,
-            height: a.height,
-            data: (0..a.data.len())
-                .map(|i| {
-                    if counted.data[i] {
-                        (a.data[i] - b.data[i]).abs().element_sum() / 3.0
-                    } else {
-                        0.0
-                    }
-                })
-                .collect(),
-        };
-        let mut pictures = Vec::new();
-        let mut add = |caption: &str, picture| {
-            pictures.push(Captioned {
-                caption: caption.into(),
-                picture,
-            })
-        };
-        add(
-            "photograph",
-            exposed(&shrunk(&photograph, VIEW_WIDTH), self.gain),
-        );
-        add(
-            "re-rendering",
-            exposed(&shrunk(&rendered.radiance, VIEW_WIDTH), self.gain),
-        );
-        add("error of the re-rendering", error_map(&error));
-        add("albedo", colour(&shrunk(&rendered.albedo, DETAIL_WIDTH)));
-        add(
-            "roughness",
-            grey(&shrunk(&rendered.roughness, DETAIL_WIDTH)),
-        );
-        add(
-            "irradiance",
-            self.irradiance(&view.camera, w.min(DETAIL_WIDTH)),
-        );
+        let error = plane_of(&a, |i| {
+            if counted.data[i] {
+                (a.data[i] - b.data[i]).abs().element_sum() / 3.0
+            } else {
+                0.0
+            }
+        });
+        let mut pictures = vec![
+            captioned(
+                "photograph",
+                exposed(&shrunk(&photograph, VIEW_WIDTH), self.gain),
+            ),
+            captioned(
+                "re-rendering",
+                exposed(&shrunk(&rendered.radiance, VIEW_WIDTH), self.gain),
+            ),
+            captioned("error of the re-rendering", error_map(&error)),
+            captioned("albedo", colour(&shrunk(&rendered.albedo, DETAIL_WIDTH))),
+            captioned(
+                "roughness",
+                grey(&shrunk(&rendered.roughness, DETAIL_WIDTH)),
+            ),
+            captioned(
+                "irradiance",
+                self.irradiance(&view.camera, w.min(DETAIL_WIDTH)),
+            ),
+        ];
         if let Some(truth) = truth.filter(|t| t.albedo.data.len() == w * h) {
-            let difference = |at: &dyn Fn(usize) -> f32| {
-                let seen = |i: usize| {
-                    if rendered.labels.data[i] == 0 {
-                        0.0
-                    } else {
-                        at(i)
-                    }
-                };
-                error_map(&shrunk(
-                    &Plane {
-                        width: w,
-                        height: h,
-                        data: (0..w * h).map(seen).collect(),
-                    },
-                    DETAIL_WIDTH,
-                ))
-            };
-            let albedo = |i: usize| {
-                (rendered.albedo.data[i] - truth.albedo.data[i])
-                    .abs()
-                    .element_sum()
-                    / 3.0
-            };
-            add("error of albedo", difference(&albedo));
-            add("true albedo", colour(&shrunk(&truth.albedo, DETAIL_WIDTH)));
-            add(
-                "true roughness",
-                grey(&shrunk(&truth.roughness, DETAIL_WIDTH)),
-            );
-            add(
-                "error of roughness",
-                difference(&|i| (rendered.roughness.data[i] - truth.roughness.data[i]).abs()),
-            );
+            pictures.extend(beside_truth(rendered, truth));
         }
         Ok(ViewPictures {
             stem: view.stem.clone(),
@@ -319,6 +276,55 @@ impl<'a> Photographer<'a> {
             self.irradiance_gain,
         )
     }
+}
+
+fn captioned(caption: &str, picture: Picture) -> Captioned {
+    Captioned {
+        caption: caption.into(),
+        picture,
+    }
+}
+
+/// A plane as large as another, of what its pixels are by their number.
+fn plane_of<T>(like: &Plane<T>, value: impl Fn(usize) -> f32) -> Plane<f32> {
+    Plane {
+        width: like.width,
+        height: like.height,
+        data: (0..like.data.len()).map(value).collect(),
+    }
+}
+
+/// The true materials and the errors of those rendered, where the rendering shows a surface.
+fn beside_truth(rendered: &RenderedView, truth: &GroundTruth) -> [Captioned; 4] {
+    let seen = |i: usize, error: f32| {
+        if rendered.labels.data[i] == 0 {
+            0.0
+        } else {
+            error
+        }
+    };
+    let albedo = plane_of(&rendered.albedo, |i| {
+        let difference = rendered.albedo.data[i] - truth.albedo.data[i];
+        seen(i, difference.abs().element_sum() / 3.0)
+    });
+    let roughness = plane_of(&rendered.roughness, |i| {
+        seen(
+            i,
+            (rendered.roughness.data[i] - truth.roughness.data[i]).abs(),
+        )
+    });
+    [
+        captioned("error of albedo", error_map(&shrunk(&albedo, DETAIL_WIDTH))),
+        captioned("true albedo", colour(&shrunk(&truth.albedo, DETAIL_WIDTH))),
+        captioned(
+            "true roughness",
+            grey(&shrunk(&truth.roughness, DETAIL_WIDTH)),
+        ),
+        captioned(
+            "error of roughness",
+            error_map(&shrunk(&roughness, DETAIL_WIDTH)),
+        ),
+    ]
 }
 
 /// Up to `count` views of a split, evenly spread over it.

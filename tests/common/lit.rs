@@ -6,7 +6,7 @@ use unbake::geometry::Mesh;
 use unbake::image::Plane;
 use unbake::irradiance::{Bake, Receiver};
 use unbake::lights::{Emitters, LitScene};
-use unbake::radiance::{Environment, LightField};
+use unbake::radiance::{Environment, LightField, SurfaceRadiance};
 use unbake::trace::{EmbreeTracer, Tracer};
 
 /// Texels along a quad's cell of the atlas: a multiple of the coarsest mip's texels, so that no
@@ -189,10 +189,12 @@ impl Lit {
         let field = LightField::new(
             &mesh,
             orientation,
-            radiance,
-            &emissive,
-            &triangles,
-            back,
+            SurfaceRadiance {
+                radiance,
+                emissive,
+                emissive_triangles: &triangles,
+                back,
+            },
             environment,
         );
         // as many points as the pipeline's coarse irradiance texture would give
