@@ -543,3 +543,110 @@ fn weighted_middle(values: &mut [(f32, f32)]) -> f32 {
     }
     values.last().map_or(0.0, |v| v.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sampling::KeyedRng;
+
+    const LAMPS: [Vec3; 2] = [Vec3::new(30.0, 24.0, 15.0), Vec3::new(6.0, 7.0, 9.0)];
+
+    /// Three classes of paint under two clipped lights (ceiling 1) and light that is known; the
+    /// third class is of two colours, and its texture is strong.
+    fn room(basis: impl Fn(f32, f32) -> [f32; 2]) -> Vec<ShadingRow> {
+        let mut rng = KeyedRng::new(3, 7);
+        let mut next = || rng.next_f32();
+        (0..6000)
+            .map(|i| {
+                let (x, y) = (next(), next());
+                let b = basis(x, y);
+                let base = Vec3::new(1.0, 0.9, 0.8) * (0.6 + 0.3 * y) + Vec3::splat(b[0] + b[1]);
+                let total = base + LAMPS[0] * b[0] + LAMPS[1] * b[1];
+                let (albedo, texture) = match i % 3 {
+                    0 => (Vec3::new(0.8, 0.78, 0.75), 0.02),
+                    1 => (Vec3::new(0.3, 0.2, 0.1), 0.05),
+                    _ if next() < 0.3 => (Vec3::splat(0.1), 0.4),
+                    _ => (Vec3::new(0.2, 0.5, 0.6), 0.4),
+                };
+                let noise = (texture * 3.46 * (next() - 0.5)).exp();
+                ShadingRow {
+                    class: i % 3,
+                    weight: 0.1,
+                    radiance: total * albedo * (noise / PI),
+                    is_bound: false,
+                    base,
+                    basis: b.to_vec(),
+                }
+            })
+            .collect()
+    }
+
+    fn groups(free: bool) -> Vec<LightGroup> {
+        (0..2)
+            .map(|kind| LightGroup {
+                kind,
+                ceiling: Vec3::ONE,
+                free: [free; 3],
+            })
+            .collect()
+    }
+
+    /// The shape of the shading tells both lights and with them the albedo, without any prior near
+    /// the truth.
+    #[test]
+    fn shading_tells_the_light_beyond_the_ceiling() {
+        let rows = room(|x, y| [0.2 / (0.05 + x * x), 0.3 * y * (1.0 - 0.5 * x)]);
+        let fit = fit_clipped(&rows, &groups(true), 3);
+        for (found, truth) in fit.excess.iter().zip(LAMPS) {
+            let ratio = *found / truth;
+            assert!(
+                (ratio - Vec3::ONE).abs().max_element() < 0.15,
+                "{found} {truth}"
+            );
+        }
+        // what is stated contains what is, and is a fraction of the priors' spread
+        for ((found, truth), error) in fit.excess.iter().zip(LAMPS).zip(&fit.log_error) {
+            let off = (luminance(*found) / luminance(truth)).ln().abs();
+            assert!(off < 3.0 * error && *error < 0.25, "{off} ± {error}");
+        }
+        let off = fit.albedo[0] / Vec3::new(0.8, 0.78, 0.75) - Vec3::ONE;
+        assert!(off.abs().max_element() < 0.05, "{:?}", fit.albedo);
+        assert!(
+            fit.spread[0] < 0.05 && fit.spread[2] > 0.15,
+            "{:?}",
+            fit.spread
+        );
+    }
+
+    /// Where the light beyond the ceiling is spread as the light below, shape is silent: the error
+    /// says so, and albedo stays possible.
+    #[test]
+    fn where_shape_is_silent_the_error_says_so() {
+        let mut rows = room(|_, _| [0.2, 0.1]);
+        for r in &mut rows {
+            r.base = Vec3::splat(0.5);
+            r.radiance = Vec3::splat(1.2 / PI);
+        }
+        let fit = fit_clipped(&rows, &groups(true), 3);
+        assert!(
+            fit.log_error.iter().all(|e| *e > 0.3),
+            "{:?}",
+            fit.log_error
+        );
+        assert!(
+            fit.albedo.iter().all(|a| a.max_element() < 1.05),
+            "{:?}",
+            fit.albedo
+        );
+    }
+
+    /// Channels below the ceiling have no excess; nothing clipped is nothing found.
+    #[test]
+    fn what_is_not_clipped_stays() {
+        let rows = room(|x, y| [0.2 / (0.05 + x * x), 0.3 * y]);
+        let fit = fit_clipped(&rows, &groups(false), 3);
+        assert!(fit.excess.iter().all(|e| *e == Vec3::ZERO));
+        assert!(fit_clipped(&rows, &[], 3).excess.is_empty());
+        assert!(fit_clipped(&[], &groups(true), 0).albedo.is_empty());
+    }
+}
