@@ -1,6 +1,6 @@
 //! `unbake solve`.
 
-use crate::alignment::{Alignment, align};
+use crate::alignment::{Alignment, Verdict as Fits, align};
 use crate::cli::context::Context;
 use crate::cli::guard::keep_inputs;
 use crate::cli::inputs::read_scene;
@@ -10,7 +10,8 @@ use crate::pipeline::{Checkpoints, reconstruct};
 use crate::render::{HybridOptions, HybridRenderer};
 use crate::report::{hash_inputs, write_report};
 use crate::scene::Scene;
-use crate::solution::{AsideFolder, OutputLock, SaveOptions};
+use crate::solution::{AsideFolder, OutputLock, SaveOptions, Solution};
+use crate::verdict::{self, Findings};
 use serde_json::json;
 use std::path::Path;
 use std::time::Duration;
@@ -33,7 +34,8 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
         options.checkpoints = Checkpoints::new(out, &run_key(&inputs, context)?);
     }
     let solved = reconstruct(&scene, &options, progress)?;
-    let (solution, findings) = (solved.solution, solved.findings);
+    let (mut solution, mut findings) = (solved.solution, solved.findings);
+    take_in(alignment.verdict, &mut findings, &mut solution);
     scene.camera_masks.clone_from(&solution.camera_masks);
     progress.stage("writing the textures", 1, |_| {
         solution.save(out, &SaveOptions::default())
@@ -75,6 +77,23 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
         &text,
         &json!({"out": out, "run": record, "verdict": verdict}),
     )
+}
+
+/// Adds what the alignment says to the findings and, if the scene was forced through although
+/// nothing fits, to the stated errors of the albedo.
+fn take_in(fits: Fits, findings: &mut Findings, solution: &mut Solution) {
+    let stated = findings.model_error();
+    findings.alignment = Some(match fits {
+        Fits::Aligned => verdict::Alignment::Aligned,
+        Fits::Doubtful => verdict::Alignment::Doubtful,
+        Fits::Misaligned => verdict::Alignment::Misaligned,
+    });
+    if fits == Fits::Misaligned {
+        let more = findings.model_error().powi(2) - stated.powi(2);
+        let more = more.max(0.0).sqrt() as f32;
+        let observed = solution.confidence.data.iter_mut().filter(|c| c.x < 1e3);
+        observed.for_each(|c| c.x = c.x.hypot(more));
+    }
 }
 
 /// The scene, corrected if it was asked for; a scene whose photographs and mesh do not fit is
