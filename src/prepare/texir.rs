@@ -2,7 +2,7 @@
 //! mesh with an atlas, and the room grid.
 //!
 //! Conventions (read off the authors' code): poses are camera-to-world with OpenCV axes (right,
-//! down, forward); panoramas as in design §1.1; working radiance = image · 2ᵉ, e = 5 (3 for scenes
+//! down, forward); panoramas as in docs/scene-format.md; working radiance = image · 2ᵉ, e = 5 (3 for scenes
 //! 1 and 7); alpha of `panoImage_orig.jpg` (a PNG by content) is a mask.
 
 use super::capture::{Capture, Mask, Optics, Shot, Surface, Up};
