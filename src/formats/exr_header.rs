@@ -138,6 +138,9 @@ impl ExrPart {
 
 /// Reads and vets the header of an OpenEXR file of `file_bytes` bytes; the parts in file order, or
 /// what is wrong and where.
+///
+/// # Errors
+/// If the header is damaged, or asks for more than the file holds.
 pub fn vetted(file: impl Read, file_bytes: u64) -> Result<Vec<ExrPart>, String> {
     let mut bytes = Vec::new();
     file.take(LIMIT)

@@ -121,6 +121,9 @@ pub fn read_labels(path: impl AsRef<Path>) -> Result<Plane<u16>> {
 ///
 /// Any number of channels: a pixel is kept if one of its colour channels (or its palette index) is
 /// not 0 and it is not fully transparent.
+///
+/// # Errors
+/// If the file cannot be read or is damaged.
 pub fn read_mask(path: impl AsRef<Path>) -> Result<Plane<bool>> {
     let path = path.as_ref();
     expect_png(path, "a mask")?;
