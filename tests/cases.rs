@@ -166,7 +166,10 @@ fn images_that_made_the_library_abort_are_refused() {
         let e = unbake::formats::read_photograph(&path, None)
             .err()
             .expect("refused");
-        assert!(e.exit_code() == 2 && e.to_string().contains("part"), "{e}");
+        assert!(
+            e.exit_code() == 2 && e.to_string().contains("damaged"),
+            "{e}"
+        );
     }
 }
 

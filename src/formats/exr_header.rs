@@ -185,7 +185,11 @@ pub fn vetted(file: impl Read, file_bytes: u64) -> Result<Vec<ExrPart>, String> 
     // sizes beyond the limit are judged by the caller, in its own words
     let sane = |p: &&ExrPart| p.size.0 > 0 && p.size.1 > 0;
     let least: f64 = parts.iter().filter(sane).map(ExrPart::least_bytes).sum();
-    if least > file_bytes as f64 && parts.iter().all(|p| p.size.0 * p.size.1 <= 1 << 28) {
+    if least > file_bytes as f64
+        && parts
+            .iter()
+            .all(|p| p.size.0.checked_mul(p.size.1).is_some_and(|n| n <= 1 << 28))
+    {
         let (w, h) = parts[0].size;
         return Err(format!(
             "its header states {w} × {h} pixels, which take at least {least:.0} bytes, but the file has {file_bytes}"

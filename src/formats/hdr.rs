@@ -62,7 +62,7 @@ fn read_header(path: &Path) -> Result<(HdrHeader, BufReader<std::fs::File>)> {
             (Ok(w), Ok(h)) => checked_size(path, w, h)?,
             _ => return Err(damaged(path, "its size is no number")),
         },
-        [y, _, x, _] if "+-XY".contains(&y[..1]) && "+-XY".contains(&x[..1]) => {
+        [y, _, x, _] if y.starts_with(['+', '-']) && x.starts_with(['+', '-']) => {
             return Err(Error::input(
                 path,
                 "its rows or columns are stored in another order than -Y +X; save it in the usual order",
