@@ -5,8 +5,8 @@
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
-use unbake::brdf::{SpecularChunk, specular_chunk, specular_d_roughness};
-use unbake::sampling::KeyedRng;
+use unbake::core::brdf::{SpecularChunk, specular_chunk, specular_d_roughness};
+use unbake::core::sampling::KeyedRng;
 
 /// Elements per call: all slices together stay in a second-level cache.
 const COUNT: usize = 4096;

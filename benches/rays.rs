@@ -5,9 +5,9 @@
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use glam::Vec3;
-use unbake::geometry::Mesh;
-use unbake::sampling::{KeyedRng, square_to_cosine_hemisphere, square_to_uniform_hemisphere};
-use unbake::trace::{EmbreeTracer, Hit, Ray, Tracer};
+use unbake::core::geometry::Mesh;
+use unbake::core::sampling::{KeyedRng, square_to_cosine_hemisphere, square_to_uniform_hemisphere};
+use unbake::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
 
 /// Rays per call: one batch of the tracer.
 const COUNT: usize = 4096;

@@ -6,9 +6,9 @@
 //! factor of a parallel rectangle).
 
 use glam::{Vec2, Vec3};
-use unbake::brdf::Material;
+use unbake::core::brdf::Material;
+use unbake::core::trace::EmbreeTracer;
 use unbake::render::{BlackEnvironment, IrradiancePoint, Surface, SurfaceModel};
-use unbake::trace::EmbreeTracer;
 use unbake::{Mesh, PathTracer, PathTracerOptions, Progress};
 
 /// One shining square.

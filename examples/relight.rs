@@ -2,11 +2,11 @@
 //! `cargo run --release --example relight OUT X Y Z PICTURE.exr` (X Y Z: camera, metres).
 
 use glam::{DVec3, Mat3};
-use unbake::formats::write_rgb_float;
+use unbake::core::formats::write_rgb_float;
+use unbake::core::trace::EmbreeTracer;
 use unbake::render::LampChange;
-use unbake::trace::EmbreeTracer;
 use unbake::{
-    Camera, Lighting, PathTracer, PathTracerOptions, Progress, Projection, Solution, World,
+    Camera, EditableScene, Lighting, PathTracer, PathTracerOptions, Progress, Projection, Solution,
 };
 
 fn main() -> unbake::Result<()> {
@@ -21,7 +21,7 @@ fn main() -> unbake::Result<()> {
     let place = DVec3::new(number(x)?, number(y)?, number(z)?);
 
     let solution = Solution::load(out.as_ref())?;
-    let mut world = World::new(&solution);
+    let mut world = EditableScene::new(&solution);
     let lamps = &solution.lamps;
     let change = Lighting {
         lamps: vec![

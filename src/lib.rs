@@ -27,31 +27,17 @@
 #[doc(hidden)]
 pub mod alignment;
 #[doc(hidden)]
-pub mod bench;
-#[doc(hidden)]
-pub mod brdf;
-#[doc(hidden)]
 pub mod cli;
 #[doc(hidden)]
-pub mod edit;
+pub mod core;
 #[doc(hidden)]
 pub mod error;
 #[doc(hidden)]
-pub mod evaluate;
-#[doc(hidden)]
-pub mod export;
-#[doc(hidden)]
 pub mod ffi;
-#[doc(hidden)]
-pub mod formats;
 #[doc(hidden)]
 pub mod gbuffer;
 #[doc(hidden)]
-pub mod geometry;
-#[doc(hidden)]
 pub mod highlight;
-#[doc(hidden)]
-pub mod image;
 #[doc(hidden)]
 pub mod inverse;
 #[doc(hidden)]
@@ -59,55 +45,32 @@ pub mod irradiance;
 #[doc(hidden)]
 pub mod lights;
 #[doc(hidden)]
-pub mod math;
-#[doc(hidden)]
-pub mod metrics;
-#[doc(hidden)]
 pub mod observed;
-#[doc(hidden)]
-pub mod optim;
-#[doc(hidden)]
-pub mod parallel;
 #[doc(hidden)]
 pub mod pipeline;
 #[doc(hidden)]
-pub mod prepare;
-#[doc(hidden)]
-pub mod progress;
+pub mod programs;
 #[doc(hidden)]
 pub mod radiance;
 #[doc(hidden)]
 pub mod render;
-#[doc(hidden)]
-pub mod report;
-#[doc(hidden)]
-pub mod sampling;
 #[doc(hidden)]
 pub mod scene;
 #[doc(hidden)]
 pub mod solution;
 #[doc(hidden)]
 pub mod specular;
-#[doc(hidden)]
-pub mod switch;
-#[doc(hidden)]
-pub mod synth;
-#[doc(hidden)]
-pub mod texture;
-#[doc(hidden)]
-pub mod trace;
 pub mod verdict;
-#[doc(hidden)]
-pub mod view;
 
+pub use crate::core::geometry::{Camera, Mesh, Projection};
+pub use crate::core::image::{Plane, RgbPlane};
+pub use crate::core::progress::Progress;
+pub use crate::programs::evaluate::{EvalOptions, Evaluation, evaluate};
 pub use error::{Error, Result};
-pub use evaluate::{EvalOptions, Evaluation, evaluate};
-pub use geometry::{Camera, Mesh, Projection};
-pub use image::{Plane, RgbPlane};
 pub use pipeline::{Quality, SolveOptions, SolveRequest, Solved, reconstruct};
-pub use progress::Progress;
 pub use render::{
-    HybridOptions, HybridRenderer, Lighting, PathTracer, PathTracerOptions, ViewRenderer, World,
+    EditableScene, HybridOptions, HybridRenderer, Lighting, PathTracer, PathTracerOptions,
+    ViewRenderer,
 };
 pub use scene::{LoadOptions, Scene};
 pub use solution::{SaveOptions, Solution};

@@ -163,7 +163,7 @@ fn images_that_made_the_library_abort_are_refused() {
     let Some(folder) = cases() else { return };
     for name in ["exr-abort.exr", "exr-abort-two-bytes.exr"] {
         let path = folder.join("rel01-exr-abort").join(name);
-        let e = unbake::formats::read_photograph(&path, None)
+        let e = unbake::core::formats::read_photograph(&path, None)
             .err()
             .expect("refused");
         assert!(
@@ -178,7 +178,7 @@ fn images_that_made_the_library_abort_are_refused() {
 fn wide_primaries_become_rec709() {
     let Some(folder) = cases() else { return };
     let path = folder.join("fc03-exr-rec2020/0.exr");
-    let image = unbake::formats::read_photograph(&path, None)
+    let image = unbake::core::formats::read_photograph(&path, None)
         .expect("read")
         .pixels;
     let has = |rgb: [f32; 3]| {

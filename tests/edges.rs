@@ -6,15 +6,17 @@ mod common;
 use common::lit::{Quad, box_quads, mesh_of, quad};
 use glam::{Mat3, Vec2, Vec3};
 use std::f32::consts::PI;
-use unbake::brdf::Reflectance;
+use unbake::core::brdf::Reflectance;
+use unbake::core::geometry::{Camera, Projection};
+use unbake::core::image::Plane;
+use unbake::core::progress::Progress;
+use unbake::core::texture::Texels;
+use unbake::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
 use unbake::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
-use unbake::geometry::{Camera, Projection};
-use unbake::image::Plane;
-use unbake::inverse::{AlbedoEstimate, Shading, TexelReflectance, Unmixing, estimate_albedo};
-use unbake::progress::Progress;
+use unbake::inverse::{
+    AlbedoEstimate, MixedPixelSolver, Shading, TexelReflectance, estimate_albedo,
+};
 use unbake::radiance::{Environment, LightField, SurfaceRadiance};
-use unbake::texture::Texels;
-use unbake::trace::{EmbreeTracer, Hit, Ray, Tracer};
 
 const WALLS: usize = 6;
 
@@ -161,7 +163,7 @@ fn bars(label_of_bars: u16, shift: Vec3) -> (f32, f32, usize) {
         SurfaceRadiance::reflected(Plane::filled(8, 8, Vec3::ZERO)),
         black,
     );
-    let report = Unmixing {
+    let report = MixedPixelSolver {
         observer: observer(),
         orientation: &orientation,
         tracer: &tracer,

@@ -6,18 +6,18 @@ mod common;
 use common::lit::{Lit, box_quads, mesh_of, quad, receivers_on};
 use glam::{Vec2, Vec3};
 use proptest::prelude::*;
-use unbake::brdf::{Material, ggx_d, specular, specular_d_roughness};
-use unbake::formats;
-use unbake::geometry::Mesh;
-use unbake::image::{Plane, Wrap};
-use unbake::irradiance::{IrtOptions, bake_irradiance};
+use unbake::core::brdf::{Material, ggx_d, specular, specular_d_roughness};
+use unbake::core::formats;
+use unbake::core::geometry::Mesh;
+use unbake::core::image::{Plane, Wrap};
+use unbake::core::math::Real;
+use unbake::core::progress::Progress;
+use unbake::core::texture::{MipChain, Texels, fill_uncovered};
+use unbake::irradiance::{IrradianceOptions, bake_irradiance};
 use unbake::lights::{EmissionEvidence, detect_emissive};
-use unbake::math::Real;
 use unbake::pipeline::{SolveOptions, Switch, reconstruct};
-use unbake::progress::Progress;
 use unbake::radiance::Environment;
 use unbake::scene::{LoadOptions, Scene};
-use unbake::texture::{MipChain, Texels, fill_uncovered};
 
 /// (name, n·l, n·v, ‖n×h‖², v·h, R, largest relative error in f32 of value and of slope against
 /// R/value)
@@ -123,7 +123,7 @@ fn radiance_from_a_millionth_to_a_sun() {
             &lit.bake(),
             receivers.len(),
             |i| receivers[i],
-            &IrtOptions::default(),
+            &IrradianceOptions::default(),
             &Progress::silent(),
         );
         let mean = out.value.iter().map(|e| f64::from(e.x)).sum::<f64>()
@@ -527,7 +527,7 @@ proptest! {
         let lit = Lit::new(&quads, Environment::black());
         let q = quads[wall];
         let receiver = unbake::irradiance::Receiver { position: q.at(at[0], at[1]), normal: q.normal(), face_normal: q.normal(), key: 7 };
-        let out = bake_irradiance(&lit.bake(), 1, |_| receiver, &IrtOptions::default(), &Progress::silent());
+        let out = bake_irradiance(&lit.bake(), 1, |_| receiver, &IrradianceOptions::default(), &Progress::silent());
         let relative = out.value[0].x / (std::f32::consts::PI * radiance);
         prop_assert!((relative - 1.0).abs() < 1e-4, "{relative}");
     }

@@ -4,9 +4,9 @@
 //! `lighting::nirf` (network), `inverse::roughness` (objective of the search), `gbuffer::gains`
 //! (exposure).
 
-use unbake::brdf::{SpecularChunk, specular, specular_chunk};
-use unbake::math::{Dual, Real};
-use unbake::sampling::KeyedRng;
+use unbake::core::brdf::{SpecularChunk, specular, specular_chunk};
+use unbake::core::math::{Dual, Real};
+use unbake::core::sampling::KeyedRng;
 
 /// The estimator L_s(R) = Σ w f_s(R): its derivative is that of the lobe, summed. Kernel in f32,
 /// duals and central differences in f64.

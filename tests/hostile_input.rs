@@ -7,8 +7,8 @@ use common::{HEIGHT, SceneDir, WIDTH, raw_exr};
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
 use unbake::Error;
-use unbake::formats;
-use unbake::image::Plane;
+use unbake::core::formats;
+use unbake::core::image::Plane;
 use unbake::scene::{LdrImages, LoadOptions, Scene, check};
 
 /// A change to `transforms.json` and what the refusal must say.

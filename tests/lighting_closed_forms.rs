@@ -8,30 +8,31 @@ use common::lit::{
 };
 use glam::{DVec3, Mat3, Vec2, Vec3};
 use std::f64::consts::PI;
+use unbake::core::geometry::{Camera, Projection};
+use unbake::core::image::Plane;
+use unbake::core::math::luminance;
+use unbake::core::progress::Progress;
+use unbake::core::texture::Texels;
+use unbake::core::trace::{EmbreeTracer, Hit};
 use unbake::gbuffer::{Orientation, ViewBuffer};
-use unbake::geometry::{Camera, Projection};
-use unbake::image::Plane;
 use unbake::irradiance::{
-    Budget, Estimator, Irradiance, IrtOptions, Patch, Receiver, bake_irradiance, bake_surface,
+    Estimator, Irradiance, IrradianceOptions, Receiver, SampleBudget, Surfel, bake_irradiance,
+    bake_surface,
 };
-use unbake::math::luminance;
-use unbake::progress::Progress;
 use unbake::radiance::{Environment, LightField, SurfaceRadiance};
-use unbake::texture::Texels;
-use unbake::trace::{EmbreeTracer, Hit};
 
 const ALL: [Estimator; 3] = [Estimator::Uniform, Estimator::Cosine, Estimator::Mis];
 
-fn options(estimator: Estimator, rays: u32) -> IrtOptions {
-    IrtOptions {
+fn options(estimator: Estimator, rays: u32) -> IrradianceOptions {
+    IrradianceOptions {
         estimator,
         rays,
         emitter_samples: rays / 4,
-        ..IrtOptions::default()
+        ..IrradianceOptions::default()
     }
 }
 
-fn bake(lit: &Lit, receivers: &[Receiver], options: &IrtOptions) -> Irradiance {
+fn bake(lit: &Lit, receivers: &[Receiver], options: &IrradianceOptions) -> Irradiance {
     let out = bake_irradiance(
         &lit.bake(),
         receivers.len(),
@@ -50,12 +51,17 @@ fn bake(lit: &Lit, receivers: &[Receiver], options: &IrtOptions) -> Irradiance {
 }
 
 /// As [`bake`], its samples doubled `times` by bakes that continue it.
-fn continued(lit: &Lit, receivers: &[Receiver], options: &IrtOptions, times: u32) -> Irradiance {
+fn continued(
+    lit: &Lit,
+    receivers: &[Receiver],
+    options: &IrradianceOptions,
+    times: u32,
+) -> Irradiance {
     let all: Vec<u32> = (0..receivers.len() as u32).collect();
     let mut out = bake(lit, receivers, options);
     for k in 0..times {
         let [rays, lights] = [options.rays << k, options.emitter_samples << k];
-        let more = IrtOptions {
+        let more = IrradianceOptions {
             drawn: [rays, lights],
             rays,
             emitter_samples: lights,
@@ -319,7 +325,10 @@ fn a_spotlight_of_five_centimetres_and_radiance_1e5() {
         .iter()
         .map(|r| 1e5 * lambert(&lamp.corners(), r.position, r.normal))
         .collect();
-    let (rms, worst) = errors(&bake(&lit, &receivers, &IrtOptions::default()), &expected);
+    let (rms, worst) = errors(
+        &bake(&lit, &receivers, &IrradianceOptions::default()),
+        &expected,
+    );
     assert!(rms < 5e-3 && worst < 0.1, "{rms:.1e}, at worst {worst:.1e}");
 }
 
@@ -467,10 +476,10 @@ fn a_small_window_onto_a_bright_sky() {
     let got = bake(
         &lit,
         &receivers,
-        &IrtOptions {
+        &IrradianceOptions {
             rays: 256,
             emitter_samples: 256,
-            ..IrtOptions::default()
+            ..IrradianceOptions::default()
         },
     );
     let (rms, worst) = errors(&got, &expected);
@@ -633,7 +642,7 @@ fn walls_without_thickness_do_not_leak() {
         let (quads, _) = two_rooms(false, sheets);
         let receivers = texel_receivers(&quads, 160);
         let lit = Lit::new(&quads, Environment::black());
-        let got = bake(&lit, &receivers, &IrtOptions::default());
+        let got = bake(&lit, &receivers, &IrradianceOptions::default());
         let end = sheets[sheets.len() - 1];
         let (mut dark, mut lit_ones) = (0, 0);
         for (r, e) in receivers.iter().zip(&got.value) {
@@ -673,7 +682,7 @@ fn texels_inside_solids_are_dark_and_finite() {
     );
     let receivers = texel_receivers(&quads, 128);
     let lit = Lit::new(&quads, Environment::black());
-    let got = bake(&lit, &receivers, &IrtOptions::default());
+    let got = bake(&lit, &receivers, &IrradianceOptions::default());
     let mut hidden = 0;
     for (r, e) in receivers.iter().zip(&got.value) {
         let p = r.position;
@@ -729,7 +738,10 @@ fn inverted_windings_change_nothing_once_the_cameras_have_voted() {
         Environment::black(),
     );
     for lit in [&reference, &turned] {
-        let (rms, worst) = errors(&bake(lit, &receivers, &IrtOptions::default()), &expected);
+        let (rms, worst) = errors(
+            &bake(lit, &receivers, &IrradianceOptions::default()),
+            &expected,
+        );
         assert!(rms < 0.08 && worst < 0.25, "{rms:.3} {worst:.3}");
     }
 }
@@ -809,7 +821,7 @@ fn estimators_agree_statistically() {
                 bake(
                     &lit,
                     &receivers,
-                    &IrtOptions {
+                    &IrradianceOptions {
                         seed: seed * 77 + 5,
                         ..options(estimator, rays)
                     },
@@ -929,15 +941,15 @@ fn surface(lit: &Lit, receivers: &[Receiver], rounds: u32) -> Irradiance {
 
 /// The same with further samples only where they matter.
 fn surface_where(lit: &Lit, receivers: &[Receiver], importance: &[f32], rounds: u32) -> Irradiance {
-    let patches: Vec<Patch> = receivers
+    let patches: Vec<Surfel> = receivers
         .iter()
-        .map(|r| Patch {
+        .map(|r| Surfel {
             position: r.position,
             normal: r.normal,
             size: 0.05,
         })
         .collect();
-    let budget = Budget {
+    let budget = SampleBudget {
         estimator: Estimator::Mis,
         samples: [96, 48],
         rounds,
@@ -1022,8 +1034,8 @@ fn bits_do_not_depend_on_the_number_of_threads() {
             .expect("pool");
         pool.install(|| {
             let lit = Lit::new(&quads, sky().0);
-            let plain = bake(&lit, &receivers, &IrtOptions::default());
-            let continued = continued(&lit, &receivers, &IrtOptions::default(), 2);
+            let plain = bake(&lit, &receivers, &IrradianceOptions::default());
+            let continued = continued(&lit, &receivers, &IrradianceOptions::default(), 2);
             let out = surface(&lit, &receivers, 3);
             assert!(out.rays > plain.rays, "some are refined");
             let of = |o: Irradiance| (o.value, o.error, o.rays);
@@ -1077,7 +1089,7 @@ fn a_dark_lamp_is_harmless() {
     let receivers = receivers_on(&quads[0], 8);
     let lit = Lit::new(&quads, Environment::black());
     assert!(
-        bake(&lit, &receivers, &IrtOptions::default())
+        bake(&lit, &receivers, &IrradianceOptions::default())
             .value
             .iter()
             .all(|e| *e == Vec3::ZERO)
@@ -1115,7 +1127,7 @@ fn scale_of_the_scene_changes_no_sample() {
             .flat_map(|&q| receivers_on(&quads[q], 12))
             .collect();
         let lit = Lit::new(&quads, sky().0);
-        bake(&lit, &receivers, &IrtOptions::default()).value
+        bake(&lit, &receivers, &IrradianceOptions::default()).value
     };
     let one = build(1.0);
     for exponent in [-10, 13] {

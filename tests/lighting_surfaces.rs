@@ -6,13 +6,14 @@ mod common;
 
 use common::lit::{Lit, Quad, box_quads, framed, lambert, mesh_of, quad, quadrature, receivers_on};
 use glam::{Vec2, Vec3};
+use unbake::core::progress::Progress;
+use unbake::core::texture::Texels;
 use unbake::gbuffer::Orientation;
 use unbake::irradiance::{
-    Budget, Estimator, Irradiance, IrtOptions, Patch, Receiver, bake_irradiance, bake_surface,
+    Estimator, Irradiance, IrradianceOptions, Receiver, SampleBudget, Surfel, bake_irradiance,
+    bake_surface,
 };
-use unbake::progress::Progress;
 use unbake::radiance::Environment;
-use unbake::texture::Texels;
 
 /// Hemisphere rays and emitter samples of the presets.
 const STANDARD: [u32; 2] = [136, 68];
@@ -21,7 +22,7 @@ const DRAFT: [u32; 2] = [42, 22];
 /// The texels of a mesh of quads as the pipeline makes them.
 struct Atlas {
     receivers: Vec<Receiver>,
-    patches: Vec<Patch>,
+    patches: Vec<Surfel>,
     importance: Vec<f32>,
     /// The quad of each texel.
     quad: Vec<usize>,
@@ -46,7 +47,7 @@ impl Atlas {
             let Receiver {
                 position, normal, ..
             } = receiver(i);
-            Patch {
+            Surfel {
                 position,
                 normal,
                 size: texels.texel_area(&mesh, of(i)).sqrt(),
@@ -70,7 +71,7 @@ impl Atlas {
         let receiver = |i: usize| self.receivers[i];
         let (bake, silent) = (lit.bake(), Progress::silent());
         let surface = |samples: [u32; 2]| {
-            let budget = Budget {
+            let budget = SampleBudget {
                 estimator: Estimator::Mis,
                 samples,
                 rounds: 3,
@@ -91,7 +92,7 @@ impl Atlas {
             &bake,
             self.receivers.len(),
             receiver,
-            &IrtOptions::default(),
+            &IrradianceOptions::default(),
             &silent,
         );
         let all = [
@@ -487,11 +488,11 @@ fn solids_in_solids_are_black_inside_and_right_outside() {
 }
 
 fn mis(lit: &Lit, receivers: &[Receiver]) -> Vec<f64> {
-    let options = IrtOptions {
+    let options = IrradianceOptions {
         estimator: Estimator::Mis,
         rays: 1024,
         emitter_samples: 256,
-        ..IrtOptions::default()
+        ..IrradianceOptions::default()
     };
     let out = bake_irradiance(
         &lit.bake(),
@@ -627,7 +628,7 @@ fn texels_within_the_target_stop() {
         );
         let (n, receiver) = (atlas.receivers.len(), |i: usize| atlas.receivers[i]);
         let rays = |samples: [u32; 2], rounds: u32| {
-            let budget = Budget {
+            let budget = SampleBudget {
                 estimator: Estimator::Mis,
                 samples,
                 rounds,
@@ -741,7 +742,7 @@ fn every_estimator_spends_the_budget_and_finds_the_light() {
         .collect();
     let texels = atlas.receivers.len() as u64;
     let rms = [Estimator::Uniform, Estimator::Cosine, Estimator::Mis].map(|estimator| {
-        let budget = Budget {
+        let budget = SampleBudget {
             estimator,
             samples: [96, 48],
             rounds: 3,

@@ -5,9 +5,9 @@ mod common;
 
 use glam::{Vec2, Vec3};
 use std::path::Path;
-use unbake::formats::{self, gltf::mesh_from_gltf, obj::mesh_from_obj, ply::mesh_from_ply};
-use unbake::image::Plane;
-use unbake::sampling::KeyedRng;
+use unbake::core::formats::{self, gltf::mesh_from_gltf, obj::mesh_from_obj, ply::mesh_from_ply};
+use unbake::core::image::Plane;
+use unbake::core::sampling::KeyedRng;
 use unbake::scene::transforms::parse_transforms;
 
 /// Numbers that break careless code, in the bytes of the file's own kind.

@@ -5,16 +5,16 @@ mod common;
 
 use common::lit::{Quad, box_quads, mesh_of};
 use glam::{Mat3, Quat, Vec3};
+use unbake::core::geometry::{Camera, Lens, Mesh, Projection};
+use unbake::core::image::Plane;
+use unbake::core::math::luminance;
+use unbake::core::progress::Progress;
+use unbake::core::sampling::KeyedRng;
+use unbake::core::texture::Texels;
+use unbake::core::trace::{BruteForce, EmbreeTracer, Hit, Ray, Tracer};
 use unbake::gbuffer::{Observation, ObservedView, Observer, Orientation, ViewBuffer};
-use unbake::geometry::{Camera, Lens, Mesh, Projection};
-use unbake::image::Plane;
-use unbake::math::luminance;
 use unbake::observed::estimate_gains;
 use unbake::observed::{Fusion, UNSEEN, fuse_radiance};
-use unbake::progress::Progress;
-use unbake::sampling::KeyedRng;
-use unbake::texture::Texels;
-use unbake::trace::{BruteForce, EmbreeTracer, Hit, Ray, Tracer};
 
 /// A room with a solid block in it; each quad has a radiance of its own.
 fn room() -> Vec<Quad> {
@@ -248,7 +248,7 @@ fn a_layer_hides_what_lies_right_behind_it() {
     };
     let (mut looks, mut seen) = (Vec::new(), [0, 0]);
     for k in 0..400u32 {
-        let [u, v] = unbake::sampling::hammersley(k, 400);
+        let [u, v] = unbake::core::sampling::hammersley(k, 400);
         let (u, v) = (0.1 + 0.8 * u, 0.1 + 0.8 * v);
         observer.observe(front.at(u, v), front.normal(), &mut looks);
         seen[0] += looks.len();

@@ -218,7 +218,7 @@ fn the_example_scene_is_understood() {
 
 #[test]
 fn the_examples_of_edits_and_lights_are_understood() {
-    let edits = unbake::edit::EditList::read(&root().join("docs/examples/edits.toml"));
+    let edits = unbake::programs::edit::EditList::read(&root().join("docs/examples/edits.toml"));
     assert_eq!(edits.expect("edits").edits.len(), 3);
     let lights = unbake::render::Lighting::read(&root().join("docs/examples/lights.toml"));
     let lights = lights.expect("lights");

@@ -2,8 +2,8 @@
 //! `$UNBAKE_SHARED/captures`); skipped with a message where they are absent.
 
 use std::path::PathBuf;
-use unbake::prepare::{PrepareOptions, Prepared, prepare};
-use unbake::progress::Progress;
+use unbake::core::progress::Progress;
+use unbake::programs::prepare::{PrepareOptions, Prepared, prepare};
 use unbake::scene::{LdrImages, LoadOptions, Scene};
 
 fn shared() -> Option<PathBuf> {
@@ -60,7 +60,7 @@ fn the_zind_tour_equals_the_scene_made_by_hand() {
             .fold(0.0f32, |m, x| m.max(x.abs()));
         assert!(largest < 1e-5, "{}: {largest}", a.stem);
         let labels = |v: &unbake::scene::View| {
-            unbake::formats::read_labels(v.label_path.as_ref().expect("labels")).expect("ids")
+            unbake::core::formats::read_labels(v.label_path.as_ref().expect("labels")).expect("ids")
         };
         let (p, q) = (labels(a), labels(b));
         let other = p.data.iter().zip(&q.data).filter(|(x, y)| x != y).count();
@@ -114,10 +114,11 @@ fn the_texir_export_equals_the_scene_it_was_made_from() {
         assert_eq!(a.exposure_ev, 5.0);
     }
     let (p, q) = (
-        unbake::formats::read_rgb(&ours.views[0].image_path).expect("image"),
-        unbake::formats::read_rgb(&theirs.views[0].image_path).expect("image"),
+        unbake::core::formats::read_rgb(&ours.views[0].image_path).expect("image"),
+        unbake::core::formats::read_rgb(&theirs.views[0].image_path).expect("image"),
     );
-    let mean = |i: &unbake::image::RgbPlane| i.data.iter().map(|v| f64::from(v.y)).sum::<f64>();
+    let mean =
+        |i: &unbake::core::image::RgbPlane| i.data.iter().map(|v| f64::from(v.y)).sum::<f64>();
     let ratio = 32.0 * mean(&p) / mean(&q);
     assert!((ratio - 1.0).abs() < 0.02, "radiance {ratio}");
 }
@@ -157,7 +158,7 @@ fn real_brackets_agree_among_themselves() {
             .flatten()
             .next()
             .expect("one image");
-        let hdr = unbake::formats::read_rgb(image.path()).expect("image");
+        let hdr = unbake::core::formats::read_rgb(image.path()).expect("image");
         assert!(
             hdr.data
                 .iter()

@@ -3,9 +3,9 @@
 
 use glam::{DVec3, Mat3, Vec2, Vec3};
 use std::path::PathBuf;
-use unbake::geometry::{Camera, Mesh, Projection};
+use unbake::core::geometry::{Camera, Mesh, Projection};
+use unbake::core::trace::{BruteForce, EmbreeTracer};
 use unbake::scene::{LoadOptions, Scene, Split, View, find_rooms};
-use unbake::trace::{BruteForce, EmbreeTracer};
 
 fn quad(mesh: &mut Mesh, a: Vec3, u: Vec3, v: Vec3) {
     let first = mesh.positions.len() as u32;

@@ -8,16 +8,16 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use tempfile::TempDir;
 use unbake::Error;
-use unbake::formats;
-use unbake::image::Plane;
+use unbake::core::formats;
+use unbake::core::image::Plane;
+use unbake::core::progress::Progress;
 use unbake::irradiance::Estimator;
 use unbake::pipeline::{
     Checkpoints, SolveOptions, Solved, observe, reconstruct, reconstruct_light,
 };
-use unbake::progress::Progress;
+use unbake::programs::synth::{SynthOptions, generate};
 use unbake::scene::{LoadOptions, Scene, Split};
 use unbake::solution::{SaveOptions, Solution};
-use unbake::synth::{SynthOptions, generate};
 
 const SIDE: usize = 256;
 

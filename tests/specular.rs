@@ -5,10 +5,10 @@ mod common;
 
 use common::lit::{Lit, Quad, box_quads, quad};
 use glam::Vec3;
-use unbake::brdf::specular_d_roughness;
+use unbake::core::brdf::specular_d_roughness;
 use unbake::highlight::{LEVELS, LOBES};
 use unbake::radiance::Environment;
-use unbake::specular::{Gaze, Levels, Reflector};
+use unbake::specular::{Levels, Reflector, ShadingPoint};
 
 const ROUGHNESS: [f32; 5] = [0.05, 0.2, 0.5, 0.8, 1.0];
 
@@ -23,12 +23,12 @@ fn scene() -> Lit {
 }
 
 /// A look at the floor whose mirror direction meets the lamp at `target`, once per key.
-fn gazes(target: Vec3, count: u64) -> Vec<Gaze> {
+fn gazes(target: Vec3, count: u64) -> Vec<ShadingPoint> {
     let position = Vec3::new(1.0, 0.0, 3.9);
     let l = (target - position).normalize();
     let view = Vec3::new(-l.x, l.y, -l.z);
     (0..count)
-        .map(|key| Gaze {
+        .map(|key| ShadingPoint {
             position,
             normal: Vec3::Y,
             face_normal: Vec3::Y,
@@ -40,7 +40,7 @@ fn gazes(target: Vec3, count: u64) -> Vec<Gaze> {
 }
 
 /// ∫ L f_s (n·l) dω over the lamp and its derivative in R, in f64.
-fn quadrature(g: &Gaze, roughness: f32, steps: usize) -> (f64, f64) {
+fn quadrature(g: &ShadingPoint, roughness: f32, steps: usize) -> (f64, f64) {
     let q = lamp();
     let (n, v, p) = (
         g.normal.as_dvec3(),
@@ -104,7 +104,7 @@ fn converged_reflection_is_the_quadrature_of_the_model() {
         lit: &bake.lit,
         rays_per_lobe: 64,
         emitter_samples: 64,
-        model: unbake::brdf::Reflectance::Paper,
+        model: unbake::core::brdf::Reflectance::Paper,
         seed: 3,
     };
     for target in TARGETS {
@@ -136,7 +136,7 @@ fn one_set_of_rays_serves_every_level() {
         lit: &bake.lit,
         rays_per_lobe: 32,
         emitter_samples: 64,
-        model: unbake::brdf::Reflectance::Paper,
+        model: unbake::core::brdf::Reflectance::Paper,
         seed: 9,
     };
     for target in TARGETS {
@@ -147,7 +147,7 @@ fn one_set_of_rays_serves_every_level() {
             Levels::Shared {
                 lobes: &LOBES,
                 evaluate: &LEVELS,
-                models: &[unbake::brdf::Reflectance::Paper],
+                models: &[unbake::core::brdf::Reflectance::Paper],
             },
             &mut table,
         );
@@ -178,7 +178,7 @@ fn one_set_of_rays_serves_every_level() {
 fn the_diffuse_factor_is_that_of_the_light_that_arrives() {
     let lit = scene();
     let bake = lit.bake();
-    let model = unbake::brdf::Reflectance::Burley;
+    let model = unbake::core::brdf::Reflectance::Burley;
     let reflector = Reflector {
         lit: &bake.lit,
         rays_per_lobe: 16,
@@ -189,7 +189,7 @@ fn the_diffuse_factor_is_that_of_the_light_that_arrives() {
     let (q, p) = (lamp(), Vec3::new(0.2, 0.0, 4.8));
     let mut factors = Vec::new();
     for view in [Vec3::new(0.9, 0.25, -0.9), Vec3::new(-0.9, 0.25, 0.9)].map(Vec3::normalize) {
-        let gaze = |key| Gaze {
+        let gaze = |key| ShadingPoint {
             position: p,
             normal: Vec3::Y,
             face_normal: Vec3::Y,
@@ -197,7 +197,7 @@ fn the_diffuse_factor_is_that_of_the_light_that_arrives() {
             key,
             turn: 0,
         };
-        let all: Vec<Gaze> = (0..200).map(gaze).collect();
+        let all: Vec<ShadingPoint> = (0..200).map(gaze).collect();
         let mut specular = vec![Vec3::ZERO; all.len()];
         let mut diffuse = vec![[0.0; 3]; all.len()];
         reflector.reflect_and_spread(
@@ -245,7 +245,7 @@ fn differences_of_the_table_are_the_kernels_derivative() {
         lit: &bake.lit,
         rays_per_lobe: 64,
         emitter_samples: 128,
-        model: unbake::brdf::Reflectance::Paper,
+        model: unbake::core::brdf::Reflectance::Paper,
         seed: 4,
     };
     for target in TARGETS {
@@ -259,7 +259,7 @@ fn differences_of_the_table_are_the_kernels_derivative() {
                 Levels::Shared {
                     lobes: &LOBES,
                     evaluate: &levels,
-                    models: &[unbake::brdf::Reflectance::Paper],
+                    models: &[unbake::core::brdf::Reflectance::Paper],
                 },
                 &mut table,
             );
@@ -287,7 +287,7 @@ fn extremes_of_roughness_and_view_stay_finite() {
         lit: &bake.lit,
         rays_per_lobe: 8,
         emitter_samples: 8,
-        model: unbake::brdf::Reflectance::Paper,
+        model: unbake::core::brdf::Reflectance::Paper,
         seed: 1,
     };
     let mut all = gazes(TARGETS[0], 6);
@@ -308,7 +308,7 @@ fn extremes_of_roughness_and_view_stay_finite() {
             Levels::Shared {
                 lobes: &[r, 1.0],
                 evaluate: &[r, 0.5],
-                models: &[unbake::brdf::Reflectance::Paper],
+                models: &[unbake::core::brdf::Reflectance::Paper],
             },
             &mut table,
         );

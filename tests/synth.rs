@@ -2,9 +2,10 @@
 //! and careful with what exists.
 
 use std::path::Path;
-use unbake::progress::Progress;
-use unbake::synth::{SynthOptions, SynthSummary, generate};
-use unbake::{Error, formats};
+use unbake::Error;
+use unbake::core::formats;
+use unbake::core::progress::Progress;
+use unbake::programs::synth::{SynthOptions, SynthSummary, generate};
 
 fn tiny() -> SynthOptions {
     SynthOptions {

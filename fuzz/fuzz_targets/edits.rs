@@ -6,6 +6,6 @@ use unbake_fuzz::with_file;
 
 fuzz_target!(|bytes: &[u8]| {
     with_file(bytes, "toml", |path| {
-        let _ = unbake::edit::EditList::read(path);
+        let _ = unbake::programs::edit::EditList::read(path);
     });
 });

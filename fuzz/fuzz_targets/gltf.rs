@@ -4,5 +4,5 @@
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
-    let _ = unbake::formats::gltf::mesh_from_gltf(bytes, std::path::Path::new("fuzz.glb"));
+    let _ = unbake::core::formats::gltf::mesh_from_gltf(bytes, std::path::Path::new("fuzz.glb"));
 });

@@ -6,7 +6,7 @@ use unbake_fuzz::with_file;
 
 fuzz_target!(|bytes: &[u8]| {
     with_file(bytes, "hdr", |path| {
-        let _ = unbake::formats::image_info(path);
-        let _ = unbake::formats::read_rgb(path);
+        let _ = unbake::core::formats::image_info(path);
+        let _ = unbake::core::formats::read_rgb(path);
     });
 });

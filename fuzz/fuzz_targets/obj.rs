@@ -4,5 +4,5 @@
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
-    let _ = unbake::formats::obj::mesh_from_obj(bytes, std::path::Path::new("fuzz.obj"));
+    let _ = unbake::core::formats::obj::mesh_from_obj(bytes, std::path::Path::new("fuzz.obj"));
 });

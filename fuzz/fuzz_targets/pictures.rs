@@ -6,6 +6,6 @@ use unbake_fuzz::with_file;
 
 fuzz_target!(|bytes: &[u8]| {
     with_file(bytes, "png", |path| {
-        let _ = unbake::formats::read_ldr(path);
+        let _ = unbake::core::formats::read_ldr(path);
     });
 });

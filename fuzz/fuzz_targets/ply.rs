@@ -4,5 +4,5 @@
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
-    let _ = unbake::formats::ply::mesh_from_ply(bytes, std::path::Path::new("fuzz.ply"));
+    let _ = unbake::core::formats::ply::mesh_from_ply(bytes, std::path::Path::new("fuzz.ply"));
 });

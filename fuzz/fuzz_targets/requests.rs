@@ -4,5 +4,5 @@
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
-    let _ = unbake::view::parse_request(bytes, &["localhost".to_owned()]);
+    let _ = unbake::programs::view::parse_request(bytes, &["localhost".to_owned()]);
 });

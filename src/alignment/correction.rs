@@ -1,7 +1,7 @@
 //! Corrections of poses: what a hypothesis of misalignment does to every camera, relative to the
 //! mesh.
 
-use crate::geometry::{Camera, Projection};
+use crate::core::geometry::{Camera, Projection};
 use crate::scene::Mirror;
 use glam::{DMat3, DQuat, DVec3, Mat3};
 use serde::{Deserialize, Serialize};

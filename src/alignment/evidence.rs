@@ -1,9 +1,9 @@
 //! What the photographs bring to the test of alignment: small log images, their contrasts across
 //! pairs of neighbouring pixels, and class ids. Made once; every hypothesis is scored against it.
 
-use crate::geometry::{Camera, Projection};
-use crate::image::{Plane, RgbPlane, Wrap};
-use crate::math::luminance;
+use crate::core::geometry::{Camera, Projection};
+use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::math::luminance;
 use crate::scene::{Scene, View};
 use crate::{Error, Result};
 use glam::{Vec2, Vec4};

@@ -2,7 +2,7 @@
 //! pixels, nerfstudio's transform; and one-parameter families that are searched.
 
 use super::correction::Correction;
-use crate::geometry::Projection;
+use crate::core::geometry::Projection;
 use crate::scene::transforms::y_up_from_z_up;
 use crate::scene::{Mirror, Scene};
 use glam::{DMat3, DVec3};

@@ -6,9 +6,9 @@ use super::refine::{RefinedPose, refine};
 use super::score::Ground;
 use super::verdict::{Alignment, Verdict, assess};
 use crate::Result;
+use crate::core::switch::Switch;
+use crate::core::trace::EmbreeTracer;
 use crate::scene::Scene;
-use crate::switch::Switch;
-use crate::trace::EmbreeTracer;
 
 /// What is done about photographs and mesh that do not fit.
 #[derive(clap::Args, Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

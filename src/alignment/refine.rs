@@ -10,9 +10,9 @@
 
 use super::evidence::ViewEvidence;
 use super::score::{Ground, Lookup, lookups};
-use crate::geometry::{Camera, Projection};
-use crate::image::Wrap;
-use crate::optim::median;
+use crate::core::geometry::{Camera, Projection};
+use crate::core::image::Wrap;
+use crate::core::stats::median;
 use glam::{DQuat, DVec3, Mat3, Quat, Vec2, Vec3, Vec4};
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;

@@ -14,12 +14,12 @@
 //! Every part is multiplied by the share of the view's samples that meet the mesh.
 
 use super::evidence::ViewEvidence;
-use crate::geometry::{Camera, Mesh, Projection};
-use crate::image::Wrap;
-use crate::optim::median;
-use crate::sampling::KeyedRng;
+use crate::core::geometry::{Camera, Mesh, Projection};
+use crate::core::image::Wrap;
+use crate::core::sampling::KeyedRng;
+use crate::core::stats::median;
+use crate::core::trace::{Hit, Ray, Tracer};
 use crate::scene::Mirror;
-use crate::trace::{Hit, Ray, Tracer};
 use glam::{Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 use serde::Serialize;

@@ -5,9 +5,9 @@ use super::correction::Correction;
 use super::evidence::ViewEvidence;
 use super::hypotheses::{self as usual, Hypothesis};
 use super::score::{Ground, PARTS, ViewScore, score_views};
-use crate::geometry::{Camera, Projection};
+use crate::core::geometry::{Camera, Projection};
+use crate::core::trace::{Hit, Ray};
 use crate::scene::Scene;
-use crate::trace::{Hit, Ray};
 use glam::{DVec3, Vec2};
 
 /// Rays per view of the geometric filter.

@@ -7,10 +7,10 @@ use super::evidence::{EvidenceSize, ViewEvidence};
 use super::refine::refine;
 use super::score::Ground;
 use super::verdict::{Alignment, Verdict, assess_views};
-use crate::geometry::{Camera, Lens, Mesh, Projection};
-use crate::image::{Plane, RgbPlane};
+use crate::core::geometry::{Camera, Lens, Mesh, Projection};
+use crate::core::image::{Plane, RgbPlane};
+use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
 use crate::scene::{Mirror, Scene};
-use crate::trace::{EmbreeTracer, Hit, Ray, Tracer};
 use glam::{DMat3, DVec3, Mat3, Vec2, Vec3};
 use std::path::PathBuf;
 

@@ -13,8 +13,8 @@ use super::refine::RefinedPose;
 use super::score::{Ground, ViewScore};
 use super::search::{Candidate, Judge};
 use crate::Result;
+use crate::core::trace::Tracer;
 use crate::scene::Scene;
-use crate::trace::Tracer;
 use serde::{Deserialize, Serialize};
 
 /// Views that take part, evenly spread over the training views.

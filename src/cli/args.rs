@@ -1,16 +1,16 @@
 //! What can be typed.
 
 use super::config::Config;
-use super::frames::Places;
+use super::frames::FrameSource;
 use super::verb_args::ExportVerb;
 use crate::alignment::AlignmentOptions;
-use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveRequest;
-use crate::prepare::PrepareOptions;
+use crate::programs::evaluate::EvalOptions;
+use crate::programs::prepare::PrepareOptions;
+use crate::programs::synth::SynthOptions;
+use crate::programs::view::ViewOptions;
 use crate::render::{RelightOptions, RenderOptions};
 use crate::scene::LoadOptions;
-use crate::synth::SynthOptions;
-use crate::view::ViewOptions;
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
@@ -162,7 +162,7 @@ pub enum Verb {
         out: Option<PathBuf>,
         /// Cameras and destination.
         #[command(flatten)]
-        places: Places,
+        places: FrameSource,
         /// The renderer's options.
         #[command(flatten)]
         options: RenderOptions,
@@ -196,7 +196,7 @@ pub enum Verb {
         out: Option<PathBuf>,
         /// Cameras and destination.
         #[command(flatten)]
-        places: Places,
+        places: FrameSource,
         /// What to write.
         #[command(flatten)]
         options: ExportVerb,
@@ -212,7 +212,7 @@ pub enum Verb {
         out: Option<PathBuf>,
         /// Cameras and destination.
         #[command(flatten)]
-        places: Places,
+        places: FrameSource,
         /// Changes of the light: a TOML file with `[[lamp]]`, `[[add]]` and `[environment]`.
         #[arg(long, value_name = "FILE")]
         lights: Option<PathBuf>,

@@ -7,13 +7,13 @@
 use super::verb_args::ExportVerb;
 use crate::alignment::AlignmentOptions;
 use crate::error::{Error, Result};
-use crate::evaluate::EvalOptions;
 use crate::pipeline::SolveRequest;
-use crate::prepare::PrepareOptions;
+use crate::programs::evaluate::EvalOptions;
+use crate::programs::prepare::PrepareOptions;
+use crate::programs::synth::SynthOptions;
+use crate::programs::view::ViewOptions;
 use crate::render::{RelightOptions, RenderOptions};
 use crate::scene::LoadOptions;
-use crate::synth::SynthOptions;
-use crate::view::ViewOptions;
 use clap::ArgMatches;
 use clap::parser::ValueSource;
 use serde::{Deserialize, Serialize};

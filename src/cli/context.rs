@@ -1,9 +1,9 @@
 //! What every verb works with: configuration, progress, the record of the run, and where results go.
 
 use super::config::Config;
+use crate::core::progress::Progress;
 use crate::error::{Error, Result, printable_lines};
-use crate::progress::Progress;
-use crate::report::Recorder;
+use crate::programs::report::Recorder;
 use std::io::Write;
 use std::sync::Arc;
 

@@ -4,17 +4,17 @@ use super::context::Context;
 use super::guard::{files_of_cameras, keep_inputs};
 use super::inputs::read_scene;
 use crate::Result;
-use crate::export::FrameWriter;
-use crate::geometry::Camera;
+use crate::core::geometry::Camera;
+use crate::core::trace::EmbreeTracer;
+use crate::programs::export::FrameWriter;
 use crate::render::{FrameOptions, NamedCamera, cameras_of_scene, read_cameras, viewpoints};
 use crate::solution::{OutputLock, Solution};
-use crate::trace::EmbreeTracer;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
 /// Where cameras come from and where frames go.
 #[derive(clap::Args, Clone, Debug, Default)]
-pub struct Places {
+pub struct FrameSource {
     /// Cameras to render from: a JSON file like a scene's transforms.json.
     #[arg(long, value_name = "FILE")]
     pub cameras: Option<PathBuf>,
@@ -26,7 +26,7 @@ pub struct Places {
     pub to: Option<PathBuf>,
 }
 
-impl Places {
+impl FrameSource {
     /// The cameras to render from.
     pub(super) fn frames(
         &self,

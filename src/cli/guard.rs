@@ -42,7 +42,7 @@ pub fn keep_inputs(out: &Path, scene: &Path, inputs: &[PathBuf]) -> Result<()> {
 /// is somebody else's error.
 #[must_use]
 pub fn files_of_cameras(list: &Path) -> Vec<PathBuf> {
-    let text = crate::formats::read_input_text(list).unwrap_or_default();
+    let text = crate::core::formats::read_input_text(list).unwrap_or_default();
     let json: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
     let folder = list.parent().unwrap_or(Path::new("."));
     let frames = json.get("frames").and_then(|f| f.as_array());

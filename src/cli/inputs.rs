@@ -2,9 +2,9 @@
 
 use super::context::Context;
 use crate::Result;
-use crate::edit::load_edited;
-use crate::progress::Progress;
-use crate::report::RunRecord;
+use crate::core::progress::Progress;
+use crate::programs::edit::load_edited;
+use crate::programs::report::RunRecord;
 use crate::scene::Scene;
 use crate::solution::Solution;
 use std::path::Path;

@@ -20,13 +20,13 @@ pub use args::{Cli, Global, Verb};
 pub use config::Config;
 pub use context::Context;
 use context::print;
-pub use frames::Places;
+pub use frames::FrameSource;
 pub use progress::{Bars, LogLines, Tee};
 pub use verb_args::BenchVerb;
 
+use crate::core::progress::{Observer, Progress};
 use crate::error::{Error, Result, printable_lines};
-use crate::progress::{Observer, Progress};
-use crate::report::Recorder;
+use crate::programs::report::Recorder;
 use clap::{CommandFactory, FromArgMatches};
 use std::ffi::OsString;
 use std::io::{IsTerminal, Write};
@@ -92,7 +92,7 @@ fn dispatch(cli: &Cli, matches: &clap::ArgMatches, command: Vec<String>) -> Resu
         ));
     };
     start_threads(config.threads)?;
-    let recorder = Arc::new(Recorder::new(crate::trace::rays_traced));
+    let recorder = Arc::new(Recorder::new(crate::core::trace::rays_traced));
     let mut observers: Vec<Arc<dyn Observer>> = vec![recorder.clone()];
     if !config.quiet {
         observers.push(if std::io::stderr().is_terminal() {
@@ -130,8 +130,8 @@ fn version() -> String {
     format!(
         "unbake {}\nEmbree {}\nOpenImageIO {}\n",
         env!("CARGO_PKG_VERSION"),
-        crate::trace::embree_version(),
-        crate::formats::version()
+        crate::core::trace::embree_version(),
+        crate::core::formats::version()
     )
 }
 

@@ -1,7 +1,7 @@
 //! Drawing progress: bars on a terminal, log lines in a pipe.
 
+use crate::core::progress::{Decision, Observer};
 use crate::error::printable;
-use crate::progress::{Decision, Observer};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::Write;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -2,7 +2,7 @@
 
 use super::context::Context;
 use crate::error::{Error, Result};
-use crate::report::{InputFile, RunRecord, SceneSummary, Versions};
+use crate::programs::report::{InputFile, RunRecord, SceneSummary, Versions};
 use crate::scene::Scene;
 use serde_json::json;
 

@@ -1,9 +1,9 @@
 //! Arguments of the verbs that have many: export and bench.
 
-use crate::bench::{
+use crate::programs::bench::{
     AlignmentBench, IrtBench, KernelBench, RobustnessBench, TradeoffBench, TsdrBench,
 };
-use crate::export::ExportOptions;
+use crate::programs::export::ExportOptions;
 use crate::render::FrameOptions;
 use clap::{Args, Subcommand};
 use serde::{Deserialize, Serialize};

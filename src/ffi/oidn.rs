@@ -313,7 +313,7 @@ mod tests {
             "{}",
             denoiser.version()
         );
-        let mut rng = crate::sampling::KeyedRng::new(1, 2);
+        let mut rng = crate::core::sampling::KeyedRng::new(1, 2);
         let noisy: Vec<Vec3> = (0..SIDE * SIDE)
             .map(|_| Vec3::new(2.0, 1.0, 0.5) * (0.5 + rng.below(1001) as f32 * 1e-3))
             .collect();

@@ -65,7 +65,7 @@ pub fn prefetch<T>(slice: &[T], index: usize) {
 /// `as`, it takes one instruction.
 #[inline(always)]
 #[must_use]
-pub fn whole_within(x: f32, last: f32) -> u32 {
+pub fn floor_to_index(x: f32, last: f32) -> u32 {
     let x = x.max(0.0).min(last.min(2_147_483_520.0));
     // SAFETY: `max` and `min` give a number from 0 to the largest float below 2³¹, whatever `x` is;
     // if `last` is not a number `min` ignores it.
@@ -102,11 +102,11 @@ pub fn transpose4(rows: [[f32; 4]; 4]) -> [[f32; 4]; 4] {
 
 #[cfg(test)]
 mod tests {
-    use super::{transpose4, whole_within};
+    use super::{floor_to_index, transpose4};
 
     #[test]
     fn whole_parts_stay_within_their_range() {
-        let of = |x| whole_within(x, 7.0);
+        let of = |x| floor_to_index(x, 7.0);
         assert_eq!(
             [-1.0, 0.0, 0.99, 3.0, 6.999, 7.5, 1e30].map(of),
             [0, 0, 0, 3, 6, 7, 7]
@@ -115,7 +115,7 @@ mod tests {
             [f32::NAN, f32::NEG_INFINITY, f32::INFINITY].map(of),
             [0, 0, 7]
         );
-        assert_eq!(whole_within(f32::INFINITY, f32::INFINITY), 2_147_483_520);
+        assert_eq!(floor_to_index(f32::INFINITY, f32::INFINITY), 2_147_483_520);
     }
 
     #[test]

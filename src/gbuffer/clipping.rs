@@ -5,7 +5,7 @@
 //! with only some channels at the ceiling. In an 8-bit file the ceiling is known: it is that of the
 //! encoding.
 
-use crate::image::{Plane, RgbPlane};
+use crate::core::image::{Plane, RgbPlane};
 
 /// A value this close below the maximum is at the ceiling: one step of half precision.
 const STEP: f32 = 1.0 / 2048.0;

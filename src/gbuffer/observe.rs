@@ -5,8 +5,8 @@
 //! own first hits.
 
 use super::ViewBuffer;
-use crate::geometry::{Camera, Mesh};
-use crate::image::{Plane, RgbPlane, bilinear_taps};
+use crate::core::geometry::{Camera, Mesh};
+use crate::core::image::{Plane, RgbPlane, bilinear_taps};
 use glam::Vec3;
 
 /// A photograph with what its pixels see.

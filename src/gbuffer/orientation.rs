@@ -16,10 +16,10 @@
 //! views.
 
 use super::ViewBuffer;
-use crate::geometry::{Mesh, Shells};
-use crate::math::Frame;
-use crate::sampling::{KeyedRng, square_to_cosine_hemisphere};
-use crate::trace::{Hit, Ray, Tracer};
+use crate::core::geometry::{Mesh, Shells};
+use crate::core::math::Frame;
+use crate::core::sampling::{KeyedRng, square_to_cosine_hemisphere};
+use crate::core::trace::{Hit, Ray, Tracer};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -268,7 +268,7 @@ fn walk(shells: &Shells, shell: &[u32], evidence: &[[f64; 2]]) -> Vec<f64> {
     let links: Vec<Vec<(usize, f64)>> = shell
         .iter()
         .map(|&t| {
-            let relative = |n: &crate::geometry::Neighbour| {
+            let relative = |n: &crate::core::geometry::Neighbour| {
                 // −1 only where no winding agrees all around
                 let consistent = shells.parity(t) * shells.parity(n.triangle);
                 let alike = if n.alike { 1.0 } else { -1.0 };
@@ -342,8 +342,8 @@ impl Probe<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Camera, Projection};
-    use crate::trace::BruteForce;
+    use crate::core::geometry::{Camera, Projection};
+    use crate::core::trace::BruteForce;
     use glam::Mat3;
 
     /// Quads of the box [0, size] with normals inwards, each cut into n × n squares of two

@@ -1,8 +1,8 @@
 //! First hits of one view's pixel centres, traced once.
 
-use crate::geometry::{Camera, Mesh, Projection};
-use crate::image::{Plane, Wrap};
-use crate::trace::{Hit, Ray, Tracer};
+use crate::core::geometry::{Camera, Mesh, Projection};
+use crate::core::image::{Plane, Wrap};
+use crate::core::trace::{Hit, Ray, Tracer};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 

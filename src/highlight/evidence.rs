@@ -6,17 +6,17 @@
 //! specular part.
 
 use super::{Candidate, LOBES};
-use crate::brdf::Reflectance;
+use crate::core::brdf::Reflectance;
+use crate::core::image::bilinear_taps;
+use crate::core::math::luminance;
+use crate::core::parallel;
+use crate::core::progress::Progress;
+use crate::core::sampling::{SobolSequence, hash_u64};
+use crate::core::trace::{Hit, Ray};
 use crate::gbuffer::{Observation, Observer, ViewBuffer};
-use crate::image::bilinear_taps;
 use crate::lights::LitScene;
-use crate::math::luminance;
 use crate::observed::Surface;
-use crate::parallel;
-use crate::progress::Progress;
-use crate::sampling::{SobolSequence, hash_u64};
-use crate::specular::{Gaze, Levels, Reflector};
-use crate::trace::{Hit, Ray};
+use crate::specular::{Levels, Reflector, ShadingPoint};
 use glam::{Vec2, Vec3};
 use std::ops::Range;
 
@@ -37,7 +37,7 @@ pub struct EvidencePoint {
 
 /// One view's look at an evidence point.
 #[derive(Clone, Copy, Debug)]
-pub struct Sight {
+pub struct ViewSample {
     /// View index.
     pub view: u32,
     /// Observed radiance.
@@ -56,7 +56,7 @@ pub struct Evidence {
     /// Points.
     pub points: Vec<EvidencePoint>,
     /// Sights of all points, point by point.
-    pub sights: Vec<Sight>,
+    pub sights: Vec<ViewSample>,
     /// `sights.len() × MODELS.len() × levels.len()` specular radiances: means of two independent
     /// estimates.
     pub specular: Vec<Vec3>,
@@ -228,14 +228,14 @@ impl Observed {
         for o in seen.iter() {
             let buffer = &observer.views[o.view as usize].buffer;
             let view = (buffer.camera.position - c.position).normalize_or(normal);
-            self.evidence.sights.push(Sight {
+            self.evidence.sights.push(ViewSample {
                 view: o.view,
                 radiance: o.radiance,
                 n_v: normal.dot(view),
                 weight: (o.n_v / o.footprint).sqrt(),
             });
             let key = hash_u64(hash_u64(u64::from(o.view), u64::from(c.triangle)), i as u64);
-            let centre = Gaze {
+            let centre = ShadingPoint {
                 position: c.position,
                 normal,
                 face_normal,
@@ -271,12 +271,12 @@ impl Observed {
 struct Footprints {
     rays: Vec<Ray>,
     /// Per sight the gaze at its point, and how far from it the footprint may reach.
-    centres: Vec<(Gaze, f32)>,
+    centres: Vec<(ShadingPoint, f32)>,
 }
 
 impl Footprints {
     /// Adds the sight `seen` in the view of `buffer`.
-    fn push(&mut self, buffer: &ViewBuffer, seen: &Observation, centre: Gaze) {
+    fn push(&mut self, buffer: &ViewBuffer, seen: &Observation, centre: ShadingPoint) {
         let camera = &buffer.camera;
         let taps = bilinear_taps(camera.width, camera.height, seen.pixel, buffer.wrap());
         let total: f32 = taps.iter().map(|t| t.1).sum();
@@ -301,7 +301,7 @@ impl Footprints {
     }
 
     /// [`FOOTPRINT`] gazes per sight; where another surface is met, the one at its point.
-    fn gazes(&self, lit: &LitScene, surface: &Surface) -> Vec<Gaze> {
+    fn gazes(&self, lit: &LitScene, surface: &Surface) -> Vec<ShadingPoint> {
         let mut hits = vec![Hit::miss(); self.rays.len()];
         lit.tracer.closest(&self.rays, &mut hits);
         let gaze = |(k, (ray, hit)): (usize, (&Ray, &Hit))| {
@@ -311,7 +311,7 @@ impl Footprints {
             let direction = Vec3::from_array(ray.direction);
             let position = Vec3::from_array(ray.origin) + direction * hit.t;
             if !hit.is_hit() || position.distance(centre.position) > reach {
-                return Gaze {
+                return ShadingPoint {
                     key,
                     turn,
                     ..centre
@@ -320,13 +320,13 @@ impl Footprints {
             let (normal, face_normal) = surface.normals_at(hit.triangle, position);
             let turned = normal.dot(direction) >= 0.0 || face_normal.dot(direction) >= 0.0;
             if turned {
-                Gaze {
+                ShadingPoint {
                     key,
                     turn,
                     ..centre
                 }
             } else {
-                Gaze {
+                ShadingPoint {
                     position,
                     normal,
                     face_normal,

@@ -5,12 +5,12 @@
 //! ones are kept beside evenly spread ones: highlights fix the roughness, ordinary points keep the
 //! answer honest.
 
-use crate::brdf::fresnel;
+use crate::core::brdf::fresnel;
+use crate::core::math::luminance;
+use crate::core::sampling::hash_u64;
+use crate::core::trace::{Hit, Ray};
 use crate::lights::LitScene;
-use crate::math::luminance;
 use crate::observed::{ClassMap, Surface};
-use crate::sampling::hash_u64;
-use crate::trace::{Hit, Ray};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};

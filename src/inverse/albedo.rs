@@ -2,13 +2,13 @@
 //! views of the observed radiance less the specular part.
 
 use super::TexelReflectance;
+use crate::core::image::RgbPlane;
+use crate::core::math::luminance;
+use crate::core::parallel;
+use crate::core::progress::Progress;
+use crate::core::stats::weighted_median;
+use crate::core::texture::Texels;
 use crate::gbuffer::{Observation, Observer, Orientation};
-use crate::image::RgbPlane;
-use crate::math::luminance;
-use crate::optim::weighted_median;
-use crate::parallel;
-use crate::progress::Progress;
-use crate::texture::Texels;
 use glam::Vec3;
 use std::f32::consts::PI;
 

@@ -10,10 +10,10 @@
 //! that is none of the colours keeps its value, and so does every class with texture.
 
 use super::AlbedoEstimate;
-use crate::geometry::Mesh;
-use crate::math::luminance;
-use crate::optim::{median, passing_weight};
-use crate::texture::Texels;
+use crate::core::geometry::Mesh;
+use crate::core::math::luminance;
+use crate::core::stats::{median, passing_weight};
+use crate::core::texture::Texels;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -62,7 +62,7 @@ const BLACK: f32 = 2e-3;
 
 /// The paint of one class.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Paint {
+pub struct ClassPalette {
     /// Class.
     pub class: u16,
     /// Albedo and share of each colour.
@@ -74,20 +74,20 @@ pub struct Paint {
     pub surely: f32,
 }
 
-impl Paint {
+impl ClassPalette {
     fn logs(&self) -> Vec<Vec3> {
         self.colours.iter().map(|c| c.0.ln()).collect()
     }
 }
 
 /// A class's paint and the ln albedo of its colours.
-type Palette<'a> = BTreeMap<u16, (&'a Paint, Vec<Vec3>)>;
+type Palette<'a> = BTreeMap<u16, (&'a ClassPalette, Vec<Vec3>)>;
 
 /// Room and place of a cube of space.
 type Cube = (u16, [i32; 3]);
 
 /// What is known of every covered texel before its class is asked.
-pub struct Painting<'a> {
+pub struct PaletteFit<'a> {
     /// Albedo as observed.
     pub albedo: &'a AlbedoEstimate,
     /// Standard error of its luminance; infinite where unobserved.
@@ -102,10 +102,10 @@ pub struct Painting<'a> {
     pub rooms: &'a [u16],
 }
 
-impl Painting<'_> {
+impl PaletteFit<'_> {
     /// The classes that are painted and their colours; with `any`, whatever their texture.
     #[must_use]
-    pub fn paints(&self, any: bool) -> Vec<Paint> {
+    pub fn paints(&self, any: bool) -> Vec<ClassPalette> {
         let mut clean: BTreeMap<u16, Vec<usize>> = BTreeMap::new();
         (0..self.texels.len())
             .filter(|&i| self.is_clean(i))
@@ -127,7 +127,7 @@ impl Painting<'_> {
                     .map(|&i| self.look(i, texture))
                     .collect();
                 let (colours, explained) = colours(&looks)?;
-                Some(Paint {
+                Some(ClassPalette {
                     class,
                     colours,
                     texture,
@@ -139,7 +139,7 @@ impl Painting<'_> {
 
     /// The posterior mean of every texel's albedo and its standard error.
     #[must_use]
-    pub fn settle(&self, paints: &[Paint]) -> Vec<(Vec3, f32)> {
+    pub fn settle(&self, paints: &[ClassPalette]) -> Vec<(Vec3, f32)> {
         let palette: Palette = paints.iter().map(|p| (p.class, (p, p.logs()))).collect();
         let near = self.neighbours(&palette);
         let by_room = self.shares_by_room(&palette);
@@ -511,7 +511,7 @@ impl Posterior {
 /// is where it lies, `mislabelled` the density of looks like it on other classes there.
 fn posterior(
     look: &Look,
-    (paint, logs): (&Paint, &[Vec3]),
+    (paint, logs): (&ClassPalette, &[Vec3]),
     share: impl Fn(usize) -> f32,
     mislabelled: f32,
 ) -> Option<Posterior> {
@@ -601,7 +601,7 @@ mod tests {
             }
         }
 
-        fn painting(&self) -> Painting<'_> {
+        fn painting(&self) -> PaletteFit<'_> {
             let Self {
                 mesh,
                 texels,
@@ -610,7 +610,7 @@ mod tests {
                 labels,
                 rooms,
             } = self;
-            Painting {
+            PaletteFit {
                 albedo,
                 error,
                 texels,

@@ -1,10 +1,10 @@
 //! What a texel's albedo should be expected to be before it is looked at: that of its class nearby.
 
 use super::AlbedoEstimate;
-use crate::geometry::Mesh;
-use crate::math::luminance;
-use crate::optim::{median, weighted_median};
-use crate::texture::Texels;
+use crate::core::geometry::Mesh;
+use crate::core::math::luminance;
+use crate::core::stats::{median, weighted_median};
+use crate::core::texture::Texels;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;

@@ -15,8 +15,8 @@
 //!
 //! Called by the pipeline's stage `clipped_light`.
 
-use crate::math::luminance;
-use crate::optim::median;
+use crate::core::math::luminance;
+use crate::core::stats::median;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -369,7 +369,7 @@ impl Problem<'_> {
         for (m, t) in mean.iter_mut().zip(&total) {
             m.iter_mut().for_each(|v| *v /= t.max(1e-12));
         }
-        let parts = crate::parallel::map_chunks(self.rows.len(), 4096, |range| {
+        let parts = crate::core::parallel::map_chunks(self.rows.len(), 4096, |range| {
             let mut part = (vec![0.0f64; k * k], vec![0.0f64; k]);
             let mut j = vec![0.0f64; k];
             for i in range {
@@ -547,7 +547,7 @@ fn weighted_middle(values: &mut [(f32, f32)]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sampling::KeyedRng;
+    use crate::core::sampling::KeyedRng;
 
     const LAMPS: [Vec3; 2] = [Vec3::new(30.0, 24.0, 15.0), Vec3::new(6.0, 7.0, 9.0)];
 

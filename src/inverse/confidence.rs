@@ -15,10 +15,10 @@
 //!   light and shading amount to.
 
 use super::AlbedoEstimate;
-use crate::image::Plane;
-use crate::math::luminance;
-use crate::optim::median;
-use crate::texture::Texels;
+use crate::core::image::Plane;
+use crate::core::math::luminance;
+use crate::core::stats::median;
+use crate::core::texture::Texels;
 use std::collections::BTreeMap;
 
 /// Relative uncertainty of the specular part.
@@ -63,7 +63,7 @@ pub fn albedo_error(
         .collect();
     let plane = texels.scatter(&known, f32::NAN);
     let scatter = estimate.scatter(labels, &sources.reflects);
-    crate::parallel::map_chunks(estimate.value.len(), 4096, |range| {
+    crate::core::parallel::map_chunks(estimate.value.len(), 4096, |range| {
         range
             .map(|i| {
                 if !estimate.known(i) {
@@ -199,7 +199,7 @@ fn contrast(plane: &Plane<f32>, cell: usize, footprint: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Mesh;
+    use crate::core::geometry::Mesh;
     use glam::{Vec2, Vec3};
 
     fn square() -> Texels {

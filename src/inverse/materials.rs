@@ -15,10 +15,10 @@
 use super::roughness::{GroupFit, fit, held_out};
 use super::spatial_roughness::{self, Field};
 use super::view_residual::{Disagreement, diffuse_radiance, points_by_class};
-use crate::brdf::Reflectance;
+use crate::core::brdf::Reflectance;
+use crate::core::math::luminance;
+use crate::core::stats::{least_passing, passing_weight};
 use crate::highlight::Evidence;
-use crate::math::luminance;
-use crate::optim::{least_passing, passing_weight};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -31,7 +31,7 @@ const FEWEST: usize = 40;
 const APART: f32 = 3.0;
 /// Share of the held-out views' disagreement that a division must explain: tiles and grout explain
 /// 9 %, surfaces of one roughness whose colour merely follows their place up to 4 %.
-pub const DIVISION_GAIN: f64 = 0.05;
+pub const SPLIT_GAIN: f64 = 0.05;
 /// The same for roughness that follows the place: on surfaces of one roughness it explains up to 8
 /// %.
 const PLACE_GAIN: f64 = 0.15;
@@ -55,13 +55,13 @@ pub struct Materials {
 struct Class {
     whole: GroupFit,
     /// Divisions with what each counts for; what is left of 1 is the whole's.
-    divisions: Vec<(f32, Division)>,
+    divisions: Vec<(f32, ClassSplit)>,
 }
 
 /// A division that the evidence supports at least in part.
 #[derive(Clone, Debug)]
 struct Candidate {
-    division: Division,
+    division: ClassSplit,
     /// Share of the held-out views' disagreement that it explains.
     gain: f64,
     /// How surely its sides differ.
@@ -70,7 +70,7 @@ struct Candidate {
 
 /// What tells the materials of a class apart.
 #[derive(Clone, Debug)]
-enum Division {
+enum ClassSplit {
     Colour(Parts),
     /// One fit per room with evidence of its own.
     Room(BTreeMap<u16, GroupFit>),
@@ -153,12 +153,12 @@ impl Materials {
                         .collect();
                     let halves =
                         [0, 1].map(|half| Disagreement::of_half(evidence, model, points, half));
-                    let least = least + PLACE_GAIN - DIVISION_GAIN;
+                    let least = least + PLACE_GAIN - SPLIT_GAIN;
                     let field =
                         spatial_roughness::by_place(&whole, &positions, &table, &halves, least);
                     divisions.extend(field.map(|(field, gain)| {
                         let weight = rest * passing_weight(gain, least);
-                        (weight as f32, Division::Place(field))
+                        (weight as f32, ClassSplit::Place(field))
                     }));
                 }
                 (whole.class, Class { whole, divisions })
@@ -198,10 +198,10 @@ impl Materials {
     ) -> Option<(f32, f32)> {
         let Class { whole, divisions } = self.classes.get(&class)?;
         let of = |f: &GroupFit| (f.roughness, f.error);
-        let answer = |division: &Division| match division {
-            Division::Room(fits) => of(fits.get(&room).unwrap_or(whole)),
-            Division::Place(field) => field.at(place),
-            Division::Colour(p) => {
+        let answer = |division: &ClassSplit| match division {
+            ClassSplit::Room(fits) => of(fits.get(&room).unwrap_or(whole)),
+            ClassSplit::Place(field) => field.at(place),
+            ClassSplit::Colour(p) => {
                 // the usual colour scatters from tile to tile; what lies beyond the rare one is
                 // just that
                 let t = colour.map_or(1.0, |c| (p.axis.place(c) / (1.0 - PURE)).min(1.0));
@@ -225,7 +225,7 @@ impl Materials {
             .iter()
             .flat_map(|(&class, c)| c.divisions.iter().map(move |d| (class, &d.1)))
             .filter_map(|(class, d)| match d {
-                Division::Colour(p) => Some((class, [p.fits[0].roughness, p.fits[1].roughness])),
+                ClassSplit::Colour(p) => Some((class, [p.fits[0].roughness, p.fits[1].roughness])),
                 _ => None,
             })
     }
@@ -236,7 +236,7 @@ impl Materials {
             .iter()
             .flat_map(|(&class, c)| c.divisions.iter().map(move |d| (class, &d.1)))
             .filter_map(|(class, d)| match d {
-                Division::Room(fits) => Some((
+                ClassSplit::Room(fits) => Some((
                     class,
                     fits.iter().map(|(room, f)| (*room, f.roughness)).collect(),
                 )),
@@ -251,7 +251,7 @@ impl Materials {
             .iter()
             .flat_map(|(&class, c)| c.divisions.iter().map(move |d| (class, &d.1)))
             .filter_map(|(class, d)| match d {
-                Division::Place(field) => Some((class, field.range())),
+                ClassSplit::Place(field) => Some((class, field.range())),
                 _ => None,
             })
     }
@@ -271,7 +271,7 @@ fn weighed(
     by_colour: Option<Candidate>,
     by_room: Option<Candidate>,
     least: f64,
-) -> Vec<(f32, Division)> {
+) -> Vec<(f32, ClassSplit)> {
     let weight = |c: &Option<Candidate>| {
         c.as_ref()
             .map_or(0.0, |c| passing_weight(c.gain, least) * c.different)
@@ -312,7 +312,7 @@ fn by_colour(class: u16, axis: Axis, table: &Disagreement, colours: &[Vec3]) -> 
     let explained = explained(class, &sides)?;
     let fits = <[GroupFit; 2]>::try_from(explained.fits).ok()?;
     Some(Candidate {
-        division: Division::Colour(Parts { axis, fits }),
+        division: ClassSplit::Colour(Parts { axis, fits }),
         gain: explained.gain,
         different: explained.different,
     })
@@ -336,7 +336,7 @@ fn by_room(class: u16, table: &Disagreement, rooms: &[u16]) -> Option<Candidate>
         .collect();
     let explained = explained(class, &sides)?;
     Some(Candidate {
-        division: Division::Room(names.into_iter().zip(explained.fits).collect()),
+        division: ClassSplit::Room(names.into_iter().zip(explained.fits).collect()),
         gain: explained.gain,
         different: explained.different,
     })
@@ -442,9 +442,9 @@ fn divide(colours: &[Vec3]) -> Option<(Axis, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::highlight::{EvidencePoint, LEVELS, MODELS, Sight};
+    use crate::core::sampling::KeyedRng;
+    use crate::highlight::{EvidencePoint, LEVELS, MODELS, ViewSample};
     use crate::inverse::fit_groups;
-    use crate::sampling::KeyedRng;
 
     /// `n` albedos of normal scatter around a colour, relative standard deviation `spread`.
     fn scattered(rng: &mut KeyedRng, colour: Vec3, spread: f32, n: usize) -> Vec<Vec3> {
@@ -497,7 +497,7 @@ mod tests {
                 let strength = if view < 2 { 0.05 * rng.next_f32() } else { 0.0 };
                 let response = |r: f32| Vec3::splat(strength / (0.05 + r * r));
                 let radiance = albedo * LIGHT / PI + response(roughness);
-                out.sights.push(Sight {
+                out.sights.push(ViewSample {
                     view,
                     radiance,
                     n_v: 0.8,
@@ -548,7 +548,7 @@ mod tests {
                 fit_groups(&evidence, model),
                 model,
                 &places,
-                DIVISION_GAIN,
+                SPLIT_GAIN,
             );
             assert_eq!(
                 materials.by_colour().count(),
@@ -599,7 +599,7 @@ mod tests {
                 room: &|_, p| if p.x < 200.0 { 1 } else { 2 },
             };
             let fits = fit_groups(&evidence, model);
-            let materials = Materials::find(&evidence, fits, model, &places, DIVISION_GAIN);
+            let materials = Materials::find(&evidence, fits, model, &places, SPLIT_GAIN);
             let at = |room: u16| {
                 let own = materials.roughness(7, room, Some(wood), Vec3::ZERO);
                 own.expect("evidence").0
@@ -654,7 +654,7 @@ mod tests {
                 fit_groups(&evidence, model),
                 model,
                 &places,
-                DIVISION_GAIN,
+                SPLIT_GAIN,
             );
             assert_eq!(
                 materials.by_room().count(),

@@ -9,15 +9,15 @@
 //! poses are off) their noise is taken to be what they show, so that the prior decides.
 
 use super::class_prior::{Expected, Place, class_prior};
-use super::robust_cg::{Mixtures, Pixel};
+use super::robust_cg::{Pixel, RobustSystem};
 use super::{AlbedoEstimate, TexelReflectance};
+use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::math::luminance;
+use crate::core::parallel;
+use crate::core::texture::Texels;
+use crate::core::trace::{Hit, Tracer};
 use crate::gbuffer::{Observer, Orientation, pixel_rays};
-use crate::image::{Plane, RgbPlane, Wrap};
-use crate::math::luminance;
-use crate::parallel;
 use crate::radiance::LightField;
-use crate::texture::Texels;
-use crate::trace::{Hit, Tracer};
 use glam::{Vec2, Vec3};
 use std::collections::HashMap;
 use std::f32::consts::FRAC_1_PI;
@@ -35,7 +35,7 @@ const COVERAGE_ERROR: f32 = 0.1;
 const MOST_LEVELS: f32 = 6.0;
 
 /// What the equations are made from.
-pub struct Unmixing<'a> {
+pub struct MixedPixelSolver<'a> {
     /// The views.
     pub observer: Observer<'a>,
     /// Side of each triangle the cameras see.
@@ -60,7 +60,7 @@ pub struct Unmixing<'a> {
 
 /// How many equations and unknowns there were, and how well they fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct UnmixReport {
+pub struct MixedPixelReport {
     /// Pixels at edges that were used.
     pub pixels: usize,
     /// Texels solved for.
@@ -97,9 +97,9 @@ struct ViewPixel {
     at: (usize, usize),
 }
 
-impl Unmixing<'_> {
+impl MixedPixelSolver<'_> {
     /// Replaces the values of texels without a clean look in `albedo`.
-    pub fn solve(&self, albedo: &mut AlbedoEstimate) -> UnmixReport {
+    pub fn solve(&self, albedo: &mut AlbedoEstimate) -> MixedPixelReport {
         let texels = self.texels;
         let ids: Vec<u32> = (0..texels.len())
             .filter(|&i| {
@@ -108,7 +108,7 @@ impl Unmixing<'_> {
             .map(|i| i as u32)
             .collect();
         if ids.is_empty() {
-            return UnmixReport::default();
+            return MixedPixelReport::default();
         }
         let (unknown, sizes) = self.patches(albedo, &ids);
         let mean_over = |of: &dyn Fn(usize, usize) -> Vec3| {
@@ -155,7 +155,7 @@ impl Unmixing<'_> {
                 albedo.error[i] = solved.precision[u].sqrt().recip();
             }
         }
-        UnmixReport {
+        MixedPixelReport {
             pixels: equations.pixel.len(),
             texels: ids.len(),
             misfit: solved.misfit,
@@ -207,7 +207,7 @@ impl Unmixing<'_> {
         unknown: &[u32],
         light: &[Vec3],
         start: &[Vec3],
-    ) -> (Mixtures, u64) {
+    ) -> (RobustSystem, u64) {
         let mut cells = Plane::filled(self.texels.width, self.texels.height, KNOWN);
         for (i, &c) in self.texels.cell.iter().enumerate() {
             cells.data[c as usize] = i as u32;
@@ -235,14 +235,14 @@ impl Unmixing<'_> {
             .flat_map(|(v, view)| (0..view.clean.height).map(move |y| (v, y)))
             .collect();
         let parts = parallel::map_chunks(rows.len(), 4, |range| {
-            let mut out = Mixtures::default();
+            let mut out = RobustSystem::default();
             let mut rays = 0;
             for &(v, y) in &rows[range] {
                 rays += self.row(v, y, &state, &mut out);
             }
             (out, rays)
         });
-        let (mut all, mut rays) = (Mixtures::default(), 0);
+        let (mut all, mut rays) = (RobustSystem::default(), 0);
         for (p, r) in parts {
             let base = all.term.len();
             all.pixel.extend(p.pixel);
@@ -254,7 +254,7 @@ impl Unmixing<'_> {
     }
 
     /// Appends the equations of the edge pixels in row `y` of view `v`.
-    fn row(&self, v: usize, y: usize, state: &State, out: &mut Mixtures) -> u64 {
+    fn row(&self, v: usize, y: usize, state: &State, out: &mut RobustSystem) -> u64 {
         let view = &self.observer.views[v];
         // a clean pixel tells of unknowns too where a texel's look was too far off its centre to be
         // clean
@@ -301,7 +301,7 @@ impl Unmixing<'_> {
         shown: impl Iterator<Item = Shown>,
         observed: Vec3,
         state: &State,
-        out: &mut Mixtures,
+        out: &mut RobustSystem,
     ) {
         let begin = out.term.len();
         let mut known = Vec3::ZERO;

@@ -16,11 +16,11 @@ mod unseen;
 mod view_residual;
 
 pub use albedo::{AlbedoEstimate, Shading, estimate_albedo};
-pub use albedo_palette::{Paint, Painting};
+pub use albedo_palette::{ClassPalette, PaletteFit};
 pub use clipped_fit::{ClippedFit, LightGroup, ShadingRow, fit_clipped};
 pub use confidence::{ErrorSources, albedo_error};
-pub use materials::{DIVISION_GAIN, Materials, Places};
-pub use mixed_pixels::{UnmixReport, Unmixing};
+pub use materials::{Materials, Places, SPLIT_GAIN};
+pub use mixed_pixels::{MixedPixelReport, MixedPixelSolver};
 pub use reflectance::TexelReflectance;
 pub use roughness::{GroupFit, choose_model, fit_groups};
 pub use unseen::Unseen;

@@ -1,8 +1,8 @@
 //! How the surface reflects as far as it is known: the reflection model and the roughness of every
 //! texel, with what follows from them.
 
-use crate::brdf::Reflectance;
-use crate::specular::WideLobes;
+use crate::core::brdf::Reflectance;
+use crate::specular::DirectionalAlbedo;
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
@@ -11,7 +11,7 @@ pub struct TexelReflectance {
     /// Reflection model.
     pub model: Reflectance,
     /// Directional albedo of its specular lobes under even light.
-    pub lobes: WideLobes,
+    pub lobes: DirectionalAlbedo,
     /// Roughness per covered texel, [0, 1].
     pub roughness: Vec<f32>,
 }
@@ -22,7 +22,7 @@ impl TexelReflectance {
     pub fn new(model: Reflectance, roughness: Vec<f32>) -> Self {
         Self {
             model,
-            lobes: WideLobes::new(model),
+            lobes: DirectionalAlbedo::new(model),
             roughness,
         }
     }

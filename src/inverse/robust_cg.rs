@@ -6,8 +6,8 @@
 //! the pixels contradict it.
 
 use super::class_prior::Expected;
-use crate::math::luminance;
-use crate::parallel;
+use crate::core::math::luminance;
+use crate::core::parallel;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -33,13 +33,13 @@ pub(super) struct Pixel {
 /// Mixtures in rows: terms of pixel k are `term[end[k-1]..end[k]]`, an unknown and the factor of
 /// its E·A/π.
 #[derive(Default)]
-pub(super) struct Mixtures {
+pub(super) struct RobustSystem {
     pub(super) pixel: Vec<Pixel>,
     pub(super) end: Vec<usize>,
     pub(super) term: Vec<(u32, f32)>,
 }
 
-impl Mixtures {
+impl RobustSystem {
     fn row(&self, k: usize) -> &[(u32, f32)] {
         &self.term[if k == 0 { 0 } else { self.end[k - 1] }..self.end[k]]
     }
@@ -174,7 +174,7 @@ fn pull(prior: &[Expected], x: &[Vec3], data: &[f32]) -> Vec<f32> {
 /// The normal equations (MᵀWM + P)·x = MᵀW·b + P·μ of the mixtures M with weights W and a prior of
 /// mean μ and precision P.
 struct NormalEquations<'a> {
-    mixtures: &'a Mixtures,
+    mixtures: &'a RobustSystem,
     columns: &'a Columns,
     /// E/π per unknown.
     light: &'a [Vec3],

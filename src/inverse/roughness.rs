@@ -5,9 +5,9 @@
 //! §12.3 point 7).
 
 use super::view_residual::{Disagreement, points_by_class};
-use crate::brdf::Reflectance;
+use crate::core::brdf::Reflectance;
+use crate::core::stats::passing_weight;
 use crate::highlight::Evidence;
-use crate::optim::passing_weight;
 
 /// What the evidence says about one group.
 #[derive(Clone, Debug)]

@@ -10,7 +10,7 @@
 
 use super::roughness::{GroupFit, at_roughness, fit, lowest, parabola_minimum};
 use super::view_residual::Disagreement;
-use crate::optim::least_passing;
+use crate::core::stats::least_passing;
 use glam::Vec3;
 use rayon::prelude::*;
 use rstar::RTree;
@@ -199,7 +199,7 @@ fn vertex(levels: &[f32], objective: &[f64]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sampling::KeyedRng;
+    use crate::core::sampling::KeyedRng;
 
     const LEVELS: [f32; 6] = [0.1, 0.2, 0.35, 0.5, 0.7, 1.0];
 

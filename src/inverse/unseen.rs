@@ -8,9 +8,9 @@
 //! the room shows none, the nearest anywhere. Called by the pipeline once the seen texels are settled.
 
 use super::AlbedoEstimate;
-use crate::geometry::Mesh;
-use crate::optim::median;
-use crate::texture::Texels;
+use crate::core::geometry::Mesh;
+use crate::core::stats::median;
+use crate::core::texture::Texels;
 use glam::Vec3;
 use rstar::RTree;
 use rstar::primitives::GeomWithData;

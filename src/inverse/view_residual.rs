@@ -4,10 +4,10 @@
 //! in closed form (variable projection, Golub & Pereyra 1973), so that neither albedo nor
 //! irradiance is needed.
 
-use crate::brdf::Reflectance;
+use crate::core::brdf::Reflectance;
+use crate::core::math::luminance;
+use crate::core::stats::{median, weighted_median};
 use crate::highlight::{Evidence, MODELS};
-use crate::math::luminance;
-use crate::optim::{median, weighted_median};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -253,9 +253,9 @@ fn robust_centre(values: &[(Vec3, f32)], scale: f32, share: &mut Vec<f32>) -> Ve
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::highlight::{EvidencePoint, LEVELS, Sight};
+    use crate::core::sampling::KeyedRng;
+    use crate::highlight::{EvidencePoint, LEVELS, ViewSample};
     use crate::inverse::fit_groups;
-    use crate::sampling::KeyedRng;
 
     /// Points of roughness 0.62, six views each, whose traced responses are the noisier the
     /// narrower the lobe. `known`: whether the halves' difference is.
@@ -272,7 +272,7 @@ mod tests {
                 let strength = 0.03 * rng.next_f32();
                 let radiance =
                     Vec3::splat(1.0 + response(strength, 0.62) + 0.01 * (rng.next_f32() - 0.5));
-                out.sights.push(Sight {
+                out.sights.push(ViewSample {
                     view,
                     radiance,
                     n_v: 0.8,

@@ -11,9 +11,10 @@
 use super::Bake;
 use super::surface_filter::Judgement;
 use super::{
-    Estimator, Irradiance, IrtOptions, PARTS, Patch, Receiver, SurfaceFilter, bake_irradiance,
+    Estimator, Irradiance, IrradianceOptions, Receiver, SUB_ESTIMATES, SurfaceFilter, Surfel,
+    bake_irradiance,
 };
-use crate::progress::Progress;
+use crate::core::progress::Progress;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -33,7 +34,7 @@ const DIM: f32 = 0.5;
 
 /// What a texture's irradiance may cost.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Budget {
+pub struct SampleBudget {
     /// How irradiance is estimated. Only `Mis` asks emitters, and only what can be continued is
     /// spent in several rounds: `Uniform` draws all at once.
     pub estimator: Estimator,
@@ -51,7 +52,7 @@ pub struct Budget {
     pub seed: u64,
 }
 
-impl Budget {
+impl SampleBudget {
     /// What is spent where the estimator allows for no more.
     fn within_estimator(&self) -> Self {
         let samples = if self.estimator == Estimator::Mis {
@@ -87,7 +88,7 @@ struct Levels {
 }
 
 impl Levels {
-    fn new(budget: &Budget) -> Self {
+    fn new(budget: &SampleBudget) -> Self {
         let first = match budget.rounds {
             0 | 1 => budget.samples,
             _ => budget.samples.map(|s| {
@@ -99,7 +100,7 @@ impl Levels {
             }),
         };
         // what the filter decides by are parts, none of which may lack a kind of samples
-        let least = PARTS as u32;
+        let least = SUB_ESTIMATES as u32;
         let first = first.map(|s| if s == 0 { 0 } else { s.max(least) });
         let spare = |steps: &u8| {
             first
@@ -143,10 +144,10 @@ impl Levels {
     }
 
     /// What takes a texel from a level to a higher one.
-    fn options(&self, from: u8, to: u8) -> IrtOptions {
+    fn options(&self, from: u8, to: u8) -> IrradianceOptions {
         let drawn = self.base.map(|s| s * samples(from));
         let [rays, emitter_samples] = [0, 1].map(|k| self.base[k] * samples(to) - drawn[k]);
-        IrtOptions {
+        IrradianceOptions {
             estimator: self.estimator,
             drawn,
             rays,
@@ -167,15 +168,15 @@ fn samples(level: u8) -> u32 {
 #[must_use]
 pub fn bake_surface(
     bake: &Bake,
-    patches: &[Patch],
+    patches: &[Surfel],
     receiver: impl Fn(usize) -> Receiver + Sync + Send,
     importance: &[f32],
-    budget: &Budget,
+    budget: &SampleBudget,
     progress: &Progress,
 ) -> Irradiance {
     let (count, budget) = (patches.len(), &budget.within_estimator());
     if !budget.filter {
-        let levels = Levels::new(&Budget {
+        let levels = Levels::new(&SampleBudget {
             rounds: 1,
             ..budget.clone()
         });
@@ -263,7 +264,7 @@ impl<R: Fn(usize) -> Receiver + Sync + Send> Spending<'_, R> {
         }
     }
 
-    fn draw(&self, ids: &[u32], options: &IrtOptions) -> Irradiance {
+    fn draw(&self, ids: &[u32], options: &IrradianceOptions) -> Irradiance {
         let receiver = |k: usize| (self.receiver)(ids[k] as usize);
         bake_irradiance(self.bake, ids.len(), receiver, options, self.progress)
     }
@@ -286,7 +287,7 @@ fn most_promising(
     level: &[u8],
     cost: u64,
 ) -> Vec<u8> {
-    let mean = (crate::parallel::sum_f64(light.len(), |i| f64::from(light[i]))
+    let mean = (crate::core::parallel::sum_f64(light.len(), |i| f64::from(light[i]))
         / light.len().max(1) as f64) as f32;
     let mut order: Vec<(f32, u32)> = (0..light.len())
         .into_par_iter()

@@ -6,10 +6,10 @@
 //! & Guibas 1995), both from an Owen-scrambled Sobol' sequence per texel that a later bake
 //! continues where more samples are wanted.
 
-use super::ray_batch::{Bundle, Round};
-use super::{Bake, Estimator, Irradiance, IrtOptions, PARTS, Receiver, spread};
-use crate::math::luminance;
-use crate::progress::Progress;
+use super::ray_batch::{RayBatch, SamplePass};
+use super::{Bake, Estimator, Irradiance, IrradianceOptions, Receiver, SUB_ESTIMATES, spread};
+use crate::core::math::luminance;
+use crate::core::progress::Progress;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
@@ -20,12 +20,12 @@ pub fn bake_irradiance(
     bake: &Bake,
     count: usize,
     receiver: impl Fn(usize) -> Receiver + Sync + Send,
-    options: &IrtOptions,
+    options: &IrradianceOptions,
     progress: &Progress,
 ) -> Irradiance {
     let mut out = Irradiance {
         value: vec![Vec3::ZERO; count],
-        parts: vec![[Vec3::ZERO; PARTS]; count],
+        parts: vec![[Vec3::ZERO; SUB_ESTIMATES]; count],
         error: vec![0.0; count],
         rays: 0,
     };
@@ -35,14 +35,14 @@ pub fn bake_irradiance(
         0
     };
     let [ray, light] = options.drawn;
-    let round = Round::new(
+    let round = SamplePass::new(
         options,
-        [ray, ray + options.rays.max(PARTS as u32)],
+        [ray, ray + options.rays.max(SUB_ESTIMATES as u32)],
         [light, light + lights],
     );
     let group = round.group();
     // buffers that no thread uses
-    let idle: Mutex<Vec<Bundle>> = Mutex::default();
+    let idle: Mutex<Vec<RayBatch>> = Mutex::default();
     let idle = || idle.lock().unwrap_or_else(PoisonError::into_inner);
     let groups = out
         .value
@@ -57,8 +57,8 @@ pub fn bake_irradiance(
             let members = g * group..g * group + value.len();
             let rays = bundle.run(bake, &round, members.map(&receiver), |k, shares| {
                 value[k] = shares.iter().sum();
-                parts[k] = shares.map(|s| PARTS as f32 * s);
-                error[k] = (spread(&parts[k].map(luminance)).1 / PARTS as f32).sqrt();
+                parts[k] = shares.map(|s| SUB_ESTIMATES as f32 * s);
+                error[k] = (spread(&parts[k].map(luminance)).1 / SUB_ESTIMATES as f32).sqrt();
             });
             idle().push(bundle);
             progress.advance(value.len() as u64);

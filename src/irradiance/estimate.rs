@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 /// Independent estimates that a bake keeps of every value: what the others say decides which
 /// neighbours one is filtered with, so more of them leave more to decide by.
-pub const PARTS: usize = 8;
+pub const SUB_ESTIMATES: usize = 8;
 
 /// How irradiance is estimated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -25,7 +25,7 @@ pub enum Estimator {
 
 /// Options of the irradiance bake.
 #[derive(Clone, Debug, PartialEq)]
-pub struct IrtOptions {
+pub struct IrradianceOptions {
     /// Estimator.
     pub estimator: Estimator,
     /// Hemisphere rays and emitter samples per texel that earlier bakes have drawn: this one
@@ -41,7 +41,7 @@ pub struct IrtOptions {
     pub seed: u64,
 }
 
-impl Default for IrtOptions {
+impl Default for IrradianceOptions {
     fn default() -> Self {
         Self {
             estimator: Estimator::Mis,
@@ -59,7 +59,7 @@ pub struct Irradiance {
     /// E per point.
     pub value: Vec<Vec3>,
     /// Independent estimates of E per point, from equally many samples each; their mean is `value`.
-    pub parts: Vec<[Vec3; PARTS]>,
+    pub parts: Vec<[Vec3; SUB_ESTIMATES]>,
     /// Estimated standard error of E's luminance, relative.
     pub error: Vec<f32>,
     /// Rays traced in all.
@@ -124,7 +124,7 @@ impl Irradiance {
     }
 
     /// Adds what a later bake drew at the points `ids`, ascending: as many samples again as they
-    /// had before ([`IrtOptions::drawn`]). `error` stays as it was.
+    /// had before ([`IrradianceOptions::drawn`]). `error` stays as it was.
     pub fn double(&mut self, ids: &[u32], more: &Self) {
         self.rays += more.rays;
         for_each_of(ids, &mut self.value, &more.value, |value, more| {
@@ -165,13 +165,14 @@ fn for_each_of<T: Send, U: Sync>(
 /// Mean of the parts, and the variance of one relative to its square.
 #[inline]
 #[must_use]
-pub(crate) fn spread(parts: &[f32; PARTS]) -> (f32, f32) {
-    let mean = parts.iter().sum::<f32>() / PARTS as f32;
+pub(crate) fn spread(parts: &[f32; SUB_ESTIMATES]) -> (f32, f32) {
+    let mean = parts.iter().sum::<f32>() / SUB_ESTIMATES as f32;
     if mean > 0.0 {
         // relative before it is squared: however dim, nothing underflows
         (
             mean,
-            parts.iter().map(|p| (p / mean - 1.0).powi(2)).sum::<f32>() / (PARTS - 1) as f32,
+            parts.iter().map(|p| (p / mean - 1.0).powi(2)).sum::<f32>()
+                / (SUB_ESTIMATES - 1) as f32,
         )
     } else {
         (mean, 0.0)

@@ -3,7 +3,7 @@
 //! per second, a fifth more occlusion queries; docs/lab/rays.md).
 
 /// Sorts points of the unit square along a Hilbert curve through square cells.
-pub(crate) struct Sweep {
+pub(crate) struct HilbertOrder {
     /// Cells along a side.
     side: usize,
     /// Place of each cell on the curve, row by row.
@@ -13,7 +13,7 @@ pub(crate) struct Sweep {
 /// Cells along a side at most.
 const MAX_SIDE: usize = 64;
 
-impl Sweep {
+impl HilbertOrder {
     /// For about `count` points at a time: one a cell.
     pub(crate) fn new(count: usize) -> Self {
         let side = ((count as f64).sqrt().ceil() as usize)
@@ -75,7 +75,7 @@ fn place_on_curve(side: u32, [mut x, mut y]: [u32; 2]) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sampling::KeyedRng;
+    use crate::core::sampling::KeyedRng;
 
     #[test]
     fn the_curve_visits_every_cell_once_and_steps_to_neighbours() {
@@ -103,7 +103,7 @@ mod tests {
         for n in [0, 1, 7, 300, 9000] {
             let mut draw = || (0..n).map(|_| rng.next_f32()).collect::<Vec<_>>();
             let (u, v) = (draw(), draw());
-            let (sweep, mut order) = (Sweep::new(n), vec![99]);
+            let (sweep, mut order) = (HilbertOrder::new(n), vec![99]);
             sweep.order([&u, &v], &mut order);
             let side = sweep.side as f32;
             let place = |k: &u32| {

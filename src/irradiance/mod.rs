@@ -12,10 +12,10 @@ mod surface_filter;
 mod surfel_grid;
 mod surfel_visibility;
 
-pub use adaptive::{Budget, bake_surface};
+pub use adaptive::{SampleBudget, bake_surface};
 pub use bake::bake_irradiance;
 pub(crate) use estimate::spread;
-pub use estimate::{Bake, Estimator, Irradiance, IrtOptions, PARTS, Receiver};
+pub use estimate::{Bake, Estimator, Irradiance, IrradianceOptions, Receiver, SUB_ESTIMATES};
 pub use nirf::{Nirf, NirfCost, NirfOptions, train_nirf};
 pub use surface_filter::SurfaceFilter;
-pub use surfel_grid::Patch;
+pub use surfel_grid::Surfel;

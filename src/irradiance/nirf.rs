@@ -10,11 +10,11 @@
 //! Activations are stored feature by feature with the batch as the vector lane, weights as `outputs
 //! × inputs`. Every sum has a fixed order, so that the number of threads does not change a bit.
 
-use super::{Bake, Estimator, IrtOptions, Receiver, bake_irradiance};
+use super::{Bake, Estimator, IrradianceOptions, Receiver, bake_irradiance};
+use crate::core::progress::Progress;
+use crate::core::sampling::{Discrete, KeyedRng, square_to_triangle};
 use crate::ffi::simd::with_widest;
 use crate::lights::LitScene;
-use crate::progress::Progress;
-use crate::sampling::{Discrete, KeyedRng, square_to_triangle};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::time::Instant;
@@ -474,7 +474,7 @@ pub fn train_nirf(
         ..bake.lit
     };
     let raised = Bake { lit, ..*bake };
-    let estimate = IrtOptions {
+    let estimate = IrradianceOptions {
         estimator: Estimator::Uniform,
         rays: options.rays,
         emitter_samples: 0,

@@ -5,14 +5,14 @@ use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
 /// The texels hidden from each.
 #[derive(Default)]
-pub(crate) struct Hidden {
+pub(crate) struct OccludedPairs {
     /// Texel by texel, ascending.
     ids: Vec<u32>,
     /// Where each texel's end; empty where nobody looked.
     end: Vec<usize>,
 }
 
-impl Hidden {
+impl OccludedPairs {
     /// From the hidden ones that each texel found out about, every pair once.
     pub(crate) fn mutual(found: &[Vec<u32>]) -> Self {
         let next: Vec<AtomicUsize> = found.iter().map(|_| AtomicUsize::new(0)).collect();

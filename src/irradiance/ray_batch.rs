@@ -4,20 +4,20 @@
 //! the same for every ray of one receiver runs in vector registers, and a ray costs no allocation,
 //! no library call and few branches.
 
-use super::estimate::{Bake, Estimator, IrtOptions, PARTS, Receiver};
-use super::hilbert_order::Sweep;
-use crate::ffi::simd::{Kernel, run_widest, whole_within};
-use crate::lights::LitScene;
-use crate::lights::PORTAL;
-use crate::lights::SharedChoices;
-use crate::lights::{Aimed, Aiming, Picks};
-use crate::math::Frame;
-use crate::sampling::{
+use super::estimate::{Bake, Estimator, IrradianceOptions, Receiver, SUB_ESTIMATES};
+use super::hilbert_order::HilbertOrder;
+use crate::core::math::Frame;
+use crate::core::sampling::{
     KeyedRng, SobolBlock, SobolSequence, hammersley, square_to_cosine_hemisphere,
     square_to_uniform_hemisphere,
 };
+use crate::core::trace::{Hit, Ray};
+use crate::ffi::simd::{Kernel, floor_to_index, run_widest};
+use crate::lights::LitScene;
+use crate::lights::PORTAL;
+use crate::lights::SamplerCache;
+use crate::lights::{LightPicks, ShadowSample, ShadowSampler};
 use crate::specular::Bounces;
-use crate::trace::{Hit, Ray};
 use glam::Vec3;
 use std::f32::consts::{FRAC_1_PI, PI, TAU};
 use std::ops::Range;
@@ -31,7 +31,7 @@ const GUIDED: usize = 24;
 const AHEAD: usize = 24;
 
 /// What one round of samples has in common for all receivers.
-pub(crate) struct Round {
+pub(crate) struct SamplePass {
     estimator: Estimator,
     seed: u64,
     /// Samples per receiver up to the end of this round: what weights divide by.
@@ -40,7 +40,7 @@ pub(crate) struct Round {
     hemisphere: Points,
     /// The part that each hemisphere sample belongs to.
     part: Vec<u8>,
-    sweep: Sweep,
+    sweep: HilbertOrder,
     lights: SobolBlock,
     /// Intervals of [0, 1), of which no two samples of this round share one in the first dimension.
     slots: usize,
@@ -49,7 +49,7 @@ pub(crate) struct Round {
 /// Points of the unit square, part by part.
 enum Points {
     /// Coordinates before the receiver's shift, and where each part ends.
-    Hammersley([Vec<f32>; 2], [usize; PARTS]),
+    Hammersley([Vec<f32>; 2], [usize; SUB_ESTIMATES]),
     /// Scrambled per receiver. Parts of a block are nets of their own, so that their differences
     /// tell of the whole's error.
     Sobol(SobolBlock),
@@ -59,7 +59,7 @@ impl Points {
     /// The paper's points. Their parts in order would be parts of the hemisphere, hence a die per
     /// sample.
     fn hammersley(n: u32) -> Self {
-        let part = |s: u32| (u64::from(s.wrapping_mul(0x9E37_79B9)) * PARTS as u64) >> 32;
+        let part = |s: u32| (u64::from(s.wrapping_mul(0x9E37_79B9)) * SUB_ESTIMATES as u64) >> 32;
         let mut all: Vec<u32> = (0..n).collect();
         all.sort_by_key(|s| part(*s));
         let ends = std::array::from_fn(|p| all.partition_point(|s| part(*s) <= p as u64));
@@ -78,9 +78,9 @@ impl Points {
 
     /// The part that each point belongs to.
     fn parts(&self) -> Vec<u8> {
-        let ends: [usize; PARTS] = match self {
+        let ends: [usize; SUB_ESTIMATES] = match self {
             Self::Hammersley(_, ends) => *ends,
-            Self::Sobol(block) => std::array::from_fn(|p| block.len() * (p + 1) / PARTS),
+            Self::Sobol(block) => std::array::from_fn(|p| block.len() * (p + 1) / SUB_ESTIMATES),
         };
         (0..self.len())
             .map(|k| ends.partition_point(|end| *end <= k) as u8)
@@ -88,10 +88,10 @@ impl Points {
     }
 }
 
-impl Round {
+impl SamplePass {
     /// The hemisphere rays and emitter samples given by index ranges.
     pub(crate) fn new(
-        options: &IrtOptions,
+        options: &IrradianceOptions,
         [first_ray, rays]: [u32; 2],
         [first_light, lights]: [u32; 2],
     ) -> Self {
@@ -105,14 +105,14 @@ impl Round {
             total_rays: rays,
             total_lights: lights,
             part: hemisphere.parts(),
-            sweep: Sweep::new(hemisphere.len()),
+            sweep: HilbertOrder::new(hemisphere.len()),
             hemisphere,
             lights: SobolBlock::new(first_light, lights),
             slots: (lights as usize).next_power_of_two(),
         }
     }
 
-    /// Whether lamps are drawn by a table ([`LampChoice::guide`](super::LampChoice::guide)).
+    /// Whether lamps are drawn by a table ([`LightSampler::guide`](super::LampChoice::guide)).
     fn is_guided(&self) -> bool {
         self.lights.len() >= GUIDED
     }
@@ -125,10 +125,10 @@ impl Round {
 
 /// Buffers of one thread's batches.
 #[derive(Default)]
-pub(crate) struct Bundle {
+pub(crate) struct RayBatch {
     spans: Vec<Span>,
     /// Which lamps receivers ask.
-    choices: SharedChoices,
+    choices: SamplerCache,
     rays: Vec<Ray>,
     cosines: Vec<f32>,
     /// Per hemisphere ray: index into the sums.
@@ -139,9 +139,9 @@ pub(crate) struct Bundle {
     /// Of the last choice: the first lamp of each interval of numbers.
     guide: Vec<u32>,
     /// Emitter samples of one receiver.
-    picks: Picks,
+    picks: LightPicks,
     /// Per shadow ray.
-    aimed: Vec<Aimed>,
+    aimed: Vec<ShadowSample>,
     /// Per hemisphere ray: where its radiance is stored, and its weight.
     terms: Vec<(u32, f32)>,
     /// Numbers of the shadow rays that arrive at a surface.
@@ -165,15 +165,15 @@ struct Span {
     rays: Range<usize>,
 }
 
-impl Bundle {
+impl RayBatch {
     /// Traces one round of samples of every receiver; `add(k, parts)` takes the contributions of
     /// the k-th. Returns the rays traced.
     pub(crate) fn run(
         &mut self,
         bake: &Bake,
-        round: &Round,
+        round: &SamplePass,
         receivers: impl ExactSizeIterator<Item = Receiver>,
-        mut add: impl FnMut(usize, [Vec3; PARTS]),
+        mut add: impl FnMut(usize, [Vec3; SUB_ESTIMATES]),
     ) -> u64 {
         let (lit, n) = (&bake.lit, receivers.len());
         self.reserve(n * round.hemisphere.len(), n * round.lights.len(), round);
@@ -201,17 +201,17 @@ impl Bundle {
         lit.tracer
             .occluded(&self.shadow[..lights], &mut self.hidden[..lights]);
         self.sums.clear();
-        self.sums.resize(PARTS * n, Vec3::ZERO);
+        self.sums.resize(SUB_ESTIMATES * n, Vec3::ZERO);
         self.gather_surfaces(lit, round, rays);
         let bounced = self.gather_bounces(bake, rays);
         self.gather_lights(lit, lights);
-        for (k, parts) in self.sums.as_chunks::<PARTS>().0.iter().enumerate() {
+        for (k, parts) in self.sums.as_chunks::<SUB_ESTIMATES>().0.iter().enumerate() {
             add(k, *parts);
         }
         (rays + lights) as u64 + bounced
     }
 
-    fn reserve(&mut self, rays: usize, lights: usize, round: &Round) {
+    fn reserve(&mut self, rays: usize, lights: usize, round: &SamplePass) {
         let nowhere = Ray::new(Vec3::ZERO, Vec3::Z, 0.0);
         grow(&mut self.rays, rays, nowhere);
         grow(&mut self.cosines, rays, 0.0);
@@ -220,7 +220,7 @@ impl Bundle {
         grow(&mut self.terms, rays, (0, 0.0));
         grow(&mut self.shadow, lights, nowhere);
         grow(&mut self.hidden, lights, 0);
-        grow(&mut self.aimed, lights, Aimed::default());
+        grow(&mut self.aimed, lights, ShadowSample::default());
         grow(&mut self.arrived, lights, 0);
         grow(&mut self.outside, rays.max(lights), 0);
         self.sky
@@ -236,7 +236,7 @@ impl Bundle {
     fn draw_hemisphere(
         &mut self,
         lit: &LitScene,
-        round: &Round,
+        round: &SamplePass,
         r: &Receiver,
         at: usize,
     ) -> Range<usize> {
@@ -250,7 +250,7 @@ impl Bundle {
         });
         let [u, v, x, y, z, cosine, facing] = self.columns.each_ref().map(|c| &c[..n]);
         let origin = r.position + r.face_normal * lit.offset;
-        let first = (PARTS * self.spans.len()) as u32;
+        let first = (SUB_ESTIMATES * self.spans.len()) as u32;
         let (rays, cosines, owners) = (
             &mut self.rays[at..at + n],
             &mut self.cosines[at..at + n],
@@ -269,7 +269,7 @@ impl Bundle {
     }
 
     /// Finds which lamps the next receiver asks. `None` if none can send it light.
-    fn choose(&mut self, lit: &LitScene, round: &Round, r: &Receiver) -> Option<usize> {
+    fn choose(&mut self, lit: &LitScene, round: &SamplePass, r: &Receiver) -> Option<usize> {
         let rays_per_sample = round.total_rays as f32 / round.total_lights.max(1) as f32;
         let known = self.choices.len();
         let number = self
@@ -287,7 +287,7 @@ impl Bundle {
     fn draw_lights(
         &mut self,
         lit: &LitScene,
-        round: &Round,
+        round: &SamplePass,
         r: &Receiver,
         choice: usize,
         at: usize,
@@ -304,9 +304,9 @@ impl Bundle {
         self.order.resize(round.slots, u32::MAX);
         let slots = round.slots as f32;
         for (s, u) in u.iter().enumerate() {
-            self.order[whole_within(u * slots, slots - 1.0) as usize] = s as u32;
+            self.order[floor_to_index(u * slots, slots - 1.0) as usize] = s as u32;
         }
-        let first = (PARTS * self.spans.len()) as u32;
+        let first = (SUB_ESTIMATES * self.spans.len()) as u32;
         let picks = &mut self.picks;
         picks.reserve(n);
         let choice = &self.choices[choice];
@@ -323,14 +323,14 @@ impl Bundle {
                 picks.probability[k] = probability;
                 picks.place[0][k] = v[s];
                 picks.place[1][k] = w[s];
-                picks.owner[k] = first + (s * PARTS / n) as u32;
+                picks.owner[k] = first + (s * SUB_ESTIMATES / n) as u32;
                 k += 1;
             }
         }
         picks.source[..n]
             .iter_mut()
             .for_each(|s| *s = lit.emitters.source_in(*s));
-        at + run_widest(Aiming {
+        at + run_widest(ShadowSampler {
             sources: lit.emitters.sources(),
             field: lit.field,
             picks,
@@ -346,14 +346,14 @@ impl Bundle {
     }
 
     /// Adds what the first `count` hemisphere rays meet.
-    fn gather_surfaces(&mut self, lit: &LitScene, round: &Round, count: usize) {
+    fn gather_surfaces(&mut self, lit: &LitScene, round: &SamplePass, count: usize) {
         let (n, lights) = (round.total_rays as f32, round.total_lights as f32);
         let mut outside = 0;
         let mixed = round.estimator == Estimator::Mis && lights > 0.0;
         let expect = |hit: &Hit| {
-            lit.field.expect_triangle(hit.triangle);
+            lit.field.prefetch_triangle(hit.triangle);
             if mixed {
-                lit.emitters.expect_hit(hit.triangle);
+                lit.emitters.prefetch_hit(hit.triangle);
             }
         };
         self.hits.iter().take(AHEAD).for_each(expect);
@@ -369,7 +369,7 @@ impl Bundle {
                 let (address, facing) =
                     lit.field
                         .address(hit, Vec3::from_array(self.rays[k].direction), 0.0);
-                lit.field.expect_texel(address);
+                lit.field.prefetch_texel(address);
                 let weight = match choice {
                     Some(choice) => {
                         cosine
@@ -392,7 +392,7 @@ impl Bundle {
         lit.field.environment.radiances([x, y, z], |i, radiance| {
             let k = self.outside[i] as usize;
             let owner = self.owners[k] as usize;
-            let weight = match (round.estimator, &self.spans[owner / PARTS]) {
+            let weight = match (round.estimator, &self.spans[owner / SUB_ESTIMATES]) {
                 (
                     Estimator::Mis,
                     Span {
@@ -449,7 +449,7 @@ impl Bundle {
             .map(|l| &self.aimed[*l as usize]);
         arrived
             .clone()
-            .for_each(|aimed| lit.field.expect_texel(aimed.address));
+            .for_each(|aimed| lit.field.prefetch_texel(aimed.address));
         for aimed in arrived {
             self.sums[aimed.owner as usize] += lit.field.texel(aimed.address) * aimed.weight;
         }

@@ -9,13 +9,13 @@
 //! own company. Texels are neighbours in space, across charts, where they see each other. No
 //! surface is quite as even as the regression: a texel with many samples keeps its own estimate.
 
-use super::surfel_grid::{Discs, Near, Neighbourhood, Patch};
-use super::surfel_visibility::find_hidden;
-use super::{Irradiance, PARTS, spread};
+use super::surfel_grid::{Discs, Near, Surfel, SurfelGrid};
+use super::surfel_visibility::find_occluded;
+use super::{Irradiance, SUB_ESTIMATES, spread};
+use crate::core::math::luminance;
+use crate::core::sampling::hash_u64;
+use crate::core::trace::Tracer;
 use crate::ffi::simd::{Kernel, run_widest};
-use crate::math::luminance;
-use crate::sampling::hash_u64;
-use crate::trace::Tracer;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -51,18 +51,18 @@ const CHANCE: f32 = 0.36;
 const SAMPLED_ONE_IN: u64 = 2;
 const COMPANY: usize = 5;
 /// How many other parts a part is compared with.
-const OTHERS: f32 = (PARTS - 1) as f32;
+const OTHERS: f32 = (SUB_ESTIMATES - 1) as f32;
 
 /// The neighbourhoods of a set of texels.
 pub struct SurfaceFilter {
-    around: Neighbourhood,
+    around: SurfelGrid,
     discs: Discs,
     /// One over the difference from which texels have nothing in common ([`DIFFERENT`]).
     per_different: f32,
 }
 
 /// One value per part: what runs side by side in a vector register.
-type Lanes = [f32; PARTS];
+type Lanes = [f32; SUB_ESTIMATES];
 
 /// Luminance of the parts of a texel and the variance of one.
 #[derive(Clone, Copy, Default)]
@@ -75,14 +75,14 @@ struct Noise {
 
 impl Noise {
     fn mean(&self) -> f32 {
-        self.part.iter().sum::<f32>() / PARTS as f32
+        self.part.iter().sum::<f32>() / SUB_ESTIMATES as f32
     }
 
     /// Weight of the texel's own estimate beside the regression's, whose error is taken to be
     /// [`UNEVEN`].
     fn own_share(&self) -> f32 {
         let uneven = (UNEVEN * self.mean()).powi(2);
-        let variance = COMPLEMENTARY / PARTS as f32 * self.variance;
+        let variance = COMPLEMENTARY / SUB_ESTIMATES as f32 * self.variance;
         if uneven > 0.0 {
             uneven / (uneven + variance)
         } else {
@@ -140,9 +140,9 @@ struct Node {
 impl SurfaceFilter {
     /// Finds the neighbourhoods of the texels; those that do not see each other share nothing.
     #[must_use]
-    pub fn new(patches: &[Patch], tracer: &dyn Tracer) -> Self {
-        let around = Neighbourhood::new(patches);
-        let hidden = find_hidden(&around, REACH, tracer);
+    pub fn new(patches: &[Surfel], tracer: &dyn Tracer) -> Self {
+        let around = SurfelGrid::new(patches);
+        let hidden = find_occluded(&around, REACH, tracer);
         let around = around.without(hidden);
         Self {
             discs: around.discs(DISC),
@@ -221,7 +221,7 @@ impl SurfaceFilter {
                     per_different,
                     weight,
                 });
-                std::array::from_fn::<_, PARTS, _>(|p| smooth[p].lerp(part[p], own))
+                std::array::from_fn::<_, SUB_ESTIMATES, _>(|p| smooth[p].lerp(part[p], own))
             },
         );
         let error = self.remaining_error(&noise, |i| parts[i].map(luminance), 0.0);
@@ -230,7 +230,7 @@ impl SurfaceFilter {
             .for_each(|parts| parts.iter_mut().for_each(|p| *p *= unit));
         let value = parts
             .par_iter()
-            .map(|p| p.iter().sum::<Vec3>() / PARTS as f32)
+            .map(|p| p.iter().sum::<Vec3>() / SUB_ESTIMATES as f32)
             .collect();
         Irradiance {
             value,
@@ -261,7 +261,7 @@ impl SurfaceFilter {
             .zip(&guides)
             .for_each(|(error, guide)| {
                 let mean = guide.mean();
-                let noise = guide.variance / PARTS as f32 / (mean * mean);
+                let noise = guide.variance / SUB_ESTIMATES as f32 / (mean * mean);
                 *error = if mean > 0.0 {
                     (*error * *error + noise).sqrt()
                 } else {
@@ -320,7 +320,7 @@ impl SurfaceFilter {
     /// the relative variance of one sample is averaged over the disc.
     fn noise(
         &self,
-        parts: impl Fn(usize) -> [Vec3; PARTS] + Sync,
+        parts: impl Fn(usize) -> [Vec3; SUB_ESTIMATES] + Sync,
         samples: impl Fn(usize) -> f32 + Sync,
     ) -> Vec<Noise> {
         let own = |i: usize| {
@@ -372,8 +372,8 @@ impl SurfaceFilter {
                     .zip(&others.part)
                     .map(|(s, o)| (s - o).powi(2))
                     .sum::<f32>()
-                    / PARTS as f32;
-                let of_mean = variance / PARTS as f32;
+                    / SUB_ESTIMATES as f32;
+                let of_mean = variance / SUB_ESTIMATES as f32;
                 let terms = [
                     missed - others.variance - (variance - of_mean),
                     of_mean,
@@ -403,7 +403,7 @@ impl SurfaceFilter {
 fn power_of_two_near(baked: &Irradiance) -> f32 {
     let n = baked.value.len().max(1);
     let mean =
-        crate::parallel::sum_f64(baked.value.len(), |i| f64::from(luminance(baked.value[i])))
+        crate::core::parallel::sum_f64(baked.value.len(), |i| f64::from(luminance(baked.value[i])))
             / n as f64;
     let exponent = mean.log2().floor();
     if exponent.abs() < 120.0 {
@@ -458,7 +458,11 @@ impl Kernel for Guide<'_> {
             per_different,
         } = self;
         let alike = Alike::new(own, per_different);
-        let (mut weights, mut sum, mut spread) = ([0.0; PARTS], [0.0; PARTS], [0.0; PARTS]);
+        let (mut weights, mut sum, mut spread) = (
+            [0.0; SUB_ESTIMATES],
+            [0.0; SUB_ESTIMATES],
+            [0.0; SUB_ESTIMATES],
+        );
         for (id, distance2) in near {
             let t = &told[*id as usize];
             let weight = alike.weights(
@@ -521,8 +525,8 @@ impl Alike {
     fn weights(&self, told: &Lanes, variance: f32, most: f32) -> Lanes {
         let variance = self.own.variance + variance;
         let scale = self.per_different / (variance + self.floor);
-        let mut out = [0.0; PARTS];
-        for l in 0..PARTS {
+        let mut out = [0.0; SUB_ESTIMATES];
+        for l in 0..SUB_ESTIMATES {
             let difference = self.own.part[l] - told[l];
             let d = (difference * difference - variance).max(0.0) * scale;
             let a = (1.0 - d).max(0.0);
@@ -538,29 +542,29 @@ impl Alike {
 
 #[inline(always)]
 fn add(sum: &mut Lanes, a: &Lanes) {
-    for l in 0..PARTS {
+    for l in 0..SUB_ESTIMATES {
         sum[l] += a[l];
     }
 }
 
 #[inline(always)]
 fn add_product(sum: &mut Lanes, a: &Lanes, b: &Lanes) {
-    for l in 0..PARTS {
+    for l in 0..SUB_ESTIMATES {
         sum[l] = a[l].mul_add(b[l], sum[l]);
     }
 }
 
 #[inline(always)]
 fn add_scaled(sum: &mut Lanes, a: &Lanes, scale: f32) {
-    for l in 0..PARTS {
+    for l in 0..SUB_ESTIMATES {
         sum[l] = a[l].mul_add(scale, sum[l]);
     }
 }
 
 #[inline(always)]
 fn times(a: &Lanes, scale: f32) -> Lanes {
-    let mut out = [0.0; PARTS];
-    for l in 0..PARTS {
+    let mut out = [0.0; SUB_ESTIMATES];
+    for l in 0..SUB_ESTIMATES {
         out[l] = a[l] * scale;
     }
     out
@@ -580,10 +584,10 @@ struct Regression<'a> {
 }
 
 impl Kernel for Regression<'_> {
-    type Output = [Vec3; PARTS];
+    type Output = [Vec3; SUB_ESTIMATES];
 
     #[inline(always)]
-    fn run(self) -> [Vec3; PARTS] {
+    fn run(self) -> [Vec3; SUB_ESTIMATES] {
         let Self {
             own,
             part,
@@ -594,7 +598,7 @@ impl Kernel for Regression<'_> {
         } = self;
         // the weights of one part's values come from the others
         let alike = Alike::new(own, per_different);
-        weight.resize(near.len(), [0.0; PARTS]);
+        weight.resize(near.len(), [0.0; SUB_ESTIMATES]);
         for (n, weight) in near.iter().zip(weight.iter_mut()) {
             let others = &nodes[n.id as usize].others;
             let falloff = (1.0 - n.distance2) * (1.0 - n.distance2);
@@ -616,7 +620,7 @@ impl Kernel for Regression<'_> {
             )
         };
         let reach = PLAUSIBLE * own.variance.sqrt();
-        let mut out = [Vec3::ZERO; PARTS];
+        let mut out = [Vec3::ZERO; SUB_ESTIMATES];
         for (p, out) in out.iter_mut().enumerate() {
             let value = Vec3::new(red[p], green[p], blue[p]);
             if !value.is_finite() {
@@ -667,7 +671,7 @@ fn turn(n: &Near) -> [f32; 2] {
 /// terms of position; the rows of the normal's terms follow from [`moments_of_turn`].
 #[inline(always)]
 fn moments_of_place(near: &[Near], weight: &[Lanes]) -> [Lanes; 6] {
-    let [mut m00, mut m10, mut m11, mut m20, mut m21, mut m22] = [[0.0; PARTS]; 6];
+    let [mut m00, mut m10, mut m11, mut m20, mut m21, mut m22] = [[0.0; SUB_ESTIMATES]; 6];
     for (n, w) in near.iter().zip(weight) {
         let [x, y] = place(n);
         add(&mut m00, w);
@@ -694,7 +698,7 @@ fn moments_of_turn(near: &[Near], weight: &[Lanes]) -> [Lanes; 9] {
         mut m42,
         mut m43,
         mut m44,
-    ] = [[0.0; PARTS]; 9];
+    ] = [[0.0; SUB_ESTIMATES]; 9];
     for (n, w) in near.iter().zip(weight) {
         let ([x, y], [u, v]) = (place(n), turn(n));
         let row = times(w, u);
@@ -715,7 +719,7 @@ fn moments_of_turn(near: &[Near], weight: &[Lanes]) -> [Lanes; 9] {
 /// Right side of the normal equations: Σ w tᵣ v for each row, channel by channel.
 #[inline(always)]
 fn right_of_place(near: &[Near], weight: &[Lanes], nodes: &[Node]) -> [[Lanes; 3]; 3] {
-    let zero = [0.0; PARTS];
+    let zero = [0.0; SUB_ESTIMATES];
     let ([mut r0, mut g0, mut b0], [mut r1, mut g1, mut b1], [mut r2, mut g2, mut b2]) =
         ([zero; 3], [zero; 3], [zero; 3]);
     for (n, w) in near.iter().zip(weight) {
@@ -737,7 +741,7 @@ fn right_of_place(near: &[Near], weight: &[Lanes], nodes: &[Node]) -> [[Lanes; 3
 
 #[inline(always)]
 fn right_of_turn(near: &[Near], weight: &[Lanes], nodes: &[Node]) -> [[Lanes; 3]; 2] {
-    let zero = [0.0; PARTS];
+    let zero = [0.0; SUB_ESTIMATES];
     let ([mut r3, mut g3, mut b3], [mut r4, mut g4, mut b4]) = ([zero; 3], [zero; 3]);
     for (n, w) in near.iter().zip(weight) {
         let ([r, g, b], [u, v]) = (&nodes[n.id as usize].value, turn(n));
@@ -763,13 +767,13 @@ fn intercepts<const TERMS: usize, const MOMENTS: usize>(
     let at = |row: usize, column: usize| row * (row + 1) / 2 + column;
     let ridge = times(&matrix[0], RIDGE);
     for r in (1..TERMS).rev() {
-        let mut per_pivot = [0.0; PARTS];
-        for l in 0..PARTS {
+        let mut per_pivot = [0.0; SUB_ESTIMATES];
+        for l in 0..SUB_ESTIMATES {
             per_pivot[l] = 1.0 / (matrix[at(r, r)][l] + ridge[l]);
         }
         for i in 0..r {
-            let mut factor = [0.0; PARTS];
-            for l in 0..PARTS {
+            let mut factor = [0.0; SUB_ESTIMATES];
+            for l in 0..SUB_ESTIMATES {
                 factor[l] = -matrix[at(r, i)][l] * per_pivot[l];
             }
             for c in 0..=i {
@@ -785,7 +789,7 @@ fn intercepts<const TERMS: usize, const MOMENTS: usize>(
     }
     let mut out = right[0];
     for channel in &mut out {
-        for l in 0..PARTS {
+        for l in 0..SUB_ESTIMATES {
             channel[l] /= matrix[0][l];
         }
     }
@@ -795,9 +799,9 @@ fn intercepts<const TERMS: usize, const MOMENTS: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Mesh;
-    use crate::sampling::KeyedRng;
-    use crate::trace::BruteForce;
+    use crate::core::geometry::Mesh;
+    use crate::core::sampling::KeyedRng;
+    use crate::core::trace::BruteForce;
 
     /// Every third texel has many samples and is darker than its noisy neighbours: their light must
     /// not be mixed into it.
@@ -806,15 +810,15 @@ mod tests {
         const SIDE: usize = 30;
         let many = |i: usize| (i % SIDE + i / SIDE).is_multiple_of(3);
         let truth = |i: usize| if many(i) { 1.0 } else { 1.1 };
-        let patches: Vec<Patch> = (0..SIDE * SIDE)
-            .map(|i| Patch {
+        let patches: Vec<Surfel> = (0..SIDE * SIDE)
+            .map(|i| Surfel {
                 position: Vec3::new((i % SIDE) as f32, (i / SIDE) as f32, 0.0),
                 normal: Vec3::Z,
                 size: 1.0,
             })
             .collect();
         let samples = |i: usize| if many(i) { 256.0 } else { 1.0 };
-        let parts: Vec<[Vec3; PARTS]> = (0..patches.len())
+        let parts: Vec<[Vec3; SUB_ESTIMATES]> = (0..patches.len())
             .map(|i| {
                 let mut rng = KeyedRng::new(7, i as u64);
                 let noise = if many(i) { 0.03 } else { 0.45 };
@@ -826,7 +830,7 @@ mod tests {
             .collect();
         let value = parts
             .iter()
-            .map(|p| p.iter().sum::<Vec3>() / PARTS as f32)
+            .map(|p| p.iter().sum::<Vec3>() / SUB_ESTIMATES as f32)
             .collect();
         let baked = Irradiance {
             value,
@@ -853,8 +857,8 @@ mod tests {
     fn texels_without_samples_are_filled_in() {
         const SIDE: usize = 24;
         let at = |i: usize| Vec3::new((i % SIDE) as f32, (i / SIDE) as f32, 0.0);
-        let patches: Vec<Patch> = (0..SIDE * SIDE)
-            .map(|i| Patch {
+        let patches: Vec<Surfel> = (0..SIDE * SIDE)
+            .map(|i| Surfel {
                 position: at(i),
                 normal: Vec3::Z,
                 size: 1.0,
@@ -880,7 +884,7 @@ mod tests {
         let value: Vec<Vec3> = (0..patches.len())
             .map(|i| if sampled[i] { light(i) } else { Vec3::ZERO })
             .collect();
-        let parts = value.iter().map(|v| [*v; PARTS]).collect();
+        let parts = value.iter().map(|v| [*v; SUB_ESTIMATES]).collect();
         let baked = Irradiance {
             value,
             parts,

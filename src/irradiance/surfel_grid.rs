@@ -7,9 +7,9 @@
 //! door. Numbers of texels are places in that order everywhere: what lies close in space lies close
 //! in memory.
 
-use super::occluded_pairs::Hidden;
+use super::occluded_pairs::OccludedPairs;
+use crate::core::math::Frame;
 use crate::ffi::simd::with_widest;
-use crate::math::Frame;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::f32::consts::PI;
@@ -26,7 +26,7 @@ const FLAT: f32 = 0.15;
 
 /// A texel as a piece of surface.
 #[derive(Clone, Copy, Debug)]
-pub struct Patch {
+pub struct Surfel {
     /// Where its light is sampled, metres: its centre, but off the walls that it touches.
     pub position: Vec3,
     /// Unit shading normal on the lit side.
@@ -35,7 +35,7 @@ pub struct Patch {
     pub size: f32,
 }
 
-impl Patch {
+impl Surfel {
     /// Whether `other` lies within `reach` texels on the same smooth surface.
     pub(crate) fn reaches(&self, other: &Self, reach: f32) -> bool {
         Reach::new(self.size, reach)
@@ -77,17 +77,17 @@ impl Reach {
 }
 
 /// The surroundings of every texel.
-pub(crate) struct Neighbourhood {
+pub(crate) struct SurfelGrid {
     /// Finest first.
     octaves: Vec<Octave>,
     /// The texels' own numbers, octave by octave, in the order of their groups.
     order: Vec<u32>,
     /// In that order, as all that follows.
-    patches: Vec<Patch>,
+    patches: Vec<Surfel>,
     /// Positions and normals, a column per coordinate.
     columns: [Vec<f32>; 6],
     /// Who is hidden from whom.
-    hidden: Hidden,
+    hidden: OccludedPairs,
 }
 
 /// Texels of similar size sorted by cube.
@@ -140,9 +140,9 @@ pub(crate) struct Near {
     pub along: [f32; 4],
 }
 
-impl Neighbourhood {
+impl SurfelGrid {
     /// Sorts the texels.
-    pub(crate) fn new(patches: &[Patch]) -> Self {
+    pub(crate) fn new(patches: &[Surfel]) -> Self {
         let octave_of: Vec<i32> = patches.par_iter().map(|p| octave(p.size)).collect();
         let mut present = octave_of.clone();
         present.par_sort_unstable();
@@ -154,9 +154,9 @@ impl Neighbourhood {
                 .filter(|&i| octave_of[i] == o);
             octaves.push(Octave::new(patches, members, o, &mut order));
         }
-        let patches: Vec<Patch> = order.par_iter().map(|&i| patches[i as usize]).collect();
+        let patches: Vec<Surfel> = order.par_iter().map(|&i| patches[i as usize]).collect();
         let column = |c: usize| {
-            let of = |p: &Patch| {
+            let of = |p: &Surfel| {
                 if c < 3 {
                     p.position[c]
                 } else {
@@ -170,12 +170,12 @@ impl Neighbourhood {
             columns: std::array::from_fn(column),
             patches,
             order,
-            hidden: Hidden::default(),
+            hidden: OccludedPairs::default(),
         }
     }
 
     /// The same without texels that are hidden from each other.
-    pub(crate) fn without(self, hidden: Hidden) -> Self {
+    pub(crate) fn without(self, hidden: OccludedPairs) -> Self {
         Self { hidden, ..self }
     }
 
@@ -185,7 +185,7 @@ impl Neighbourhood {
     }
 
     /// The texels.
-    pub(crate) fn patches(&self) -> &[Patch] {
+    pub(crate) fn patches(&self) -> &[Surfel] {
         &self.patches
     }
 
@@ -250,7 +250,7 @@ impl Discs {
     }
 }
 
-impl Neighbourhood {
+impl SurfelGrid {
     /// The texels within `reach` texels of each, on the same smooth surface.
     pub(crate) fn discs(&self, reach: f32) -> Discs {
         let groups: Vec<(&Octave, &Group)> = self.groups().collect();
@@ -284,9 +284,9 @@ impl Neighbourhood {
 }
 
 /// The box within `reach` texels of all of `patches`; `None` if there are none.
-fn bounds<'a>(patches: impl Iterator<Item = &'a Patch>, reach: f32) -> Option<[Vec3; 2]> {
+fn bounds<'a>(patches: impl Iterator<Item = &'a Surfel>, reach: f32) -> Option<[Vec3; 2]> {
     // a little more, for what rounding takes away; finite, so that only cubes nearby are visited
-    let corner = |p: &Patch, reach: f32| {
+    let corner = |p: &Surfel, reach: f32| {
         let position = if p.position.is_finite() {
             p.position
         } else {
@@ -294,7 +294,7 @@ fn bounds<'a>(patches: impl Iterator<Item = &'a Patch>, reach: f32) -> Option<[V
         };
         (position + 1.001 * reach * p.size).clamp(Vec3::MIN, Vec3::MAX)
     };
-    let of = |p: &Patch| [corner(p, -reach), corner(p, reach)];
+    let of = |p: &Surfel| [corner(p, -reach), corner(p, reach)];
     patches
         .map(of)
         .reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
@@ -303,7 +303,7 @@ fn bounds<'a>(patches: impl Iterator<Item = &'a Patch>, reach: f32) -> Option<[V
 impl Octave {
     /// Sorts the `members` into groups and appends them to `order`.
     fn new(
-        patches: &[Patch],
+        patches: &[Surfel],
         members: impl ParallelIterator<Item = usize>,
         o: i32,
         order: &mut Vec<u32>,
@@ -399,7 +399,7 @@ impl Candidates {
     /// smooth surface with texels of `group`.
     fn fill(
         &mut self,
-        all: &Neighbourhood,
+        all: &SurfelGrid,
         octave: &Octave,
         group: &Group,
         bounds: [Vec3; 2],
@@ -470,11 +470,11 @@ impl Candidates {
     }
 
     /// Writes those that lie around `p`.
-    fn find(&mut self, p: &Patch, reach: f32, out: &mut Vec<Near>) {
+    fn find(&mut self, p: &Surfel, reach: f32, out: &mut Vec<Near>) {
         let n = self.ids.len();
         with_widest(|| {
             // (copies: what is read through a reference could change with every value written)
-            let Patch {
+            let Surfel {
                 position,
                 normal,
                 size,
@@ -530,20 +530,20 @@ mod tests {
 
     /// A floor of 60 × 60 texels of 1 cm, a wall on it, a second floor of texels of 0.1 cm above,
     /// and a ball.
-    fn patches() -> Vec<Patch> {
+    fn patches() -> Vec<Surfel> {
         let mut out = Vec::new();
         let grid = |n: usize| (0..n * n).map(move |k| ((k % n) as f32 + 0.5, (k / n) as f32 + 0.5));
-        out.extend(grid(60).map(|(x, y)| Patch {
+        out.extend(grid(60).map(|(x, y)| Surfel {
             position: Vec3::new(x, 0.0, y) * 0.01,
             normal: Vec3::Y,
             size: 0.01,
         }));
-        out.extend(grid(40).map(|(x, y)| Patch {
+        out.extend(grid(40).map(|(x, y)| Surfel {
             position: Vec3::new(0.0, y, x) * 0.01,
             normal: Vec3::X,
             size: 0.01,
         }));
-        out.extend(grid(50).map(|(x, y)| Patch {
+        out.extend(grid(50).map(|(x, y)| Surfel {
             position: Vec3::new(x, 300.0, y) * 1e-3,
             normal: Vec3::Y,
             size: 1e-3,
@@ -553,7 +553,7 @@ mod tests {
             let (sin, cos) = turn.sin_cos();
             Vec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z)
         });
-        out.extend(ball.map(|n| Patch {
+        out.extend(ball.map(|n| Surfel {
             position: Vec3::new(2.0, 0.0, 0.0) + 0.2 * n,
             normal: n,
             size: 0.01,
@@ -565,14 +565,14 @@ mod tests {
     /// it might reach.
     #[test]
     fn extreme_texels_find_themselves() {
-        let at = |x: f32, size: f32| Patch {
+        let at = |x: f32, size: f32| Surfel {
             position: Vec3::splat(x),
             normal: Vec3::Y,
             size,
         };
         let sizes = [0.0, 1e-38, 1e-10, 1.0, 1e20, 3e37, 3e38, f32::INFINITY];
         let places = [0.0, -1e-20, 1.0, -1e9, 1e30, -3e38];
-        let patches: Vec<Patch> = sizes
+        let patches: Vec<Surfel> = sizes
             .iter()
             .flat_map(|s| places.map(|x| at(x, *s)))
             .chain([at(f32::NAN, 1.0)])
@@ -580,7 +580,7 @@ mod tests {
         let itself = |i: usize, near: &[Near], (): &mut ()| {
             near.iter().any(|n| n.distance2 < 1.0 && n.id as usize == i)
         };
-        let around = Neighbourhood::new(&patches);
+        let around = SurfelGrid::new(&patches);
         let found = around.map(9.0, |_| true, |_| true, itself);
         for (p, found) in around.patches().iter().zip(found) {
             // a texel whose reach has no finite, positive square has no surroundings
@@ -593,7 +593,7 @@ mod tests {
     #[test]
     fn neighbours_are_those_of_a_plain_search() {
         let reach = 4.0;
-        let around = Neighbourhood::new(&patches());
+        let around = SurfelGrid::new(&patches());
         let patches = around.patches();
         let index: Vec<u32> = (0..patches.len() as u32).collect();
         let (asked, counts) = (

@@ -6,11 +6,11 @@
 //! which anything stands at all; there, rays to the neighbours that may lie behind it decide. Who
 //! hides from whom is mutual, whichever of the two found out.
 
-use super::occluded_pairs::Hidden;
-use super::surfel_grid::{Neighbourhood, Patch};
-use crate::math::Frame;
-use crate::parallel::map_chunks;
-use crate::trace::{BATCH, Hit, Ray, Tracer};
+use super::occluded_pairs::OccludedPairs;
+use super::surfel_grid::{Surfel, SurfelGrid};
+use crate::core::math::Frame;
+use crate::core::parallel::map_chunks;
+use crate::core::trace::{BATCH, Hit, Ray, Tracer};
 use glam::Vec3;
 use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 use std::ops::Range;
@@ -43,7 +43,7 @@ const BEFORE: f32 = 0.75;
 
 /// Texels that look around.
 struct Looks<'a> {
-    patches: &'a [Patch],
+    patches: &'a [Surfel],
     /// The places from which they do.
     eyes: Vec<Vec3>,
     reach: f32,
@@ -52,7 +52,7 @@ struct Looks<'a> {
 impl Looks<'_> {
     /// The place of texel `j` on the plane of texel `i`, in reaches.
     fn toward(&self, i: usize, j: usize) -> [f32; 2] {
-        let Patch {
+        let Surfel {
             position,
             normal,
             size,
@@ -74,7 +74,7 @@ struct Sight {
 }
 
 /// Asks which of the texels within `reach` texels of each are hidden from it.
-pub(crate) fn find_hidden(around: &Neighbourhood, reach: f32, tracer: &dyn Tracer) -> Hidden {
+pub(crate) fn find_occluded(around: &SurfelGrid, reach: f32, tracer: &dyn Tracer) -> OccludedPairs {
     let patches = around.patches();
     let looks = Looks {
         patches,
@@ -122,15 +122,15 @@ pub(crate) fn find_hidden(around: &Neighbourhood, reach: f32, tracer: &dyn Trace
             blocked.map(|(j, _)| *j).collect::<Vec<u32>>()
         },
     );
-    Hidden::mutual(&found)
+    OccludedPairs::mutual(&found)
 }
 
 /// The places from which texels look at each other: lower where something hangs over them.
-fn eyes(patches: &[Patch], tracer: &dyn Tracer) -> Vec<Vec3> {
+fn eyes(patches: &[Surfel], tracer: &dyn Tracer) -> Vec<Vec3> {
     let chunk = |range: Range<usize>| {
         let patches = &patches[range];
         // (not so near that rounding finds the surface itself)
-        let up = |p: &Patch| Ray {
+        let up = |p: &Surfel| Ray {
             t_near: 0.02 * p.size,
             ..Ray::new(p.position, p.normal, HEIGHT * p.size)
         };
@@ -138,7 +138,7 @@ fn eyes(patches: &[Patch], tracer: &dyn Tracer) -> Vec<Vec3> {
         let mut hits = vec![Hit::miss(); rays.len()];
         tracer.closest(&rays, &mut hits);
         let eye =
-            |(p, hit): (&Patch, &Hit)| p.position + p.normal * (0.5 * hit.t).min(HEIGHT * p.size);
+            |(p, hit): (&Surfel, &Hit)| p.position + p.normal * (0.5 * hit.t).min(HEIGHT * p.size);
         patches.iter().zip(&hits).map(eye).collect::<Vec<_>>()
     };
     map_chunks(patches.len(), BATCH, chunk).concat()
@@ -193,20 +193,20 @@ fn between(a: Vec3, b: Vec3) -> Ray {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Mesh;
+    use crate::core::geometry::Mesh;
+    use crate::core::trace::{BruteForce, EmbreeTracer};
     use crate::irradiance::surfel_grid::Near;
-    use crate::trace::{BruteForce, EmbreeTracer};
     use std::f32::consts::{PI, TAU};
 
     const REACH: f32 = 6.0;
     const SIDE: usize = 40;
 
     /// A floor of 40 × 40 texels of 1 m in y = 0.
-    fn floor() -> Neighbourhood {
+    fn floor() -> SurfelGrid {
         let at = |k: usize| Vec3::new((k % SIDE) as f32 + 0.5, 0.0, (k / SIDE) as f32 + 0.5);
-        Neighbourhood::new(
+        SurfelGrid::new(
             &(0..SIDE * SIDE)
-                .map(|k| Patch {
+                .map(|k| Surfel {
                     position: at(k),
                     normal: Vec3::Y,
                     size: 1.0,
@@ -237,19 +237,19 @@ mod tests {
         [at(from), at(to) - at(from), height * Vec3::Y]
     }
 
-    fn hidden(around: &Neighbourhood, mesh: &Mesh) -> Hidden {
-        find_hidden(around, REACH, &EmbreeTracer::new(mesh).expect("embree"))
+    fn hidden(around: &SurfelGrid, mesh: &Mesh) -> OccludedPairs {
+        find_occluded(around, REACH, &EmbreeTracer::new(mesh).expect("embree"))
     }
 
     /// Neighbours i, j of each other, whether hidden or not.
-    fn pairs(around: &Neighbourhood) -> Vec<(usize, usize)> {
+    fn pairs(around: &SurfelGrid) -> Vec<(usize, usize)> {
         let ids = |i: usize, near: &[Near], (): &mut ()| {
             near.iter().map(|n| (i, n.id as usize)).collect::<Vec<_>>()
         };
         around.map(REACH, |_| true, |_| true, ids).concat()
     }
 
-    fn hides(hidden: &Hidden, i: usize, j: usize) -> bool {
+    fn hides(hidden: &OccludedPairs, i: usize, j: usize) -> bool {
         hidden.of(i).binary_search(&(j as u32)).is_ok()
     }
 
@@ -373,15 +373,15 @@ mod tests {
                     .sum::<Vec3>())
                     / 3.0
             };
-            let patch = |p: Vec3| Patch {
+            let patch = |p: Vec3| Surfel {
                 position: p,
                 normal: inside * p.normalize(),
                 size: 1.0 / radius,
             };
-            let patches: Vec<Patch> = (0..mesh.triangles.len())
+            let patches: Vec<Surfel> = (0..mesh.triangles.len())
                 .map(|t| patch(centre(t)))
                 .collect();
-            let around = Neighbourhood::new(&patches);
+            let around = SurfelGrid::new(&patches);
             let hidden = hidden(&around, &mesh);
             assert!(
                 pairs(&around).len() > 10 * patches.len(),

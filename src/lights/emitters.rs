@@ -5,19 +5,19 @@
 //! (Bitterli et al. 2015, "Portal-Masked Environment Map Sampling", in spirit).
 //!
 //! Emissive triangles are gathered into lamps; space into cells. Every point chooses lamps with
-//! probability proportional to the irradiance they are expected to send there ([`LampChoice`]),
+//! probability proportional to the irradiance they are expected to send there ([`LightSampler`]),
 //! times what rays found of their visibility from the point's cell, so that lamps in other rooms
 //! and behind the surface cost no samples.
 
-use super::light_sampler::{LampChoice, LampShapes, Piece};
-use super::portal_grid::Hull;
+use super::light_sampler::{LightSampler, LightShapes, Piece};
+use super::portal_grid::PortalGrid;
 use super::primitives::{Columns, GRAZING, PORTAL, SHORT, Sources};
-use crate::ffi::simd::{prefetch, whole_within};
-use crate::geometry::Mesh;
-use crate::math::luminance;
+use crate::core::geometry::Mesh;
+use crate::core::math::luminance;
+use crate::core::sampling::{SlotTable, SobolSequence};
+use crate::core::trace::{Hit, Ray, Tracer};
+use crate::ffi::simd::{floor_to_index, prefetch};
 use crate::radiance::LightField;
-use crate::sampling::{SlotTable, SobolSequence};
-use crate::trace::{Hit, Ray, Tracer};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -66,7 +66,7 @@ impl Lamp {
     /// The slot that `u` in [0, 1) stands for.
     #[inline(always)]
     fn slot(&self, u: f32) -> u32 {
-        self.first + whole_within(u * self.slots, self.slots - 1.0)
+        self.first + floor_to_index(u * self.slots, self.slots - 1.0)
     }
 }
 
@@ -81,7 +81,7 @@ enum LampKind {
 /// Samples emissive triangles and portals.
 pub struct Emitters {
     lamps: Vec<Lamp>,
-    shapes: LampShapes,
+    shapes: LightShapes,
     /// The pieces of all lamps, lamp by lamp.
     sources: Sources,
     /// The pieces again, lamp by lamp, each as often as it is likely.
@@ -91,7 +91,7 @@ pub struct Emitters {
     triangle_slot: Vec<(u32, f32)>,
     /// The same per cell of the hull; empty without portals.
     portal_slot: Vec<(u32, f32)>,
-    hull: Hull,
+    hull: PortalGrid,
     reach: ReachTable,
     cell_size: f32,
 }
@@ -110,12 +110,12 @@ impl Emitters {
         let cell_size = ((hi - lo).max_element() / CELLS_LONGEST).max(f32::MIN_POSITIVE);
         let mut out = Self {
             lamps: Vec::new(),
-            shapes: LampShapes::default(),
+            shapes: LightShapes::default(),
             sources: Sources::default(),
             slots: Vec::new(),
             triangle_slot: vec![(0, 0.0); mesh.triangles.len() + 1],
             portal_slot: Vec::new(),
-            hull: Hull::around(lo, hi),
+            hull: PortalGrid::around(lo, hi),
             reach: ReachTable::default(),
             cell_size,
         };
@@ -171,7 +171,7 @@ impl Emitters {
             .push(&items.iter().map(|i| i.0).collect::<Vec<_>>());
         let (lamp, base) = (self.lamps.len() as u32, self.sources.len() as u32);
         if matches!(kind, LampKind::Portal(_)) {
-            self.portal_slot.resize(Hull::NUMBERS, (0, 0.0));
+            self.portal_slot.resize(PortalGrid::NUMBERS, (0, 0.0));
         }
         for (i, item) in items.iter().enumerate() {
             let density = table.pmf(i) / item.1;
@@ -205,20 +205,20 @@ impl Emitters {
     ) {
         let stride = (receivers.len() / PORTAL_PROBES).max(1);
         let probes: Vec<usize> = (0..receivers.len()).step_by(stride).collect();
-        let found = crate::parallel::map_chunks(probes.len(), 64, |range| {
+        let found = crate::core::parallel::map_chunks(probes.len(), 64, |range| {
             let mut rays = Vec::new();
             for k in range {
                 let (p, n) = receivers[probes[k]];
-                let frame = crate::math::Frame::from_normal(n);
+                let frame = crate::core::math::Frame::from_normal(n);
                 let sequence = SobolSequence::new(0x907_7a1, k as u64);
                 for j in 0..PORTAL_RAYS {
-                    let d = frame.world_from_local(crate::sampling::square_to_cosine_hemisphere(
-                        sequence.point2(j),
-                    ));
+                    let d = frame.world_from_local(
+                        crate::core::sampling::square_to_cosine_hemisphere(sequence.point2(j)),
+                    );
                     rays.push(Ray::new(p + n * (1e-4 * self.cell_size), d, f32::INFINITY));
                 }
             }
-            let mut hits = vec![crate::trace::Hit::miss(); rays.len()];
+            let mut hits = vec![crate::core::trace::Hit::miss(); rays.len()];
             tracer.closest(&rays, &mut hits);
             let mut out = Vec::new();
             for (r, h) in rays.iter().zip(&hits) {
@@ -286,9 +286,9 @@ impl Emitters {
                 let stride = (ids.len() / PROBES).max(1);
                 let sequence = SobolSequence::new(
                     0x1a3b,
-                    crate::sampling::hash_u64(
+                    crate::core::sampling::hash_u64(
                         cell[0] as u64,
-                        crate::sampling::hash_u64(cell[1] as u64, cell[2] as u64),
+                        crate::core::sampling::hash_u64(cell[1] as u64, cell[2] as u64),
                     ),
                 );
                 let (mut rays, mut owners, mut expected) = (Vec::new(), Vec::new(), Vec::new());
@@ -370,7 +370,7 @@ impl Emitters {
     /// Writes into `choice` which lamps suit a point with a unit normal; pass it to
     /// [`Self::sample`] and [`Self::pdf`]. They are combined with `rays` cosine-distributed rays
     /// per sample, which meet large lamps anyway.
-    pub fn choose(&self, p: Vec3, normal: Vec3, rays: f32, choice: &mut LampChoice) {
+    pub fn choose(&self, p: Vec3, normal: Vec3, rays: f32, choice: &mut LightSampler) {
         choice.set(|weights| {
             self.shapes
                 .expected(p, normal, self.reach.at(self.cell(p)), weights);
@@ -392,7 +392,7 @@ impl Emitters {
     pub fn sample(
         &self,
         field: &LightField,
-        choice: &LampChoice,
+        choice: &LightSampler,
         origin: Vec3,
         u: [f32; 3],
     ) -> Option<EmitterSample> {
@@ -443,7 +443,7 @@ impl Emitters {
     pub fn pdf(
         &self,
         field: &LightField,
-        choice: &LampChoice,
+        choice: &LightSampler,
         origin: Vec3,
         direction: Vec3,
         hit: &Hit,
@@ -464,9 +464,9 @@ impl Emitters {
     }
 
     /// The slot of a source that `u` in [0, 1) stands for, and the probability of its lamp; `first`
-    /// is from [`LampChoice::guide`], if at hand. The slot is on its way into the cache.
+    /// is from [`LightSampler::guide`], if at hand. The slot is on its way into the cache.
     #[inline(always)]
-    pub(crate) fn pick(&self, choice: &LampChoice, first: Option<u32>, u: f32) -> (u32, f32) {
+    pub(crate) fn pick(&self, choice: &LightSampler, first: Option<u32>, u: f32) -> (u32, f32) {
         let (lamp, rest) = match first {
             Some(first) => choice.sample_in(first, u),
             None => choice.sample(u),
@@ -484,13 +484,13 @@ impl Emitters {
 
     /// Tells the cache that [`Self::hit_pdf`] will be asked for a hit on `triangle` soon.
     #[inline(always)]
-    pub(crate) fn expect_hit(&self, triangle: u32) {
+    pub(crate) fn prefetch_hit(&self, triangle: u32) {
         prefetch(&self.triangle_slot, triangle as usize);
     }
 
     /// [`Self::pdf`] of a ray that meets a triangle under `cosine`; 0 for a miss.
     #[inline(always)]
-    pub(crate) fn hit_pdf(&self, choice: &LampChoice, hit: &Hit, cosine: f32) -> f32 {
+    pub(crate) fn hit_pdf(&self, choice: &LightSampler, hit: &Hit, cosine: f32) -> f32 {
         // the last slot is that of no triangle
         let (lamp, density) =
             self.triangle_slot[(hit.triangle as usize).min(self.triangle_slot.len() - 1)];
@@ -504,7 +504,7 @@ impl Emitters {
 
     /// [`Self::pdf`] of a ray that leaves the scene.
     #[inline]
-    pub(crate) fn miss_pdf(&self, choice: &LampChoice, origin: Vec3, direction: Vec3) -> f32 {
+    pub(crate) fn miss_pdf(&self, choice: &LightSampler, origin: Vec3, direction: Vec3) -> f32 {
         if self.portal_slot.is_empty() {
             return 0.0;
         }

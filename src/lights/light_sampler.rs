@@ -8,7 +8,7 @@ use std::f32::consts::FRAC_1_PI;
 
 /// Lamps as their light is judged from afar, a column per property.
 #[derive(Default)]
-pub(crate) struct LampShapes {
+pub(crate) struct LightShapes {
     x: Vec<f32>,
     y: Vec<f32>,
     z: Vec<f32>,
@@ -39,7 +39,7 @@ pub(crate) struct Piece {
 
 /// Sums over lamps that run side by side: a single one would wait for every addition.
 const LANES: usize = 8;
-/// Steps in which the level of [`LampShapes::rebalance`] is found, nearly; each leaves lamps out.
+/// Steps in which the level of [`LightShapes::rebalance`] is found, nearly; each leaves lamps out.
 const LEVEL_STEPS: u32 = 2;
 /// Least factor on a lamp's probability, however well hemisphere rays meet it.
 const LEAST: f32 = 0.03;
@@ -48,7 +48,7 @@ const LEAST: f32 = 0.03;
 /// angular size.
 const SLACK: f32 = 0.3;
 
-impl LampShapes {
+impl LightShapes {
     /// Adds a lamp.
     pub(crate) fn push(&mut self, pieces: &[Piece]) {
         let power = pieces.iter().map(|p| p.power).sum::<f64>();
@@ -116,9 +116,9 @@ impl LampShapes {
     }
 }
 
-/// [`LampShapes::expected`].
+/// [`LightShapes::expected`].
 struct Expected<'a> {
-    lamps: &'a LampShapes,
+    lamps: &'a LightShapes,
     p: Vec3,
     normal: Vec3,
     reach: &'a [f32],
@@ -155,7 +155,7 @@ impl Kernel for Expected<'_> {
     }
 }
 
-/// [`LampShapes::rebalance`].
+/// [`LightShapes::rebalance`].
 struct Rebalance<'a> {
     rays: f32,
     dimness: &'a [f32],
@@ -253,14 +253,14 @@ impl Kernel for Sums<'_> {
 /// The probability of each lamp at one point. What is sampled is exactly what [`Self::pmf`] says;
 /// lamps keep the order of the numbers they are drawn by, hence their stratification.
 #[derive(Clone, Debug, Default)]
-pub struct LampChoice {
+pub struct LightSampler {
     /// Sums of the weights up to and with each lamp.
     ends: Vec<f32>,
     weights: Vec<f32>,
     inverse: f32,
 }
 
-impl LampChoice {
+impl LightSampler {
     /// Takes the weights that `fill` writes, one per lamp.
     pub(crate) fn set(&mut self, fill: impl FnOnce(&mut Vec<f32>)) {
         fill(&mut self.weights);
@@ -343,7 +343,7 @@ impl LampChoice {
     }
 }
 
-/// How far into a lamp with the given [`LampChoice::start`] the number `x` lies, in [0, 1).
+/// How far into a lamp with the given [`LightSampler::start`] the number `x` lies, in [0, 1).
 #[inline(always)]
 fn rest([start, per_weight]: [f32; 2], x: f32) -> f32 {
     ((x - start) * per_weight).clamp(0.0, 1.0 - f32::EPSILON)
@@ -355,7 +355,7 @@ mod tests {
 
     #[test]
     fn lamps_are_drawn_as_often_as_stated_and_in_order() {
-        let mut choice = LampChoice::default();
+        let mut choice = LightSampler::default();
         let weights = [0.0, 3.0, 1e-9, 0.0, 5.0, 0.25, 0.0];
         choice.set(|w| *w = weights.to_vec());
         assert!(!choice.is_empty());
@@ -399,7 +399,7 @@ mod tests {
         // (area, power): small and bright to large and dim
         let lamps = [(0.01, 3.0), (0.5, 2.0), (2.0, 1.5), (6.0, 1.0), (0.2, 0.4)];
         let expected = [0.5f64, 0.8, 0.3, 0.6, 0.1];
-        let mut shapes = LampShapes::default();
+        let mut shapes = LightShapes::default();
         for (area, power) in lamps {
             shapes.push(&[Piece {
                 centre: Vec3::Z,
@@ -451,7 +451,7 @@ mod tests {
 
     #[test]
     fn what_is_expected_of_a_small_flat_lamp_is_its_irradiance() {
-        let mut shapes = LampShapes::default();
+        let mut shapes = LightShapes::default();
         shapes.push(&[Piece {
             centre: Vec3::new(0.0, 0.0, 2.0),
             normal: Vec3::NEG_Z,
@@ -474,7 +474,7 @@ mod tests {
 
     #[test]
     fn a_round_lamp_shines_to_all_sides_and_a_large_one_around_the_horizon() {
-        let mut shapes = LampShapes::default();
+        let mut shapes = LightShapes::default();
         let axes = [Vec3::X, Vec3::Y, Vec3::Z];
         let ball: Vec<Piece> = axes
             .iter()

@@ -1,9 +1,9 @@
 //! A lit scene: the geometry, visibility, light field and lights that every gathering ray needs.
 
 use super::Emitters;
-use crate::geometry::Mesh;
+use crate::core::geometry::Mesh;
+use crate::core::trace::Tracer;
 use crate::radiance::LightField;
-use crate::trace::Tracer;
 
 /// Everything rays need.
 #[derive(Clone, Copy)]

@@ -13,9 +13,9 @@ mod shadow_rays;
 
 pub use emission::{EmissionEvidence, detect_emissive};
 pub use emitters::{EmitterSample, Emitters};
-pub use light_sampler::LampChoice;
+pub use light_sampler::LightSampler;
 pub use lit_scene::LitScene;
-pub(crate) use portal_grid::Hull;
+pub(crate) use portal_grid::PortalGrid;
 pub(crate) use primitives::PORTAL;
-pub(crate) use sampler_cache::SharedChoices;
-pub(crate) use shadow_rays::{Aimed, Aiming, Picks};
+pub(crate) use sampler_cache::SamplerCache;
+pub(crate) use shadow_rays::{LightPicks, ShadowSample, ShadowSampler};

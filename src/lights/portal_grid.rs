@@ -7,14 +7,14 @@ const CELLS: f32 = 96.0;
 
 /// A box around the scene with its six faces divided into square-ish cells, numbered face by face.
 #[derive(Clone, Debug)]
-pub struct Hull {
+pub struct PortalGrid {
     lo: Vec3,
     hi: Vec3,
     /// Cells per axis.
     count: [u32; 3],
 }
 
-impl Hull {
+impl PortalGrid {
     /// The box around `lo..hi`.
     #[must_use]
     pub fn around(lo: Vec3, hi: Vec3) -> Self {
@@ -160,7 +160,7 @@ mod tests {
 
     #[test]
     fn points_of_a_cell_are_found_again_as_exits() {
-        let hull = Hull::around(Vec3::new(-1.0, 0.0, 2.0), Vec3::new(4.0, 2.5, 5.0));
+        let hull = PortalGrid::around(Vec3::new(-1.0, 0.0, 2.0), Vec3::new(4.0, 2.5, 5.0));
         let origin = Vec3::new(1.0, 1.2, 3.0);
         let mut seen = 0;
         for face in 0..6u32 {
@@ -195,7 +195,7 @@ mod tests {
     /// Areas as seen from inside: the solid angles of all cells sum to the sphere.
     #[test]
     fn cells_tile_the_sphere() {
-        let hull = Hull::around(Vec3::ZERO, Vec3::new(2.0, 1.0, 1.5));
+        let hull = PortalGrid::around(Vec3::ZERO, Vec3::new(2.0, 1.0, 1.5));
         let origin = Vec3::new(0.7, 0.4, 0.6);
         let mut sum = 0.0f64;
         for face in 0..6u32 {

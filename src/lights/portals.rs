@@ -4,12 +4,12 @@
 //! Portals only steer the sampling of the environment. One that is too large costs samples, one
 //! that is missed costs noise; neither changes what is rendered on average.
 
-use super::Hull;
-use crate::geometry::Mesh;
-use crate::math::Frame;
-use crate::parallel::map_chunks;
-use crate::sampling::{SobolSequence, square_to_cosine_hemisphere};
-use crate::trace::{Hit, Ray, Tracer};
+use super::PortalGrid;
+use crate::core::geometry::Mesh;
+use crate::core::math::Frame;
+use crate::core::parallel::map_chunks;
+use crate::core::sampling::{SobolSequence, square_to_cosine_hemisphere};
+use crate::core::trace::{Hit, Ray, Tracer};
 use glam::Vec3;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -73,7 +73,7 @@ impl Patch {
 #[must_use]
 pub fn find_portals(mesh: &Mesh, tracer: &dyn Tracer) -> Vec<[Vec3; 3]> {
     let (lo, hi) = mesh.bounds();
-    let hull = Hull::around(lo, hi);
+    let hull = PortalGrid::around(lo, hi);
     let stride = (mesh.triangles.len() / PROBES).max(1);
     let probes: Vec<usize> = (0..mesh.triangles.len()).step_by(stride).collect();
     let offset = hull.diagonal() * 1e-5;
@@ -180,7 +180,7 @@ fn rectangles(mut patches: Vec<Patch>) -> Vec<Patch> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::trace::EmbreeTracer;
+    use crate::core::trace::EmbreeTracer;
 
     /// A box of one-metre sides whose wall at x = 1 has a hole.
     fn box_with_window() -> Mesh {

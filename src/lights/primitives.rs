@@ -1,11 +1,11 @@
 //! Triangles and portal cells that send out light, packed for sampling: what one sample needs lies
 //! side by side in memory.
 
-use super::Hull;
+use super::PortalGrid;
+use crate::core::geometry::Mesh;
+use crate::core::sampling::square_to_triangle;
 use crate::ffi::simd::{prefetch, transpose4};
-use crate::geometry::Mesh;
 use crate::radiance::LightField;
-use crate::sampling::square_to_triangle;
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
 
@@ -130,7 +130,7 @@ impl Sources {
     }
 
     /// Adds a cell of the hull, which comes last.
-    pub(crate) fn push_portal(&mut self, hull: &Hull, cell: u32, density: f32) {
+    pub(crate) fn push_portal(&mut self, hull: &PortalGrid, cell: u32, density: f32) {
         let [corner, edge1, edge2, normal] = hull.cell_frame(cell);
         self.list.push(Source::new(
             corner,

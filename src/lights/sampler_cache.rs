@@ -1,21 +1,21 @@
 //! Choices of lamps that points share which lie close together: finding one costs as much as a few
 //! samples of it.
 
-use super::{Emitters, LampChoice};
+use super::{Emitters, LightSampler};
 use glam::Vec3;
 use std::ops::Index;
 
 /// The choices of a list of points, in memory that later lists use again.
 #[derive(Default)]
-pub(crate) struct SharedChoices {
+pub(crate) struct SamplerCache {
     /// The first `count` are of this list.
-    choices: Vec<LampChoice>,
+    choices: Vec<LightSampler>,
     count: usize,
     /// Whom the last one was made for: position, unit normal.
     last: Option<(Vec3, Vec3)>,
 }
 
-impl SharedChoices {
+impl SamplerCache {
     /// Begins another list.
     pub(crate) fn clear(&mut self) {
         (self.count, self.last) = (0, None);
@@ -37,8 +37,10 @@ impl SharedChoices {
     ) -> usize {
         let place = (p, normal);
         if self.last.is_none_or(|last| !emitters.alike([last, place])) {
-            self.choices
-                .resize_with(self.choices.len().max(self.count + 1), LampChoice::default);
+            self.choices.resize_with(
+                self.choices.len().max(self.count + 1),
+                LightSampler::default,
+            );
             emitters.choose(p, normal, rays, &mut self.choices[self.count]);
             (self.count, self.last) = (self.count + 1, Some(place));
         }
@@ -46,10 +48,10 @@ impl SharedChoices {
     }
 }
 
-impl Index<usize> for SharedChoices {
-    type Output = LampChoice;
+impl Index<usize> for SamplerCache {
+    type Output = LightSampler;
 
-    fn index(&self, number: usize) -> &LampChoice {
+    fn index(&self, number: usize) -> &LightSampler {
         &self.choices[number]
     }
 }

@@ -2,9 +2,9 @@
 //! bring, side by side in vector registers.
 
 use super::primitives::{Columns, Sources};
+use crate::core::trace::Ray;
 use crate::ffi::simd::{Kernel, transpose4};
 use crate::radiance::LightField;
-use crate::trace::Ray;
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
@@ -16,7 +16,7 @@ const AHEAD: usize = 2;
 
 /// Emitter samples of which the sources are chosen, a column per property, in whole blocks.
 #[derive(Default)]
-pub(crate) struct Picks {
+pub(crate) struct LightPicks {
     /// Number of the source.
     pub source: Vec<u32>,
     /// Probability of its lamp.
@@ -27,7 +27,7 @@ pub(crate) struct Picks {
     pub owner: Vec<u32>,
 }
 
-impl Picks {
+impl LightPicks {
     /// Makes room for `n` samples, and for the rest of a block.
     pub(crate) fn reserve(&mut self, n: usize) {
         let n = n.next_multiple_of(BLOCK);
@@ -42,7 +42,7 @@ impl Picks {
 /// An emitter sample that waits for its shadow ray: what its radiance is multiplied by, where that
 /// is stored, whose it is.
 #[derive(Clone, Copy, Default)]
-pub(crate) struct Aimed {
+pub(crate) struct ShadowSample {
     pub weight: f32,
     /// Address in the light field, or `PORTAL`.
     pub address: u32,
@@ -51,10 +51,10 @@ pub(crate) struct Aimed {
 
 /// Writes the shadow rays of `picks` that can carry light and what waits for them; returns how many
 /// there are.
-pub(crate) struct Aiming<'a> {
+pub(crate) struct ShadowSampler<'a> {
     pub sources: &'a Sources,
     pub field: &'a LightField,
-    pub picks: &'a Picks,
+    pub picks: &'a LightPicks,
     /// How many of the picks there are.
     pub count: usize,
     /// Where the rays start, metres.
@@ -67,10 +67,10 @@ pub(crate) struct Aiming<'a> {
     pub samples: f32,
     pub rays: f32,
     pub shadow: &'a mut [Ray],
-    pub aimed: &'a mut [Aimed],
+    pub aimed: &'a mut [ShadowSample],
 }
 
-impl Kernel for Aiming<'_> {
+impl Kernel for ShadowSampler<'_> {
     type Output = usize;
 
     #[inline(always)]
@@ -130,7 +130,7 @@ impl Kernel for Aiming<'_> {
                         direction: [x, y, z],
                         t_far,
                     };
-                    self.aimed[kept] = Aimed {
+                    self.aimed[kept] = ShadowSample {
                         weight: weight[k],
                         address: aims.address[k],
                         owner: owner[k],

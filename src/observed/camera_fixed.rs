@@ -8,13 +8,13 @@
 //! view to view widen the scatter and leave the median. Called before exposure is taken out of the
 //! views, which it would bend.
 
+use crate::core::geometry::{Camera, Projection};
+use crate::core::image::{CameraMask, Plane, Wrap};
+use crate::core::math::luminance;
+use crate::core::parallel;
+use crate::core::stats::median;
+use crate::core::trace::Hit;
 use crate::gbuffer::{Observation, ObservedView, Observer, Orientation};
-use crate::geometry::{Camera, Projection};
-use crate::image::{CameraMask, Plane, Wrap};
-use crate::math::luminance;
-use crate::optim::median;
-use crate::parallel;
-use crate::trace::Hit;
 
 /// Columns of the grid of directions: cells of 1.4° in a panorama, finer than a tripod's head.
 const COLUMNS: usize = 256;
@@ -295,9 +295,9 @@ fn without_specks(plane: &Plane<bool>, wrap: Wrap) -> Plane<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::trace::EmbreeTracer;
     use crate::gbuffer::ViewBuffer;
     use crate::observed::surface_tests::box_scene;
-    use crate::trace::EmbreeTracer;
     use glam::{Mat3, Vec2, Vec3};
 
     /// Panoramas from eight places in a painted box; `paint(camera, pixel, surface)` has the last

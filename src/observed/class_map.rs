@@ -1,7 +1,7 @@
 //! The class of any surface point, read from the atlas.
 
 use super::Surface;
-use crate::image::Plane;
+use crate::core::image::Plane;
 use glam::Vec3;
 
 /// Classes of surface points; emitting triangles have none.

@@ -9,11 +9,11 @@
 //! once the exposures are equal, only where most views disagree ([`super::ViewGains`]).
 
 use super::fusion::{prefer_clean, sharpness};
+use crate::core::geometry::Mesh;
+use crate::core::math::luminance;
+use crate::core::parallel;
+use crate::core::texture::Texels;
 use crate::gbuffer::{Observation, Observer, Orientation};
-use crate::geometry::Mesh;
-use crate::math::luminance;
-use crate::parallel;
-use crate::texture::Texels;
 use glam::{DVec3, Vec3};
 use std::collections::BTreeMap;
 
@@ -156,11 +156,11 @@ fn compared(seen: &[Observation]) -> (f32, Vec3) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::geometry::{Camera, Projection};
+    use crate::core::image::Plane;
+    use crate::core::trace::EmbreeTracer;
     use crate::gbuffer::{ObservedView, ViewBuffer};
-    use crate::geometry::{Camera, Projection};
-    use crate::image::Plane;
     use crate::observed::surface_tests::box_scene;
-    use crate::trace::EmbreeTracer;
     use glam::Mat3;
 
     /// Four panoramas of a white box of 4 × 3 × 5 m; a dark crate of 0.4 m stands in the middle of

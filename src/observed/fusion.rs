@@ -6,12 +6,12 @@
 //! weighted median finds the view-independent level and a one-step Huber mean around it uses all
 //! consistent views.
 
+use crate::core::math::luminance;
+use crate::core::parallel;
+use crate::core::progress::Progress;
+use crate::core::stats::weighted_median;
+use crate::core::texture::Texels;
 use crate::gbuffer::{Observation, Observer, Orientation};
-use crate::math::luminance;
-use crate::optim::weighted_median;
-use crate::parallel;
-use crate::progress::Progress;
-use crate::texture::Texels;
 use glam::Vec3;
 
 /// Texels per parallel task.

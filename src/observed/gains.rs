@@ -8,9 +8,9 @@
 //! ([`super::pair_gains`]).
 
 use super::pair_gains::{Look, pairwise_gains};
+use crate::core::math::luminance;
+use crate::core::parallel;
 use crate::gbuffer::{Observation, Observer, Orientation};
-use crate::math::luminance;
-use crate::parallel;
 use glam::Vec3;
 use nalgebra::DMatrix;
 
@@ -262,7 +262,7 @@ fn solve(points: &[&[Look]], gains: &[Vec3], scale: f32) -> Vec<Vec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sampling::KeyedRng;
+    use crate::core::sampling::KeyedRng;
 
     /// Points of known level seen by some of eight views with known gains; a fifth of the looks
     /// shows a highlight.

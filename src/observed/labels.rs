@@ -1,8 +1,8 @@
 //! One class per texel, from votes that are sure within a surface and mixed at its edges.
 
 use super::{Fusion, UNSEEN};
-use crate::geometry::{Mesh, pieces};
-use crate::texture::Texels;
+use crate::core::geometry::{Mesh, pieces};
+use crate::core::texture::Texels;
 use std::collections::HashMap;
 
 /// Share of the clean texels of a triangle or piece that must agree: large ones may carry several

@@ -190,7 +190,7 @@ fn relative_errors(covariance: &DMatrix<f64>) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sampling::KeyedRng;
+    use crate::core::sampling::KeyedRng;
 
     /// Twelve views in a chain of six rooms, two in each; neighbours share a few points through
     /// their door. At `wrong` of the points one of the views shows something else, at doors often

@@ -2,14 +2,14 @@
 //! to view, and clipped skies.
 
 use super::estimate_gains;
+use crate::core::image::Plane;
+use crate::core::math::luminance;
+use crate::core::progress::Progress;
+use crate::core::stats::median;
+use crate::core::switch::Switch;
+use crate::core::trace::Hit;
 use crate::gbuffer::{ObservedView, Observer, Orientation};
-use crate::image::Plane;
-use crate::math::luminance;
-use crate::optim::median;
-use crate::progress::Progress;
 use crate::scene::Scene;
-use crate::switch::Switch;
-use crate::trace::Hit;
 
 /// Where a view's sky is clipped below what another view shows of the sky, its pixels tell nothing;
 /// if all are clipped alike, the ceiling stays as the best lower bound there is.

@@ -2,17 +2,17 @@
 //! the pipeline's stage `observe`.
 
 use super::{Contradictions, Fusion};
+use crate::core::geometry::Mesh;
+use crate::core::image::{CameraMask, Plane};
+use crate::core::texture::{Texels, fill_uncovered};
+use crate::core::trace::EmbreeTracer;
 use crate::gbuffer::{ObservedView, Observer, Orientation};
-use crate::geometry::Mesh;
-use crate::image::{CameraMask, Plane};
 use crate::scene::Scene;
-use crate::texture::{Texels, fill_uncovered};
-use crate::trace::EmbreeTracer;
 use glam::Vec3;
 
 /// Sides of the textures, texels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Sizes {
+pub struct TextureSizes {
     /// Albedo, radiance, emission, labels.
     pub albedo: usize,
     /// Roughness.
@@ -35,7 +35,7 @@ pub struct Surface<'a> {
     /// Side of each triangle the cameras see.
     pub orientation: Orientation,
     /// Sizes of the textures.
-    pub sizes: Sizes,
+    pub sizes: TextureSizes,
     /// Covered texels of the albedo atlas.
     pub texels: Texels,
     /// Fused radiance and label votes of `texels`.
@@ -192,7 +192,7 @@ pub(crate) mod tests {
             views: Vec::new(),
             ceilings: Vec::new(),
             orientation: Orientation::of_winding(triangles),
-            sizes: Sizes {
+            sizes: TextureSizes {
                 albedo: side,
                 roughness: side,
                 irradiance: side,

@@ -2,13 +2,13 @@
 //! and what is known of its error.
 
 use super::{Light, Reflections, Roughness, SolveOptions};
+use crate::core::math::luminance;
+use crate::core::progress::Progress;
+use crate::core::switch::Switch;
 use crate::inverse::{
-    AlbedoEstimate, ErrorSources, Shading, Unmixing, albedo_error, estimate_albedo,
+    AlbedoEstimate, ErrorSources, MixedPixelSolver, Shading, albedo_error, estimate_albedo,
 };
-use crate::math::luminance;
 use crate::observed::Surface;
-use crate::progress::Progress;
-use crate::switch::Switch;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::f32::consts::PI;
@@ -103,7 +103,7 @@ fn solve_edges(
             .into_par_iter()
             .map(|i| texels.lookup(&surface.scene.mesh, &light.irradiance, i))
             .collect();
-        let unmixing = Unmixing {
+        let unmixing = MixedPixelSolver {
             observer: surface.observer(),
             orientation: &surface.orientation,
             tracer: &surface.tracer,

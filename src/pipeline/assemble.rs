@@ -2,11 +2,11 @@
 
 use super::roughness::ROUGHNESS_PRIOR;
 use super::{Light, Roughness};
-use crate::image::{Plane, RgbPlane, Wrap};
+use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::texture::fill_uncovered;
 use crate::inverse::AlbedoEstimate;
 use crate::observed::{Surface, filled};
 use crate::solution::{Solution, find_lamps};
-use crate::texture::fill_uncovered;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 

@@ -4,10 +4,10 @@
 //! one that never stopped. A file is used only if its hash fits; anything else is computed again.
 //! Nothing here can make a run fail: a disk without room is only noted.
 
-use crate::formats::atomic_write;
+use crate::core::formats::atomic_write;
+use crate::core::progress::Progress;
 use crate::irradiance::Irradiance;
 use crate::observed::Fusion;
-use crate::progress::Progress;
 use bytemuck::{NoUninit, Pod};
 use std::path::{Path, PathBuf};
 

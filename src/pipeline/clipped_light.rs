@@ -10,18 +10,18 @@
 
 use super::light::{first_radiance, known_lights, light_field, texture_of, trusted_radiance};
 use super::{SolveOptions, Switch};
+use crate::core::image::RgbPlane;
+use crate::core::math::luminance;
+use crate::core::progress::Progress;
+use crate::core::stats::median;
+use crate::core::texture::Texels;
+use crate::core::trace::Hit;
 use crate::gbuffer::Observation;
-use crate::image::RgbPlane;
 use crate::inverse::{ClippedFit, LightGroup, ShadingRow, fit_clipped};
-use crate::irradiance::{IrtOptions, bake_irradiance};
+use crate::irradiance::{IrradianceOptions, bake_irradiance};
 use crate::lights::Emitters;
-use crate::math::luminance;
 use crate::observed::Surface;
-use crate::optim::median;
-use crate::progress::Progress;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
-use crate::texture::Texels;
-use crate::trace::Hit;
 use crate::verdict::MissingLight;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -394,12 +394,12 @@ impl<'s, 'a> Restorer<'s, 'a> {
         }
     }
 
-    fn irt_options(&self) -> IrtOptions {
-        IrtOptions {
+    fn irt_options(&self) -> IrradianceOptions {
+        IrradianceOptions {
             rays: RAYS,
             emitter_samples: LIGHT_SAMPLES,
             seed: self.options.seed ^ 0xc11b,
-            ..IrtOptions::default()
+            ..IrradianceOptions::default()
         }
     }
 

@@ -3,18 +3,18 @@
 
 use super::time_budget::Workload;
 use super::{Quality, SolveOptions, Switch};
-use crate::brdf::Reflectance;
+use crate::core::brdf::Reflectance;
+use crate::core::geometry::Mesh;
+use crate::core::progress::Progress;
+use crate::core::sampling::{Discrete, KeyedRng};
+use crate::core::trace::{Hit, Tracer};
 use crate::gbuffer::{ObservedView, Observer, Orientation};
-use crate::geometry::Mesh;
 use crate::highlight::Evidence;
-use crate::inverse::{Materials, Paint, choose_model, fit_groups};
-use crate::observed::Sizes;
-use crate::progress::Progress;
+use crate::inverse::{ClassPalette, Materials, choose_model, fit_groups};
+use crate::observed::TextureSizes;
 use crate::radiance::Environment;
-use crate::sampling::{Discrete, KeyedRng};
 use crate::scene::{RoomGrid, Scene};
 use crate::specular::WIDE;
-use crate::trace::{Hit, Tracer};
 use std::collections::BTreeSet;
 use std::time::Instant;
 
@@ -35,11 +35,11 @@ pub(super) fn choose_sizes(
     orientation: &Orientation,
     options: &SolveOptions,
     progress: &Progress,
-) -> Sizes {
+) -> TextureSizes {
     let asked = Asked::textures(options);
     let supported = Supported::of(observer, orientation, options);
     let [albedo, roughness, irradiance] = asked.each_ref().map(|a| a.side(&supported));
-    let sizes = Sizes {
+    let sizes = TextureSizes {
         albedo,
         roughness,
         irradiance,
@@ -53,7 +53,7 @@ pub(super) fn choose_sizes(
     let work = workload(observer, &supported, options);
     let cheaper = budget.sizes(sizes, &work, progress);
     let keep = |i: usize, size: usize, lower: usize| if asked[i].fit { lower } else { size };
-    Sizes {
+    TextureSizes {
         albedo: keep(0, sizes.albedo, cheaper.albedo),
         roughness: keep(1, sizes.roughness, cheaper.roughness),
         irradiance: keep(2, sizes.irradiance, cheaper.irradiance),
@@ -215,11 +215,11 @@ fn supported_side(
         .map(|a| if a.is_finite() { a } else { 0.0 })
         .collect();
     let table = Discrete::new(&areas)?;
-    let mut needed: Vec<f64> = crate::parallel::map_chunks(POINTS, 500, |range| {
+    let mut needed: Vec<f64> = crate::core::parallel::map_chunks(POINTS, 500, |range| {
         let mut seen = Vec::new();
         range
             .filter_map(|i| {
-                point_needs(
+                required_resolution(
                     observer,
                     orientation,
                     &table,
@@ -238,7 +238,7 @@ fn supported_side(
 }
 
 /// The texture side that one random surface point asks for; `None` where no view sees it clearly.
-fn point_needs(
+fn required_resolution(
     observer: &Observer,
     orientation: &Orientation,
     table: &Discrete,
@@ -247,7 +247,7 @@ fn point_needs(
 ) -> Option<f64> {
     let mesh = observer.mesh;
     let t = table.sample(rng.next_f32()).0;
-    let [u, v] = crate::sampling::square_to_triangle([rng.next_f32(), rng.next_f32()]);
+    let [u, v] = crate::core::sampling::square_to_triangle([rng.next_f32(), rng.next_f32()]);
     observer.observe(
         mesh.position(t, u, v),
         mesh.face_normal(t) * orientation.sign(t),
@@ -444,7 +444,7 @@ pub(super) fn report_materials(
 /// Says which classes are painted.
 pub(super) fn report_paint(
     scene: &Scene,
-    paints: &[Paint],
+    paints: &[ClassPalette],
     options: &SolveOptions,
     progress: &Progress,
 ) {

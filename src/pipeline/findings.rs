@@ -2,10 +2,10 @@
 //! surface, the light and the albedo once they stand, by the stage that assembles the result.
 
 use super::Light;
+use crate::core::math::luminance;
+use crate::core::stats::median;
 use crate::inverse::AlbedoEstimate;
-use crate::math::luminance;
 use crate::observed::Surface;
-use crate::optim::median;
 use crate::verdict::{Findings, GUESS, Share};
 use std::collections::BTreeMap;
 

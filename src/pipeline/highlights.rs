@@ -3,12 +3,12 @@
 
 use super::decisions::{choose_matte, report_matte};
 use super::{Light, SolveOptions};
+use crate::core::progress::Progress;
 use crate::highlight::{
     Candidate, Evidence, SelectOptions, Tabulation, gather_evidence, roughness_levels,
     select_points,
 };
 use crate::observed::{ClassMap, Surface};
-use crate::progress::Progress;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 

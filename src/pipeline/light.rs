@@ -7,21 +7,21 @@
 use super::decisions::{choose_environment, report_emission};
 use super::time_budget::{samples_for, split_samples};
 use super::{SolveOptions, Switch};
+use crate::core::geometry::{Mesh, Shells, clusters};
+use crate::core::image::RgbPlane;
+use crate::core::math::luminance;
+use crate::core::progress::Progress;
+use crate::core::stats::median;
+use crate::core::texture::{Texels, fill_uncovered};
 use crate::gbuffer::Probe;
-use crate::geometry::{Mesh, Shells, clusters};
-use crate::image::RgbPlane;
 use crate::irradiance::{
-    Budget, Irradiance, IrtOptions, NirfOptions, PARTS, Patch, Receiver, bake_irradiance,
-    bake_surface, spread,
+    Irradiance, IrradianceOptions, NirfOptions, Receiver, SUB_ESTIMATES, SampleBudget, Surfel,
+    bake_irradiance, bake_surface, spread,
 };
 use crate::lights::{EmissionEvidence, Emitters, LitScene, detect_emissive};
-use crate::math::luminance;
 use crate::observed::{Surface, coverage};
-use crate::optim::median;
-use crate::progress::Progress;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use crate::solution::lamp_gap;
-use crate::texture::{Texels, fill_uncovered};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -64,7 +64,7 @@ const BORDER: f32 = 0.25;
 pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &Progress) -> Light {
     let mesh = &surface.scene.mesh;
     let environment = choose_environment(&surface.views, options, progress);
-    let known = with_slivers(mesh, &surface.texels, known_lights(surface, options));
+    let known = adopt_subtexel_triangles(mesh, &surface.texels, known_lights(surface, options));
     let coarse = coarse_light(surface, &known, environment.clone(), options, progress);
     let emissive = emissive_by(surface, &coarse.irradiance, &known, options);
     report_emission(&emissive, &known, options, progress);
@@ -130,11 +130,11 @@ fn coarse_light(
     let radiance = first_radiance(surface, &first_look, known);
     let texels = coarse_texels(surface);
     let (field, emitters) = light_field(surface, &radiance, known, environment, &texels, options);
-    let coarse = IrtOptions {
+    let coarse = IrradianceOptions {
         rays: 64,
         emitter_samples: 16,
         seed: options.seed ^ 1,
-        ..IrtOptions::default()
+        ..IrradianceOptions::default()
     };
     let begin = Instant::now();
     let bake = progress.stage("emitters", texels.len() as u64, |p| {
@@ -159,7 +159,7 @@ fn emissive_by(
 ) -> Vec<bool> {
     match options.emission {
         Switch::Off => known.to_vec(),
-        Switch::Auto | Switch::On => with_slivers(
+        Switch::Auto | Switch::On => adopt_subtexel_triangles(
             &surface.scene.mesh,
             &surface.texels,
             emitting_triangles(surface, irradiance, known),
@@ -203,7 +203,7 @@ fn unfiltered_error(bake: &Irradiance) -> f32 {
     for parts in &bake.parts {
         let (mean, variance) = spread(&parts.map(luminance));
         let square = f64::from(mean).powi(2);
-        error += f64::from(variance) * square / PARTS as f64;
+        error += f64::from(variance) * square / SUB_ESTIMATES as f64;
         energy += square;
     }
     if energy > 0.0 {
@@ -229,7 +229,7 @@ pub fn bake_irradiance_texels(
         let lit = surface.lit(field, emitters);
         return super::neural::field_at_texels(surface, lit, texels, &training, progress);
     }
-    let budget = Budget {
+    let budget = SampleBudget {
         estimator: options.irradiance_estimator,
         samples: [options.irradiance_rays, options.emitter_samples],
         target: options.irradiance_error,
@@ -259,13 +259,13 @@ fn importance(surface: &Surface, texels: &Texels) -> Vec<f32> {
 
 /// The texels as pieces of surface, each on the side of a wall from which its light comes.
 #[must_use]
-pub fn patches(surface: &Surface, texels: &Texels) -> Vec<Patch> {
+pub fn patches(surface: &Surface, texels: &Texels) -> Vec<Surfel> {
     let mesh = &surface.scene.mesh;
     let patch = |i: usize| {
         let Receiver {
             position, normal, ..
         } = surface.receiver(texels, i);
-        Patch {
+        Surfel {
             position,
             normal,
             size: texels
@@ -400,7 +400,7 @@ fn witnessed(surface: &Surface, votes: &[Votes]) -> Vec<bool> {
 
 /// Adds to emitting triangles those too small for a texel of their own whose place in the atlas
 /// belongs to an emitting one: a lamp of many facets must not lose what falls between the texels.
-fn with_slivers(mesh: &Mesh, texels: &Texels, mut emissive: Vec<bool>) -> Vec<bool> {
+fn adopt_subtexel_triangles(mesh: &Mesh, texels: &Texels, mut emissive: Vec<bool>) -> Vec<bool> {
     let owner: Vec<u32> = texels.point.iter().map(|p| p.triangle).collect();
     let mut has_texel = vec![false; emissive.len()];
     owner.iter().for_each(|&t| has_texel[t as usize] = true);
@@ -493,7 +493,7 @@ fn bake(
     field: &LightField,
     emitters: &Emitters,
     texels: &Texels,
-    options: &IrtOptions,
+    options: &IrradianceOptions,
     progress: &Progress,
 ) -> Irradiance {
     bake_irradiance(
@@ -527,12 +527,17 @@ fn emitting_triangles(surface: &Surface, irradiance: &RgbPlane, known: &[bool]) 
         label[p.triangle as usize] = surface.labels[i];
         sure[p.triangle as usize] |= surface.fusion.clean[i];
     }
-    without_halos(&surface.scene.mesh, emissive, &sure, &label)
+    remove_edge_halos(&surface.scene.mesh, emissive, &sure, &label)
 }
 
 /// Takes out triangles of another class than the lamp they lie at unless they are `sure`: what only
 /// pixels at edges see shows the lamp.
-fn without_halos(mesh: &Mesh, mut emissive: Vec<bool>, sure: &[bool], label: &[u16]) -> Vec<bool> {
+fn remove_edge_halos(
+    mesh: &Mesh,
+    mut emissive: Vec<bool>,
+    sure: &[bool],
+    label: &[u16],
+) -> Vec<bool> {
     let found: Vec<u32> = (0..emissive.len() as u32)
         .filter(|&t| emissive[t as usize])
         .collect();
@@ -771,11 +776,11 @@ mod tests {
         };
         let sure = [true, false, false, false];
         assert_eq!(
-            without_halos(&mesh, vec![true; 4], &sure, &[30, 27, 30, 27]),
+            remove_edge_halos(&mesh, vec![true; 4], &sure, &[30, 27, 30, 27]),
             [true, false, true, true]
         );
         assert_eq!(
-            without_halos(&mesh, vec![true; 4], &[true; 4], &[30, 27, 30, 27]),
+            remove_edge_halos(&mesh, vec![true; 4], &[true; 4], &[30, 27, 30, 27]),
             [true; 4],
             "seen clean"
         );
@@ -817,7 +822,7 @@ mod tests {
             .filter(|&t| t < lamp)
             .for_each(|t| known[t] = true);
         assert!(known.iter().filter(|k| **k).count() < lamp / 10);
-        let emissive = with_slivers(&mesh, &texels, known);
+        let emissive = adopt_subtexel_triangles(&mesh, &texels, known);
         let marked = |range: std::ops::Range<usize>| emissive[range].iter().filter(|e| **e).count();
         assert_eq!(marked(0..lamp), lamp, "every facet of the lamp");
         assert_eq!(marked(lamp..2 * lamp), 0, "none of the wall");

@@ -13,21 +13,21 @@
 
 use super::Light;
 use super::light::{coarse_texels, patches, texture_of};
-use crate::brdf::Reflectance;
-use crate::image::{Plane, RgbPlane, Wrap};
+use crate::core::brdf::Reflectance;
+use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::math::luminance;
+use crate::core::progress::Progress;
+use crate::core::stats::median;
+use crate::core::texture::Texels;
+use crate::core::trace::Hit;
 use crate::inverse::{AlbedoEstimate, TexelReflectance};
 use crate::irradiance::Bake;
 use crate::irradiance::{
-    Estimator, Irradiance, IrtOptions, Receiver, SurfaceFilter, bake_irradiance,
+    Estimator, Irradiance, IrradianceOptions, Receiver, SurfaceFilter, bake_irradiance,
 };
-use crate::math::luminance;
 use crate::observed::Surface;
-use crate::optim::median;
-use crate::progress::Progress;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use crate::specular::{Glossy, Reflector, SpecularBounce, WIDE};
-use crate::texture::Texels;
-use crate::trace::Hit;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -164,12 +164,12 @@ impl Gathering<'_> {
     /// Irradiance that the first pass lacks, per coarse texel.
     fn bake(&self, seed: u64, progress: &Progress) -> Irradiance {
         let (surface, light) = (self.surface, self.light);
-        let options = IrtOptions {
+        let options = IrradianceOptions {
             estimator: Estimator::Cosine,
             rays: RAYS,
             emitter_samples: 0,
             seed: seed ^ 2,
-            ..IrtOptions::default()
+            ..IrradianceOptions::default()
         };
         let first_pass = surface.lit(&light.field, &light.emitters);
         let bounce = SpecularBounce {
@@ -337,12 +337,12 @@ fn unseen_far_sides(
         }
     };
     let rays = (ALL_FAR_SIDES / unseen.len().max(1)).clamp(2, FAR_SIDE_RAYS as usize) as u32;
-    let options = IrtOptions {
+    let options = IrradianceOptions {
         estimator: Estimator::Cosine,
         rays,
         emitter_samples: 0,
         seed: seed ^ 3,
-        ..IrtOptions::default()
+        ..IrradianceOptions::default()
     };
     let bake = surface.lit(&light.field, &light.emitters).into();
     let received = bake_irradiance(&bake, unseen.len(), receiver, &options, progress);
@@ -360,7 +360,7 @@ fn unseen_far_sides(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::brdf::{fresnel, smith_g1};
+    use crate::core::brdf::{fresnel, smith_g1};
     use crate::lights::Emitters;
     use crate::observed::surface_tests::{box_scene, unseen};
     use std::f32::consts::PI;
@@ -464,7 +464,7 @@ mod tests {
         };
         (
             second_pass(wall),
-            crate::specular::WideLobes::new(Reflectance::Paper).mean_response(0.8),
+            crate::specular::DirectionalAlbedo::new(Reflectance::Paper).mean_response(0.8),
         )
     }
 
@@ -536,7 +536,7 @@ mod tests {
             radiance: if w == 2 { RADIANCE } else { 0.0 },
             known: w == 1,
             albedo: 0.0,
-            roughness: crate::brdf::MIN_ROUGHNESS,
+            roughness: crate::core::brdf::MIN_ROUGHNESS,
         });
         let image = |p: Vec3| {
             // the wall x = 0, mirrored at y = 3: cosines at the floor and at the ceiling are the
@@ -547,7 +547,7 @@ mod tests {
                 let d = Vec3::new(0.0, 3.0 + 3.0 * y, 5.0 * z) - p;
                 let (d2, cosine) = (d.length_squared(), d.y / d.length());
                 let response =
-                    fresnel(cosine) * smith_g1(cosine, crate::brdf::MIN_ROUGHNESS).powi(2);
+                    fresnel(cosine) * smith_g1(cosine, crate::core::brdf::MIN_ROUGHNESS).powi(2);
                 sum += response * cosine * (p.x / d.length()) / d2;
             }
             sum * 15.0 / (steps * steps) as f32

@@ -20,7 +20,7 @@ mod roughness;
 mod solve;
 mod time_budget;
 
-pub use crate::switch::Switch;
+pub use crate::core::switch::Switch;
 pub use albedo::{SolvedAlbedo, solve_albedo};
 pub use checkpoint::{Checkpoints, Kept};
 pub use highlights::{Highlights, gather_highlights};

@@ -1,12 +1,12 @@
 //! Irradiance from the paper's neural field in place of the texture's rays: its lighting ablation
 //! (method §3.2).
 
-use crate::irradiance::{Irradiance, NirfOptions, PARTS, train_nirf};
+use crate::core::math::luminance;
+use crate::core::progress::Progress;
+use crate::core::texture::Texels;
+use crate::irradiance::{Irradiance, NirfOptions, SUB_ESTIMATES, train_nirf};
 use crate::lights::LitScene;
-use crate::math::luminance;
 use crate::observed::Surface;
-use crate::progress::Progress;
-use crate::texture::Texels;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::f32::consts::FRAC_PI_2;
@@ -50,7 +50,7 @@ pub(super) fn field_at_texels(
         .map(|e| e.min(1e4));
     Irradiance {
         error: error.collect(),
-        parts: value.iter().map(|e| [*e; PARTS]).collect(),
+        parts: value.iter().map(|e| [*e; SUB_ESTIMATES]).collect(),
         value,
         rays: cost.rays,
     }

@@ -4,18 +4,18 @@
 use super::SolveOptions;
 use super::decisions::choose_sizes;
 use crate::Result;
+use crate::core::geometry::Camera;
+use crate::core::image::{CameraMask, Plane, RgbPlane};
+use crate::core::math::linear_from_srgb;
+use crate::core::progress::Progress;
+use crate::core::texture::Texels;
+use crate::core::trace::{EmbreeTracer, Hit};
 use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer, clipped_channels};
-use crate::geometry::Camera;
-use crate::image::{CameraMask, Plane, RgbPlane};
-use crate::math::linear_from_srgb;
 use crate::observed::{
     Contradictions, Surface, balance_views, complete_labels, find_camera_rigs, fuse_radiance,
     leave_out_clipped_sky,
 };
-use crate::progress::Progress;
 use crate::scene::{Scene, Split, View};
-use crate::texture::Texels;
-use crate::trace::{EmbreeTracer, Hit};
 use glam::Vec3;
 use std::time::Instant;
 
@@ -242,7 +242,7 @@ fn all_valid(mask: &Plane<bool>, factor: usize) -> Plane<bool> {
 fn encoded_ceiling(view: &View) -> Option<f32> {
     /// Encoders of JPEG ring, cameras roll off: the last steps below 255 are the ceiling too.
     const TOP: f32 = 250.0 / 255.0;
-    let info = crate::formats::image_info(&view.image_path).ok()?;
+    let info = crate::core::formats::image_info(&view.image_path).ok()?;
     (!info.format.is_linear()).then(|| linear_from_srgb(TOP) * view.exposure_ev.exp2())
 }
 

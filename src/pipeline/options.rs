@@ -3,9 +3,9 @@
 
 use super::quality::Quality;
 use super::{Budget, Checkpoints};
-use crate::brdf::Reflectance;
+use crate::core::brdf::Reflectance;
+use crate::core::switch::Switch;
 use crate::irradiance::Estimator;
-use crate::switch::Switch;
 use crate::{Error, Result};
 use serde::Serialize;
 

@@ -6,9 +6,9 @@
 
 use super::decisions::report_paint;
 use super::{Light, SolveOptions, Switch};
-use crate::inverse::{AlbedoEstimate, Painting, Unseen};
+use crate::core::progress::Progress;
+use crate::inverse::{AlbedoEstimate, PaletteFit, Unseen};
 use crate::observed::Surface;
-use crate::progress::Progress;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -28,7 +28,7 @@ pub(super) struct Estimate<'a> {
 
 /// Settles the albedo of painted classes and moves their unevenness into the irradiance, unless the
 /// options say no; then gives unseen surface the albedo of its room.
-pub(super) fn settle_paint(
+pub(super) fn settle_palettes(
     surface: &Surface,
     light: &mut Light,
     mut estimate: Estimate<'_>,
@@ -69,7 +69,7 @@ fn settle_classes(
     let labels: Vec<u16> = (0..texels.len())
         .map(|i| if emissive(i) { 0 } else { surface.labels[i] })
         .collect();
-    let painting = Painting {
+    let painting = PaletteFit {
         albedo,
         error: errors,
         texels,
@@ -93,7 +93,7 @@ fn settle_classes(
             }
         })
         .collect();
-    share_out(surface, light, &ratio);
+    transfer_to_irradiance(surface, light, &ratio);
     for (i, (value, error)) in settled.into_iter().enumerate() {
         albedo.value[i] = value;
         errors[i] = error;
@@ -102,7 +102,7 @@ fn settle_classes(
 }
 
 /// Multiplies the irradiance by the mean of `ratio` over the texels that lie in each of its own.
-fn share_out(surface: &Surface, light: &mut Light, ratio: &[Vec3]) {
+fn transfer_to_irradiance(surface: &Surface, light: &mut Light, ratio: &[Vec3]) {
     let (texels, mesh) = (&surface.texels, &surface.scene.mesh);
     let plane = &mut light.irradiance;
     let size = Vec2::new(plane.width as f32, plane.height as f32);

@@ -5,7 +5,7 @@
 use super::quality::Quality;
 use super::time_budget::parse_seconds;
 use super::{Budget, Checkpoints, Fit, SolveOptions, Switch};
-use crate::brdf::Reflectance;
+use crate::core::brdf::Reflectance;
 use crate::highlight::LEVELS;
 use crate::irradiance::Estimator;
 use serde::{Deserialize, Serialize};

@@ -1,9 +1,9 @@
 //! Stage "specular images": what every pixel's surface mirrors, to be taken out of the photographs.
 
 use super::{Highlights, Light, Roughness, SolveOptions};
-use crate::image::RgbPlane;
+use crate::core::image::RgbPlane;
+use crate::core::progress::Progress;
 use crate::observed::{ClassMap, Surface, filled};
-use crate::progress::Progress;
 use crate::specular::{Reflector, SpecularImages, WideRule};
 
 /// The specular part of every view.

@@ -3,16 +3,14 @@
 
 use super::decisions::{choose_rooms, report_materials, report_model};
 use super::{Light, SolveOptions};
-use crate::brdf::F0;
+use crate::core::brdf::F0;
+use crate::core::image::{Plane, Wrap};
+use crate::core::progress::Progress;
+use crate::core::switch::Switch;
+use crate::core::texture::Texels;
 use crate::highlight::Evidence;
-use crate::image::{Plane, Wrap};
-use crate::inverse::{
-    DIVISION_GAIN, Materials, Places, TexelReflectance, choose_model, fit_groups,
-};
+use crate::inverse::{Materials, Places, SPLIT_GAIN, TexelReflectance, choose_model, fit_groups};
 use crate::observed::Surface;
-use crate::progress::Progress;
-use crate::switch::Switch;
-use crate::texture::Texels;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::f32::consts::PI;
@@ -70,7 +68,7 @@ pub fn fit_roughness(
     };
     let materials = progress.stage("materials", 1, |_| match options.divide {
         Switch::Off => Materials::undivided(fits),
-        Switch::Auto => Materials::find(evidence, fits, model, &places, DIVISION_GAIN),
+        Switch::Auto => Materials::find(evidence, fits, model, &places, SPLIT_GAIN),
         Switch::On => Materials::find(evidence, fits, model, &places, f64::NEG_INFINITY),
     });
     report_materials(surface.scene, &materials, options, progress);

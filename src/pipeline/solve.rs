@@ -5,17 +5,17 @@ use super::assemble::assemble;
 use super::clipped_light::restore_clipped_light;
 use super::findings::{findings, spread_of_looks};
 use super::missing_light::add_missing_light;
-use super::painted::{Estimate, settle_paint};
+use super::painted::{Estimate, settle_palettes};
 use super::{
     SolveOptions, fit_roughness, gather_highlights, observe, reconstruct_light, solve_albedo,
     trace_reflections,
 };
 use crate::Result;
+use crate::core::progress::Progress;
+use crate::core::switch::Switch;
 use crate::inverse::GroupFit;
-use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::solution::Solution;
-use crate::switch::Switch;
 use crate::verdict::Findings;
 
 /// A reconstruction and what is known about it.
@@ -74,7 +74,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         rooms: &roughness.texel_rooms(&surface.texels),
     };
     progress.stage("paint", 0, |p| {
-        settle_paint(&surface, &mut light, estimate, options, p);
+        settle_palettes(&surface, &mut light, estimate, options, p);
     });
     let mut findings = findings(&surface, &light, &albedo, &errors, &spread);
     findings.light_missing = clipped_light;

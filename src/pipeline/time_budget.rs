@@ -7,8 +7,8 @@
 //! run. The clock decides, so two runs may differ; the decisions name the flags that repeat a run
 //! exactly.
 
-use crate::observed::Sizes;
-use crate::progress::Progress;
+use crate::core::progress::Progress;
+use crate::observed::TextureSizes;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
@@ -158,7 +158,12 @@ impl Budget {
     }
 
     /// Lowers texture sizes so that what runs over texels fits.
-    pub(super) fn sizes(&self, sizes: Sizes, work: &Workload, progress: &Progress) -> Sizes {
+    pub(super) fn sizes(
+        &self,
+        sizes: TextureSizes,
+        work: &Workload,
+        progress: &Progress,
+    ) -> TextureSizes {
         let left = self.left();
         let ray = work.lookup / RAYS_PER_LOOK;
         let fixed = |edges: f64| {
@@ -177,7 +182,7 @@ impl Budget {
         let albedo = largest(sizes.albedo, work.lookup * (FUSING + ALBEDO), TEXTURES);
         let texel = USUAL_SAMPLES + FILTER + MISSING_LIGHT;
         let irradiance = largest(sizes.irradiance.min(albedo), ray * texel, IRRADIANCE_TEXELS);
-        let out = Sizes {
+        let out = TextureSizes {
             albedo,
             roughness: sizes.roughness.min(albedo),
             irradiance,
@@ -393,7 +398,7 @@ mod tests {
     fn more_time_buys_more_and_no_time_the_least() {
         let p = Progress::silent();
         let at = |seconds: f64| Budget::new(Instant::now(), seconds);
-        let most = Sizes {
+        let most = TextureSizes {
             albedo: 2048,
             roughness: 4096,
             irradiance: 1024,
@@ -408,7 +413,7 @@ mod tests {
         let sizes = |s: f64| at(s).sizes(most, &work, &p);
         assert_eq!(
             sizes(1e4),
-            Sizes {
+            TextureSizes {
                 roughness: 2048,
                 ..most
             }

@@ -1,12 +1,12 @@
 //! Radiance of directions in which no geometry is hit: what lies beyond the windows.
 
+use crate::core::geometry::{Camera, Projection};
+use crate::core::image::{Plane, RgbPlane};
+use crate::core::math::atan2;
+use crate::core::texture::fill_uncovered;
+use crate::core::trace::Hit;
 use crate::ffi::simd::{prefetch, with_widest};
 use crate::gbuffer::ObservedView;
-use crate::geometry::{Camera, Projection};
-use crate::image::{Plane, RgbPlane};
-use crate::math::atan2;
-use crate::texture::fill_uncovered;
-use crate::trace::Hit;
 use glam::{Mat3, Vec2, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
@@ -205,7 +205,7 @@ impl Environment {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::Wrap;
+    use crate::core::image::Wrap;
 
     /// The lookup of one pass equals the plain one: project, then interpolate between four pixels.
     #[test]

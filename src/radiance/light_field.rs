@@ -7,11 +7,11 @@
 
 use super::Environment;
 use super::packed_texels::{PackedTexels, Tiles};
-use crate::ffi::simd::{prefetch, whole_within};
+use crate::core::geometry::Mesh;
+use crate::core::image::{Plane, RgbPlane};
+use crate::core::trace::Hit;
+use crate::ffi::simd::{floor_to_index, prefetch};
 use crate::gbuffer::Orientation;
-use crate::geometry::Mesh;
-use crate::image::{Plane, RgbPlane};
-use crate::trace::Hit;
 use glam::{Vec2, Vec3};
 
 /// Prefiltered copies of the TBL beyond the full resolution: footprints up to 8 texels; coarser
@@ -51,8 +51,8 @@ impl Level {
     fn address(&self, uv: Vec2) -> u32 {
         let p = uv * self.size;
         self.tiles.address(
-            whole_within(p.x, self.last.x),
-            whole_within(p.y, self.last.y),
+            floor_to_index(p.x, self.last.x),
+            floor_to_index(p.y, self.last.y),
         )
     }
 }
@@ -155,7 +155,7 @@ impl LightField {
         let any = emissive.data.iter().any(|e| *e);
         let of = |keep: Plane<bool>| {
             if any {
-                crate::texture::fill_uncovered(&radiance, &keep)
+                crate::core::texture::fill_uncovered(&radiance, &keep)
             } else {
                 radiance.clone()
             }
@@ -230,13 +230,13 @@ impl LightField {
 
     /// Tells the cache that [`Self::address`] will be asked for a hit on `triangle` soon.
     #[inline(always)]
-    pub(crate) fn expect_triangle(&self, triangle: u32) {
+    pub(crate) fn prefetch_triangle(&self, triangle: u32) {
         prefetch(&self.lookups, triangle as usize);
     }
 
     /// Tells the cache that [`Self::texel`] will be asked for soon.
     #[inline(always)]
-    pub(crate) fn expect_texel(&self, address: u32) {
+    pub(crate) fn prefetch_texel(&self, address: u32) {
         self.texels.expect(address);
     }
 

@@ -5,8 +5,8 @@
 //! 8·10⁻⁶ of its value, where half floats of the same size would lose 5·10⁻⁴ and end at 65,504.
 //! Signs are for differences of light.
 
+use crate::core::image::RgbPlane;
 use crate::ffi::simd::prefetch;
-use crate::image::RgbPlane;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -164,8 +164,8 @@ fn unpack(texel: u64) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::Plane;
-    use crate::sampling::KeyedRng;
+    use crate::core::image::Plane;
+    use crate::core::sampling::KeyedRng;
 
     #[test]
     fn a_brightest_channel_keeps_17_bits_and_the_others_as_much_of_it() {

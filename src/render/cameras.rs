@@ -5,8 +5,8 @@
 //! pyramid of linear interpolations; with spherical interpolation in the same pyramid, orientations
 //! follow a curve that is as smooth. Frames lie at even distances along the path.
 
+use crate::core::geometry::{Camera, Lens, Projection};
 use crate::error::{Error, Result};
-use crate::geometry::{Camera, Lens, Projection};
 use crate::scene::transforms::parse_transforms;
 use crate::scene::{Scene, Split, View};
 use glam::{DVec3, Mat3, Quat, Vec3};

@@ -9,10 +9,10 @@
 //! depends on the [`Purpose`].
 
 use super::Frame;
-use crate::geometry::{Camera, Projection};
-use crate::image::RgbPlane;
-use crate::math::luminance;
-use crate::parallel::map_chunks;
+use crate::core::geometry::{Camera, Projection};
+use crate::core::image::RgbPlane;
+use crate::core::math::luminance;
+use crate::core::parallel::map_chunks;
 use glam::{Vec2, Vec3};
 
 /// Wavelet levels: the support is 4·(2^LEVELS − 1) + 1 pixels wide.
@@ -499,14 +499,14 @@ fn tame_outliers(grid: &Grid, guides: &[Guide], signal: &[Signal], specular: boo
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::Plane;
-    use crate::sampling::KeyedRng;
+    use crate::core::image::Plane;
+    use crate::core::sampling::KeyedRng;
     use glam::Mat3;
 
     #[test]
     fn rough_reflections_lose_their_noise_and_mirrors_stay_as_traced() {
         let (w, h) = (64, 32);
-        let lens = crate::geometry::Lens::centred(w, h, 60.0);
+        let lens = crate::core::geometry::Lens::centred(w, h, 60.0);
         let camera = Camera {
             projection: Projection::Pinhole(lens),
             width: w,
@@ -565,7 +565,7 @@ mod tests {
     /// A wall and a floor with a textured albedo, a shadow edge, and noise of known variance.
     fn noisy_frame(sigma: f32) -> (Frame, Camera, RgbPlane) {
         let (w, h) = (96, 64);
-        let lens = crate::geometry::Lens {
+        let lens = crate::core::geometry::Lens {
             fl_x: 80.0,
             fl_y: 80.0,
             cx: 48.0,

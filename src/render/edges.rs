@@ -1,9 +1,9 @@
 //! Where the samples of a pixel must be finer: at edges between surfaces or classes.
 
+use crate::core::geometry::{Camera, Mesh};
+use crate::core::image::Plane;
+use crate::core::trace::{Hit, Tracer};
 use crate::gbuffer::ViewBuffer;
-use crate::geometry::{Camera, Mesh};
-use crate::image::Plane;
-use crate::trace::{Hit, Tracer};
 use glam::Vec2;
 use rayon::prelude::*;
 
@@ -51,8 +51,8 @@ pub(super) fn pixels_at_edges(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Lens, Projection};
-    use crate::trace::BruteForce;
+    use crate::core::geometry::{Lens, Projection};
+    use crate::core::trace::BruteForce;
     use glam::{Mat3, Vec3};
 
     /// A wall of two classes, left and right of x = `border`, before a pinhole camera whose pixels

@@ -4,16 +4,16 @@
 
 use super::denoise::{SpecularFeature, filter_specular};
 use super::edges::pixels_at_edges;
+use crate::core::geometry::Camera;
+use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::math::luminance;
+use crate::core::sampling::hash_u64;
+use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
 use crate::gbuffer::pixel_rays;
-use crate::geometry::Camera;
-use crate::image::{Plane, RgbPlane, Wrap};
 use crate::lights::{Emitters, LitScene};
-use crate::math::luminance;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
-use crate::sampling::hash_u64;
 use crate::solution::Solution;
-use crate::specular::{Gaze, Levels, Reflector};
-use crate::trace::{EmbreeTracer, Hit, Ray, Tracer};
+use crate::specular::{Levels, Reflector, ShadingPoint};
 use crate::{Error, Result};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -209,7 +209,7 @@ impl<'a> HybridRenderer<'a> {
     /// Traces the specular part of some points with that many rays along the lobe and emitter
     /// samples each.
     fn add_specular(&self, points: &mut [Point], [rays_per_lobe, emitter_samples]: [u32; 2]) {
-        let (gazes, levels): (Vec<Gaze>, Vec<f32>) = points
+        let (gazes, levels): (Vec<ShadingPoint>, Vec<f32>) = points
             .iter()
             .filter_map(|p| Some((p.gaze?, p.roughness)))
             .unzip();
@@ -298,7 +298,7 @@ impl<'a> HybridRenderer<'a> {
             roughness,
             label,
             confidence,
-            gaze: Some(Gaze {
+            gaze: Some(ShadingPoint {
                 position,
                 normal,
                 face_normal,
@@ -449,7 +449,7 @@ struct Point {
     label: u16,
     emission: Vec3,
     confidence: Vec2,
-    gaze: Option<Gaze>,
+    gaze: Option<ShadingPoint>,
 }
 
 /// What is known of the pixels of a picture before they are shaded.
@@ -573,7 +573,7 @@ mod tests {
     #[test]
     fn edges_are_what_shows_two_surfaces_or_uneven_light() {
         let gaze = |n: Vec3| {
-            Some(Gaze {
+            Some(ShadingPoint {
                 position: Vec3::ZERO,
                 normal: n,
                 face_normal: n,

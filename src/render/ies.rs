@@ -5,8 +5,8 @@
 //! horizontal around the axis. A file may state a quarter (0 to 90) or a half (0 to 180) of a
 //! symmetric distribution, or one plane of a rotationally symmetric one.
 
+use crate::core::formats::{MOST_TEXT, read_input};
 use crate::error::{Error, Result};
-use crate::formats::{MOST_TEXT, read_input};
 use std::path::Path;
 
 /// Luminous intensity over directions, as a share of its maximum.

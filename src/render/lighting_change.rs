@@ -1,9 +1,9 @@
 //! Changed light: which lamps burn, how, where; what is added; what lies outside.
 
-use super::{Added, World};
+use super::{Added, EditableScene};
+use crate::core::image::{Plane, RgbPlane};
+use crate::core::math::luminance;
 use crate::error::{Error, Result};
-use crate::image::{Plane, RgbPlane};
-use crate::math::luminance;
 use crate::solution::Lamp;
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -160,7 +160,7 @@ impl Lighting {
     ///
     /// # Errors
     /// A lamp is named that does not exist; the panorama cannot be read.
-    pub fn apply(&self, world: &mut World<'_>, groups: &[Lamp]) -> Result<()> {
+    pub fn apply(&self, world: &mut EditableScene<'_>, groups: &[Lamp]) -> Result<()> {
         let mut moves = Vec::new();
         for change in &self.lamps {
             let chosen: Vec<&Lamp> = match (change.group, change.near) {
@@ -205,7 +205,7 @@ impl Lighting {
         }
         let e = &self.environment;
         if let Some(file) = &e.file {
-            world.set_environment(crate::formats::read_rgb(file)?);
+            world.set_environment(crate::core::formats::read_rgb(file)?);
         } else if let Some(c) = e.constant {
             world.set_environment(Plane::filled(4, 2, Vec3::from_array(c)));
         }
@@ -305,7 +305,7 @@ mod tests {
             "[[lamp]]\ngroup = 1\nscale = 0.5\ncolour = [1, 0.5, 0]\n[[add]]\nkind = \"sphere\"\nposition = [0,1,0]\nradius = 0.1\nradiance = [3,3,3]\n[environment]\nconstant = [1,2,3]\nscale = 2\n",
         )
         .expect("writes");
-        let mut world = World::new(&solution);
+        let mut world = EditableScene::new(&solution);
         let groups = find_lamps(&solution.mesh, &solution.emission, solution.origin);
         Lighting::read(&path)
             .expect("valid")
@@ -342,7 +342,7 @@ mod tests {
             ..Lighting::default()
         };
         assert!(
-            none.apply(&mut World::new(&solution), &groups)
+            none.apply(&mut EditableScene::new(&solution), &groups)
                 .expect_err("no lamp 7")
                 .to_string()
                 .contains("--list-lamps")

@@ -1,6 +1,6 @@
 //! Shading and image formation.
 //!
-//! * [`path_tracer`]: unbiased light transport over any [`crate::trace::Tracer`], in batches;
+//! * [`path_tracer`]: unbiased light transport over any [`crate::core::trace::Tracer`], in batches;
 //! * the hybrid renderer: irradiance texture plus traced specular reflection;
 //! * [`denoise`]: variance-guided filtering of what it renders.
 
@@ -28,7 +28,7 @@ pub use path_tracer::{
     Noise, PathTracer, PathTracerOptions, Surface, SurfaceModel,
 };
 pub use point_light::{PointLight, Shape};
-pub use relight::{RelightOptions, Stage, TraceSettings};
+pub use relight::{PathTracedScene, RelightOptions, TraceSettings};
 pub use tone::{Exposure, tone_map};
 pub use viewpoints::viewpoints;
-pub use world::{Added, World};
+pub use world::{Added, EditableScene};

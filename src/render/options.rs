@@ -31,7 +31,7 @@ pub enum Show {
 impl Show {
     /// The wanted picture of a view.
     #[must_use]
-    pub fn of(self, view: super::RenderedView) -> crate::image::RgbPlane {
+    pub fn of(self, view: super::RenderedView) -> crate::core::image::RgbPlane {
         match self {
             Self::Light => view.radiance,
             Self::Albedo => view.albedo,

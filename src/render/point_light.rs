@@ -1,7 +1,7 @@
 //! Lights without extent: bulbs, spots, measured luminaires.
 
 use super::IesProfile;
-use crate::math::Frame;
+use crate::core::math::Frame;
 use glam::Vec3;
 
 /// A light without extent.

@@ -2,12 +2,12 @@
 
 use super::denoise::{self, Purpose};
 use super::path_tracer::Frame;
-use super::{Adaptive, FrameOptions, KnownLight, PathTracer, PathTracerOptions, World};
+use super::{Adaptive, EditableScene, FrameOptions, KnownLight, PathTracer, PathTracerOptions};
 use crate::Result;
-use crate::geometry::Camera;
-use crate::image::RgbPlane;
-use crate::progress::Progress;
-use crate::trace::EmbreeTracer;
+use crate::core::geometry::Camera;
+use crate::core::image::RgbPlane;
+use crate::core::progress::Progress;
+use crate::core::trace::EmbreeTracer;
 use serde::{Deserialize, Serialize};
 
 /// Options of `unbake relight`.
@@ -72,17 +72,17 @@ pub struct TraceSettings {
 }
 
 /// A world with its ray structure, ready for any number of frames.
-pub struct Stage<'w, 's> {
-    world: &'w World<'s>,
+pub struct PathTracedScene<'w, 's> {
+    world: &'w EditableScene<'s>,
     embree: EmbreeTracer,
 }
 
-impl<'w, 's> Stage<'w, 's> {
+impl<'w, 's> PathTracedScene<'w, 's> {
     /// Builds the ray structure and looks for windows.
     ///
     /// # Errors
     /// Embree cannot be used.
-    pub fn new(world: &'w mut World<'s>) -> Result<Self> {
+    pub fn new(world: &'w mut EditableScene<'s>) -> Result<Self> {
         let embree = EmbreeTracer::new(world.mesh())?;
         world.open_portals(&embree);
         Ok(Self { world, embree })

@@ -1,7 +1,7 @@
 //! From radiance to pictures: exposure and the sRGB curve.
 
-use crate::image::RgbPlane;
-use crate::math::luminance;
+use crate::core::image::RgbPlane;
+use crate::core::math::luminance;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
@@ -88,7 +88,7 @@ pub fn tone_map(image: &RgbPlane, factor: f32, encode: impl Fn(f32) -> u8) -> Ve
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::Plane;
+    use crate::core::image::Plane;
     use glam::Vec3;
 
     #[test]

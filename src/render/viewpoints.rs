@@ -1,9 +1,9 @@
 //! Cameras where none are given: places inside the scene from which much of it is seen.
 
 use super::NamedCamera;
-use crate::geometry::{Camera, Lens, Mesh, Projection};
-use crate::sampling::{SobolSequence, hammersley};
-use crate::trace::{Hit, Ray, Tracer};
+use crate::core::geometry::{Camera, Lens, Mesh, Projection};
+use crate::core::sampling::{SobolSequence, hammersley};
+use crate::core::trace::{Hit, Ray, Tracer};
 use glam::{Mat3, Vec3};
 use std::f32::consts::TAU;
 

@@ -3,14 +3,14 @@
 
 use super::path_tracer::{self, Surface, SurfaceModel};
 use super::{IesProfile, PointLight, Shape};
-use crate::brdf::{Material, Reflectance};
+use crate::core::brdf::{Material, Reflectance};
+use crate::core::geometry::Mesh;
+use crate::core::image::{RgbPlane, Wrap};
+use crate::core::trace::Tracer;
 use crate::error::Result;
-use crate::geometry::Mesh;
-use crate::image::{RgbPlane, Wrap};
 use crate::lights::portals::find_portals;
 use crate::radiance::Environment;
 use crate::solution::{Solution, triangle_emission};
-use crate::trace::Tracer;
 use glam::{DVec3, Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 use std::f32::consts::{PI, TAU};
@@ -83,7 +83,7 @@ fn down() -> [f32; 3] {
 }
 
 /// Materials and lights of a solution, with changed lights if so wished.
-pub struct World<'a> {
+pub struct EditableScene<'a> {
     solution: &'a Solution,
     mesh: Mesh,
     /// Per triangle: factor on the emission texture; zero where the triangle does not emit.
@@ -100,7 +100,7 @@ pub struct World<'a> {
     points: Vec<PointLight>,
 }
 
-impl<'a> World<'a> {
+impl<'a> EditableScene<'a> {
     /// The solution's own light.
     #[must_use]
     pub fn new(solution: &'a Solution) -> Self {
@@ -206,7 +206,7 @@ impl<'a> World<'a> {
                 radiance,
             } => {
                 let n = Vec3::from_array(*direction).normalize_or(Vec3::NEG_Y);
-                let frame = crate::math::Frame::from_normal(n);
+                let frame = crate::core::math::Frame::from_normal(n);
                 let (du, dv) = (
                     frame.world_from_local(Vec3::X) * size[0],
                     frame.world_from_local(Vec3::Y) * size[1],
@@ -299,7 +299,7 @@ impl<'a> World<'a> {
     }
 }
 
-impl SurfaceModel for World<'_> {
+impl SurfaceModel for EditableScene<'_> {
     fn surface(&self, triangle: usize, u: f32, v: f32) -> Surface {
         if triangle >= self.textured {
             let material = Material {
@@ -360,7 +360,7 @@ impl SurfaceModel for World<'_> {
     }
 }
 
-impl path_tracer::Environment for World<'_> {
+impl path_tracer::Environment for EditableScene<'_> {
     fn radiance(&self, direction: Vec3) -> Vec3 {
         self.environment.radiance(direction) * self.environment_gain
     }
@@ -403,7 +403,7 @@ mod tests {
     #[test]
     fn added_lamps_face_outwards() {
         let solution = small_solution();
-        let mut world = World::new(&solution);
+        let mut world = EditableScene::new(&solution);
         let own = world.mesh().triangles.len();
         let p = (solution.origin + DVec3::new(0.0, 1.0, 0.0)).to_array();
         world
@@ -442,7 +442,7 @@ mod tests {
     fn scaled_and_moved_emission() {
         let mut solution = small_solution();
         solution.emission.data.fill(Vec3::splat(2.0));
-        let mut world = World::new(&solution);
+        let mut world = EditableScene::new(&solution);
         assert!(world.emits(0));
         world.scale_emission(&[0], Vec3::new(0.5, 1.0, 0.0));
         assert_eq!(
@@ -467,7 +467,7 @@ mod tests {
     #[test]
     fn a_spot_ends_at_its_angle() {
         let solution = small_solution();
-        let mut world = World::new(&solution);
+        let mut world = EditableScene::new(&solution);
         let spot = Added::Spot {
             position: [0.0; 3],
             direction: [0.0, -1.0, 0.0],

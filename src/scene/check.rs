@@ -3,12 +3,12 @@
 
 use super::frame_account;
 use super::{FrameAccount, LoadOptions, RoomGrid, Scene, Split, View, find_rooms};
-use crate::geometry::Projection;
-use crate::image::RgbPlane;
-use crate::math::luminance;
-use crate::parallel::sum_f64;
-use crate::sampling::{AliasTable, KeyedRng};
-use crate::trace::{EmbreeTracer, Hit, Ray, Tracer};
+use crate::core::geometry::Projection;
+use crate::core::image::RgbPlane;
+use crate::core::math::luminance;
+use crate::core::parallel::sum_f64;
+use crate::core::sampling::{AliasTable, KeyedRng};
+use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
 use crate::{Error, Result};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -476,7 +476,7 @@ fn unseen_share(scene: &Scene, tracer: &dyn Tracer) -> f64 {
     };
     let (lo, hi) = mesh.bounds();
     let offset = 1e-4 * (hi - lo).length();
-    let chunks = crate::parallel::map_chunks(SURFACE_POINTS, 1000, |range| {
+    let chunks = crate::core::parallel::map_chunks(SURFACE_POINTS, 1000, |range| {
         let mut open: Vec<(Vec3, Vec3)> = range
             .map(|i| {
                 let mut rng = KeyedRng::new(0x5ee0, i as u64);

@@ -2,8 +2,8 @@
 //! verdict in the last line.
 
 use super::{CheckReport, Summary};
+use crate::core::formats::grouped;
 use crate::error::printable;
-use crate::formats::grouped;
 use std::collections::BTreeMap;
 use std::fmt::{Display, Formatter, Result};
 

@@ -1,8 +1,8 @@
 //! What `check` says of each photograph: how it was understood, and what of it is left out.
 
 use super::{PixelStats, Scene, View};
-use crate::formats::{ImageAccount, read_photograph};
-use crate::image::Plane;
+use crate::core::formats::{ImageAccount, read_photograph};
+use crate::core::image::Plane;
 use crate::{Error, Result};
 use glam::Vec2;
 use serde::Serialize;

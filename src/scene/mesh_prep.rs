@@ -3,8 +3,8 @@
 
 use super::unwrap::{UnwrapStats, unwrap_mesh};
 use super::{LoadOptions, transforms::y_up_from_z_up};
-use crate::formats::RawMesh;
-use crate::geometry::Mesh;
+use crate::core::formats::RawMesh;
+use crate::core::geometry::Mesh;
 use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use std::collections::BTreeMap;

@@ -24,10 +24,10 @@ pub use pixels::PixelStats;
 pub use rooms::find_rooms;
 pub use unwrap::{UnwrapStats, unwrap_mesh};
 
-use crate::formats::ImageAccount;
-use crate::geometry::{Camera, Mesh};
-use crate::image::{CameraMask, Plane};
-use crate::math::colour::ColourSpace;
+use crate::core::formats::ImageAccount;
+use crate::core::geometry::{Camera, Mesh};
+use crate::core::image::{CameraMask, Plane};
+use crate::core::math::colour::ColourSpace;
 use glam::DVec3;
 use std::path::PathBuf;
 

@@ -2,9 +2,9 @@
 
 use super::input_error::as_input;
 use super::{LdrImages, Mirror, Scene, View};
-use crate::formats::{self, Photograph};
-use crate::geometry::Projection;
-use crate::image::{Plane, RgbPlane};
+use crate::core::formats::{self, Photograph};
+use crate::core::geometry::Projection;
+use crate::core::image::{Plane, RgbPlane};
 use crate::{Error, Result};
 use glam::{Vec2, Vec3};
 use std::path::Path;

@@ -9,9 +9,9 @@
 
 use super::input_error::as_input;
 use super::{RoomGrid, Scene};
-use crate::formats;
-use crate::image::Plane;
-use crate::trace::{Hit, Ray, Tracer};
+use crate::core::formats;
+use crate::core::image::Plane;
+use crate::core::trace::{Hit, Ray, Tracer};
 use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use serde::Deserialize;

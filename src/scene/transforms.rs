@@ -6,9 +6,9 @@
 use super::known_keys::{distance, examine};
 use super::rigid::rigid;
 use super::{Class, frame_change::AppliedChange};
+use crate::core::geometry::{Lens, Projection};
+use crate::core::math::colour::ColourSpace;
 use crate::error::printable;
-use crate::geometry::{Lens, Projection};
-use crate::math::colour::ColourSpace;
 use glam::{DMat3, DVec3};
 use serde_json::{Map, Value};
 

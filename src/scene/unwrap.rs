@@ -1,6 +1,6 @@
 //! An atlas for meshes that bring none.
 
-use crate::geometry::Mesh;
+use crate::core::geometry::Mesh;
 use glam::{Vec2, Vec3};
 use std::collections::BTreeMap;
 
@@ -122,7 +122,7 @@ fn weld(mesh: &Mesh) -> Vec<u32> {
 mod tests {
     use super::super::atlas_overlap;
     use super::*;
-    use crate::sampling::KeyedRng;
+    use crate::core::sampling::KeyedRng;
 
     /// A closed ball of `rows` × `columns` quads.
     fn ball(rows: u32, columns: u32, scale: f32) -> Mesh {

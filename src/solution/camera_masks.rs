@@ -2,9 +2,9 @@
 //! along, 255 where it shows the scene, as `mask_path` of a scene.
 
 use super::AsideFolder;
+use crate::core::formats::{read_labels, write_png8};
+use crate::core::image::CameraMask;
 use crate::error::{Error, Result};
-use crate::formats::{read_labels, write_png8};
-use crate::image::CameraMask;
 use std::path::Path;
 
 /// Every mask file begins with this.

@@ -7,13 +7,13 @@
 //! loaded back from this file without loss.
 
 use super::Solution;
-use crate::brdf::Reflectance;
-use crate::error::{Error, Result};
-use crate::formats::{
+use crate::core::brdf::Reflectance;
+use crate::core::formats::{
     GlbWriter, MOST_DATA, encode_rgb8, encode_webp8, read_input, srgb8_from_linear,
 };
-use crate::geometry::Mesh;
-use crate::image::{Plane, RgbPlane};
+use crate::core::geometry::Mesh;
+use crate::core::image::{Plane, RgbPlane};
+use crate::error::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use serde_json::{Value, json};
 use std::ops::{Add, Mul};

@@ -6,10 +6,10 @@
 //! knows no unit: the gap is a share of the scene's diagonal.
 
 use super::Solution;
+use crate::core::geometry::{Mesh, clusters};
+use crate::core::image::RgbPlane;
+use crate::core::math::luminance;
 use crate::error::{Error, Result};
-use crate::geometry::{Mesh, clusters};
-use crate::image::RgbPlane;
-use crate::math::luminance;
 use glam::{DVec3, Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 use std::f32::consts::PI;

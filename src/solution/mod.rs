@@ -12,9 +12,9 @@ pub use lamps::{LIGHTS, Lamp, LampKind, find_lamps, lamp_gap, triangle_emission}
 pub use lock::OutputLock;
 pub use store::{AsideFolder, FILES, SaveOptions};
 
-use crate::brdf::Reflectance;
-use crate::geometry::Mesh;
-use crate::image::{CameraMask, Plane, RgbPlane};
+use crate::core::brdf::Reflectance;
+use crate::core::geometry::Mesh;
+use crate::core::image::{CameraMask, Plane, RgbPlane};
 use glam::{DVec3, Vec2};
 
 /// A reconstructed scene. Every texture covers the same atlas; sizes differ. Texture coordinates

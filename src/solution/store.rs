@@ -8,11 +8,11 @@ use super::Solution;
 use super::camera_masks::{read_camera_masks, replace_camera_masks, write_camera_masks};
 use super::glb::{GlbOptions, marked_glb, read_glb};
 use super::lamps::{self, LIGHTS};
-use crate::error::{Error, Result};
-use crate::formats::{
+use crate::core::formats::{
     Marked, generation_mark, read_labels, read_plane, read_rgb, read_two_channels, sync,
 };
-use crate::image::RgbPlane;
+use crate::core::image::RgbPlane;
+use crate::error::{Error, Result};
 use std::path::Path;
 
 /// Files of a solution in the order in which they are renamed into place; `scene.glb` last, as the
@@ -390,7 +390,7 @@ mod tests {
         Solution::load(first.path()).expect("whole again");
         // a texture painted by hand has no mark
         let path = first.path().join("albedo.exr");
-        crate::formats::write_rgb_half(path, &solution.albedo).expect("painted");
+        crate::core::formats::write_rgb_half(path, &solution.albedo).expect("painted");
         Solution::load(first.path()).expect("accepted");
     }
 

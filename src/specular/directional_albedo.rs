@@ -4,9 +4,9 @@
 //! L_s(v) = ∫ L f_s (n·l) dl ≈ (E/π) ∫ f_s (n·l) dl: exact where light comes evenly from all sides,
 //! and the wider the lobe the better elsewhere.
 
-use crate::brdf::Reflectance;
-use crate::math::Frame;
-use crate::sampling::{hammersley, square_to_cosine_hemisphere};
+use crate::core::brdf::Reflectance;
+use crate::core::math::Frame;
+use crate::core::sampling::{hammersley, square_to_cosine_hemisphere};
 use glam::Vec3;
 use std::f32::consts::PI;
 
@@ -20,11 +20,11 @@ const NARROWEST: f32 = 0.5;
 const SAMPLES: u32 = 1024;
 
 /// Specular reflection of even light: ∫ f_s(v, l; R) (n·l) dl, tabulated over n·v and roughness.
-pub struct WideLobes {
+pub struct DirectionalAlbedo {
     table: Vec<f32>,
 }
 
-impl WideLobes {
+impl DirectionalAlbedo {
     /// Tabulates a model from roughness 0.5 to 1.
     #[must_use]
     pub fn new(model: Reflectance) -> Self {
@@ -84,7 +84,7 @@ mod tests {
     #[test]
     fn the_table_is_the_integral() {
         for model in [Reflectance::Paper, Reflectance::Smith] {
-            let lobes = WideLobes::new(model);
+            let lobes = DirectionalAlbedo::new(model);
             for (n_v, roughness) in [(0.97f32, 0.8f32), (0.5, 0.66), (0.2, 1.0)] {
                 let v = Vec3::new((1.0 - n_v * n_v).sqrt(), 0.0, n_v);
                 let (n, m) = (400, 800);
@@ -122,9 +122,13 @@ mod tests {
     fn mean_response_is_the_reflectance_under_even_light() {
         const N: u32 = 1 << 17;
         for (model, roughness) in [(Reflectance::Paper, 0.6), (Reflectance::Smith, 0.9)] {
-            let mut rng = crate::sampling::KeyedRng::new(3, 0);
-            let mut direction =
-                || crate::sampling::square_to_uniform_hemisphere([rng.next_f32(), rng.next_f32()]);
+            let mut rng = crate::core::sampling::KeyedRng::new(3, 0);
+            let mut direction = || {
+                crate::core::sampling::square_to_uniform_hemisphere([
+                    rng.next_f32(),
+                    rng.next_f32(),
+                ])
+            };
             let sum: f64 = (0..N)
                 .map(|_| {
                     let (v, l) = (direction(), direction());
@@ -136,7 +140,7 @@ mod tests {
                 })
                 .sum();
             let exact = 4.0 * std::f64::consts::PI * sum / f64::from(N);
-            let got = f64::from(WideLobes::new(model).mean_response(roughness));
+            let got = f64::from(DirectionalAlbedo::new(model).mean_response(roughness));
             assert!(
                 (got / exact - 1.0).abs() < 0.03,
                 "{model:?} R {roughness}: {got} against {exact}"

@@ -1,11 +1,11 @@
 //! The specular part of the photographs: what every pixel's surface mirrors, given its roughness.
 
-use super::{Gaze, Levels, Reflector, WIDE, WideLobes};
-use crate::image::{Plane, RgbPlane, Wrap};
+use super::{DirectionalAlbedo, Levels, Reflector, ShadingPoint, WIDE};
+use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::sampling::hash_u64;
+use crate::core::switch::Switch;
+use crate::core::trace::Hit;
 use crate::observed::{ClassMap, Surface};
-use crate::sampling::hash_u64;
-use crate::switch::Switch;
-use crate::trace::Hit;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -32,7 +32,7 @@ pub struct SpecularImages<'a> {
     /// Irradiance texture.
     pub irradiance: &'a RgbPlane,
     /// Directional albedo of wide lobes.
-    pub lobes: &'a WideLobes,
+    pub lobes: &'a DirectionalAlbedo,
     /// Which lobes are wide.
     pub wide: WideRule<'a>,
 }
@@ -130,7 +130,7 @@ impl SpecularImages<'_> {
                         *out = value;
                         continue;
                     }
-                    gazes.push(Gaze {
+                    gazes.push(ShadingPoint {
                         position,
                         normal,
                         face_normal,

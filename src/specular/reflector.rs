@@ -5,13 +5,13 @@
 //! heuristic), so that one set of traced rays serves any number of roughness levels R (method §12.3
 //! point 6); the radiance along a ray is averaged over the cone the ray stands for.
 
-use crate::brdf::{MIN_ROUGHNESS, Reflectance, sample_vndf, vndf_reflection_pdf};
-use crate::lights::LampChoice;
+use crate::core::brdf::{MIN_ROUGHNESS, Reflectance, sample_vndf, vndf_reflection_pdf};
+use crate::core::math::{Frame, luminance};
+use crate::core::sampling::SobolSequence;
+use crate::core::trace::{Hit, Ray};
+use crate::lights::LightSampler;
 use crate::lights::LitScene;
-use crate::lights::SharedChoices;
-use crate::math::{Frame, luminance};
-use crate::sampling::SobolSequence;
-use crate::trace::{Hit, Ray};
+use crate::lights::SamplerCache;
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
@@ -20,7 +20,7 @@ const BATCH: usize = 48;
 
 /// A surface point seen from a direction.
 #[derive(Clone, Copy, Debug)]
-pub struct Gaze {
+pub struct ShadingPoint {
     /// Position on the surface.
     pub position: Vec3,
     /// Unit shading normal on the seen side.
@@ -74,14 +74,14 @@ struct Scratch {
     hidden: Vec<u8>,
     light: Vec<(u32, Vec3, f32)>,
     /// Which lamps are asked, and by which gaze.
-    choices: SharedChoices,
+    choices: SamplerCache,
     choice_of: Vec<usize>,
 }
 
 impl Reflector<'_> {
     /// Adds to `out[i · K + k]` the specular radiance of gaze i at its k-th evaluated level (K
     /// levels). Returns the rays traced.
-    pub fn reflect(&self, gazes: &[Gaze], levels: Levels, out: &mut [Vec3]) -> u64 {
+    pub fn reflect(&self, gazes: &[ShadingPoint], levels: Levels, out: &mut [Vec3]) -> u64 {
         self.reflect_and_spread(gazes, levels, out, &mut [])
     }
 
@@ -91,7 +91,7 @@ impl Reflector<'_> {
     /// one entry per gaze, or none if nobody asks.
     pub fn reflect_and_spread(
         &self,
-        gazes: &[Gaze],
+        gazes: &[ShadingPoint],
         levels: Levels,
         out: &mut [Vec3],
         diffuse: &mut [[f32; 3]],
@@ -128,7 +128,7 @@ impl Reflector<'_> {
 
     fn batch(
         &self,
-        gazes: &[Gaze],
+        gazes: &[ShadingPoint],
         levels: Levels,
         s: &mut Scratch,
         out: &mut [Vec3],
@@ -209,7 +209,7 @@ impl Reflector<'_> {
         self.rays_per_lobe as f32 * lobe_sum + self.emitter_samples as f32 * emitter_pdf
     }
 
-    fn lobe_rays(&self, i: usize, g: &Gaze, lobes: &[f32], s: &mut Scratch) {
+    fn lobe_rays(&self, i: usize, g: &ShadingPoint, lobes: &[f32], s: &mut Scratch) {
         let frame = Frame::from_normal(g.normal);
         let mut view = frame.local_from_world(g.view);
         view.z = view.z.max(MIN_COSINE);
@@ -229,7 +229,7 @@ impl Reflector<'_> {
         }
     }
 
-    fn emitter_rays(&self, i: usize, g: &Gaze, choice: &LampChoice, s: &mut Scratch) {
+    fn emitter_rays(&self, i: usize, g: &ShadingPoint, choice: &LightSampler, s: &mut Scratch) {
         let origin = g.position + g.face_normal * self.lit.offset;
         let sequence = SobolSequence::new(self.seed ^ 0x11_9474, g.key);
         for j in g.turn * self.emitter_samples..(g.turn + 1) * self.emitter_samples {
@@ -266,7 +266,7 @@ struct HalfVector {
 }
 
 impl HalfVector {
-    fn new(g: &Gaze, l: Vec3) -> Self {
+    fn new(g: &ShadingPoint, l: Vec3) -> Self {
         let h = (g.view + l).normalize_or(g.normal);
         Self {
             n_l: g.normal.dot(l).max(0.0),

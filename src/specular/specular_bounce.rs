@@ -5,9 +5,9 @@
 //! materials known, a ray that meets such a surface goes on from there, as FIPT grows paths at
 //! specular hits (Wu et al. 2023), instead of reading the lobe's mean.
 
-use super::reflector::{Gaze, Levels, Reflector};
-use crate::sampling::hash_u64;
-use crate::trace::{Hit, Ray};
+use super::reflector::{Levels, Reflector, ShadingPoint};
+use crate::core::sampling::hash_u64;
+use crate::core::trace::{Hit, Ray};
 use glam::Vec3;
 
 /// A glossy surface point.
@@ -34,7 +34,7 @@ pub struct SpecularBounce<'a> {
 /// Buffers of one thread.
 #[derive(Default)]
 pub(crate) struct Bounces {
-    gazes: Vec<Gaze>,
+    gazes: Vec<ShadingPoint>,
     roughness: Vec<f32>,
     /// Number of each gaze's ray.
     ray: Vec<u32>,
@@ -76,7 +76,7 @@ impl SpecularBounce<'_> {
                 continue;
             };
             let position = origin + direction * hit.t;
-            gazes.push(Gaze {
+            gazes.push(ShadingPoint {
                 position,
                 normal: g.normal,
                 face_normal: g.face_normal,

@@ -1,13 +1,13 @@
 //! Scenes of lit quads in memory, and the closed forms that irradiance in them has to meet.
 
 use glam::{DVec3, Vec2, Vec3};
+use unbake::core::geometry::Mesh;
+use unbake::core::image::Plane;
+use unbake::core::trace::{EmbreeTracer, Tracer};
 use unbake::gbuffer::Orientation;
-use unbake::geometry::Mesh;
-use unbake::image::Plane;
 use unbake::irradiance::{Bake, Receiver};
 use unbake::lights::{Emitters, LitScene};
 use unbake::radiance::{Environment, LightField, SurfaceRadiance};
-use unbake::trace::{EmbreeTracer, Tracer};
 
 /// Texels along a quad's cell of the atlas: a multiple of the coarsest mip's texels, so that no
 /// lookup mixes two quads.
@@ -298,7 +298,7 @@ pub fn quadrature(
         let (r2, unit) = (d.length_squared(), d.normalize());
         let cosines = n.as_dvec3().dot(unit).max(0.0) * (-q.normal().as_dvec3().dot(unit)).max(0.0);
         values.push(radiance(unit.as_vec3()).as_dvec3() * (cosines * area / r2));
-        rays.push(unbake::trace::Ray::new(
+        rays.push(unbake::core::trace::Ray::new(
             p + n * 1e-5,
             unit.as_vec3(),
             r2.sqrt() as f32 * 0.999,

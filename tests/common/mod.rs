@@ -7,8 +7,8 @@ use glam::Vec3;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
-use unbake::formats;
-use unbake::image::Plane;
+use unbake::core::formats;
+use unbake::core::image::Plane;
 
 /// Panorama size of the test scene.
 pub const WIDTH: usize = 32;

@@ -1,16 +1,16 @@
 //! `unbake bench`: what can be measured, and where the figures go.
 
-use crate::bench::{
-    AlignmentBench, IrtBench, RobustnessBench, TradeoffBench, TsdrBench, Workplace,
-    bench_alignment, bench_irt, bench_kernel, bench_robustness, bench_tradeoff, bench_tsdr,
-};
 use crate::cli::config::Config;
 use crate::cli::context::Context;
 use crate::cli::inputs::read_scene;
 use crate::cli::verb_args::{BenchVerb, Outputs, Work};
+use crate::core::formats::{Aside, atomic_write};
 use crate::error::{Error, Result};
-use crate::formats::{Aside, atomic_write};
 use crate::pipeline::SolveOptions;
+use crate::programs::bench::{
+    AlignmentBench, IrtBench, RobustnessBench, TradeoffBench, TsdrBench, Workplace,
+    bench_alignment, bench_irt, bench_kernel, bench_robustness, bench_tradeoff, bench_tsdr,
+};
 use crate::scene::{LdrImages, LoadOptions};
 use serde::Serialize;
 use std::ffi::OsString;
@@ -268,7 +268,7 @@ mod tests {
         use clap::CommandFactory;
         let command = crate::cli::Cli::command();
         let solve = command.find_subcommand("solve").expect("verb");
-        for (knob, values) in crate::bench::KNOBS {
+        for (knob, values) in crate::programs::bench::KNOBS {
             for value in *values {
                 let line = [
                     "unbake",
@@ -285,9 +285,9 @@ mod tests {
                 );
             }
         }
-        let left_out = crate::bench::APPROXIMATIONS
+        let left_out = crate::programs::bench::APPROXIMATIONS
             .iter()
-            .chain(crate::bench::NEEDS);
+            .chain(crate::programs::bench::NEEDS);
         for (flag, value) in left_out.flat_map(|a| a.1) {
             let line = [
                 "unbake",
@@ -307,7 +307,7 @@ mod tests {
             .get_arguments()
             .find(|a| a.get_long() == Some("quality"))
             .expect("flag");
-        for preset in crate::bench::PRESETS {
+        for preset in crate::programs::bench::PRESETS {
             assert!(
                 quality
                     .get_possible_values()

@@ -2,8 +2,8 @@
 
 use crate::cli::context::Context;
 use crate::cli::inputs::read_scene;
-use crate::edit::{EDITED, EDITS, EditList, apply_to_folder};
 use crate::error::{Error, Result};
+use crate::programs::edit::{EDITED, EDITS, EditList, apply_to_folder};
 use crate::solution::OutputLock;
 use serde_json::json;
 use std::path::Path;
@@ -42,7 +42,7 @@ pub(crate) fn edit(
             taken.save(&list)?;
         } else {
             let text = std::fs::read(file).map_err(|e| Error::io(file, e))?;
-            crate::formats::atomic_write(&list, &text)?;
+            crate::core::formats::atomic_write(&list, &text)?;
         }
     } else if !list.is_file() {
         return Err(Error::Usage(format!(
@@ -54,7 +54,7 @@ pub(crate) fn edit(
     if done.is_err() && edits.is_some() {
         // a list that cannot be applied must not stand in the way of the next `render`
         match before {
-            Some(bytes) => crate::formats::atomic_write(&list, &bytes)?,
+            Some(bytes) => crate::core::formats::atomic_write(&list, &bytes)?,
             None => std::fs::remove_file(&list).map_err(|e| Error::io(&list, e))?,
         }
     }

@@ -5,9 +5,9 @@ use crate::cli::guard::keep_inputs;
 use crate::cli::inputs::read_solved_scene;
 use crate::cli::run_record::record;
 use crate::error::{Error, Result};
-use crate::evaluate::{evaluate, terminal_table};
+use crate::programs::evaluate::{evaluate, terminal_table};
+use crate::programs::report::{self, Photographer, RunRecord, hash_inputs, write_report};
 use crate::render::{HybridOptions, HybridRenderer};
-use crate::report::{self, Photographer, RunRecord, hash_inputs, write_report};
 use crate::solution::{OutputLock, Solution};
 use std::path::Path;
 

@@ -2,7 +2,7 @@
 
 use crate::cli::context::Context;
 use crate::error::{Error, Result};
-use crate::prepare;
+use crate::programs::prepare;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 

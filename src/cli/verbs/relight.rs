@@ -1,15 +1,15 @@
 //! `unbake relight`.
 
 use crate::cli::context::Context;
-use crate::cli::frames::{Places, report, traced};
+use crate::cli::frames::{FrameSource, report, traced};
 use crate::cli::inputs::read_solution;
+use crate::core::image::RgbPlane;
+use crate::core::progress::Progress;
 use crate::error::{Error, Result};
-use crate::export::FrameWriter;
-use crate::image::RgbPlane;
-use crate::progress::Progress;
+use crate::programs::export::FrameWriter;
 use crate::render::{
-    Adaptive, Exposure, LampChange, Lighting, NamedCamera, Noise, PathTracerOptions,
-    RelightOptions, Stage, TraceSettings, World, daylight, mean_luminance,
+    Adaptive, EditableScene, Exposure, LampChange, Lighting, NamedCamera, Noise, PathTracedScene,
+    PathTracerOptions, RelightOptions, TraceSettings, daylight, mean_luminance,
 };
 use crate::solution::{Lamp, Solution};
 use glam::{DVec3, Vec3};
@@ -20,7 +20,7 @@ use std::time::Instant;
 /// `unbake relight`.
 pub(crate) fn relight(
     out: &Path,
-    places: &Places,
+    places: &FrameSource,
     lights: Option<&Path>,
     against: Option<&Path>,
     list: bool,
@@ -94,8 +94,8 @@ struct Relit<'a> {
 
 impl<'a> Relit<'a> {
     /// The solution with its light changed.
-    fn world(&self) -> Result<World<'a>> {
-        let mut world = World::new(self.solution);
+    fn world(&self) -> Result<EditableScene<'a>> {
+        let mut world = EditableScene::new(self.solution);
         self.lighting.apply(&mut world, &self.solution.lamps)?;
         Ok(world)
     }
@@ -120,7 +120,7 @@ impl<'a> Relit<'a> {
             let mut world = self.world()?;
             world.set_environment(sky);
             world.scale_emission(&all, Vec3::splat(lamps));
-            let stage = Stage::new(&mut world)?;
+            let stage = PathTracedScene::new(&mut world)?;
             let clock = Instant::now();
             let name = format!("{i:04}");
             stage.render(
@@ -144,7 +144,7 @@ impl<'a> Relit<'a> {
         let mut world = self.world()?;
         let stage = self
             .progress
-            .stage("preparing", 1, |_| Stage::new(&mut world))?;
+            .stage("preparing", 1, |_| PathTracedScene::new(&mut world))?;
         let mut seconds = Vec::new();
         let mut clock = Instant::now();
         let shared = std::cell::RefCell::new(writer);
@@ -166,7 +166,7 @@ impl<'a> Relit<'a> {
     /// Renders cameras given relative to `origin`.
     fn images(&self, cameras: &[NamedCamera], origin: DVec3) -> Result<Vec<RgbPlane>> {
         let mut world = self.world()?;
-        let stage = Stage::new(&mut world)?;
+        let stage = PathTracedScene::new(&mut world)?;
         let shift = (origin - self.solution.origin).as_vec3();
         let mut placed = traced(cameras);
         for (_, camera) in &mut placed {

@@ -1,19 +1,19 @@
 //! `unbake render`.
 
 use crate::cli::context::Context;
-use crate::cli::frames::{Places, report, traced};
+use crate::cli::frames::{FrameSource, report, traced};
 use crate::cli::inputs::read_solution;
 use crate::error::{Error, Result};
-use crate::export::FrameWriter;
+use crate::programs::export::FrameWriter;
 use crate::render::{
-    Adaptive, HybridOptions, HybridRenderer, Noise, PathTracerOptions, Renderer, Stage,
-    TraceSettings, ViewRenderer, World,
+    Adaptive, EditableScene, HybridOptions, HybridRenderer, Noise, PathTracedScene,
+    PathTracerOptions, Renderer, TraceSettings, ViewRenderer,
 };
 use std::path::Path;
 use std::time::Instant;
 
 /// `unbake render`.
-pub(crate) fn render(out: &Path, places: &Places, context: &Context) -> Result<()> {
+pub(crate) fn render(out: &Path, places: &FrameSource, context: &Context) -> Result<()> {
     let options = context.config.render.clone();
     let progress = &context.progress;
     if options.supersampling == 0 || options.supersampling > 16 || options.samples == 0 {
@@ -49,8 +49,8 @@ pub(crate) fn render(out: &Path, places: &Places, context: &Context) -> Result<(
             })?;
         }
         Renderer::Path => {
-            let mut world = World::new(&solution);
-            let stage = progress.stage("preparing", 1, |_| Stage::new(&mut world))?;
+            let mut world = EditableScene::new(&solution);
+            let stage = progress.stage("preparing", 1, |_| PathTracedScene::new(&mut world))?;
             let tracer = PathTracerOptions {
                 seed: context.seed(),
                 lambertian: options.diffuse_only,

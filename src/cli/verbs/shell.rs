@@ -2,8 +2,8 @@
 
 use crate::cli::args::Cli;
 use crate::cli::context::{Context, print};
+use crate::core::formats::atomic_write;
 use crate::error::{Error, Result};
-use crate::formats::atomic_write;
 use clap::CommandFactory;
 use clap_complete::Shell;
 use std::path::Path;

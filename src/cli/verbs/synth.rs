@@ -2,7 +2,7 @@
 
 use crate::cli::context::Context;
 use crate::error::Result;
-use crate::synth::generate;
+use crate::programs::synth::generate;
 use serde_json::json;
 use std::path::Path;
 use std::time::Duration;

@@ -3,9 +3,9 @@
 use crate::cli::context::Context;
 use crate::cli::inputs::read_solved_scene;
 use crate::error::{Error, Result};
-use crate::report::RunRecord;
+use crate::programs::report::RunRecord;
+use crate::programs::view;
 use crate::solution::Solution;
-use crate::view;
 use serde_json::json;
 use std::path::Path;
 

@@ -3,9 +3,9 @@
 
 use super::options::{Adaptive, Noise};
 use super::wave::{Feature, Sums};
-use crate::brdf::Material;
-use crate::image::{Plane, RgbPlane};
-use crate::math::luminance;
+use crate::core::brdf::Material;
+use crate::core::image::{Plane, RgbPlane};
+use crate::core::math::luminance;
 use glam::Vec3;
 use rayon::prelude::*;
 

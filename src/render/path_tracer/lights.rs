@@ -7,11 +7,11 @@
 //! changes the variance, never the expectation.
 
 use super::scene::{Environment, SurfaceModel};
-use crate::geometry::Mesh;
-use crate::math::luminance;
-use crate::parallel::map_chunks;
-use crate::sampling::{AliasTable, KeyedRng, square_to_triangle};
-use crate::trace::{Ray, Tracer};
+use crate::core::geometry::Mesh;
+use crate::core::math::luminance;
+use crate::core::parallel::map_chunks;
+use crate::core::sampling::{AliasTable, KeyedRng, square_to_triangle};
+use crate::core::trace::{Ray, Tracer};
 use glam::Vec3;
 
 /// A triangle to sample.

@@ -1,4 +1,4 @@
-//! Unbiased light transport over any [`crate::trace::Tracer`], in batches.
+//! Unbiased light transport over any [`crate::core::trace::Tracer`], in batches.
 //!
 //! A task takes a run of pixels with all their samples, a wavefront of a few thousand paths: all
 //! closest hits of one bounce are found by one call, then all shadow rays by another. Light is
@@ -27,12 +27,12 @@ pub use options::{Adaptive, Noise, PathTracerOptions};
 pub use scene::{BlackEnvironment, Environment, IndirectCache, KnownLight, Surface, SurfaceModel};
 pub use tracer::PathTracer;
 
-use crate::brdf::Material;
-use crate::geometry::Camera;
-use crate::parallel::map_chunks;
-use crate::progress::Progress;
-use crate::sampling::{SobolSequence, hash_u64};
-use crate::trace::{Hit, Ray};
+use crate::core::brdf::Material;
+use crate::core::geometry::Camera;
+use crate::core::parallel::map_chunks;
+use crate::core::progress::Progress;
+use crate::core::sampling::{SobolSequence, hash_u64};
+use crate::core::trace::{Hit, Ray};
 use film::{PixelAccumulator, PixelResult, assemble, noisy_pixels};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;

@@ -1,7 +1,7 @@
 //! What the path tracer renders: materials and emission of surfaces, the light from outside, known
 //! irradiance.
 
-use crate::brdf::{Material, Reflectance};
+use crate::core::brdf::{Material, Reflectance};
 use glam::Vec3;
 
 /// What light meets at a surface point.

@@ -1,13 +1,13 @@
 //! Closed forms and an independent brute-force estimator for the path tracer.
 
 use super::*;
-use crate::geometry::Mesh;
-use crate::geometry::Projection;
-use crate::image::RgbPlane;
-use crate::math::luminance;
-use crate::sampling::KeyedRng;
-use crate::trace::BruteForce;
-use crate::trace::Tracer;
+use crate::core::geometry::Mesh;
+use crate::core::geometry::Projection;
+use crate::core::image::RgbPlane;
+use crate::core::math::luminance;
+use crate::core::sampling::KeyedRng;
+use crate::core::trace::BruteForce;
+use crate::core::trace::Tracer;
 use glam::Mat3;
 
 /// Constant material and emission per triangle.
@@ -206,8 +206,8 @@ fn brute_radiance(
         sum += beta * f64::from(s.emission.x);
         let face = mesh.face_normal(t);
         let n = if face.dot(d) > 0.0 { -face } else { face };
-        let l = crate::math::Frame::from_normal(n).world_from_local(
-            crate::sampling::square_to_uniform_hemisphere([rng.next_f32(), rng.next_f32()]),
+        let l = crate::core::math::Frame::from_normal(n).world_from_local(
+            crate::core::sampling::square_to_uniform_hemisphere([rng.next_f32(), rng.next_f32()]),
         );
         beta *= f64::from(s.material.eval(n, -d, l).x) * 2.0 * std::f64::consts::PI;
         o = mesh.position(t, hit.u, hit.v) + n * 1e-4;

@@ -3,10 +3,10 @@
 use super::lights::Lights;
 use super::options::PathTracerOptions;
 use super::scene::{Environment, SurfaceModel};
-use crate::brdf::Reflectance;
-use crate::geometry::Mesh;
+use crate::core::brdf::Reflectance;
+use crate::core::geometry::Mesh;
+use crate::core::trace::Tracer;
 use crate::render::point_light::PointLight;
-use crate::trace::Tracer;
 
 /// A scene ready to be rendered.
 pub struct PathTracer<'a> {

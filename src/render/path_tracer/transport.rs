@@ -2,11 +2,11 @@
 
 use super::tracer::PathTracer;
 use super::wave::{Feature, Following, Lobes, Path, PathKey, ShadowRay, Sums, Vertex, Wave};
-use crate::brdf::{Material, Reflectance};
-use crate::math::luminance;
+use crate::core::brdf::{Material, Reflectance};
+use crate::core::math::luminance;
+use crate::core::sampling::{KeyedRng, SobolSequence};
+use crate::core::trace::{Hit, Ray};
 use crate::render::point_light::PointLight;
-use crate::sampling::{KeyedRng, SobolSequence};
-use crate::trace::{Hit, Ray};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 

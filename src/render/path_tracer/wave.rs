@@ -1,8 +1,8 @@
 //! What paths carry from bounce to bounce, and the buffers they are traced in.
 
 use super::scene::KnownLight;
-use crate::brdf::Material;
-use crate::trace::{Hit, Ray};
+use crate::core::brdf::Material;
+use crate::core::trace::{Hit, Ray};
 use glam::Vec3;
 
 /// Which lobes of a vertex are followed; the diffuse one alone is Lambert's, whatever the

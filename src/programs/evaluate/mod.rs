@@ -1,0 +1,435 @@
+//! How good a reconstruction is: re-rendering, novel views and, where a scene has ground truth,
+//! materials.
+//!
+//! This is the only module that reads a scene's `gt/` folder. Every material figure is given under
+//! three published protocols side by side (see [`protocol`]); nothing is overwritten before
+//! scoring.
+
+mod calibration;
+mod emission;
+mod gains;
+pub mod protocol;
+mod scores;
+mod table;
+
+pub use calibration::{Calibration, CalibrationBin, Calibrations};
+pub use emission::EmissionScores;
+pub use gains::GainScores;
+pub use scores::{
+    ClassScores, Evaluation, ImageScores, MaterialScores, Protocols, SplitScores, ViewScores,
+};
+pub use table::terminal_table;
+
+use crate::core::formats::{read_plane, read_rgb, write_plane_half, write_rgb_half};
+use crate::core::geometry::Camera;
+use crate::core::image::{Plane, RgbPlane};
+use crate::core::metrics::{masked_mse, masked_ssim, psnr};
+use crate::core::progress::Progress;
+use crate::error::{Error, Result};
+use crate::render::{RenderedView, ViewRenderer};
+use crate::scene::{Scene, Split, View};
+use crate::solution::AsideFolder;
+use emission::EmissionTruth;
+use gains::GainFit;
+use protocol::{
+    box_average, clipped, display, least_squares_albedo, material_mask, quantised, tone_mapped,
+    working_size,
+};
+use scores::{Accumulator, ClassTally};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// What `unbake eval` can be told.
+#[derive(clap::Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct EvalOptions {
+    /// Score the training views as well as the held-out ones.
+    #[arg(long)]
+    pub train: bool,
+    /// Quantise albedo and roughness to 8 bits in the FIPT protocol, as its authors' files do.
+    #[arg(long)]
+    pub quantise: bool,
+    /// Exposure in stops applied to radiance before tone mapping for the image scores.
+    #[arg(
+        long,
+        value_name = "EV",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    pub exposure: f32,
+}
+
+/// A view that has just been scored, for whoever collects pictures.
+pub struct ViewOutcome<'a> {
+    /// The scene's view.
+    pub view: &'a View,
+    /// Working radiance of the photograph (exposure applied).
+    pub photograph: &'a RgbPlane,
+    /// Its re-rendering.
+    pub rendered: &'a RenderedView,
+    /// Its scores.
+    pub scores: &'a ViewScores,
+    /// Ground truth, if the scene has it.
+    pub truth: Option<&'a GroundTruth>,
+}
+
+/// True materials of one view at the frame's size.
+#[derive(Clone, Debug)]
+pub struct GroundTruth {
+    /// Linear RGB albedo.
+    pub albedo: RgbPlane,
+    /// Roughness R.
+    pub roughness: Plane<f32>,
+}
+
+/// Renders and scores the held-out views (and, if asked or if there are no others, the training
+/// views).
+///
+/// With `folder` (the output folder of `solve`) writes `eval/metrics.json` and
+/// `eval/<stem>.{render,albedo,roughness}.exr`; files of an earlier evaluation are replaced only
+/// when all new ones are complete.
+///
+/// # Errors
+/// If a photograph, its labels or its truth cannot be read or do not fit, or `folder` cannot be
+/// written to.
+pub fn evaluate(
+    scene: &Scene,
+    renderer: &dyn ViewRenderer,
+    options: &EvalOptions,
+    folder: Option<&Path>,
+    progress: &Progress,
+    each: &mut dyn FnMut(&ViewOutcome<'_>),
+) -> Result<Evaluation> {
+    let held_out = scene
+        .views
+        .iter()
+        .filter(|v| v.split == Split::Test)
+        .count();
+    let with_train = options.train || held_out == 0;
+    if held_out == 0 {
+        progress.note("the scene holds out no view: the training views are scored, which says nothing about novel views");
+    }
+    let views: Vec<&View> = scene
+        .views
+        .iter()
+        .filter(|v| with_train || v.split == Split::Test)
+        .collect();
+    if views.is_empty() {
+        return Err(Error::input(
+            &scene.folder,
+            "has no views to evaluate; add frames to transforms.json",
+        ));
+    }
+    let aside = folder
+        .map(|f| AsideFolder::new(&f.join("eval")))
+        .transpose()?;
+    let mut files: Vec<String> = Vec::new();
+    let (mut test, mut train) = (Accumulator::new(scene), Accumulator::new(scene));
+
+    progress.stage("evaluation", views.len() as u64, |progress| {
+        for view in &views {
+            let (photograph, valid) = photograph(scene, view)?;
+            let classes = labels_of(scene, view)?;
+            let rendered = match &classes {
+                Some(classes) => renderer.render_classes(&view.camera, classes)?,
+                None => renderer.render(&view.camera)?,
+            };
+            if let Some(aside) = &aside {
+                files.extend(write_view(aside.path(), &view.stem, &rendered)?);
+            }
+            let truth = ground_truth(scene, view)?;
+            let accumulator = if view.split == Split::Test {
+                &mut test
+            } else {
+                &mut train
+            };
+            let truth = truth.as_ref();
+            let reprojected = renderer.reproject(&view.camera)?;
+            let images = Images {
+                photograph: &photograph,
+                valid: &valid,
+                reprojected: reprojected.as_ref(),
+            };
+            let mut scores = score_rendering(view, &images, &rendered, options, accumulator)?;
+            let labels = classes.unwrap_or_else(|| rendered.labels.clone());
+            if let Some(emission) =
+                EmissionTruth::of(scene, view, &photograph, &labels, &accumulator.lights)?
+            {
+                accumulator.emission.add(&emission, &rendered);
+            }
+            if let Some(truth) = truth {
+                score_materials(&labels, &rendered, truth, options, accumulator, &mut scores);
+            }
+            each(&ViewOutcome {
+                view,
+                photograph: &photograph,
+                rendered: &rendered,
+                scores: &scores,
+                truth,
+            });
+            accumulator.views.push(scores);
+            progress.advance(1);
+        }
+        Ok::<(), Error>(())
+    })?;
+
+    let test = test.finish();
+    let evaluation = Evaluation {
+        protocols: protocol::descriptions(options),
+        novel_views: test.as_ref().map(|t| t.gains.clone()),
+        test,
+        train: train.finish(),
+    };
+    if let (Some(folder), Some(aside)) = (folder, &aside) {
+        let json = serde_json::to_vec_pretty(&evaluation)
+            .map_err(|e| Error::Failed(format!("metrics.json: {e}")))?;
+        let path = aside.path().join("metrics.json");
+        std::fs::write(&path, json).map_err(|e| Error::io(&path, e))?;
+        files.push("metrics.json".into());
+        aside.publish(&folder.join("eval"), &files)?;
+    }
+    Ok(evaluation)
+}
+
+/// The working radiance of a view and which of its pixels count.
+///
+/// # Errors
+/// If the image or its mask cannot be read or does not fit the view.
+pub fn photograph(scene: &Scene, view: &View) -> Result<(RgbPlane, Plane<bool>)> {
+    let image = scene.load_radiance(view)?;
+    let valid = scene
+        .load_mask(view)?
+        .unwrap_or_else(|| Plane::filled(image.width, image.height, true));
+    Ok((image, valid))
+}
+
+fn check_size(path: &Path, width: usize, height: usize, camera: &Camera) -> Result<()> {
+    if (width, height) == (camera.width, camera.height) {
+        return Ok(());
+    }
+    Err(Error::input(
+        path,
+        format!(
+            "is {width}×{height}, but its frame is {}×{}; make them agree",
+            camera.width, camera.height
+        ),
+    ))
+}
+
+/// The value of `plane` under pixel (x, y) of an image of another resolution and the same aspect.
+fn nearest_of<'a, T, U>(plane: &'a Plane<T>, image: &Plane<U>, x: usize, y: usize) -> &'a T {
+    let column = (2 * x + 1) * plane.width / (2 * image.width);
+    let row = (2 * y + 1) * plane.height / (2 * image.height);
+    &plane[(column.min(plane.width - 1), row.min(plane.height - 1))]
+}
+
+fn ground_truth(scene: &Scene, view: &View) -> Result<Option<GroundTruth>> {
+    let file = |kind: &str| -> PathBuf {
+        scene
+            .folder
+            .join("gt")
+            .join(kind)
+            .join(format!("{}.exr", view.stem))
+    };
+    let (albedo, roughness) = (file("albedo"), file("roughness"));
+    if !albedo.is_file() || !roughness.is_file() {
+        return Ok(None);
+    }
+    let truth = GroundTruth {
+        albedo: read_rgb(&albedo)?,
+        roughness: read_plane(&roughness)?,
+    };
+    check_size(
+        &albedo,
+        truth.albedo.width,
+        truth.albedo.height,
+        &view.camera,
+    )?;
+    check_size(
+        &roughness,
+        truth.roughness.width,
+        truth.roughness.height,
+        &view.camera,
+    )?;
+    Ok(Some(truth))
+}
+
+fn write_view(folder: &Path, stem: &str, rendered: &RenderedView) -> Result<[String; 3]> {
+    let names = ["render", "albedo", "roughness"].map(|kind| format!("{stem}.{kind}.exr"));
+    write_rgb_half(folder.join(&names[0]), &rendered.radiance)?;
+    write_rgb_half(folder.join(&names[1]), &rendered.albedo)?;
+    write_plane_half(folder.join(&names[2]), &rendered.roughness)?;
+    Ok(names)
+}
+
+/// What a re-rendering is compared with.
+struct Images<'a> {
+    photograph: &'a RgbPlane,
+    /// Pixels of the photograph that count.
+    valid: &'a Plane<bool>,
+    /// The fused radiance seen through the camera, where the renderer holds any.
+    reprojected: Option<&'a RgbPlane>,
+}
+
+fn score_rendering(
+    view: &View,
+    images: &Images<'_>,
+    rendered: &RenderedView,
+    options: &EvalOptions,
+    accumulator: &mut Accumulator,
+) -> Result<ViewScores> {
+    let (photograph, counted) = at_working_size(images.photograph, images.valid);
+    let gain = options.exposure.exp2();
+    let b = tone_mapped(&photograph, gain);
+    let shown = |image: &RgbPlane| display(&at_working_size(image, images.valid).0, gain);
+    let a = shown(&rendered.radiance);
+    let Some(fit) = GainFit::of(&a, &b, &counted) else {
+        return Err(Error::input(
+            &view.image_path,
+            "has no valid pixel to compare with; check the image and its mask",
+        ));
+    };
+    let a = clipped(&a);
+    let ssim = masked_ssim(&a, &b, &counted);
+    let ceiling = images
+        .reprojected
+        .and_then(|r| GainFit::of(&shown(r), &b, &counted));
+    accumulator.rendering.add(fit.as_is, ssim);
+    accumulator.gains.add(&fit, ceiling.as_ref());
+    Ok(ViewScores {
+        stem: view.stem.clone(),
+        psnr: psnr(fit.as_is),
+        ssim: ssim.unwrap_or(1.0),
+        mse: fit.as_is,
+        gain: fit.gain,
+        psnr_gain: psnr(fit.per_view),
+        ceiling_psnr_gain: ceiling.map(|c| psnr(c.per_view)),
+        nonfinite_pixels: rendered
+            .radiance
+            .data
+            .iter()
+            .filter(|v| !v.is_finite())
+            .count(),
+        ..ViewScores::default()
+    })
+}
+
+/// An image's valid pixels averaged to the size of comparison, and where there were any.
+fn at_working_size(image: &RgbPlane, valid: &Plane<bool>) -> (RgbPlane, Plane<bool>) {
+    let (w, h) = working_size(image.width, image.height);
+    box_average(image, valid, w, h)
+}
+
+/// The re-rendering and the photograph as the image scores compare them, and the pixels that count.
+#[must_use]
+pub fn comparable(
+    photograph: &RgbPlane,
+    valid: &Plane<bool>,
+    rendering: &RgbPlane,
+    exposure: f32,
+) -> (RgbPlane, RgbPlane, Plane<bool>) {
+    let (photo_small, counted) = at_working_size(photograph, valid);
+    let (render_small, _) = at_working_size(rendering, valid);
+    let gain = exposure.exp2();
+    (
+        tone_mapped(&render_small, gain),
+        tone_mapped(&photo_small, gain),
+        counted,
+    )
+}
+
+/// The scene's class ids at the frame's size; none where it labels nothing.
+fn labels_of(scene: &Scene, view: &View) -> Result<Option<Plane<u16>>> {
+    let Some(file) = scene.load_labels(view)? else {
+        return Ok(None);
+    };
+    let (width, height) = (view.camera.width, view.camera.height);
+    let frame: Plane<()> = Plane::filled(width, height, ());
+    let data = (0..width * height)
+        .map(|i| *nearest_of(&file, &frame, i % width, i / width))
+        .collect();
+    Ok(Some(Plane {
+        width,
+        height,
+        data,
+    }))
+}
+
+fn score_materials(
+    labels: &Plane<u16>,
+    rendered: &RenderedView,
+    truth: &GroundTruth,
+    options: &EvalOptions,
+    accumulator: &mut Accumulator,
+    scores: &mut ViewScores,
+) {
+    let mask = material_mask(labels, truth, &accumulator.lights);
+    let Some(linear) = masked_mse(&rendered.albedo, &truth.albedo, &mask) else {
+        return; // a view of lamps and sky only says nothing about materials
+    };
+    let bits = |p: &RgbPlane| {
+        if options.quantise {
+            p.map(|v| v.map(quantised))
+        } else {
+            p.clone()
+        }
+    };
+    let fipt_roughness = |p: &Plane<f32>| {
+        p.map(|r| {
+            let clamped = r.clamp(0.2, 1.0);
+            if options.quantise {
+                quantised(clamped)
+            } else {
+                clamped
+            }
+        })
+    };
+    let (scaled, scale) = least_squares_albedo(&rendered.albedo, &truth.albedo, &mask);
+    let materials = accumulator.materials.get_or_insert_default();
+    let albedo = [
+        (
+            &mut materials.albedo.linear,
+            rendered.albedo.clone(),
+            truth.albedo.clone(),
+        ),
+        (
+            &mut materials.albedo.fipt,
+            bits(&rendered.albedo),
+            bits(&truth.albedo),
+        ),
+        (&mut materials.albedo.texir, scaled, truth.albedo.clone()),
+    ];
+    let mut albedo_mse = [linear; 3];
+    for (slot, (tally, prediction, reference)) in albedo_mse.iter_mut().zip(albedo) {
+        *slot = masked_mse(&prediction, &reference, &mask).unwrap_or(linear);
+        tally.add(*slot, masked_ssim(&prediction, &reference, &mask));
+    }
+    let roughness = [
+        (
+            &mut materials.roughness.linear,
+            rendered.roughness.clone(),
+            truth.roughness.clone(),
+        ),
+        (
+            &mut materials.roughness.fipt,
+            fipt_roughness(&rendered.roughness),
+            fipt_roughness(&truth.roughness),
+        ),
+    ];
+    let mut roughness_mse = [0.0; 2];
+    for (slot, (tally, prediction, reference)) in roughness_mse.iter_mut().zip(roughness) {
+        *slot = masked_mse(&prediction, &reference, &mask).unwrap_or(0.0);
+        tally.add(*slot, masked_ssim(&prediction, &reference, &mask));
+    }
+    scores.albedo_psnr = Some(psnr(albedo_mse[0]));
+    scores.albedo_psnr_texir = Some(psnr(albedo_mse[2]));
+    scores.albedo_scale = Some(scale);
+    scores.roughness_psnr = Some(psnr(roughness_mse[0]));
+    scores.roughness_psnr_fipt = Some(psnr(roughness_mse[1]));
+    let tally: &mut ClassTally = &mut accumulator.classes;
+    tally.add(labels, &mask, rendered, truth);
+    accumulator.calibration.add(&mask, rendered, truth);
+}
+
+#[cfg(test)]
+mod tests;

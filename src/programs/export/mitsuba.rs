@@ -1,0 +1,273 @@
+//! A Mitsuba 3 scene: meshes as PLY, textures as EXR, one XML file.
+//!
+//! Mitsuba has no BSDF with this program's specular lobe: `principled` with the same base colour
+//! and roughness looks alike, but is not the same. With `diffuse_only` both programs describe
+//! exactly the same light, and must agree within their noise.
+
+use crate::core::formats::{write_plane_float, write_rgb_float};
+use crate::core::geometry::{Camera, Mesh, Projection};
+use crate::core::image::{Plane, RgbPlane};
+use crate::error::{Error, Result};
+use crate::render::{EditableScene, NamedCamera};
+use crate::solution::Solution;
+use glam::Vec3;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// The files written so far, besides `mitsuba.xml`.
+struct Written<'a> {
+    folder: &'a Path,
+    names: Vec<String>,
+}
+
+impl Written<'_> {
+    /// Notes a file and says where it goes.
+    fn place(&mut self, name: &str) -> PathBuf {
+        self.names.push(name.to_owned());
+        self.folder.join(name)
+    }
+
+    fn rgb(&mut self, name: &str, plane: &RgbPlane) -> Result<()> {
+        write_rgb_float(self.place(name), plane)
+    }
+
+    fn bytes(&mut self, name: &str, bytes: &[u8]) -> Result<()> {
+        let path = self.place(name);
+        std::fs::write(&path, bytes).map_err(|e| Error::io(path, e))
+    }
+}
+
+/// Writes `mitsuba.xml` and what it refers to into `folder`; returns the names of the files.
+///
+/// # Errors
+/// A file cannot be written.
+pub fn write_mitsuba(
+    folder: &Path,
+    solution: &Solution,
+    cameras: &[NamedCamera],
+    diffuse_only: bool,
+) -> Result<Vec<String>> {
+    let mut files = Written {
+        folder,
+        names: vec!["mitsuba.xml".to_owned()],
+    };
+    files.rgb("mitsuba_albedo.exr", &solution.albedo)?;
+    write_plane_float(files.place("mitsuba_roughness.exr"), &solution.roughness)?;
+    let shapes = write_shapes(&mut files, solution, diffuse_only)?;
+    let environment = write_environment(&mut files, &solution.environment)?;
+    let mut xml =
+        String::from("<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<scene version=\"3.0.0\">\n");
+    let _ = writeln!(
+        xml,
+        "  <!-- positions are relative to {} -->",
+        solution.origin
+    );
+    xml.push_str("  <default name=\"spp\" value=\"64\"/>\n  <integrator type=\"path\">\n    <integer name=\"max_depth\" value=\"65\"/>\n  </integrator>\n");
+    let _ = write!(
+        xml,
+        "  <bsdf type=\"twosided\" id=\"material\">\n{}  </bsdf>\n",
+        material(diffuse_only)
+    );
+    xml.push_str(&shapes);
+    xml.push_str(environment);
+    for c in cameras {
+        xml.push_str(&sensor(&c.name, &c.camera)?);
+    }
+    xml.push_str("</scene>\n");
+    let path = folder.join("mitsuba.xml");
+    std::fs::write(&path, &xml).map_err(|e| Error::io(path, e))?;
+    Ok(files.names)
+}
+
+/// Writes the meshes, what emits apart from the rest, and the emission; returns their elements.
+fn write_shapes(
+    files: &mut Written<'_>,
+    solution: &Solution,
+    diffuse_only: bool,
+) -> Result<String> {
+    let world = EditableScene::new(solution);
+    let mesh = &solution.mesh;
+    let (lamps, rest): (Vec<usize>, Vec<usize>) =
+        (0..mesh.triangles.len()).partition(|&t| world.emits(t));
+    let mut shapes = String::new();
+    for (name, triangles) in [("surfaces", &rest), ("lamps", &lamps)] {
+        if triangles.is_empty() {
+            continue;
+        }
+        let ply = format!("mitsuba_{name}.ply");
+        files.bytes(&ply, &ply_bytes(mesh, triangles))?;
+        let _ = writeln!(
+            shapes,
+            "  <shape type=\"ply\" id=\"{name}\">\n    <string name=\"filename\" value=\"{ply}\"/>"
+        );
+        // lamps shine to the side of their winding, whatever their vertex normals say
+        if diffuse_only || name == "lamps" {
+            shapes.push_str("    <boolean name=\"face_normals\" value=\"true\"/>\n");
+        }
+        shapes.push_str("    <ref id=\"material\" name=\"bsdf\"/>\n");
+        if name == "lamps" {
+            shapes.push_str("    <emitter type=\"area\">\n");
+            shapes.push_str(&bitmap("radiance", "mitsuba_emission.exr", "nearest", 6));
+            shapes.push_str("    </emitter>\n");
+        }
+        shapes.push_str("  </shape>\n");
+    }
+    if !lamps.is_empty() {
+        files.rgb("mitsuba_emission.exr", &solution.emission)?;
+    }
+    Ok(shapes)
+}
+
+/// Writes the panorama around the scene; returns its element, none if it is black.
+fn write_environment(files: &mut Written<'_>, environment: &RgbPlane) -> Result<&'static str> {
+    if environment.data.iter().all(|c| *c == Vec3::ZERO) {
+        return Ok("");
+    }
+    files.rgb("mitsuba_environment.exr", &turned(environment))?;
+    Ok(
+        "  <emitter type=\"envmap\">\n    <string name=\"filename\" value=\"mitsuba_environment.exr\"/>\n  </emitter>\n",
+    )
+}
+
+/// The BSDF element that both meshes share.
+fn material(diffuse_only: bool) -> String {
+    if diffuse_only {
+        return format!(
+            "    <bsdf type=\"diffuse\">\n{}    </bsdf>\n",
+            bitmap("reflectance", "mitsuba_albedo.exr", "bilinear", 6)
+        );
+    }
+    format!(
+        "    <bsdf type=\"principled\">\n{}{}      <float name=\"specular\" value=\"0.5\"/>\n    </bsdf>\n",
+        bitmap("base_color", "mitsuba_albedo.exr", "bilinear", 6),
+        bitmap("roughness", "mitsuba_roughness.exr", "nearest", 6)
+    )
+}
+
+fn bitmap(name: &str, file: &str, filter: &str, indent: usize) -> String {
+    let pad = " ".repeat(indent);
+    format!(
+        "{pad}<texture type=\"bitmap\" name=\"{name}\">\n{pad}  <string name=\"filename\" value=\"{file}\"/>\n\
+         {pad}  <string name=\"filter_type\" value=\"{filter}\"/>\n{pad}  <string name=\"wrap_mode\" value=\"clamp\"/>\n\
+         {pad}  <boolean name=\"raw\" value=\"true\"/>\n{pad}</texture>\n"
+    )
+}
+
+/// Mitsuba's panoramas begin half a turn away from ours.
+fn turned(map: &RgbPlane) -> RgbPlane {
+    let half = map.width / 2;
+    Plane {
+        width: map.width,
+        height: map.height,
+        data: (0..map.data.len())
+            .map(|i| map[((i % map.width + half) % map.width, i / map.width)])
+            .collect(),
+    }
+}
+
+fn sensor(name: &str, camera: &Camera) -> Result<String> {
+    let Projection::Pinhole(lens) = camera.projection else {
+        return Err(Error::Usage(format!(
+            "camera {name}: Mitsuba has no panoramas; give pinhole cameras or --fov DEGREES"
+        )));
+    };
+    let fov = 2.0
+        * (0.5 * f64::from(camera.width as f32 / lens.fl_x))
+            .atan()
+            .to_degrees();
+    let m = camera.world_from_camera;
+    // x to the left, z forward
+    let (x, y, z, p) = (-m.x_axis, m.y_axis, -m.z_axis, camera.position);
+    let rows: Vec<String> = (0..3)
+        .map(|k| format!("{} {} {} {}", x[k], y[k], z[k], p[k]))
+        .collect();
+    let shift = |c: f32, side: usize, sign: f32| sign * (c / side as f32 - 0.5);
+    Ok(format!(
+        "  <sensor type=\"perspective\" id=\"{name}\">\n    <float name=\"fov\" value=\"{fov}\"/>\n    \
+         <string name=\"fov_axis\" value=\"x\"/>\n    <float name=\"near_clip\" value=\"0.001\"/>\n    \
+         <float name=\"principal_point_offset_x\" value=\"{}\"/>\n    <float name=\"principal_point_offset_y\" value=\"{}\"/>\n    \
+         <transform name=\"to_world\">\n      <matrix value=\"{} 0 0 0 1\"/>\n    </transform>\n    \
+         <film type=\"hdrfilm\">\n      <integer name=\"width\" value=\"{}\"/>\n      <integer name=\"height\" value=\"{}\"/>\n      \
+         <string name=\"pixel_format\" value=\"rgb\"/>\n      <rfilter type=\"box\"/>\n    </film>\n    \
+         <sampler type=\"independent\">\n      <integer name=\"sample_count\" value=\"$spp\"/>\n    </sampler>\n  </sensor>\n",
+        shift(lens.cx, camera.width, 1.0),
+        shift(lens.cy, camera.height, 1.0),
+        rows.join(" "),
+        camera.width,
+        camera.height
+    ))
+}
+
+/// Binary PLY of some triangles with only the vertices they use.
+fn ply_bytes(mesh: &Mesh, triangles: &[usize]) -> Vec<u8> {
+    let mut new_index = vec![u32::MAX; mesh.positions.len()];
+    let mut vertices: Vec<usize> = Vec::new();
+    let mut faces: Vec<u8> = Vec::with_capacity(triangles.len() * 13);
+    for &t in triangles {
+        faces.push(3);
+        for i in mesh.triangles[t] {
+            let slot = &mut new_index[i as usize];
+            if *slot == u32::MAX {
+                *slot = vertices.len() as u32;
+                vertices.push(i as usize);
+            }
+            faces.extend(slot.to_le_bytes());
+        }
+    }
+    let mut out = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+         property float nx\nproperty float ny\nproperty float nz\nproperty float u\nproperty float v\n\
+         element face {}\nproperty list uchar int vertex_indices\nend_header\n",
+        vertices.len(),
+        triangles.len()
+    )
+    .into_bytes();
+    for i in vertices {
+        let (p, n, uv) = (mesh.positions[i], mesh.normals[i], mesh.uvs[i]);
+        for x in [p.x, p.y, p.z, n.x, n.y, n.z, uv.x, uv.y] {
+            out.extend(x.to_le_bytes());
+        }
+    }
+    out.extend(faces);
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solution::tests::small_solution;
+
+    #[test]
+    fn the_scene_names_only_files_that_exist_and_its_meshes_read_back() {
+        let folder = tempfile::tempdir().expect("temp");
+        let mut solution = small_solution();
+        solution.emission.data.fill(Vec3::ONE);
+        let files = write_mitsuba(folder.path(), &solution, &[], true).expect("writes");
+        let xml = std::fs::read_to_string(folder.path().join("mitsuba.xml")).expect("reads");
+        assert!(files.iter().all(|f| folder.path().join(f).is_file()));
+        assert!(
+            files
+                .iter()
+                .skip(1)
+                .filter(|f| *f != "mitsuba_roughness.exr")
+                .all(|f| xml.contains(f.as_str())),
+            "{xml}"
+        );
+        let back = crate::core::formats::read_mesh(&folder.path().join("mitsuba_lamps.ply"))
+            .expect("reads");
+        assert_eq!(back.positions.len(), solution.mesh.positions.len());
+    }
+
+    #[test]
+    fn panoramas_turn_by_half() {
+        let map = Plane {
+            width: 4,
+            height: 1,
+            data: (0..4).map(|i| Vec3::splat(i as f32)).collect(),
+        };
+        assert_eq!(
+            turned(&map).data.iter().map(|c| c.x).collect::<Vec<_>>(),
+            [2.0, 3.0, 0.0, 1.0]
+        );
+    }
+}

@@ -1,0 +1,11 @@
+//! What people run on a scene or a result: each stands on the story and on no other program but those
+//! that tests/architecture.rs names.
+
+pub mod bench;
+pub mod edit;
+pub mod evaluate;
+pub mod export;
+pub mod prepare;
+pub mod report;
+pub mod synth;
+pub mod view;

@@ -1,0 +1,165 @@
+//! What an importer hands over: posed photographs, a surface, rooms, in one world of metres.
+
+use super::lens::Lens;
+use super::plan::RoomIds;
+use crate::core::formats::RawMesh;
+use crate::scene::Class;
+use glam::{DMat4, DVec2};
+use std::path::PathBuf;
+
+/// How a photograph maps directions to pixels.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Optics {
+    /// Full panorama of docs/scene-format.md.
+    Panorama,
+    /// Perspective with OpenCV's k1 k2 p1 p2: what the solver models itself.
+    Perspective(Perspective),
+    /// Any other lens: the writer resamples the photograph.
+    Distorted(Lens),
+}
+
+/// Intrinsics in pixels of the photograph's own size, pixel centres at +0.5.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Perspective {
+    /// Focal lengths along x and y.
+    pub focal: [f64; 2],
+    /// Principal point.
+    pub centre: [f64; 2],
+    /// k1, k2.
+    pub radial: [f64; 2],
+    /// p1, p2.
+    pub tangential: [f64; 2],
+}
+
+/// Pixels to ignore.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Mask {
+    /// A grey image, 0 = ignore.
+    File(PathBuf),
+    /// The fourth channel of a PNG, 0 = ignore.
+    Alpha(PathBuf),
+}
+
+/// Depth that came with a photograph.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Depth {
+    /// EXR of metres, or a grey PNG of steps.
+    pub path: PathBuf,
+    /// Metres per step of a PNG.
+    pub metres_per_step: f64,
+    /// Measured along the optical axis instead of along the ray.
+    pub along_axis: bool,
+}
+
+/// A posed photograph.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shot {
+    /// Name of everything written for it; made unique by the writer.
+    pub stem: String,
+    /// The photograph.
+    pub image: PathBuf,
+    /// Camera-to-world, OpenGL axes, the world of the capture.
+    pub world_from_camera: DMat4,
+    /// Projection.
+    pub optics: Optics,
+    /// Columns and rows the intrinsics refer to; checked against the file where known.
+    pub size: Option<[usize; 2]>,
+    /// Class ids per pixel that came with the capture.
+    pub labels: Option<PathBuf>,
+    /// Pixels to ignore.
+    pub mask: Option<Mask>,
+    /// Depth that came with the capture.
+    pub depth: Option<Depth>,
+    /// Working radiance = image · 2^ev.
+    pub exposure_ev: Option<f64>,
+    /// Stated split of the capture: held out or not.
+    pub held_out: Option<bool>,
+}
+
+impl Shot {
+    /// A shot with nothing but image, pose and projection.
+    #[must_use]
+    pub fn new(
+        stem: impl Into<String>,
+        image: PathBuf,
+        world_from_camera: DMat4,
+        optics: Optics,
+    ) -> Self {
+        Self {
+            stem: stem.into(),
+            image,
+            world_from_camera,
+            optics,
+            size: None,
+            labels: None,
+            mask: None,
+            depth: None,
+            exposure_ev: None,
+            held_out: None,
+        }
+    }
+}
+
+/// Triangles with a class each.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LabelledMesh {
+    /// Geometry in the world of the capture.
+    pub mesh: RawMesh,
+    /// Class id per triangle, 0 = none; empty where the capture knows none at all.
+    pub classes: Vec<u16>,
+}
+
+/// The capture's geometry.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Surface {
+    /// A file the scene can use as it is; `world_from_file` brings it into the world of the
+    /// capture.
+    File {
+        /// Mesh file.
+        path: PathBuf,
+        /// A similarity; the identity leaves the file as it is.
+        world_from_file: DMat4,
+    },
+    /// Made or decoded by the importer.
+    Built(LabelledMesh),
+}
+
+/// A room on the plan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RoomOutline {
+    /// Name for people.
+    pub name: String,
+    /// Closed polygon in world (x, z) of a y-up world, (x, −y) of a z-up one.
+    pub corners: Vec<DVec2>,
+}
+
+/// Which axis of the capture's world points up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Up {
+    /// y, as in a scene folder.
+    #[default]
+    Y,
+    /// z.
+    Z,
+    /// The source leaves it open: found from the photographs (`orient`).
+    Unknown,
+}
+
+/// All an importer found.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Capture {
+    /// Photographs in the capture's order.
+    pub shots: Vec<Shot>,
+    /// Geometry, if any.
+    pub surface: Option<Surface>,
+    /// Classes of labels or surface; empty = none declared.
+    pub classes: Vec<Class>,
+    /// Rooms, if the capture names them.
+    pub rooms: Vec<RoomOutline>,
+    /// Rooms the capture has as a grid of ids (world x, z; y up).
+    pub room_grid: Option<RoomIds>,
+    /// Which axis points up.
+    pub up: Up,
+    /// The source's unit is no metre but arbitrary.
+    pub unit_unknown: bool,
+}

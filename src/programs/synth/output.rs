@@ -1,0 +1,283 @@
+//! Writing the scene folder: aside first, then moved into place.
+
+use super::apartment::Apartment;
+use super::catalogue::CLASSES;
+use super::glb;
+use super::options::{SynthOptions, SynthSummary};
+use super::views::SynthView;
+use crate::core::formats;
+use crate::core::geometry::Mesh;
+use crate::core::image::{Plane, RgbPlane};
+use crate::error::{Error, Result};
+use crate::render::Frame;
+use glam::{Vec3, Vec4};
+use rayon::prelude::*;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Metres per cell of the room grid.
+const ROOM_CELL: f32 = 0.05;
+/// File that marks a folder as ours: it may be replaced.
+const MARK: &str = "synth.json";
+
+/// A scene folder under construction beside its destination.
+pub struct FolderWriter {
+    target: PathBuf,
+    temporary: PathBuf,
+}
+
+/// What the scene's files describe.
+pub struct Described<'a> {
+    /// Options of the run.
+    pub options: &'a SynthOptions,
+    /// Plan and materials.
+    pub apartment: &'a Apartment,
+    /// Packed mesh.
+    pub mesh: &'a Mesh,
+    /// Albedo and roughness.
+    pub texture: &'a Plane<Vec4>,
+    /// Cameras.
+    pub views: &'a [SynthView],
+}
+
+impl FolderWriter {
+    /// Begins a folder; refuses to replace one that `unbake synth` did not write.
+    ///
+    /// # Errors
+    /// If the folder holds something else or cannot be written to.
+    pub fn new(target: &Path) -> Result<Self> {
+        let occupied = target.is_file()
+            || fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_some());
+        if occupied && !target.join(MARK).is_file() {
+            let message = "exists and was not written by `unbake synth`; name another folder or remove it first";
+            return Err(Error::input(target, message));
+        }
+        let name = target
+            .file_name()
+            .ok_or_else(|| Error::input(target, "is not a folder name; name one to create"))?;
+        let temporary = target.with_file_name(format!(
+            ".{}.{}.partial",
+            name.to_string_lossy(),
+            std::process::id()
+        ));
+        let writer = Self {
+            target: target.to_path_buf(),
+            temporary,
+        };
+        for folder in [
+            "images",
+            "labels",
+            "gt/albedo",
+            "gt/roughness",
+            "gt/emission",
+        ] {
+            let path = writer.temporary.join(folder);
+            fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
+        }
+        Ok(writer)
+    }
+
+    /// A place in the folder under construction.
+    pub fn path(&self, name: impl AsRef<Path>) -> PathBuf {
+        self.temporary.join(name)
+    }
+
+    fn write(&self, name: &str, bytes: &[u8]) -> Result<()> {
+        let path = self.path(name);
+        fs::write(&path, bytes).map_err(|e| Error::io(&path, e))
+    }
+
+    fn write_json(&self, name: &str, value: &Value) -> Result<()> {
+        self.write(name, format!("{value:#}\n").as_bytes())
+    }
+
+    /// Writes a view's image, labels and ground truth.
+    ///
+    /// # Errors
+    /// If the file system refuses.
+    pub fn view(&self, stem: &str, frame: &Frame, image: &RgbPlane) -> Result<()> {
+        // emission counts where the pixel's centre is on a lamp: a pixel that a lamp only touches
+        // has another class
+        let lamp = |label: u16| CLASSES.iter().any(|c| c.0 == label && c.2);
+        let emits = |(e, l): (&Vec3, &u16)| if lamp(*l) { *e } else { Vec3::ZERO };
+        let emitted = frame
+            .emission
+            .data
+            .iter()
+            .zip(&frame.label.data)
+            .map(emits)
+            .collect();
+        let emission = Plane {
+            width: frame.label.width,
+            height: frame.label.height,
+            data: emitted,
+        };
+        let files: [&(dyn Fn() -> Result<usize> + Sync); 5] = [
+            &|| formats::write_rgb_half(self.path(format!("images/{stem}.exr")), image),
+            &|| {
+                formats::write_png16(self.path(format!("labels/{stem}.png")), &frame.label)
+                    .map(|()| 0)
+            },
+            &|| {
+                formats::write_rgb_half(
+                    self.path(format!("gt/albedo/{stem}.exr")),
+                    &frame.class_albedo,
+                )
+            },
+            &|| {
+                formats::write_plane_half(
+                    self.path(format!("gt/roughness/{stem}.exr")),
+                    &frame.class_roughness,
+                )
+            },
+            &|| formats::write_rgb_half(self.path(format!("gt/emission/{stem}.exr")), &emission),
+        ];
+        files.par_iter().try_for_each(|write| write().map(drop))
+    }
+
+    /// Writes everything that is not a view's.
+    ///
+    /// # Errors
+    /// If the file system refuses.
+    pub fn scene(&self, d: &Described<'_>) -> Result<()> {
+        self.write("mesh.glb", &glb::glb(d.mesh)?)?;
+        formats::write_rgb_half(
+            self.path("gt/albedo_texture.exr"),
+            &d.texture.map(|t| t.truncate()),
+        )?;
+        formats::write_plane_half(
+            self.path("gt/roughness_texture.exr"),
+            &d.texture.map(|t| t.w),
+        )?;
+        self.write_json("gt/materials.json", &materials(d))?;
+        let (grid, place) = rooms(d);
+        formats::write_png16(self.path("rooms.png"), &grid)?;
+        self.write_json("rooms.json", &place)?;
+        self.write_json("transforms.json", &transforms(d))
+    }
+
+    /// Moves the finished folder into place.
+    ///
+    /// # Errors
+    /// If the file system refuses.
+    pub fn finish(self, summary: &SynthSummary) -> Result<()> {
+        let text =
+            serde_json::to_value(summary).map_err(|e| Error::Failed(format!("{MARK}: {e}")))?;
+        self.write_json(MARK, &text)?;
+        if self.target.exists() {
+            fs::remove_dir_all(&self.target).map_err(|e| Error::io(&self.target, e))?;
+        }
+        fs::rename(&self.temporary, &self.target).map_err(|e| Error::io(&self.target, e))
+    }
+}
+
+impl Drop for FolderWriter {
+    fn drop(&mut self) {
+        // after `finish` the folder is no longer here; after a failure nothing of it shall stay
+        let _ = fs::remove_dir_all(&self.temporary);
+    }
+}
+
+fn transforms(d: &Described<'_>) -> Value {
+    let file = |v: &SynthView| format!("images/{}.exr", v.stem);
+    let frame = |v: &SynthView| {
+        let (m, p) = (v.camera.world_from_camera, v.camera.position);
+        let row = |k: usize| [m.x_axis[k], m.y_axis[k], m.z_axis[k], p[k]].map(f64::from);
+        json!({
+            "file_path": file(v),
+            "label_path": format!("labels/{}.png", v.stem),
+            "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
+        })
+    };
+    let classes: Vec<Value> = CLASSES
+        .iter()
+        .map(|&(id, name, light)| json!({"id": id, "name": name, "kind": if light { "light" } else { "surface" }}))
+        .collect();
+    let names = |held_out: bool| {
+        d.views
+            .iter()
+            .filter(|v| v.held_out == held_out)
+            .map(file)
+            .collect::<Vec<String>>()
+    };
+    json!({
+        "camera_model": "EQUIRECTANGULAR",
+        "w": d.options.width,
+        "h": d.options.width / 2,
+        "mesh_path": "mesh.glb",
+        "rooms_path": "rooms.png",
+        "classes": classes,
+        "train_filenames": names(false),
+        "test_filenames": names(true),
+        "frames": d.views.iter().map(frame).collect::<Vec<Value>>(),
+    })
+}
+
+/// Room ids per floor cell: a doorway belongs half to either side.
+fn rooms(d: &Described<'_>) -> (Plane<u16>, Value) {
+    let (low, high) = d.mesh.bounds();
+    let columns = ((high.x - low.x) / ROOM_CELL).ceil().max(1.0) as usize;
+    let rows = ((high.z - low.z) / ROOM_CELL).ceil().max(1.0) as usize;
+    let id = |i: usize| {
+        let x = low.x + ((i % columns) as f32 + 0.5) * ROOM_CELL;
+        let gap = |x0: f32, x1: f32| (x0 - x).max(x - x1).max(0.0);
+        let distance = |r: &super::plan::Room| gap(r.x, r.x + r.size.x);
+        let nearest = d
+            .apartment
+            .rooms
+            .iter()
+            .enumerate()
+            .min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
+        nearest.map_or(0, |(k, _)| k as u16 + 1)
+    };
+    let grid = Plane {
+        width: columns,
+        height: rows,
+        data: (0..columns * rows).map(id).collect(),
+    };
+    (
+        grid,
+        json!({"cell": ROOM_CELL, "x_min": low.x, "z_min": low.z}),
+    )
+}
+
+/// Per class: area-weighted mean albedo and roughness of its surfaces, and the paints used.
+fn materials(d: &Described<'_>) -> Value {
+    let mut sums: BTreeMap<u16, (Vec4, f32, Vec<usize>, f32)> = BTreeMap::new();
+    let mut triangle = 0;
+    for chart in &d.apartment.charts {
+        let entry = sums.entry(chart.finish.class).or_default();
+        entry.3 = entry.3.max(chart.finish.emission.max_element());
+        if !entry.2.contains(&chart.finish.material) {
+            entry.2.push(chart.finish.material);
+        }
+        for _ in &chart.triangles {
+            let p = d.mesh.uv(triangle, 1.0 / 3.0, 1.0 / 3.0) * d.texture.width as f32;
+            let area = d.mesh.area(triangle);
+            entry.0 += *d.texture.nearest(p) * area;
+            entry.1 += area;
+            triangle += 1;
+        }
+    }
+    let mut out = serde_json::Map::new();
+    for (class, (sum, area, paints, emission)) in sums {
+        let mean = sum / area.max(1e-12);
+        let name = CLASSES.iter().find(|c| c.0 == class).map_or("?", |c| c.1);
+        let rough: Vec<f32> = paints
+            .iter()
+            .map(|&p| d.apartment.paints[p].roughness)
+            .collect();
+        let value = json!({
+            "id": class,
+            "albedo": mean.truncate().to_array(),
+            "rough": mean.w,
+            "paints": paints.len(),
+            "paint_roughness": [rough.iter().copied().fold(1.0, f32::min), rough.iter().copied().fold(0.0, f32::max)],
+            "emission": emission,
+        });
+        out.insert(name.to_string(), value);
+    }
+    Value::Object(out)
+}

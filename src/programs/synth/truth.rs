@@ -1,0 +1,172 @@
+//! The truth of an apartment in the form of a solution: what a perfect reconstruction would be, for
+//! comparison under changed light. No solver reads it.
+
+use super::{SynthOptions, apartment::Apartment, atlas::Atlas, sky};
+use crate::core::geometry::Mesh;
+use crate::core::image::{Plane, RgbPlane};
+use crate::core::texture::{Texels, fill_uncovered};
+use crate::error::Result;
+use crate::render::Environment;
+use crate::solution::{Solution, find_lamps};
+use glam::{DVec3, Vec2, Vec3, Vec4};
+use std::f32::consts::{PI, TAU};
+
+/// Width of the sky as a panorama.
+const SKY: usize = 1024;
+
+/// The apartment of `options` with its true materials, lamps and sky; irradiance and radiance are
+/// left black (the path tracer needs neither).
+///
+/// # Errors
+/// Options out of range.
+pub fn true_solution(options: &SynthOptions) -> Result<Solution> {
+    options.validate()?;
+    let apartment = Apartment::new(options.seed, options.rooms);
+    let atlas = Atlas::pack(&apartment.charts, options.texture)
+        .ok_or_else(|| super::does_not_fit(&apartment, options))?;
+    let mesh = atlas.mesh(&apartment.charts);
+    let texture = atlas.paint(&apartment.charts, &apartment.paints);
+    Ok(assemble(&apartment, mesh, &texture))
+}
+
+fn assemble(apartment: &Apartment, mesh: Mesh, texture: &Plane<Vec4>) -> Solution {
+    let side = texture.width;
+    let finishes: Vec<_> = apartment
+        .charts
+        .iter()
+        .flat_map(|c| std::iter::repeat_n(c.finish, c.triangles.len()))
+        .collect();
+    let texels = Texels::rasterize(&mesh, side, side);
+    let covered = texels.scatter(&vec![true; texels.len()], false);
+    let emitted: Vec<Vec3> = texels
+        .point
+        .iter()
+        .map(|p| finishes[p.triangle as usize].emission)
+        .collect();
+    let labels: Vec<u16> = texels
+        .point
+        .iter()
+        .map(|p| finishes[p.triangle as usize].class)
+        .collect();
+    let sky = sky(apartment);
+    let black = || Plane::filled(4, 4, Vec3::ZERO);
+    let emission = texels.scatter(&emitted, Vec3::ZERO);
+    Solution {
+        lamps: find_lamps(&mesh, &emission, DVec3::ZERO),
+        mesh,
+        origin: DVec3::ZERO,
+        albedo: fill_uncovered(&texture.map(|t| t.truncate()), &covered),
+        roughness: fill_uncovered(&texture.map(|t| t.w), &covered),
+        irradiance: black(),
+        radiance: black(),
+        emission,
+        confidence: Plane::filled(4, 4, Vec2::ZERO),
+        irradiance_error: None,
+        camera_masks: Vec::new(),
+        labels: texels.scatter(&labels, 0),
+        rooms: Plane::filled(4, 4, 0),
+        reflectance: crate::core::brdf::Reflectance::Paper,
+        environment: panorama(&sky),
+    }
+}
+
+fn panorama(sky: &dyn Environment) -> RgbPlane {
+    let (w, h) = (SKY, SKY / 2);
+    let at = |i: usize| {
+        let lambda = TAU * ((i % w) as f32 + 0.5) / w as f32 - PI;
+        let theta = PI * ((i / w) as f32 + 0.5) / h as f32;
+        sky.radiance(Vec3::new(
+            lambda.sin() * theta.sin(),
+            theta.cos(),
+            -lambda.cos() * theta.sin(),
+        ))
+    };
+    Plane {
+        width: w,
+        height: h,
+        data: (0..w * h).map(at).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::geometry::{Camera, Projection};
+    use crate::core::progress::Progress;
+    use crate::core::trace::EmbreeTracer;
+    use crate::render::{Adaptive, Noise};
+    use crate::render::{
+        EditableScene, PathTracedScene, PathTracer, PathTracerOptions, TraceSettings,
+    };
+
+    /// The same pictures come from the apartment's own model and from its truth as a solution:
+    /// textures, lamps and sky survive.
+    #[test]
+    fn the_truth_renders_like_the_apartment() {
+        let options = SynthOptions {
+            rooms: 1,
+            texture: 512,
+            ..SynthOptions::default()
+        };
+        let truth = true_solution(&options).expect("valid");
+        let apartment = Apartment::new(options.seed, options.rooms);
+        let atlas = Atlas::pack(&apartment.charts, options.texture).expect("fits");
+        let mesh = atlas.mesh(&apartment.charts);
+        let texture = atlas.paint(&apartment.charts, &apartment.paints);
+        let tracer = EmbreeTracer::new(&mesh).expect("embree");
+        let surfaces = super::super::Textured::new(&mesh, &apartment.charts, &texture);
+        let sky = sky(&apartment);
+        let settings = PathTracerOptions {
+            samples: 64,
+            ..PathTracerOptions::default()
+        };
+        let view = super::super::views::place(&apartment, &options)
+            .expect("views")
+            .remove(0);
+        let camera = Camera {
+            projection: Projection::Equirectangular,
+            width: 32,
+            height: 16,
+            ..view.camera
+        };
+        let own = PathTracer::new(&mesh, &tracer, &surfaces, &sky, settings)
+            .render(&camera, 0, &Progress::silent())
+            .radiance();
+        let mut world = EditableScene::new(&truth);
+        assert!(!truth.lamps.is_empty());
+        let stage = PathTracedScene::new(&mut world).expect("embree");
+        let goal = Adaptive {
+            first: 64,
+            most: 64,
+            error: 0.0,
+            noise: Noise::Reflected,
+        };
+        let mut image = None;
+        stage
+            .render(
+                &[("x".into(), camera)],
+                &TraceSettings {
+                    tracer: settings,
+                    goal,
+                    denoise: false,
+                },
+                &Progress::silent(),
+                |_, _| Ok(()),
+                |_, i| {
+                    image = Some(i.clone());
+                    Ok(())
+                },
+            )
+            .expect("renders");
+        let image = image.expect("one frame");
+        // lamps themselves are thousands of times brighter: what counts is the light they send
+        let mean = |p: &RgbPlane| {
+            p.data
+                .iter()
+                .map(|c| f64::from(c.min(Vec3::ONE).element_sum()))
+                .sum::<f64>()
+        };
+        let (a, b) = (mean(&own), mean(&image));
+        assert!((a / b - 1.0).abs() < 0.03, "{a} against {b}");
+    }
+}
