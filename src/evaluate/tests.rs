@@ -1,8 +1,8 @@
 //! Evaluation against closed forms: a renderer whose errors are known exactly.
 
 use super::*;
-use crate::formats::write_png16;
-use crate::geometry::{Mesh, Projection};
+use crate::formats::{read_rgb, write_png16};
+use crate::geometry::{Camera, Mesh, Projection};
 use crate::scene::Class;
 use glam::{DVec3, Mat3, Vec3};
 
