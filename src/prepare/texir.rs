@@ -79,7 +79,7 @@ impl Importer for TexIr {
         account.ignored("the baked textures (radiance, irradiance, index map) and true materials; class 0 counts as unlabelled");
         Ok(Capture {
             shots,
-            surface: mesh.is_file().then(|| Surface::File {
+            surface: mesh.is_file().then_some(Surface::File {
                 path: mesh,
                 world_from_file: DMat4::IDENTITY,
             }),

@@ -132,7 +132,10 @@ fn with_exposures(path: &Path, options: &PrepareOptions) -> Result<Vec<Photograp
         .as_deref()
         .map(parse_times)
         .transpose()?;
-    if let Some(times) = by_hand.as_ref().filter(|t| files.len() % t.len() != 0) {
+    if let Some(times) = by_hand
+        .as_ref()
+        .filter(|t| !files.len().is_multiple_of(t.len()))
+    {
         return Err(Error::Usage(format!(
             "--exposure-times: {} times for {} photographs; their number must divide that of the photographs",
             times.len(),

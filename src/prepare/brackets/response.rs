@@ -1,6 +1,6 @@
 //! The response of a camera from its brackets (Debevec & Malik, SIGGRAPH 1997): g(z), the logarithm
 //! of the exposure that gives code z, minimises
-//! Σᵢⱼ w(zᵢⱼ) (g(zᵢⱼ) − ln Eᵢ − ln tⱼ)² + λ Σ w(z) g″(z)²
+//! Σᵢⱼ w(zᵢⱼ) (g(zᵢⱼ) − ln Eᵢ − ln tⱼ)² + λ ∫ (d²g / d(ln z)²)² d(ln z)
 //! per channel; ln Eᵢ is eliminated, so that the system has 256 unknowns whatever the number of
 //! points. Points that contradict the first fit (something moved) leave before the second. Then g is
 //! made monotone (pool adjacent violators).
@@ -11,9 +11,10 @@ use nalgebra::{DMatrix, DVector};
 pub const CODES: usize = 256;
 /// The code whose exposure is 1: Debevec & Malik's choice of gauge.
 const MIDDLE: usize = 128;
-/// λ as a multiple of the data's weight per code (derived: features narrower than 2π·λ^¼ ≈ 15
-/// codes are noise).
-const SMOOTHNESS: f64 = 30.0;
+/// λ as a multiple of the data's whole weight. Brackets in equal steps leave every function of the
+/// step's period undetermined; this decides for the smooth one (derived: it takes a ripple of half a
+/// stop's period below 1 % and bends a curve whose slope halves over the range by less).
+const SMOOTHNESS: f64 = 1e-4;
 /// Residuals beyond this many robust deviations are something that moved.
 const OUTLIER: f64 = 4.0;
 
@@ -49,7 +50,7 @@ impl Response {
         let spread = first.spread(points);
         let kept: Vec<Sighting> = points
             .iter()
-            .filter(|s| first.residuals(s).all(|r| r.abs() <= OUTLIER * spread))
+            .filter(|s| first.consistent(s, spread))
             .cloned()
             .collect();
         solve(&kept).or(Some(first))
@@ -77,6 +78,15 @@ impl Response {
     #[must_use]
     pub fn linear(&self, code: u8) -> f64 {
         self.ln[usize::from(code)].exp()
+    }
+
+    /// Whether a sighting's deviations are noise: of the fit, and of one code's width.
+    fn consistent(&self, s: &Sighting, spread: f64) -> bool {
+        self.residuals(s).zip(s).all(|(r, o)| {
+            let z = usize::from(o.code);
+            let width = self.ln[(z + 1).min(CODES - 1)] - self.ln[z.saturating_sub(1)];
+            r.abs() <= OUTLIER * spread + width
+        })
     }
 
     /// Deviations of a sighting from its own weighted mean, in ln exposure.
@@ -135,12 +145,18 @@ fn solve(points: &[Sighting]) -> Option<Response> {
     if total <= 0.0 {
         return None;
     }
-    let lambda = SMOOTHNESS * total / CODES as f64;
+    let place = |z: usize| (z as f64 + 0.5).ln();
     for z in 1..CODES - 1 {
-        // a little everywhere keeps the ends determined
-        let w = lambda * (hat(z) + 1e-3);
-        for (i, ci) in [(z - 1, 1.0), (z, -2.0), (z + 1, 1.0)] {
-            for (j, cj) in [(z - 1, 1.0), (z, -2.0), (z + 1, 1.0)] {
+        // ∫ (d²g / d(ln z)²)² d(ln z): gamma curves are straight lines on that axis
+        let (before, after) = (place(z) - place(z - 1), place(z + 1) - place(z));
+        let row = [
+            (z - 1, 1.0 / before),
+            (z, -1.0 / before - 1.0 / after),
+            (z + 1, 1.0 / after),
+        ];
+        let w = 2.0 * SMOOTHNESS * total / (before + after);
+        for (i, ci) in row {
+            for (j, cj) in row {
                 a[(i, j)] += w * ci * cj;
             }
         }
