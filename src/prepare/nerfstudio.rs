@@ -295,7 +295,7 @@ fn image_file(folder: &Path, name: &str) -> Option<PathBuf> {
         return Some(plain);
     }
     let with = |e: &&str| PathBuf::from(format!("{}.{e}", plain.display()));
-    ENDINGS.iter().map(|e| with(e)).find(|p| p.is_file())
+    ENDINGS.iter().map(with).find(|p| p.is_file())
 }
 
 fn optics(
