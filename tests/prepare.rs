@@ -119,7 +119,7 @@ fn the_texir_export_equals_the_scene_it_was_made_from() {
     );
     let mean =
         |i: &unbake::core::image::RgbPlane| i.data.iter().map(|v| f64::from(v.y)).sum::<f64>();
-    let ratio = 32.0 * mean(&p) / mean(&q);
+    let ratio: f64 = 32.0 * mean(&p) / mean(&q);
     assert!((ratio - 1.0).abs() < 0.02, "radiance {ratio}");
 }
 

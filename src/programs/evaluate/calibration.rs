@@ -3,7 +3,7 @@
 //! estimate lies on the diagonal, with 68 % of the errors within one stated standard error and 95 %
 //! within two (Gaussian errors).
 
-use super::GroundTruth;
+use super::truth::GroundTruth;
 use crate::core::image::Plane;
 use crate::core::math::luminance;
 use crate::render::RenderedView;

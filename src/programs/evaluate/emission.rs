@@ -122,7 +122,7 @@ impl EmissionTruth {
         if file.is_file() {
             let gain = view.exposure_ev.exp2();
             let radiance = read_rgb(&file)?.map(|v| *v * gain);
-            super::check_size(&file, radiance.width, radiance.height, &view.camera)?;
+            super::truth::check_size(&file, radiance.width, radiance.height, &view.camera)?;
             return Ok(Some(Self {
                 radiance,
                 from_file: true,

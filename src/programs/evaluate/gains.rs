@@ -9,7 +9,7 @@
 //! mesh, poses and texture resolution allow before any model of light and material. Called by
 //! [`super::evaluate`] for every view it scores.
 
-use super::ImageScores;
+use super::image_scores::ImageScores;
 use super::protocol::DISPLAY_EXPONENT;
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::metrics::{masked_mse, psnr};

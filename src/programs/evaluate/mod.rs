@@ -8,20 +8,23 @@
 mod calibration;
 mod emission;
 mod gains;
+mod image_scores;
+mod options;
 pub mod protocol;
 mod scores;
 mod table;
+mod truth;
 
 pub use calibration::{Calibration, CalibrationBin, Calibrations};
 pub use emission::EmissionScores;
 pub use gains::GainScores;
-pub use scores::{
-    ClassScores, Evaluation, ImageScores, MaterialScores, Protocols, SplitScores, ViewScores,
-};
+pub use image_scores::ImageScores;
+pub use options::EvalOptions;
+pub use scores::{ClassScores, Evaluation, MaterialScores, Protocols, SplitScores, ViewScores};
 pub use table::terminal_table;
+pub use truth::GroundTruth;
 
-use crate::core::formats::{read_plane, read_rgb, write_plane_half, write_rgb_half};
-use crate::core::geometry::Camera;
+use crate::core::formats::{write_plane_half, write_rgb_half};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::metrics::{masked_mse, masked_ssim, psnr};
 use crate::core::progress::Progress;
@@ -36,28 +39,8 @@ use protocol::{
     working_size,
 };
 use scores::{Accumulator, ClassTally};
-use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
-
-/// What `unbake eval` can be told.
-#[derive(clap::Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
-pub struct EvalOptions {
-    /// Score the training views as well as the held-out ones.
-    #[arg(long)]
-    pub train: bool,
-    /// Quantise albedo and roughness to 8 bits in the FIPT protocol, as its authors' files do.
-    #[arg(long)]
-    pub quantise: bool,
-    /// Exposure in stops applied to radiance before tone mapping for the image scores.
-    #[arg(
-        long,
-        value_name = "EV",
-        default_value_t = 0.0,
-        allow_negative_numbers = true
-    )]
-    pub exposure: f32,
-}
+use std::path::Path;
+use truth::ground_truth;
 
 /// A view that has just been scored, for whoever collects pictures.
 pub struct ViewOutcome<'a> {
@@ -71,15 +54,6 @@ pub struct ViewOutcome<'a> {
     pub scores: &'a ViewScores,
     /// Ground truth, if the scene has it.
     pub truth: Option<&'a GroundTruth>,
-}
-
-/// True materials of one view at the frame's size.
-#[derive(Clone, Debug)]
-pub struct GroundTruth {
-    /// Linear RGB albedo.
-    pub albedo: RgbPlane,
-    /// Roughness R.
-    pub roughness: Plane<f32>,
 }
 
 /// Renders and scores the held-out views (and, if asked or if there are no others, the training
@@ -100,79 +74,32 @@ pub fn evaluate(
     progress: &Progress,
     each: &mut dyn FnMut(&ViewOutcome<'_>),
 ) -> Result<Evaluation> {
-    let held_out = scene
-        .views
-        .iter()
-        .filter(|v| v.split == Split::Test)
-        .count();
-    let with_train = options.train || held_out == 0;
-    if held_out == 0 {
-        progress.note("the scene holds out no view: the training views are scored, which says nothing about novel views");
-    }
-    let views: Vec<&View> = scene
-        .views
-        .iter()
-        .filter(|v| with_train || v.split == Split::Test)
-        .collect();
-    if views.is_empty() {
-        return Err(Error::input(
-            &scene.folder,
-            "has no views to evaluate; add frames to transforms.json",
-        ));
-    }
-    let aside = folder
-        .map(|f| AsideFolder::new(&f.join("eval")))
-        .transpose()?;
-    let mut files: Vec<String> = Vec::new();
-    let (mut test, mut train) = (Accumulator::new(scene), Accumulator::new(scene));
-
+    let views = scored_views(scene, options, progress)?;
+    let mut scoring = Scoring {
+        scene,
+        renderer,
+        options,
+        aside: folder
+            .map(|f| AsideFolder::new(&f.join("eval")))
+            .transpose()?,
+        files: Vec::new(),
+        test: Accumulator::new(scene),
+        train: Accumulator::new(scene),
+    };
     progress.stage("evaluation", views.len() as u64, |progress| {
         for view in &views {
-            let (photograph, valid) = photograph(scene, view)?;
-            let classes = labels_of(scene, view)?;
-            let rendered = match &classes {
-                Some(classes) => renderer.render_classes(&view.camera, classes)?,
-                None => renderer.render(&view.camera)?,
-            };
-            if let Some(aside) = &aside {
-                files.extend(write_view(aside.path(), &view.stem, &rendered)?);
-            }
-            let truth = ground_truth(scene, view)?;
-            let accumulator = if view.split == Split::Test {
-                &mut test
-            } else {
-                &mut train
-            };
-            let truth = truth.as_ref();
-            let reprojected = renderer.reproject(&view.camera)?;
-            let images = Images {
-                photograph: &photograph,
-                valid: &valid,
-                reprojected: reprojected.as_ref(),
-            };
-            let mut scores = score_rendering(view, &images, &rendered, options, accumulator)?;
-            let labels = classes.unwrap_or_else(|| rendered.labels.clone());
-            if let Some(emission) =
-                EmissionTruth::of(scene, view, &photograph, &labels, &accumulator.lights)?
-            {
-                accumulator.emission.add(&emission, &rendered);
-            }
-            if let Some(truth) = truth {
-                score_materials(&labels, &rendered, truth, options, accumulator, &mut scores);
-            }
-            each(&ViewOutcome {
-                view,
-                photograph: &photograph,
-                rendered: &rendered,
-                scores: &scores,
-                truth,
-            });
-            accumulator.views.push(scores);
+            scoring.view(view, each)?;
             progress.advance(1);
         }
         Ok::<(), Error>(())
     })?;
-
+    let Scoring {
+        aside,
+        mut files,
+        test,
+        train,
+        ..
+    } = scoring;
     let test = test.finish();
     let evaluation = Evaluation {
         protocols: protocol::descriptions(options),
@@ -191,6 +118,99 @@ pub fn evaluate(
     Ok(evaluation)
 }
 
+/// The held-out views, and the training views if asked or if there are no others.
+fn scored_views<'a>(
+    scene: &'a Scene,
+    options: &EvalOptions,
+    progress: &Progress,
+) -> Result<Vec<&'a View>> {
+    let holds_out = scene.views.iter().any(|v| v.split == Split::Test);
+    if !holds_out {
+        progress.note("the scene holds out no view: the training views are scored, which says nothing about novel views");
+    }
+    let views: Vec<&View> = scene
+        .views
+        .iter()
+        .filter(|v| options.train || !holds_out || v.split == Split::Test)
+        .collect();
+    if views.is_empty() {
+        return Err(Error::input(
+            &scene.folder,
+            "has no views to evaluate; add frames to transforms.json",
+        ));
+    }
+    Ok(views)
+}
+
+/// An evaluation under way.
+struct Scoring<'a> {
+    scene: &'a Scene,
+    renderer: &'a dyn ViewRenderer,
+    options: &'a EvalOptions,
+    /// Where files are written until all are complete.
+    aside: Option<AsideFolder>,
+    /// Their names.
+    files: Vec<String>,
+    /// Scores of the held-out and of the training views.
+    test: Accumulator,
+    train: Accumulator,
+}
+
+impl Scoring<'_> {
+    /// Renders, writes and scores a view.
+    fn view(&mut self, view: &View, each: &mut dyn FnMut(&ViewOutcome<'_>)) -> Result<()> {
+        let (photograph, valid) = photograph(self.scene, view)?;
+        let classes = labels_of(self.scene, view)?;
+        let rendered = match &classes {
+            Some(classes) => self.renderer.render_classes(&view.camera, classes)?,
+            None => self.renderer.render(&view.camera)?,
+        };
+        if let Some(aside) = &self.aside {
+            self.files
+                .extend(write_view(aside.path(), &view.stem, &rendered)?);
+        }
+        let truth = ground_truth(self.scene, view)?;
+        let accumulator = if view.split == Split::Test {
+            &mut self.test
+        } else {
+            &mut self.train
+        };
+        let truth = truth.as_ref();
+        let reprojected = self.renderer.reproject(&view.camera)?;
+        let images = Images {
+            photograph: &photograph,
+            valid: &valid,
+            reprojected: reprojected.as_ref(),
+        };
+        let mut scores = score_rendering(view, &images, &rendered, self.options, accumulator)?;
+        let labels = classes.unwrap_or_else(|| rendered.labels.clone());
+        if let Some(emission) =
+            EmissionTruth::of(self.scene, view, &photograph, &labels, &accumulator.lights)?
+        {
+            accumulator.emission.add(&emission, &rendered);
+        }
+        if let Some(truth) = truth {
+            score_materials(
+                &labels,
+                &rendered,
+                truth,
+                self.options,
+                accumulator,
+                &mut scores,
+            );
+        }
+        each(&ViewOutcome {
+            view,
+            photograph: &photograph,
+            rendered: &rendered,
+            scores: &scores,
+            truth,
+        });
+        accumulator.views.push(scores);
+        Ok(())
+    }
+}
+
 /// The working radiance of a view and which of its pixels count.
 ///
 /// # Errors
@@ -203,55 +223,11 @@ pub fn photograph(scene: &Scene, view: &View) -> Result<(RgbPlane, Plane<bool>)>
     Ok((image, valid))
 }
 
-fn check_size(path: &Path, width: usize, height: usize, camera: &Camera) -> Result<()> {
-    if (width, height) == (camera.width, camera.height) {
-        return Ok(());
-    }
-    Err(Error::input(
-        path,
-        format!(
-            "is {width}×{height}, but its frame is {}×{}; make them agree",
-            camera.width, camera.height
-        ),
-    ))
-}
-
 /// The value of `plane` under pixel (x, y) of an image of another resolution and the same aspect.
 fn nearest_of<'a, T, U>(plane: &'a Plane<T>, image: &Plane<U>, x: usize, y: usize) -> &'a T {
     let column = (2 * x + 1) * plane.width / (2 * image.width);
     let row = (2 * y + 1) * plane.height / (2 * image.height);
     &plane[(column.min(plane.width - 1), row.min(plane.height - 1))]
-}
-
-fn ground_truth(scene: &Scene, view: &View) -> Result<Option<GroundTruth>> {
-    let file = |kind: &str| -> PathBuf {
-        scene
-            .folder
-            .join("gt")
-            .join(kind)
-            .join(format!("{}.exr", view.stem))
-    };
-    let (albedo, roughness) = (file("albedo"), file("roughness"));
-    if !albedo.is_file() || !roughness.is_file() {
-        return Ok(None);
-    }
-    let truth = GroundTruth {
-        albedo: read_rgb(&albedo)?,
-        roughness: read_plane(&roughness)?,
-    };
-    check_size(
-        &albedo,
-        truth.albedo.width,
-        truth.albedo.height,
-        &view.camera,
-    )?;
-    check_size(
-        &roughness,
-        truth.roughness.width,
-        truth.roughness.height,
-        &view.camera,
-    )?;
-    Ok(Some(truth))
 }
 
 fn write_view(folder: &Path, stem: &str, rendered: &RenderedView) -> Result<[String; 3]> {

@@ -1,6 +1,7 @@
 //! The published protocols, each as small functions, and the sentences that say what they do.
 
-use super::{EvalOptions, GroundTruth};
+use super::options::EvalOptions;
+use super::truth::GroundTruth;
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::metrics::least_squares_scale;
 use glam::Vec3;

@@ -1,30 +1,16 @@
 //! The figures an evaluation consists of, and how they are collected view by view.
 
-use super::GroundTruth;
 use super::calibration::{CalibrationTally, Calibrations};
 use super::emission::{EmissionScores, EmissionTally};
 use super::gains::{GainScores, GainTally};
+use super::image_scores::ImageScores;
+use super::truth::GroundTruth;
 use crate::core::image::Plane;
 use crate::core::metrics::{psnr, squared_error};
 use crate::render::RenderedView;
 use crate::scene::Scene;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
-
-/// Scores of a set of images under one protocol.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct ImageScores {
-    /// −10·log10 of the mean MSE, dB.
-    pub psnr_of_mean_mse: f64,
-    /// Mean over images of the PSNR, dB.
-    pub mean_psnr: f64,
-    /// Mean over images of the structural similarity.
-    pub ssim: f64,
-    /// Mean over images of the mean squared error.
-    pub mse: f64,
-    /// Number of images.
-    pub images: usize,
-}
 
 /// One quantity under the three protocols.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -1,8 +1,8 @@
 //! Evaluation against closed forms: a renderer whose errors are known exactly.
 
 use super::*;
-use crate::core::formats::write_png16;
-use crate::core::geometry::{Mesh, Projection};
+use crate::core::formats::{read_rgb, write_png16};
+use crate::core::geometry::{Camera, Mesh, Projection};
 use crate::scene::Class;
 use glam::{DVec3, Mat3, Vec3};
 

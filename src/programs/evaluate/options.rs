@@ -1,0 +1,23 @@
+//! What `unbake eval` can be told.
+
+use serde::{Deserialize, Serialize};
+
+/// What `unbake eval` can be told.
+#[derive(clap::Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct EvalOptions {
+    /// Score the training views as well as the held-out ones.
+    #[arg(long)]
+    pub train: bool,
+    /// Quantise albedo and roughness to 8 bits in the FIPT protocol, as its authors' files do.
+    #[arg(long)]
+    pub quantise: bool,
+    /// Exposure in stops applied to radiance before tone mapping for the image scores.
+    #[arg(
+        long,
+        value_name = "EV",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    pub exposure: f32,
+}

@@ -1,0 +1,63 @@
+//! Ground truth of a view, from a scene's `gt/` folder; read by the scores.
+
+use crate::core::formats::{read_plane, read_rgb};
+use crate::core::geometry::Camera;
+use crate::core::image::{Plane, RgbPlane};
+use crate::error::{Error, Result};
+use crate::scene::{Scene, View};
+use std::path::{Path, PathBuf};
+
+/// True materials of one view at the frame's size.
+#[derive(Clone, Debug)]
+pub struct GroundTruth {
+    /// Linear RGB albedo.
+    pub albedo: RgbPlane,
+    /// Roughness R.
+    pub roughness: Plane<f32>,
+}
+
+/// An image of ground truth must be as large as its frame.
+pub(super) fn check_size(path: &Path, width: usize, height: usize, camera: &Camera) -> Result<()> {
+    if (width, height) == (camera.width, camera.height) {
+        return Ok(());
+    }
+    Err(Error::input(
+        path,
+        format!(
+            "is {width}×{height}, but its frame is {}×{}; make them agree",
+            camera.width, camera.height
+        ),
+    ))
+}
+
+/// The true materials of a view, if the scene has them.
+pub(super) fn ground_truth(scene: &Scene, view: &View) -> Result<Option<GroundTruth>> {
+    let file = |kind: &str| -> PathBuf {
+        scene
+            .folder
+            .join("gt")
+            .join(kind)
+            .join(format!("{}.exr", view.stem))
+    };
+    let (albedo, roughness) = (file("albedo"), file("roughness"));
+    if !albedo.is_file() || !roughness.is_file() {
+        return Ok(None);
+    }
+    let truth = GroundTruth {
+        albedo: read_rgb(&albedo)?,
+        roughness: read_plane(&roughness)?,
+    };
+    check_size(
+        &albedo,
+        truth.albedo.width,
+        truth.albedo.height,
+        &view.camera,
+    )?;
+    check_size(
+        &roughness,
+        truth.roughness.width,
+        truth.roughness.height,
+        &view.camera,
+    )?;
+    Ok(Some(truth))
+}
