@@ -76,7 +76,6 @@ fn the_zind_tour_equals_the_scene_made_by_hand() {
 }
 
 #[test]
-#[ignore = "written when the machine was too full to run it: run with --ignored"]
 fn the_texir_export_equals_the_scene_it_was_made_from() {
     let Some(root) = shared() else {
         return;
@@ -124,7 +123,6 @@ fn the_texir_export_equals_the_scene_it_was_made_from() {
 }
 
 #[test]
-#[ignore = "written when the machine was too full to run it: run with --ignored"]
 fn roomplan_is_a_labelled_mesh() {
     let Some(room) = capture("roomplan") else {
         return;
@@ -141,7 +139,6 @@ fn roomplan_is_a_labelled_mesh() {
 }
 
 #[test]
-#[ignore = "written when the machine was too full to run it: run with --ignored"]
 fn real_brackets_agree_among_themselves() {
     for (name, stops) in [("brackets-room", 13.0), ("brackets-handheld", 4.0)] {
         let Some(folder) = capture(name) else {

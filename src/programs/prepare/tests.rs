@@ -160,7 +160,6 @@ fn colmap_model(dir: &Path) {
 }
 
 #[test]
-#[ignore = "written when the machine was too full to run it: run with --ignored"]
 fn a_colmap_model_of_three_lenses_becomes_an_upright_scene() {
     let dir = tempfile::tempdir().expect("folder");
     colmap_model(dir.path());
@@ -192,7 +191,6 @@ fn a_colmap_model_of_three_lenses_becomes_an_upright_scene() {
 }
 
 #[test]
-#[ignore = "written when the machine was too full to run it: run with --ignored"]
 fn colmap_says_what_is_missing() {
     let dir = tempfile::tempdir().expect("folder");
     colmap_model(dir.path());
@@ -212,7 +210,6 @@ fn colmap_says_what_is_missing() {
 }
 
 #[test]
-#[ignore = "written when the machine was too full to run it: run with --ignored"]
 fn nerfstudio_poses_return_to_where_the_mesh_is() {
     let dir = tempfile::tempdir().expect("folder");
     let at = |n: &str| dir.path().join(n);

@@ -8,9 +8,6 @@ use crate::core::image::Plane;
 const LEVELS: usize = 6;
 /// Smallest side of a level.
 const SMALLEST: usize = 12;
-/// Pixels searched to each side on the photograph itself and on the coarser levels: Ward's 1 would do
-/// if no level ever erred.
-const SEARCH: [i64; 2] = [2, 5];
 /// Values this near to the threshold are noise and do not vote (cited: Ward).
 const TOLERANCE: u8 = 4;
 /// Shares of darker pixels tried for the threshold; the median first.

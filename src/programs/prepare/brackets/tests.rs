@@ -69,7 +69,6 @@ fn errors(image: &RgbPlane, dx: i64, skip: fn(i64, i64) -> bool) -> [f64; 2] {
 }
 
 #[test]
-#[ignore = "written when the machine was too full to run it: run with --ignored"]
 fn a_bracket_gives_back_the_light() {
     let dir = tempfile::tempdir().expect("folder");
     std::fs::create_dir(dir.path().join("in")).expect("folder");
@@ -82,7 +81,6 @@ fn a_bracket_gives_back_the_light() {
 }
 
 #[test]
-#[ignore = "written when the machine was too full to run it: run with --ignored"]
 fn hand_held_frames_are_aligned_and_a_person_disappears() {
     let dir = tempfile::tempdir().expect("folder");
     std::fs::create_dir(dir.path().join("in")).expect("folder");
@@ -100,7 +98,6 @@ fn hand_held_frames_are_aligned_and_a_person_disappears() {
 }
 
 #[test]
-#[ignore = "written when the machine was too full to run it: run with --ignored"]
 fn folders_without_brackets_are_refused_with_the_way_out() {
     let dir = tempfile::tempdir().expect("folder");
     let (input, out) = (dir.path().join("in"), dir.path().join("out"));
