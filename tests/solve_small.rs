@@ -619,9 +619,8 @@ fn a_pixel_that_is_no_number_is_refused_or_ignored_on_request() {
         .find(|v| v.split == Split::Train)
         .expect("one");
     view.image_path = path.clone();
-    let error = match reconstruct(&scene, &options(), &Progress::silent()) {
-        Err(e) => e,
-        Ok(_) => panic!("accepted NaN"),
+    let Err(error) = reconstruct(&scene, &options(), &Progress::silent()) else {
+        panic!("accepted NaN")
     };
     let text = error.to_string();
     assert_eq!(error.exit_code(), 2);

@@ -76,7 +76,7 @@ pub struct ViewEvidence {
     pub stem: String,
     /// The camera as loaded, at the small image's size.
     pub camera: Camera,
-    /// See [`Sample::feature`].
+    /// See `Sample::feature`.
     pub features: Plane<Vec4>,
     /// Pixels with light, inside the mask.
     pub valid: Plane<bool>,

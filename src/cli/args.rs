@@ -249,7 +249,7 @@ pub enum Verb {
     /// Print the completion script of a shell: bash, elvish, fish, powershell or zsh.
     #[command(hide = true)]
     Completions {
-        /// The shell.
+        /// The shell to write completions for.
         #[arg(value_name = "SHELL")]
         shell: clap_complete::Shell,
     },

@@ -7,7 +7,6 @@
 //! Called by `cli`.
 
 mod account;
-mod brackets;
 mod capture;
 mod colmap;
 mod frame;
@@ -59,9 +58,6 @@ pub struct PrepareOptions {
     /// as they are.
     #[arg(long, value_name = "N", default_value_t = Self::default().hold_out)]
     pub hold_out: usize,
-    /// Exposure times of brackets without EXIF, in the order of the file names: "1/4,1/15,1/60".
-    #[arg(long, value_name = "TIMES")]
-    pub exposure_times: Option<String>,
     /// Links the photographs instead of copying them: the scene then needs the capture to stay
     /// where it is.
     #[arg(long)]
@@ -76,7 +72,6 @@ impl Default for PrepareOptions {
             up: None,
             floor: None,
             hold_out: 8,
-            exposure_times: None,
             link: false,
         }
     }
@@ -142,11 +137,6 @@ pub fn prepare(
     progress: &Progress,
 ) -> Result<Prepared> {
     options.check()?;
-    if source == Some("brackets")
-        || (source.is_none() && looked_at(path).is_none() && brackets::recognises(path))
-    {
-        return brackets::run(path, out, options, progress);
-    }
     let importer = match source {
         Some(name) => named(name)?,
         None => found(path)?,
@@ -187,8 +177,7 @@ fn named(name: &str) -> Result<&'static dyn Importer> {
         .find(|i| i.kind() == name)
         .copied()
         .ok_or_else(|| {
-            let mut known: Vec<&str> = importers().iter().map(|i| i.kind()).collect();
-            known.push("brackets");
+            let known: Vec<&str> = importers().iter().map(|i| i.kind()).collect();
             Error::Usage(format!(
                 "\"{name}\" is no source known here; expected one of {}, or leave it out",
                 known.join(", ")
@@ -212,7 +201,7 @@ fn found(path: &Path) -> Result<&'static dyn Importer> {
             Error::input(
                 path,
                 format!(
-                    "no capture known here; expected one of\n{}\n  brackets     photographs of several exposures (EXIF)\nName the source before the folder if it looks different",
+                    "no capture known here; expected one of\n{}\nName the source before the folder if it looks different",
                     known.join("\n")
                 ),
             )
