@@ -4,13 +4,11 @@
 use super::apply::apply;
 use super::correction::Correction;
 use super::evidence::{EvidenceSize, ViewEvidence};
-use super::refine::refine;
-use super::score::Ground;
 use super::verdict::{Alignment, Verdict, assess_views};
-use crate::core::geometry::{Camera, Lens, Mesh, Projection};
+use crate::core::geometry::{Camera, Mesh, Projection};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
-use crate::scene::{Mirror, Scene};
+use crate::scene::Scene;
 use glam::{DMat3, DVec3, Mat3, Vec2, Vec3};
 use std::path::PathBuf;
 
@@ -158,91 +156,6 @@ impl Photographed {
         let tracer = EmbreeTracer::new(&self.scene.mesh).expect("tracer");
         assess_views(&self.scene, &tracer, &views)
     }
-
-    fn moved(&self, c: &Correction) -> Alignment {
-        self.judged(|camera| c.camera(camera, self.scene.origin, false))
-    }
-}
-
-#[test]
-fn right_poses_are_aligned_whatever_the_exposures() {
-    let a = Photographed::panoramas(1.0).judged(|c| *c);
-    assert_eq!(a.verdict, Verdict::Aligned, "{a:?}");
-    assert!(a.score > 0.7 && a.winner.is_none() && a.met > 0.99, "{a:?}");
-    assert!(a.correction.is_none() && a.problem().is_none());
-}
-
-#[test]
-fn usual_mistakes_are_named() {
-    let room = Photographed::panoramas(1.0);
-    let of = |f: fn(&mut Correction)| {
-        let mut c = Correction::default();
-        f(&mut c);
-        c
-    };
-    let cases = [
-        (of(|c| c.scale = 0.001), "millimetres"),
-        (of(|c| c.scale = 0.3048), "feet"),
-        (
-            of(|c| c.camera_turn = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0))),
-            "OpenCV",
-        ),
-        (of(|c| c.invert = true), "world-to-camera"),
-        (
-            of(|c| c.turn = crate::scene::transforms::y_up_from_z_up().transpose()),
-            "z up",
-        ),
-        (
-            of(|c| c.camera_turn = DMat3::from_rotation_y(std::f64::consts::PI)),
-            "seam",
-        ),
-    ];
-    for (damage, expected) in cases {
-        let a = room.moved(&damage);
-        let winner = a.winner.clone().unwrap_or_default();
-        assert_eq!(a.verdict, Verdict::Misaligned, "{expected}: {a:?}");
-        assert!(winner.contains(expected), "{expected}: {winner}");
-        assert!(a.problem().is_some_and(|p| p.contains("--fix-alignment")));
-    }
-}
-
-#[test]
-fn mirrored_photographs_are_told_from_right_ones() {
-    let mut room = Photographed::panoramas(1.0);
-    for image in &mut room.images {
-        image.data.chunks_exact_mut(96).for_each(<[Vec3]>::reverse);
-    }
-    let a = room.judged(|c| *c);
-    assert_eq!(a.verdict, Verdict::Misaligned, "{a:?}");
-    assert_eq!(a.correction.map(|c| c.mirror), Some(Mirror::All), "{a:?}");
-}
-
-#[test]
-fn shifts_turns_and_scales_are_found_with_their_size() {
-    let room = Photographed::panoramas(1.0);
-    let origin = room.scene.origin;
-    for damage in [
-        Correction {
-            shift: DVec3::new(0.8, 0.0, 0.6),
-            ..Correction::default()
-        },
-        Correction::about(origin, DVec3::Y, 20.0),
-        Correction::scaled(origin, 0.7),
-    ] {
-        let a = room.moved(&damage);
-        assert_eq!(a.verdict, Verdict::Misaligned, "{damage:?}: {a:?}");
-        let both = damage.then(&a.correction.expect("a correction"));
-        for c in &room.cameras {
-            let back = both.camera(c, origin, false);
-            let turn = back.world_from_camera.transpose() * c.world_from_camera;
-            let cosine = 0.5 * (turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0);
-            assert!(
-                back.position.distance(c.position) < 0.15,
-                "{damage:?}: {a:?}"
-            );
-            assert!(cosine > 4f32.to_radians().cos(), "{damage:?}: {a:?}");
-        }
-    }
 }
 
 /// A room without a pattern says nothing: no verdict of misalignment may come of noise.
@@ -254,23 +167,6 @@ fn nothing_to_see_is_no_misalignment() {
     }
     let a = blank.judged(|c| *c);
     assert_ne!(a.verdict, Verdict::Misaligned, "{a:?}");
-}
-
-#[test]
-fn a_wrong_focal_length_is_found() {
-    let lens = Lens::centred(160, 120, 75.0);
-    let room = Photographed::new(Projection::Pinhole(lens), [160, 120], 1.0);
-    let right = room.judged(|c| *c);
-    assert_ne!(right.verdict, Verdict::Misaligned, "{right:?}");
-    let a = room.judged(|c| {
-        let wrong = Correction {
-            focal_scale: 1.114,
-            ..Correction::default()
-        };
-        wrong.camera(c, DVec3::ZERO, false)
-    });
-    let found = a.correction.map_or(1.0, |c| c.focal_scale);
-    assert!((found * 1.114 - 1.0).abs() < 0.04, "{found}: {a:?}");
 }
 
 /// A mesh in millimetres is scaled, and poses that were right keep their metres.
@@ -311,61 +207,5 @@ fn the_side_that_was_wrong_is_mended() {
         let n = before.face_normal(t);
         let flipped = Vec3::new(-n.x, n.y, n.z);
         assert!((after.face_normal(t) - flipped).length() < 1e-5);
-    }
-}
-
-fn jittered(camera: &Camera, i: usize) -> Camera {
-    let k = i as f32;
-    let axis = Vec3::new(
-        (2.1 * k).sin(),
-        (1.3 * k + 1.0).cos(),
-        (0.7 * k + 2.0).sin(),
-    )
-    .normalize();
-    let shift = Vec3::new((1.9 * k).cos(), 0.5 * (2.3 * k).sin(), (0.9 * k).cos()).normalize();
-    Camera {
-        world_from_camera: camera.world_from_camera
-            * Mat3::from_axis_angle(axis, 2.0f32.to_radians()),
-        position: camera.position + shift * 0.03,
-        ..*camera
-    }
-}
-
-fn fine(room: &Photographed, cameras: &[Camera]) -> Vec<ViewEvidence> {
-    cameras
-        .iter()
-        .zip(&room.images)
-        .enumerate()
-        .map(|(i, (c, image))| {
-            ViewEvidence::new(&i.to_string(), c, image, None, None, EvidenceSize::FINE)
-        })
-        .collect()
-}
-
-#[test]
-fn right_poses_are_left_alone_and_wrong_ones_come_back() {
-    let room = Photographed::new(Projection::Equirectangular, [192, 96], 1.0);
-    let tracer = EmbreeTracer::new(&room.scene.mesh).expect("tracer");
-    let ground = Ground {
-        mesh: &room.scene.mesh,
-        tracer: &tracer,
-    };
-    let none = refine(&ground, &fine(&room, &room.cameras), 8);
-    assert!(none.is_empty(), "{none:?}");
-
-    let spoilt: Vec<Camera> = room
-        .cameras
-        .iter()
-        .enumerate()
-        .map(|(i, c)| jittered(c, i))
-        .collect();
-    let refined = refine(&ground, &fine(&room, &spoilt), 8);
-    assert!(refined.len() >= 5, "{refined:?}");
-    for pose in &refined {
-        let i: usize = pose.stem.parse().expect("a number");
-        let back = pose.camera(&spoilt[i]);
-        let turn = back.world_from_camera.transpose() * room.cameras[i].world_from_camera;
-        let cosine = 0.5 * (turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0);
-        assert!(cosine > 0.6f32.to_radians().cos(), "{i}: {pose:?}");
     }
 }

@@ -295,10 +295,12 @@ fn decide(out: &mut Alignment, judge: &Judge<'_>, winner: Option<Winner>) {
     let beaten = winner.filter(|w| w.significance > SIGNIFICANT);
     let Some(w) = beaten else {
         let above_chance = out.score > SIGNIFICANT * out.standard_error;
-        let told = out.compared > 0.5 || out.met < 0.5;
+        // (photographs of bare walls fit nothing either: without a better hypothesis only rays
+        // that miss the mesh are a proof)
+        let missed = out.met < 0.5;
         out.verdict = if out.peak > SIGNIFICANT && out.weakest > -SIGNIFICANT && above_chance {
             Verdict::Aligned
-        } else if told && out.score + SIGNIFICANT * out.standard_error < NOTHING_FITS {
+        } else if missed && out.score + SIGNIFICANT * out.standard_error < NOTHING_FITS {
             Verdict::Misaligned
         } else {
             Verdict::Doubtful
