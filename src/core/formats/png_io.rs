@@ -76,7 +76,8 @@ fn expect_png(path: &Path, what: &str) -> Result<()> {
     }
 }
 
-/// Reads ids: greyscale of up to 16 bits as stored, or the indices of a palette.
+/// Reads ids: greyscale of up to 16 bits as stored (in three channels if they are all alike), or the
+/// indices of a palette.
 ///
 /// # Errors
 /// If the file cannot be read, is no PNG, or has colours.
@@ -85,16 +86,17 @@ pub fn read_labels(path: impl AsRef<Path>) -> Result<Plane<u16>> {
     expect_png(path, "ids per pixel")?;
     let mut reader = open(path, Transformations::IDENTITY)?;
     let (color, depth) = (reader.info().color_type, reader.info().bit_depth);
-    if !matches!(color, ColorType::Grayscale | ColorType::Indexed) {
-        return Err(Error::input(
-            path,
-            format!(
-                "ids expected in one channel (greyscale of 8 or 16 bits, or a palette), found {color:?}: save it as greyscale"
-            ),
-        ));
-    }
+    let samples = match color {
+        ColorType::Grayscale | ColorType::Indexed => 1,
+        ColorType::Rgb => 3,
+        other => return Err(no_ids(path, other)),
+    };
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
-    let bytes = pixels(path, &mut reader)?;
+    let mut bytes = pixels(path, &mut reader)?;
+    if samples > 1 {
+        bytes = grey_of_rgb(&bytes, if depth == BitDepth::Sixteen { 2 } else { 1 })
+            .ok_or_else(|| no_ids(path, color))?;
+    }
     let data = match depth {
         BitDepth::Sixteen => bytes
             .chunks_exact(2)
@@ -115,6 +117,29 @@ pub fn read_labels(path: impl AsRef<Path>) -> Result<Plane<u16>> {
     };
     Plane::from_data(width, height, data)
         .ok_or_else(|| Error::input(path, "fewer pixels than its header states"))
+}
+
+/// One channel of an image of three whose channels are all alike, as editors save greyscale; `None`
+/// where they differ. `size` is the bytes of a sample.
+fn grey_of_rgb(bytes: &[u8], size: usize) -> Option<Vec<u8>> {
+    let mut grey = Vec::with_capacity(bytes.len() / 3);
+    for pixel in bytes.chunks_exact(3 * size) {
+        let (r, rest) = pixel.split_at(size);
+        if rest[..size] != *r || rest[size..] != *r {
+            return None;
+        }
+        grey.extend_from_slice(r);
+    }
+    Some(grey)
+}
+
+fn no_ids(path: &Path, found: ColorType) -> Error {
+    Error::input(
+        path,
+        format!(
+            "ids expected in one channel (greyscale of 8 or 16 bits, or a palette), found {found:?}: save it as greyscale"
+        ),
+    )
 }
 
 /// Reads a mask: `true` where a pixel is to be kept.

@@ -509,3 +509,14 @@ fn the_library_says_its_version() {
         "{version}"
     );
 }
+
+#[test]
+fn greyscale_saved_as_rgb_is_read_as_ids_and_colours_are_refused() {
+    let dir = tempfile::tempdir().expect("folder");
+    let path = dir.path().join("ids.png");
+    write_png_rgb8(&path, 2, 1, &[3, 3, 3, 250, 250, 250]).expect("written");
+    assert_eq!(read_labels(&path).expect("ids").data, [3, 250]);
+    write_png_rgb8(&path, 2, 1, &[3, 3, 3, 250, 250, 249]).expect("written");
+    let refused = read_labels(&path).expect_err("colours are no ids");
+    assert!(refused.to_string().contains("one channel"), "{refused}");
+}
