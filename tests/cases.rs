@@ -1,23 +1,10 @@
 //! The small cases of `../shared/cases`: inputs that people really have, each with the right
 //! outcome. Skipped, with a message, where the folder is absent.
 
-use std::path::{Path, PathBuf};
-use unbake::scene::{CheckReport, LoadOptions, check};
+mod shared;
 
-/// Where the cases lie.
-fn cases() -> Option<PathBuf> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/cases");
-    let named = std::env::var_os("UNBAKE_SHARED").map(|p| PathBuf::from(p).join("cases"));
-    let usual = PathBuf::from("/work/shared/cases");
-    let found = named
-        .into_iter()
-        .chain([beside, usual])
-        .find(|p| p.is_dir());
-    if found.is_none() {
-        eprintln!("skipped: no ../shared/cases beside the repository");
-    }
-    found
-}
+use shared::shared;
+use unbake::scene::{CheckReport, LoadOptions, check};
 
 /// What must come out of a case.
 enum Outcome {
@@ -104,7 +91,9 @@ fn plain_figures(name: &str, report: &CheckReport, (triangles, area): (usize, f6
 
 #[test]
 fn every_case_has_its_outcome() {
-    let Some(folder) = cases() else { return };
+    let Some(folder) = shared("cases") else {
+        return;
+    };
     for (name, outcome) in CASES {
         let path = folder.join(name);
         if !path.is_dir() {
@@ -138,7 +127,9 @@ fn every_case_has_its_outcome() {
 
 #[test]
 fn after_images_that_failed_nothing_is_concluded_from_them() {
-    let Some(folder) = cases() else { return };
+    let Some(folder) = shared("cases") else {
+        return;
+    };
     let report = check(
         folder.join("fc52-check-after-failed-images"),
         &LoadOptions::default(),
@@ -152,7 +143,9 @@ fn after_images_that_failed_nothing_is_concluded_from_them() {
 
 #[test]
 fn an_atlas_by_corner_is_used() {
-    let Some(folder) = cases() else { return };
+    let Some(folder) = shared("cases") else {
+        return;
+    };
     let report = check(folder.join("fc23-ply-wedge-uv"), &LoadOptions::default());
     let summary = report.summary.expect("understood");
     assert!(summary.mesh.details.unwrapped.is_none());
@@ -160,7 +153,9 @@ fn an_atlas_by_corner_is_used() {
 
 #[test]
 fn images_that_made_the_library_abort_are_refused() {
-    let Some(folder) = cases() else { return };
+    let Some(folder) = shared("cases") else {
+        return;
+    };
     for name in ["exr-abort.exr", "exr-abort-two-bytes.exr"] {
         let path = folder.join("rel01-exr-abort").join(name);
         let e = unbake::core::formats::read_photograph(&path, None)
@@ -176,7 +171,9 @@ fn images_that_made_the_library_abort_are_refused() {
 /// The colours of fc03: floor 0.2, 0.2, 0.22, left wall 0.45, 0.3, 0.2 in linear Rec. 709.
 #[test]
 fn wide_primaries_become_rec709() {
-    let Some(folder) = cases() else { return };
+    let Some(folder) = shared("cases") else {
+        return;
+    };
     let path = folder.join("fc03-exr-rec2020/0.exr");
     let image = unbake::core::formats::read_photograph(&path, None)
         .expect("read")

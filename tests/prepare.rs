@@ -1,25 +1,12 @@
 //! `unbake prepare` on the real captures beside the repository (`../shared/captures`, or
 //! `$UNBAKE_SHARED/captures`); skipped with a message where they are absent.
 
-use std::path::PathBuf;
+mod shared;
+
+use shared::shared;
 use unbake::core::progress::Progress;
 use unbake::programs::prepare::{PrepareOptions, Prepared, prepare};
 use unbake::scene::{LdrImages, LoadOptions, Scene};
-
-fn shared() -> Option<PathBuf> {
-    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared");
-    let root = std::env::var_os("UNBAKE_SHARED").map_or(beside, PathBuf::from);
-    root.exists().then_some(root)
-}
-
-fn capture(name: &str) -> Option<PathBuf> {
-    let path = shared()?.join("captures").join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    eprintln!("skipped: {} is not here", path.display());
-    None
-}
 
 fn prepared(path: &std::path::Path, out: &std::path::Path) -> Prepared {
     let options = PrepareOptions {
@@ -39,7 +26,10 @@ fn load(path: &std::path::Path) -> Scene {
 
 #[test]
 fn the_zind_tour_equals_the_scene_made_by_hand() {
-    let (Some(tour), Some(by_hand)) = (capture("zind-sample-tour"), capture("zind-scene")) else {
+    let (Some(tour), Some(by_hand)) = (
+        shared("captures/zind-sample-tour"),
+        shared("captures/zind-scene"),
+    ) else {
         return;
     };
     let dir = tempfile::tempdir().expect("folder");
@@ -77,17 +67,11 @@ fn the_zind_tour_equals_the_scene_made_by_hand() {
 
 #[test]
 fn the_texir_export_equals_the_scene_it_was_made_from() {
-    let Some(root) = shared() else {
+    let (Some(export), Some(original)) =
+        (shared("scenes/aws-house-texir"), shared("scenes/aws-house"))
+    else {
         return;
     };
-    let (export, original) = (
-        root.join("scenes/aws-house-texir"),
-        root.join("scenes/aws-house"),
-    );
-    if !export.exists() || !original.exists() {
-        eprintln!("skipped: {} is not here", export.display());
-        return;
-    }
     let dir = tempfile::tempdir().expect("folder");
     let out = dir.path().join("scene");
     let made = prepared(&export, &out);
@@ -124,7 +108,7 @@ fn the_texir_export_equals_the_scene_it_was_made_from() {
 
 #[test]
 fn roomplan_is_a_labelled_mesh() {
-    let Some(room) = capture("roomplan") else {
+    let Some(room) = shared("captures/roomplan") else {
         return;
     };
     let dir = tempfile::tempdir().expect("folder");

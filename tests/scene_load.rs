@@ -1,18 +1,9 @@
 //! The shared scenes load, and their pixels agree with what their headers and classes say.
 
-use std::path::PathBuf;
-use unbake::scene::{LoadOptions, Scene};
+mod shared;
 
-fn shared(name: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("../shared/scenes")
-        .join(name);
-    if !path.is_dir() {
-        println!("skipped: {name} is not on this machine");
-        return None;
-    }
-    Some(path)
-}
+use shared::shared;
+use unbake::scene::{LoadOptions, Scene};
 
 #[test]
 fn shared_scenes_load() {
@@ -21,7 +12,9 @@ fn shared_scenes_load() {
         ("grey-white-room-exact", 16, 6, 131_811),
         ("aws-house", 26, 6, 127_601),
     ] {
-        let Some(path) = shared(name) else { continue };
+        let Some(path) = shared(format!("scenes/{name}")) else {
+            continue;
+        };
         let scene = Scene::load(&path, &LoadOptions::default()).expect("loads");
         assert_eq!(
             (scene.train_views().count(), scene.test_views().count()),

@@ -1,7 +1,10 @@
 //! Rooms found in synthetic plans and in the shared scenes against their floor plans (`gt/` is read
 //! here only, never by the program).
 
+mod shared;
+
 use glam::{DVec3, Mat3, Vec2, Vec3};
+use shared::shared;
 use std::path::PathBuf;
 use unbake::core::geometry::{Camera, Mesh, Projection};
 use unbake::core::trace::{BruteForce, EmbreeTracer};
@@ -100,13 +103,7 @@ fn an_empty_plan_is_one_room() {
 }
 
 fn load(name: &str) -> Option<(PathBuf, Scene)> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("../shared/scenes")
-        .join(name);
-    if !path.is_dir() {
-        println!("skipped: {name} is not on this machine");
-        return None;
-    }
+    let path = shared(format!("scenes/{name}"))?;
     let scene = Scene::load(&path, &LoadOptions::default()).expect("loads");
     Some((path, scene))
 }
