@@ -86,14 +86,14 @@ pub struct Verdict {
     pub reasons: Vec<Reason>,
 }
 
-/// Whether mesh and photographs belong together.
+/// Whether photographs and mesh belong together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Alignment {
+pub enum AlignmentVerdict {
     /// They do.
-    #[default]
     Aligned,
     /// Evidence is thin or divided.
+    #[default]
     Doubtful,
     /// They do not.
     Misaligned,
@@ -143,7 +143,7 @@ pub struct Findings {
     /// Light that is missing, where it was estimated.
     pub light_missing: Option<MissingLight>,
     /// Whether mesh and photographs belong together, where it was tested.
-    pub alignment: Option<Alignment>,
+    pub alignment: Option<AlignmentVerdict>,
     /// What other stages found, in the same currency.
     pub others: Vec<Reason>,
 }
@@ -262,10 +262,14 @@ impl Findings {
                 place: String::new(),
             });
         }
-        let (weight, what) = match self.alignment.unwrap_or_default() {
-            Alignment::Aligned => (0.0, "mesh and photographs belong together"),
-            Alignment::Doubtful => (DOUBTFUL, "mesh and photographs may not belong together"),
-            Alignment::Misaligned => (MISALIGNED, "mesh and photographs do not belong together"),
+        let (weight, what) = match self.alignment.unwrap_or(AlignmentVerdict::Aligned) {
+            AlignmentVerdict::Aligned => (0.0, "mesh and photographs belong together"),
+            AlignmentVerdict::Doubtful => {
+                (DOUBTFUL, "mesh and photographs may not belong together")
+            }
+            AlignmentVerdict::Misaligned => {
+                (MISALIGNED, "mesh and photographs do not belong together")
+            }
         };
         reasons.push(Reason {
             what: format!("{what} (see `unbake check`)"),
@@ -338,7 +342,7 @@ mod tests {
             ),
             (
                 Findings {
-                    alignment: Some(Alignment::Misaligned),
+                    alignment: Some(AlignmentVerdict::Misaligned),
                     ..fine()
                 },
                 Level::Untrusted,
@@ -346,7 +350,7 @@ mod tests {
             ),
             (
                 Findings {
-                    alignment: Some(Alignment::Doubtful),
+                    alignment: Some(AlignmentVerdict::Doubtful),
                     ..fine()
                 },
                 Level::Limited,

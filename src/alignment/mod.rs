@@ -23,7 +23,7 @@ pub use hypotheses::Hypothesis;
 pub use options::{AlignmentOptions, align};
 pub use refine::{RefinedPose, refine};
 pub use score::{Ground, PARTS, ViewScore, score_views};
-pub use verdict::{Alignment, Scored, Verdict, assess};
+pub use verdict::{Alignment, Scored, assess};
 
 #[cfg(test)]
 mod tests;

@@ -4,11 +4,12 @@ use super::apply::{apply, refine_poses};
 use super::evidence::{EvidenceSize, gather};
 use super::refine::{RefinedPose, refine};
 use super::score::Ground;
-use super::verdict::{Alignment, Verdict, assess};
+use super::verdict::{Alignment, assess};
 use crate::Result;
 use crate::core::switch::Switch;
 use crate::core::trace::EmbreeTracer;
 use crate::scene::Scene;
+use crate::verdict::AlignmentVerdict;
 
 /// What is done about photographs and mesh that do not fit.
 #[derive(clap::Args, Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -45,12 +46,12 @@ impl Default for AlignmentOptions {
 pub fn align(scene: &mut Scene, options: &AlignmentOptions) -> Result<Alignment> {
     let tracer = EmbreeTracer::new(&scene.mesh)?;
     let mut found = assess(scene, &tracer)?;
-    let wrong = found.verdict == Verdict::Misaligned;
+    let wrong = found.verdict == AlignmentVerdict::Misaligned;
     if let (true, true, Some(c)) = (options.fix_alignment, wrong, &found.correction) {
         apply(scene, c, found.corrected_distance);
         found.fixed = true;
     }
-    let fits = found.fixed || found.verdict != Verdict::Misaligned;
+    let fits = found.fixed || found.verdict != AlignmentVerdict::Misaligned;
     if options.refine_poses != Switch::Off && fits {
         found.refined = refined(scene, options.refine_poses)?;
         refine_poses(scene, &found.refined);

@@ -4,11 +4,12 @@
 use super::apply::apply;
 use super::correction::Correction;
 use super::evidence::{EvidenceSize, ViewEvidence};
-use super::verdict::{Alignment, Verdict, assess_views};
+use super::verdict::{Alignment, assess_views};
 use crate::core::geometry::{Camera, Mesh, Projection};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
 use crate::scene::Scene;
+use crate::verdict::AlignmentVerdict;
 use glam::{DMat3, DVec3, Mat3, Vec2, Vec3};
 use std::path::PathBuf;
 
@@ -166,7 +167,7 @@ fn nothing_to_see_is_no_misalignment() {
         image.data.fill(Vec3::splat(0.5));
     }
     let a = blank.judged(|c| *c);
-    assert_ne!(a.verdict, Verdict::Misaligned, "{a:?}");
+    assert_ne!(a.verdict, AlignmentVerdict::Misaligned, "{a:?}");
 }
 
 /// A mesh in millimetres is scaled, and poses that were right keep their metres.

@@ -1,13 +1,14 @@
 //! [`Alignment`] for people: the verdict first, then the numbers, then the way out.
 
-use super::verdict::{Alignment, Verdict};
+use super::verdict::Alignment;
+use crate::verdict::AlignmentVerdict;
 use std::fmt::{Display, Formatter, Result};
 
 impl Alignment {
     /// What is wrong and the way out; `None` unless misaligned.
     #[must_use]
     pub fn problem(&self) -> Option<String> {
-        if self.verdict != Verdict::Misaligned || self.fixed {
+        if self.verdict != AlignmentVerdict::Misaligned || self.fixed {
             return None;
         }
         let nothing = || {
@@ -30,7 +31,7 @@ impl Alignment {
     /// What a user should know although the scene can be used.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
-        (self.verdict == Verdict::Doubtful).then(|| {
+        (self.verdict == AlignmentVerdict::Doubtful).then(|| {
             let found = self.winner.as_ref().map_or(String::new(), |w| {
                 format!("; they would fit better if this were mended: {w}")
             });
@@ -42,9 +43,9 @@ impl Alignment {
 impl Display for Alignment {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
         let verdict = match self.verdict {
-            Verdict::Aligned => "aligned",
-            Verdict::Doubtful => "doubtful",
-            Verdict::Misaligned => "MISALIGNED",
+            AlignmentVerdict::Aligned => "aligned",
+            AlignmentVerdict::Doubtful => "doubtful",
+            AlignmentVerdict::Misaligned => "MISALIGNED",
         };
         write!(
             f,

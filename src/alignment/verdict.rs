@@ -15,6 +15,7 @@ use super::search::{Candidate, Judge};
 use crate::Result;
 use crate::core::trace::Tracer;
 use crate::scene::Scene;
+use crate::verdict::AlignmentVerdict;
 use serde::{Deserialize, Serialize};
 
 /// Views that take part, evenly spread over the training views.
@@ -33,19 +34,6 @@ const LISTED: usize = 12;
 const SMALL_TURN: f64 = 8.0;
 const SMALL_SHIFT: f64 = 0.12;
 const SMALL_SCALE: f64 = 0.06;
-
-/// Whether photographs and mesh fit.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Verdict {
-    /// They fit.
-    Aligned,
-    /// The evidence does not decide.
-    #[default]
-    Doubtful,
-    /// They do not fit.
-    Misaligned,
-}
 
 /// A hypothesis and its score.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -78,7 +66,7 @@ pub struct Parts {
 #[serde(default)]
 pub struct Alignment {
     /// The verdict.
-    pub verdict: Verdict,
+    pub verdict: AlignmentVerdict,
     /// Score of the poses as given: 0 by chance, 1 when perfect.
     pub score: f64,
     /// Standard error of the score over the views.
@@ -299,19 +287,19 @@ fn decide(out: &mut Alignment, judge: &Judge<'_>, winner: Option<Winner>) {
         // that miss the mesh are a proof)
         let missed = out.met < 0.5;
         out.verdict = if out.peak > SIGNIFICANT && out.weakest > -SIGNIFICANT && above_chance {
-            Verdict::Aligned
+            AlignmentVerdict::Aligned
         } else if missed && out.score + SIGNIFICANT * out.standard_error < NOTHING_FITS {
-            Verdict::Misaligned
+            AlignmentVerdict::Misaligned
         } else {
-            Verdict::Doubtful
+            AlignmentVerdict::Doubtful
         };
         return;
     };
     let small = is_small(judge, &w.hypothesis.correction);
     out.verdict = if small {
-        Verdict::Doubtful
+        AlignmentVerdict::Doubtful
     } else {
-        Verdict::Misaligned
+        AlignmentVerdict::Misaligned
     };
     out.corrected_distance = judge.distance_under(&w.hypothesis.correction);
     out.hypotheses.push(Scored {

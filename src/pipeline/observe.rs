@@ -15,7 +15,7 @@ use crate::observed::{
     Contradictions, Surface, balance_views, complete_labels, find_camera_rigs, fuse_radiance,
     leave_out_clipped_sky,
 };
-use crate::scene::{Scene, Split, View};
+use crate::scene::{Scene, View};
 use glam::Vec3;
 use std::time::Instant;
 
@@ -29,56 +29,10 @@ pub fn observe<'a>(
     progress: &Progress,
 ) -> Result<Surface<'a>> {
     let tracer = EmbreeTracer::new(&scene.mesh)?;
-    let train: Vec<_> = scene
-        .views
-        .iter()
-        .filter(|v| v.split == Split::Train)
-        .collect();
-    let mut clipped = Vec::with_capacity(train.len());
-    let mut views = progress.stage("views", train.len() as u64, |p| {
-        train
-            .iter()
-            .map(|view| {
-                let full = scene.load_radiance(view)?;
-                let ceiling = clipped_channels(&full, encoded_ceiling(view))
-                    .map(|c| blocks(&c, options.photo_reduction.max(1), |a, b| a | b));
-                let radiance = reduced(full, options.photo_reduction);
-                let labels = scene.load_labels(view)?;
-                let valid = scene
-                    .load_mask(view)?
-                    .map(|m| all_valid(&m, options.photo_reduction));
-                let buffer = ViewBuffer::trace(
-                    &view.camera.resized(radiance.width, radiance.height),
-                    &tracer,
-                );
-                let mut clean = buffer.clean_pixels(&scene.mesh, labels.as_ref());
-                if let Some(at) = &ceiling {
-                    // a lower bound: used only where no other look is at hand
-                    clean
-                        .data
-                        .iter_mut()
-                        .zip(&at.data)
-                        .for_each(|(clean, clipped)| *clean &= *clipped == 0);
-                    let share =
-                        at.data.iter().filter(|c| **c != 0).count() as f64 / at.data.len() as f64;
-                    p.note(format!(
-                        "{}: {:.2} % of the pixels are clipped",
-                        view.stem,
-                        100.0 * share
-                    ));
-                }
-                clipped.push(ceiling);
-                p.advance(1);
-                Ok(ObservedView {
-                    buffer,
-                    radiance,
-                    clean,
-                    labels,
-                    valid,
-                })
-            })
-            .collect::<Result<Vec<_>>>()
-    })?;
+    let ReadViews {
+        mut views,
+        ceilings: clipped,
+    } = read_views(scene, &tracer, options, progress)?;
     let (lo, hi) = scene.mesh.bounds();
     // a tenth of a millimetre in a ten-metre room, well above the rounding of positions
     let offset = (hi - lo).length() * 1e-5;
@@ -143,6 +97,79 @@ pub fn observe<'a>(
         offset,
         disagreement: balanced.disagreement,
     })
+}
+
+/// The training views as read, before anything is taken out of them.
+struct ReadViews {
+    views: Vec<ObservedView>,
+    /// Channels at the sensor's ceiling per pixel; `None` where a view has no ceiling.
+    ceilings: Vec<Option<Plane<u8>>>,
+}
+
+/// Reads the training views and traces what their pixels see.
+fn read_views(
+    scene: &Scene,
+    tracer: &EmbreeTracer,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<ReadViews> {
+    let train: Vec<&View> = scene.train_views().collect();
+    let mut ceilings = Vec::with_capacity(train.len());
+    let views = progress.stage("views", train.len() as u64, |p| {
+        let read = |view: &&View| {
+            let (view, ceiling) = read_view(scene, view, tracer, options, p)?;
+            ceilings.push(ceiling);
+            p.advance(1);
+            Ok(view)
+        };
+        train.iter().map(read).collect::<Result<Vec<_>>>()
+    })?;
+    Ok(ReadViews { views, ceilings })
+}
+
+/// One view, and its pixels at the sensor's ceiling if it has one.
+fn read_view(
+    scene: &Scene,
+    view: &View,
+    tracer: &EmbreeTracer,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<(ObservedView, Option<Plane<u8>>)> {
+    let full = scene.load_radiance(view)?;
+    let ceiling = clipped_channels(&full, encoded_ceiling(view))
+        .map(|c| blocks(&c, options.photo_reduction.max(1), |a, b| a | b));
+    let radiance = reduced(full, options.photo_reduction);
+    let labels = scene.load_labels(view)?;
+    let valid = scene
+        .load_mask(view)?
+        .map(|m| all_valid(&m, options.photo_reduction));
+    let buffer = ViewBuffer::trace(
+        &view.camera.resized(radiance.width, radiance.height),
+        tracer,
+    );
+    let mut clean = buffer.clean_pixels(&scene.mesh, labels.as_ref());
+    if let Some(at) = &ceiling {
+        // a lower bound: used only where no other look is at hand
+        clean
+            .data
+            .iter_mut()
+            .zip(&at.data)
+            .for_each(|(clean, clipped)| *clean &= *clipped == 0);
+        let share = at.data.iter().filter(|c| **c != 0).count() as f64 / at.data.len() as f64;
+        progress.note(format!(
+            "{}: {:.2} % of the pixels are clipped",
+            view.stem,
+            100.0 * share
+        ));
+    }
+    let observed = ObservedView {
+        buffer,
+        radiance,
+        clean,
+        labels,
+        valid,
+    };
+    Ok((observed, ceiling))
 }
 
 /// Where the views contradict each other, and a note on the places.

@@ -560,23 +560,7 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
             s.radiance.not_finite
         ));
     }
-    let (lo, hi) = scene.mesh.bounds();
-    let near = 1e-3 * (hi - lo).length();
-    let panoramas: Vec<&View> = scene
-        .views
-        .iter()
-        .filter(|v| v.camera.projection == Projection::Equirectangular)
-        .collect();
-    for (i, a) in panoramas.iter().enumerate() {
-        for b in &panoramas[i + 1..] {
-            if a.camera.position.distance(b.camera.position) < near {
-                warnings.push(format!(
-                    "views {} and {} stand at the same place and add little to one another",
-                    a.stem, b.stem
-                ));
-            }
-        }
-    }
+    warn_of_views(scene, warnings);
     if s.train_views < 3 {
         warnings.push(format!(
             "{} training views: highlights cannot be told from paint; take at least 3 per room",
@@ -595,6 +579,38 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
             100.0 * s.unseen_area_share
         ));
     }
+    warn_of_labels(s, findings, warnings);
+    for r in s.rooms.iter().filter(|r| r.train_views == 0) {
+        warnings.push(format!(
+            "room {} ({:.1} m²) holds no training camera",
+            r.id, r.area
+        ));
+    }
+}
+
+/// Panoramas that stand at one place.
+fn warn_of_views(scene: &Scene, warnings: &mut Vec<String>) {
+    let (lo, hi) = scene.mesh.bounds();
+    let near = 1e-3 * (hi - lo).length();
+    let panoramas: Vec<&View> = scene
+        .views
+        .iter()
+        .filter(|v| v.camera.projection == Projection::Equirectangular)
+        .collect();
+    for (i, a) in panoramas.iter().enumerate() {
+        for b in &panoramas[i + 1..] {
+            if a.camera.position.distance(b.camera.position) < near {
+                warnings.push(format!(
+                    "views {} and {} stand at the same place and add little to one another",
+                    a.stem, b.stem
+                ));
+            }
+        }
+    }
+}
+
+/// Labels that are absent, and classes that no ray meets.
+fn warn_of_labels(s: &Summary, findings: &[ViewFindings], warnings: &mut Vec<String>) {
     let labelled = findings.iter().filter(|f| f.labelled).count();
     if labelled == 0 {
         warnings.push(
@@ -622,11 +638,5 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
         .collect();
     if labelled > 0 && !absent.is_empty() {
         warnings.push(format!("classes met by no ray: {}", absent.join(", ")));
-    }
-    for r in s.rooms.iter().filter(|r| r.train_views == 0) {
-        warnings.push(format!(
-            "room {} ({:.1} m²) holds no training camera",
-            r.id, r.area
-        ));
     }
 }

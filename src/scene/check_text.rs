@@ -1,7 +1,7 @@
 //! [`CheckReport`] for people: what was understood first, then warnings, then problems, and a
 //! verdict in the last line.
 
-use super::{CheckReport, Summary};
+use super::{CheckReport, ClassShare, MeshSummary, Summary};
 use crate::core::formats::grouped;
 use crate::error::printable;
 use std::collections::BTreeMap;
@@ -63,8 +63,11 @@ fn image_kinds(s: &Summary) -> BTreeMap<String, usize> {
     kinds
 }
 
+fn row(f: &mut Formatter<'_>, name: &str, text: String) -> Result {
+    writeln!(f, "  {name:<18} {text}")
+}
+
 fn summary(f: &mut Formatter<'_>, s: &Summary) -> Result {
-    let row = |f: &mut Formatter<'_>, name: &str, text: String| writeln!(f, "  {name:<18} {text}");
     row(
         f,
         "views",
@@ -80,31 +83,7 @@ fn summary(f: &mut Formatter<'_>, s: &Summary) -> Result {
     for (kind, count) in image_kinds(s) {
         row(f, "read as", format!("{count} × {kind}"))?;
     }
-    let m = &s.mesh;
-    row(
-        f,
-        "mesh",
-        format!(
-            "{} triangles, {} vertices, {:.1} m²",
-            grouped(m.triangles),
-            grouped(m.vertices),
-            m.area
-        ),
-    )?;
-    let [x, y, z] = std::array::from_fn(|k| format!("{:.2} … {:.2}", m.min[k], m.max[k]));
-    row(f, "bounds (m, y up)", format!("x {x}, y {y}, z {z}"))?;
-    let made = m.details.unwrapped.as_ref().map_or(String::new(), |u| {
-        format!(", made by unbake in {} charts", grouped(u.charts as usize))
-    });
-    row(
-        f,
-        "atlas",
-        format!(
-            "{} filled, {:.0} texels/m at 2048²{made}",
-            percent(m.atlas_fill),
-            m.texels_per_metre
-        ),
-    )?;
+    mesh_rows(f, &s.mesh)?;
     let r = &s.radiance;
     row(
         f,
@@ -143,23 +122,55 @@ fn summary(f: &mut Formatter<'_>, s: &Summary) -> Result {
             percent(s.unlabelled_share)
         ),
     )?;
-    if !s.classes.is_empty() {
+    class_table(f, &s.classes)
+}
+
+fn mesh_rows(f: &mut Formatter<'_>, m: &MeshSummary) -> Result {
+    row(
+        f,
+        "mesh",
+        format!(
+            "{} triangles, {} vertices, {:.1} m²",
+            grouped(m.triangles),
+            grouped(m.vertices),
+            m.area
+        ),
+    )?;
+    let [x, y, z] = std::array::from_fn(|k| format!("{:.2} … {:.2}", m.min[k], m.max[k]));
+    row(f, "bounds (m, y up)", format!("x {x}, y {y}, z {z}"))?;
+    let made = m.details.unwrapped.as_ref().map_or(String::new(), |u| {
+        format!(", made by unbake in {} charts", grouped(u.charts as usize))
+    });
+    row(
+        f,
+        "atlas",
+        format!(
+            "{} filled, {:.0} texels/m at 2048²{made}",
+            percent(m.atlas_fill),
+            m.texels_per_metre
+        ),
+    )
+}
+
+fn class_table(f: &mut Formatter<'_>, classes: &[ClassShare]) -> Result {
+    if classes.is_empty() {
+        return Ok(());
+    }
+    writeln!(
+        f,
+        "\n  {:>6}  {:<28} {:>8} {:>8}",
+        "id", "class", "pixels", "mesh"
+    )?;
+    for c in classes {
+        let light = if c.is_light { " (light)" } else { "" };
         writeln!(
             f,
-            "\n  {:>6}  {:<28} {:>8} {:>8}",
-            "id", "class", "pixels", "mesh"
+            "  {:>6}  {:<28} {:>8} {:>8}",
+            c.id,
+            format!("{}{light}", printable(&c.name)),
+            percent(c.pixel_share),
+            percent(c.mesh_share)
         )?;
-        for c in &s.classes {
-            let light = if c.is_light { " (light)" } else { "" };
-            writeln!(
-                f,
-                "  {:>6}  {:<28} {:>8} {:>8}",
-                c.id,
-                format!("{}{light}", printable(&c.name)),
-                percent(c.pixel_share),
-                percent(c.mesh_share)
-            )?;
-        }
     }
     Ok(())
 }

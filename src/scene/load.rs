@@ -12,17 +12,15 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-impl Scene {
-    /// Loads and validates the scene in a folder (or described by a JSON file given directly).
-    ///
-    /// Pixels are not decoded, only the image headers are read; class ids are gathered from the
-    /// label images if the file declares none. All problems are reported at once as
-    /// [`Error::Inputs`].
-    ///
-    /// # Errors
-    /// Everything that is wrong with the scene at once, each with its file and place.
-    pub fn load(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Self> {
-        let path = path.as_ref();
+/// Where a scene is described, and what its relative paths are relative to.
+struct SceneFile {
+    file: PathBuf,
+    folder: PathBuf,
+}
+
+impl SceneFile {
+    /// Of a scene's folder, or of its file.
+    fn at(path: &Path) -> Self {
         let file = if path.is_dir() {
             path.join("transforms.json")
         } else {
@@ -33,6 +31,36 @@ impl Scene {
             .filter(|p| !p.as_os_str().is_empty())
             .unwrap_or(Path::new("."))
             .to_path_buf();
+        Self { file, folder }
+    }
+}
+
+/// The views that can be used; what is wrong with the others joins `issues`.
+fn usable<E: IntoIterator<Item = Error>>(
+    checked: Vec<std::result::Result<View, E>>,
+    issues: &mut Vec<Error>,
+) -> Vec<View> {
+    let mut views = Vec::new();
+    for result in checked {
+        match result {
+            Ok(v) => views.push(v),
+            Err(e) => issues.extend(e),
+        }
+    }
+    views
+}
+
+impl Scene {
+    /// Loads and validates the scene in a folder (or described by a JSON file given directly).
+    ///
+    /// Pixels are not decoded, only the image headers are read; class ids are gathered from the
+    /// label images if the file declares none. All problems are reported at once as
+    /// [`Error::Inputs`].
+    ///
+    /// # Errors
+    /// Everything that is wrong with the scene at once, each with its file and place.
+    pub fn load(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Self> {
+        let SceneFile { file, folder } = SceneFile::at(path.as_ref());
         let (transforms, mut issues) =
             read_transforms(&file).map_err(|e| limited(e, options.max_issues))?;
         let mut warnings = transforms.warnings.clone();
@@ -55,13 +83,7 @@ impl Scene {
             .zip(&splits)
             .filter_map(|(f, s)| s.map(|s| view(f, s, &folder, origin, options)))
             .collect();
-        let mut views = Vec::new();
-        for result in checked {
-            match result {
-                Ok(v) => views.push(v),
-                Err(e) => issues.extend(e),
-            }
-        }
+        let mut views = usable(checked, &mut issues);
         warnings.extend(level_white(&mut views));
         let classes_declared = transforms.classes.is_some();
         let classes = match transforms.classes {

@@ -63,36 +63,15 @@ pub fn prepare_mesh(
         file_triangles: raw.triangles.len(),
         ..MeshStats::default()
     };
-    if raw.triangles.is_empty() {
-        return Err(fail("no triangles; export the mesh with its faces".into()));
-    }
-    let count = raw.positions.len();
-    if let Some((t, i)) = raw
-        .triangles
-        .iter()
-        .enumerate()
-        .find_map(|(t, c)| c.iter().find(|&&i| i as usize >= count).map(|&i| (t, i)))
-    {
-        return Err(fail(format!(
-            "triangle {t} uses vertex {i}, but there are {count} vertices; export the mesh again"
-        )));
-    }
+    check_faces(&raw).map_err(fail)?;
     if z_up {
         let turn = y_up_from_z_up();
         raw.positions.iter_mut().for_each(|p| *p = turn * *p);
         let turn = turn.as_mat3();
         raw.normals.iter_mut().for_each(|n| *n = turn * *n);
     }
-    let used = used_vertices(&raw.triangles, count);
-    let bad: Vec<usize> = (0..count)
-        .filter(|&i| used[i] && !raw.positions[i].is_finite())
-        .collect();
-    if let Some(first) = bad.first() {
-        return Err(fail(format!(
-            "{} of {count} vertices are NaN or infinite (first: vertex {first}); repair the mesh",
-            bad.len()
-        )));
-    }
+    let used = used_vertices(&raw.triangles, raw.positions.len());
+    check_finite(&raw, &used).map_err(fail)?;
     let origin = centre(&raw, &used).map_err(fail)?;
 
     let mut mesh = Mesh {
@@ -146,6 +125,40 @@ pub fn prepare_mesh(
         .count();
     (stats.covered_texels, stats.overlapping_texels) = atlas_overlap(&mesh, OVERLAP_SIDE);
     Ok((mesh, origin, stats))
+}
+
+/// Every face has three vertices that exist.
+fn check_faces(raw: &RawMesh) -> std::result::Result<(), String> {
+    if raw.triangles.is_empty() {
+        return Err("no triangles; export the mesh with its faces".into());
+    }
+    let count = raw.positions.len();
+    if let Some((t, i)) = raw
+        .triangles
+        .iter()
+        .enumerate()
+        .find_map(|(t, c)| c.iter().find(|&&i| i as usize >= count).map(|&i| (t, i)))
+    {
+        return Err(format!(
+            "triangle {t} uses vertex {i}, but there are {count} vertices; export the mesh again"
+        ));
+    }
+    Ok(())
+}
+
+/// The vertices in use have places.
+fn check_finite(raw: &RawMesh, used: &[bool]) -> std::result::Result<(), String> {
+    let count = raw.positions.len();
+    let bad: Vec<usize> = (0..count)
+        .filter(|&i| used[i] && !raw.positions[i].is_finite())
+        .collect();
+    if let Some(first) = bad.first() {
+        return Err(format!(
+            "{} of {count} vertices are NaN or infinite (first: vertex {first}); repair the mesh",
+            bad.len()
+        ));
+    }
+    Ok(())
 }
 
 fn used_vertices(triangles: &[[u32; 3]], count: usize) -> Vec<bool> {

@@ -11,6 +11,7 @@ mod mesh_prep;
 mod pixels;
 mod rigid;
 mod rooms;
+mod staged;
 pub mod transforms;
 mod unwrap;
 
@@ -22,6 +23,7 @@ pub use frame_account::FrameAccount;
 pub use mesh_prep::{MeshStats, atlas_overlap, prepare_mesh};
 pub use pixels::PixelStats;
 pub use rooms::find_rooms;
+pub use staged::StagedScene;
 pub use unwrap::{UnwrapStats, unwrap_mesh};
 
 use crate::core::formats::ImageAccount;

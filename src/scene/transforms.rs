@@ -164,17 +164,8 @@ pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<
         map: &root,
         place: String::new(),
     };
-    let mut axis = |key: &str| -> Option<bool> {
-        match globals.text(key, &mut issues)?.as_str() {
-            "y" | "Y" | "+y" => Some(false),
-            "z" | "Z" | "+z" => Some(true),
-            other => {
-                issues.push(format!("{key}: \"{other}\"; expected \"y\" or \"z\""));
-                None
-            }
-        }
-    };
-    let (z_up, mesh_z_up) = (axis("up_axis").unwrap_or(false), axis("mesh_up_axis"));
+    let z_up = up_is_z(&globals, "up_axis", &mut issues).unwrap_or(false);
+    let mesh_z_up = up_is_z(&globals, "mesh_up_axis", &mut issues);
     let keys = examine(&root);
     issues.extend(keys.issues);
     let mut warnings = keys.warnings;
@@ -191,20 +182,7 @@ pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<
         }
         String::new()
     });
-    let mut frames = Vec::new();
-    match root.get("frames") {
-        Some(Value::Array(entries)) if entries.is_empty() => issues.push("frames: empty; list at least one posed image".into()),
-        Some(Value::Array(entries)) => {
-            for (index, entry) in entries.iter().enumerate() {
-                match entry {
-                    Value::Object(map) => frames.extend(frame(index, map, &globals, &world, &mut issues)),
-                    _ => issues.push(format!("frames[{index}]: expected an object with file_path and transform_matrix")),
-                }
-            }
-        }
-        Some(_) => issues.push("frames: expected a list".into()),
-        None => issues.push("frames: missing; list the posed images as [{\"file_path\": ..., \"transform_matrix\": ...}]".into()),
-    }
+    let frames = frames(&globals, &world, &mut issues);
     let classes = root
         .get("classes")
         .filter(|v| !v.is_null())
@@ -212,19 +190,7 @@ pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<
     let train = globals.names("train_filenames", &mut issues);
     let test = globals.names("test_filenames", &mut issues);
     let rooms_path = globals.text("rooms_path", &mut issues);
-    let named = |entry: &Value| {
-        entry
-            .get("file_path")
-            .and_then(Value::as_str)
-            .map(str::to_owned)
-    };
-    let names = root
-        .get("frames")
-        .and_then(Value::as_array)
-        .into_iter()
-        .flatten()
-        .filter_map(named)
-        .collect();
+    let names = frame_names(&root);
     Ok((
         Transforms {
             mesh_path,
@@ -240,6 +206,53 @@ pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<
         },
         issues,
     ))
+}
+
+/// Whether the axis that `key` names points up as z does; `None` if the key is absent or wrong.
+fn up_is_z(keys: &Keys<'_>, key: &str, issues: &mut Vec<String>) -> Option<bool> {
+    match keys.text(key, issues)?.as_str() {
+        "y" | "Y" | "+y" => Some(false),
+        "z" | "Z" | "+z" => Some(true),
+        other => {
+            issues.push(format!("{key}: \"{other}\"; expected \"y\" or \"z\""));
+            None
+        }
+    }
+}
+
+/// The frames that can be used.
+fn frames(keys: &Keys<'_>, world: &FileWorld, issues: &mut Vec<String>) -> Vec<Frame> {
+    let mut frames = Vec::new();
+    match keys.map.get("frames") {
+        Some(Value::Array(entries)) if entries.is_empty() => issues.push("frames: empty; list at least one posed image".into()),
+        Some(Value::Array(entries)) => {
+            for (index, entry) in entries.iter().enumerate() {
+                match entry {
+                    Value::Object(map) => frames.extend(frame(index, map, keys, world, issues)),
+                    _ => issues.push(format!("frames[{index}]: expected an object with file_path and transform_matrix")),
+                }
+            }
+        }
+        Some(_) => issues.push("frames: expected a list".into()),
+        None => issues.push("frames: missing; list the posed images as [{\"file_path\": ..., \"transform_matrix\": ...}]".into()),
+    }
+    frames
+}
+
+/// The images that frames name, usable or not.
+fn frame_names(root: &Map<String, Value>) -> Vec<String> {
+    let named = |entry: &Value| {
+        entry
+            .get("file_path")
+            .and_then(Value::as_str)
+            .map(str::to_owned)
+    };
+    root.get("frames")
+        .and_then(Value::as_array)
+        .into_iter()
+        .flatten()
+        .filter_map(named)
+        .collect()
 }
 
 /// How the file's coordinates become the world's.

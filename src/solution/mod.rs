@@ -1,16 +1,18 @@
 //! What a reconstruction is: the textures that `solve` makes and that evaluation, rendering and
 //! export read.
 
+mod aside;
 mod camera_masks;
 mod glb;
 mod lamps;
 mod lock;
 mod store;
 
+pub use aside::AsideFolder;
 pub use glb::{GlbOptions, PunctualLight, scene_glb};
 pub use lamps::{LIGHTS, Lamp, LampKind, find_lamps, lamp_gap, triangle_emission};
 pub use lock::OutputLock;
-pub use store::{AsideFolder, FILES, SaveOptions};
+pub use store::{FILES, SaveOptions};
 
 use crate::core::brdf::Reflectance;
 use crate::core::geometry::Mesh;

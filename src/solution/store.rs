@@ -5,11 +5,12 @@
 //! old solution or the new one, and a full disk leaves the old one untouched.
 
 use super::Solution;
+use super::aside::AsideFolder;
 use super::camera_masks::{read_camera_masks, replace_camera_masks, write_camera_masks};
 use super::glb::{GlbOptions, marked_glb, read_glb};
 use super::lamps::{self, LIGHTS};
 use crate::core::formats::{
-    Marked, generation_mark, read_labels, read_plane, read_rgb, read_two_channels, sync,
+    Marked, generation_mark, read_labels, read_plane, read_rgb, read_two_channels,
 };
 use crate::core::image::RgbPlane;
 use crate::error::{Error, Result};
@@ -264,49 +265,6 @@ fn remove_if_there(path: &Path) -> Result<()> {
     match std::fs::remove_file(path) {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(path, e)),
         _ => Ok(()),
-    }
-}
-
-/// A hidden folder for files in the making; removed when dropped.
-#[derive(Debug)]
-pub struct AsideFolder {
-    folder: tempfile::TempDir,
-}
-
-impl AsideFolder {
-    /// Creates `target` and an empty hidden folder in it.
-    ///
-    /// # Errors
-    /// If `target` is a file or cannot be written to.
-    pub fn new(target: &Path) -> Result<Self> {
-        std::fs::create_dir_all(target).map_err(|e| Error::io(target, e))?;
-        let folder = tempfile::Builder::new()
-            .prefix(".writing-")
-            .tempdir_in(target)
-            .map_err(|e| Error::io(target, e))?;
-        Ok(Self { folder })
-    }
-
-    /// Where to write.
-    #[must_use]
-    pub fn path(&self) -> &Path {
-        self.folder.path()
-    }
-
-    /// Renames the named files into `target`, in order, once all of them are on the disk.
-    ///
-    /// # Errors
-    /// If the file system refuses one; those before it have then been renamed.
-    pub fn publish<N: AsRef<Path>>(&self, target: &Path, names: &[N]) -> Result<()> {
-        for name in names {
-            let to = target.join(name);
-            sync(&self.path().join(name)).map_err(|e| Error::io(&to, e))?;
-        }
-        for name in names {
-            let to = target.join(name);
-            std::fs::rename(self.path().join(name), &to).map_err(|e| Error::io(&to, e))?;
-        }
-        sync(target).map_err(|e| Error::io(target, e))
     }
 }
 

@@ -6,7 +6,7 @@ use crate::cli::inputs::read_solved_scene;
 use crate::cli::run_record::record;
 use crate::error::{Error, Result};
 use crate::programs::evaluate::{evaluate, terminal_table};
-use crate::programs::report::{self, Photographer, RunRecord, hash_inputs, write_report};
+use crate::programs::report::{self, Photographer, Reported, RunRecord, hash_inputs, write_report};
 use crate::render::{HybridOptions, HybridRenderer};
 use crate::solution::{OutputLock, Solution};
 use std::path::Path;
@@ -64,15 +64,13 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
         None => record(&scene, hash_inputs(&scene)?, context)?,
     };
     context.progress.stage("report", 1, |_| {
-        write_report(
-            out,
-            &scene,
-            &solution,
-            &renderer,
-            &record,
-            Some(&evaluation),
-            pictures,
-        )
+        let reported = Reported {
+            scene: &scene,
+            solution: &solution,
+            record: &record,
+            evaluation: Some(&evaluation),
+        };
+        write_report(out, reported, &renderer, pictures)
     })?;
     let json =
         serde_json::to_value(&evaluation).map_err(|e| Error::Failed(format!("scores: {e}")))?;

@@ -1,17 +1,17 @@
 //! `unbake solve`.
 
-use crate::alignment::{Alignment, Verdict as Fits, align};
+use crate::alignment::{Alignment, align};
 use crate::cli::context::Context;
 use crate::cli::guard::keep_inputs;
 use crate::cli::inputs::read_scene;
 use crate::cli::run_record::{record, run_key};
 use crate::error::{Error, Result};
 use crate::pipeline::{Checkpoints, reconstruct};
-use crate::programs::report::{hash_inputs, write_report};
+use crate::programs::report::{Reported, hash_inputs, write_report};
 use crate::render::{HybridOptions, HybridRenderer};
 use crate::scene::Scene;
 use crate::solution::{AsideFolder, OutputLock, SaveOptions, Solution};
-use crate::verdict::{self, Findings};
+use crate::verdict::{AlignmentVerdict, Findings};
 use serde_json::json;
 use std::path::Path;
 use std::time::Duration;
@@ -54,7 +54,13 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
                 ..HybridOptions::default()
             },
         )?;
-        write_report(out, &scene, &solution, &renderer, &record, None, Vec::new())
+        let reported = Reported {
+            scene: &scene,
+            solution: &solution,
+            record: &record,
+            evaluation: None,
+        };
+        write_report(out, reported, &renderer, Vec::new())
     })?;
     record.measure(&context.recorder);
     record.write_manifest(out)?;
@@ -81,14 +87,10 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
 
 /// Adds what the alignment says to the findings and, if the scene was forced through although
 /// nothing fits, to the stated errors of the albedo.
-fn take_in(fits: Fits, findings: &mut Findings, solution: &mut Solution) {
+fn take_in(fits: AlignmentVerdict, findings: &mut Findings, solution: &mut Solution) {
     let stated = findings.model_error();
-    findings.alignment = Some(match fits {
-        Fits::Aligned => verdict::Alignment::Aligned,
-        Fits::Doubtful => verdict::Alignment::Doubtful,
-        Fits::Misaligned => verdict::Alignment::Misaligned,
-    });
-    if fits == Fits::Misaligned {
+    findings.alignment = Some(fits);
+    if fits == AlignmentVerdict::Misaligned {
         let more = findings.model_error().powi(2) - stated.powi(2);
         let more = more.max(0.0).sqrt() as f32;
         let observed = solution.confidence.data.iter_mut().filter(|c| c.x < 1e3);

@@ -123,24 +123,7 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
                     return Err(fail("the PLY vertices have no x, y, z".into()));
                 }
                 found_vertices = true;
-                part.positions = elements
-                    .iter()
-                    .map(|e| DVec3::from_array(e.position))
-                    .collect();
-                part.normals = (has(&["nx"]) && has(&["ny"]) && has(&["nz"])).then(|| {
-                    elements
-                        .iter()
-                        .map(|e| DVec3::from_array(e.normal).normalize_or_zero().as_vec3())
-                        .collect::<Vec<Vec3>>()
-                });
-                // like OBJ, PLY counts v from the bottom of the image
-                part.uvs =
-                    (has(&["s", "u", "texture_u"]) && has(&["t", "v", "texture_v"])).then(|| {
-                        elements
-                            .iter()
-                            .map(|e| Vec2::new(e.uv[0] as f32, (1.0 - e.uv[1]) as f32))
-                            .collect()
-                    });
+                add_vertices(&mut part, &elements, has);
             }
             "face" => {
                 found_faces = true;
@@ -178,6 +161,27 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     }
     add_faces(&mut part, &faces).map_err(fail)?;
     RawMesh::from_parts(vec![part], path)
+}
+
+/// Places, and normals and texture coordinates where the element has them.
+fn add_vertices(part: &mut Part, elements: &[Element], has: impl Fn(&[&str]) -> bool) {
+    part.positions = elements
+        .iter()
+        .map(|e| DVec3::from_array(e.position))
+        .collect();
+    part.normals = (has(&["nx"]) && has(&["ny"]) && has(&["nz"])).then(|| {
+        elements
+            .iter()
+            .map(|e| DVec3::from_array(e.normal).normalize_or_zero().as_vec3())
+            .collect::<Vec<Vec3>>()
+    });
+    // like OBJ, PLY counts v from the bottom of the image
+    part.uvs = (has(&["s", "u", "texture_u"]) && has(&["t", "v", "texture_v"])).then(|| {
+        elements
+            .iter()
+            .map(|e| Vec2::new(e.uv[0] as f32, (1.0 - e.uv[1]) as f32))
+            .collect()
+    });
 }
 
 /// Triangles of a strip: every corner closes one with the two before it, windings in turn.

@@ -185,8 +185,14 @@ impl Marked<'_> {
     /// The file cannot be written.
     pub fn png16(&self, path: &Path, plane: &Plane<u16>) -> Result<()> {
         let bytes: Vec<u8> = plane.data.iter().flat_map(|v| v.to_be_bytes()).collect();
-        let kind = (ColorType::Grayscale, BitDepth::Sixteen);
-        write_png(path, (plane.width, plane.height), kind, &bytes, self.0)
+        let pixels = Pixels {
+            width: plane.width,
+            height: plane.height,
+            color: ColorType::Grayscale,
+            depth: BitDepth::Sixteen,
+            bytes: &bytes,
+        };
+        write_png(path, &pixels, self.0)
     }
 }
 
@@ -206,9 +212,14 @@ pub(super) fn mark(path: &Path) -> Result<Option<String>> {
 /// # Errors
 /// If the file system refuses.
 pub fn write_png8(path: impl AsRef<Path>, plane: &Plane<u8>) -> Result<()> {
-    let kind = (ColorType::Grayscale, BitDepth::Eight);
-    let size = (plane.width, plane.height);
-    write_png(path.as_ref(), size, kind, &plane.data, "")
+    let pixels = Pixels {
+        width: plane.width,
+        height: plane.height,
+        color: ColorType::Grayscale,
+        depth: BitDepth::Eight,
+        bytes: &plane.data,
+    };
+    write_png(path.as_ref(), &pixels, "")
 }
 
 /// Writes 8-bit RGB, three bytes per pixel.
@@ -221,34 +232,48 @@ pub fn write_png_rgb8(
     height: usize,
     rgb: &[u8],
 ) -> Result<()> {
-    let kind = (ColorType::Rgb, BitDepth::Eight);
-    write_png(path.as_ref(), (width, height), kind, rgb, "")
+    let pixels = Pixels {
+        width,
+        height,
+        color: ColorType::Rgb,
+        depth: BitDepth::Eight,
+        bytes: rgb,
+    };
+    write_png(path.as_ref(), &pixels, "")
 }
 
-fn write_png(
-    path: &Path,
-    (width, height): (usize, usize),
-    (color, depth): (ColorType, BitDepth),
-    bytes: &[u8],
-    mark: &str,
-) -> Result<()> {
+/// What a PNG's image data hold: rows from the top, samples in big-endian order.
+struct Pixels<'a> {
+    width: usize,
+    height: usize,
+    color: ColorType,
+    depth: BitDepth,
+    bytes: &'a [u8],
+}
+
+fn write_png(path: &Path, pixels: &Pixels<'_>, mark: &str) -> Result<()> {
     let failed = |e: &dyn std::fmt::Display| {
         Error::Failed(format!("{}: could not be written: {e}", path.display()))
     };
-    let (Ok(w), Ok(h)) = (u32::try_from(width), u32::try_from(height)) else {
-        return Err(failed(&format!("{width} × {height} pixels are too many")));
+    let (Ok(w), Ok(h)) = (u32::try_from(pixels.width), u32::try_from(pixels.height)) else {
+        return Err(failed(&format!(
+            "{} × {} pixels are too many",
+            pixels.width, pixels.height
+        )));
     };
     let mut file = Vec::new();
     let mut encoder = Encoder::new(&mut file, w, h);
-    encoder.set_color(color);
-    encoder.set_depth(depth);
+    encoder.set_color(pixels.color);
+    encoder.set_depth(pixels.depth);
     if !mark.is_empty() {
         encoder
             .add_text_chunk(GENERATION.into(), mark.into())
             .map_err(|e| failed(&e))?;
     }
     let mut writer = encoder.write_header().map_err(|e| failed(&e))?;
-    writer.write_image_data(bytes).map_err(|e| failed(&e))?;
+    writer
+        .write_image_data(pixels.bytes)
+        .map_err(|e| failed(&e))?;
     writer.finish().map_err(|e| failed(&e))?;
     atomic_write(path, &file)
 }

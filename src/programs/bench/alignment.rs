@@ -1,12 +1,13 @@
 //! `unbake bench alignment`: how many generated misalignments of a scene are recognised, and
 //! whether the scene as it is passes.
 
-use crate::alignment::{Alignment, AlignmentOptions, Verdict, align, apply, assess};
+use crate::alignment::{Alignment, AlignmentOptions, align, apply, assess};
 use crate::core::sampling::KeyedRng;
 use crate::core::switch::Switch;
 use crate::core::trace::EmbreeTracer;
 use crate::error::Result;
 use crate::scene::{LoadOptions, Mirror, Scene};
+use crate::verdict::AlignmentVerdict;
 use glam::{DMat3, DVec3, Mat3, Quat, Vec3};
 use serde::Serialize;
 use std::fmt::{Display, Formatter};
@@ -98,7 +99,7 @@ pub struct Judged {
     /// Seconds it took.
     pub seconds: f64,
     /// Verdict after the correction was applied.
-    pub after: Option<Verdict>,
+    pub after: Option<AlignmentVerdict>,
     /// Poses that were refined.
     pub refined: usize,
     /// Median error of the poses before and after refinement, degrees.
@@ -123,7 +124,7 @@ impl AlignmentFigures {
         let all = self.rows.iter().filter(|r| r.counts);
         let found = all
             .clone()
-            .filter(|r| r.alignment.verdict == Verdict::Misaligned);
+            .filter(|r| r.alignment.verdict == AlignmentVerdict::Misaligned);
         (found.count(), all.count())
     }
 }
@@ -151,7 +152,7 @@ impl Display for AlignmentFigures {
                 r.after
                     .map_or(String::new(), |v| format!("; corrected: {v:?}"))
             )?;
-            if r.alignment.verdict != Verdict::Misaligned {
+            if r.alignment.verdict != AlignmentVerdict::Misaligned {
                 writeln!(
                     f,
                     "    {} poses refined: {:.2}° → {:.2}°, {:.3} m → {:.3} m",
@@ -204,7 +205,7 @@ pub fn bench_alignment(
             _ => None,
         };
         let mut refining = (0, [0.0; 2], [0.0; 2]);
-        if alignment.verdict != Verdict::Misaligned {
+        if alignment.verdict != AlignmentVerdict::Misaligned {
             let options = AlignmentOptions {
                 refine_poses: Switch::Auto,
                 ..AlignmentOptions::default()
@@ -315,18 +316,21 @@ fn damaged(scene: &Scene, damage: Damage) -> Scene {
             }
         }
         Damage::Mirror(mirror) => s.mirror = mirror,
-        Damage::MirroredMesh => {
-            let flip = |x: f32| -x;
-            for p in &mut s.mesh.positions {
-                p.x = flip(p.x + 2.0 * scene.origin.x as f32);
-            }
-            for n in &mut s.mesh.normals {
-                n.x = flip(n.x);
-            }
-            for t in &mut s.mesh.triangles {
-                t.swap(1, 2);
-            }
-        }
+        Damage::MirroredMesh => mirror_mesh(&mut s),
     }
     s
+}
+
+/// The mesh's mirror image at x = 0 of the file, faces turned with it.
+fn mirror_mesh(scene: &mut Scene) {
+    let twice = 2.0 * scene.origin.x as f32;
+    for p in &mut scene.mesh.positions {
+        p.x = -(p.x + twice);
+    }
+    for n in &mut scene.mesh.normals {
+        n.x = -n.x;
+    }
+    for t in &mut scene.mesh.triangles {
+        t.swap(1, 2);
+    }
 }

@@ -1,35 +1,11 @@
 //! What an importer hands over: posed photographs, a surface, rooms, in one world of metres.
 
-use super::lens::Lens;
-use super::plan::RoomIds;
+use super::lens::Optics;
 use crate::core::formats::RawMesh;
+use crate::core::image::Plane;
 use crate::scene::Class;
 use glam::{DMat4, DVec2};
 use std::path::PathBuf;
-
-/// How a photograph maps directions to pixels.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Optics {
-    /// Full panorama of docs/scene-format.md.
-    Panorama,
-    /// Perspective with OpenCV's k1 k2 p1 p2: what the solver models itself.
-    Perspective(Perspective),
-    /// Any other lens: the writer resamples the photograph.
-    Distorted(Lens),
-}
-
-/// Intrinsics in pixels of the photograph's own size, pixel centres at +0.5.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Perspective {
-    /// Focal lengths along x and y.
-    pub focal: [f64; 2],
-    /// Principal point.
-    pub centre: [f64; 2],
-    /// k1, k2.
-    pub radial: [f64; 2],
-    /// p1, p2.
-    pub tangential: [f64; 2],
-}
 
 /// Pixels to ignore.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -131,6 +107,17 @@ pub struct RoomOutline {
     pub name: String,
     /// Closed polygon in world (x, z) of a y-up world, (x, −y) of a z-up one.
     pub corners: Vec<DVec2>,
+}
+
+/// A grid of room ids (1 = the first outline) and where it lies.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RoomIds {
+    /// Ids, 0 outside.
+    pub cells: Plane<u16>,
+    /// Metres per cell.
+    pub cell: f64,
+    /// World x of the first column, world z of the first row.
+    pub min: DVec2,
 }
 
 /// Which axis of the capture's world points up.

@@ -4,9 +4,11 @@
 //! COLMAP's poses are camera-from-world with OpenCV axes (x right, y down, z forward); its world
 //! has neither a unit nor an up of its own.
 
-use super::capture::{Capture, Optics, Perspective, Shot, Surface, Up};
+use super::account::Account;
+use super::capture::{Capture, Shot, Surface, Up};
+use super::importer::{Importer, PrepareOptions};
 use super::lens::{Distortion, Lens};
-use super::{Account, Importer, PrepareOptions};
+use super::lens::{Optics, Perspective};
 use crate::error::{Error, Result};
 use glam::{DMat3, DMat4, DQuat, DVec3};
 use std::collections::BTreeMap;

@@ -1,10 +1,11 @@
 //! One frame of the scene folder: photograph, labels, mask and depth, resampled where the lens is
 //! none the solver models. Called by `write`.
 
-use super::capture::{Depth, Mask, Optics, Shot};
+use super::capture::{Depth, Mask, Shot};
+use super::folder::{SceneFolder, extension};
 use super::labels::LabelSource;
 use super::lens::Lens;
-use super::write::{SceneFolder, extension};
+use super::lens::Optics;
 use crate::core::formats::{self, srgb8_from_linear};
 use crate::core::image::Plane;
 use crate::error::{Error, Result};

@@ -1,7 +1,8 @@
 //! Class ids per pixel, rendered from a surface whose triangles have classes: one ray per pixel
 //! centre. For captures that label geometry instead of photographs.
 
-use super::capture::{LabelledMesh, Optics};
+use super::capture::LabelledMesh;
+use super::lens::Optics;
 use crate::core::geometry::{Camera, Lens, Mesh, Projection};
 use crate::core::image::Plane;
 use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};

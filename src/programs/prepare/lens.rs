@@ -6,7 +6,6 @@
 //! & Brandt 2006 for fisheyes, Devernay & Faugeras 2001 for FOV, Khomutenko 2016 for EUCM), checked
 //! against pycolmap 4.2. Camera axes here are OpenCV's: x right, y down, z forward.
 
-use super::capture::{Optics, Perspective};
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use glam::{DVec2, DVec3, Vec2, Vec3};
 use rayon::prelude::*;
@@ -19,6 +18,30 @@ const WIDEST_HALF_ANGLE: f64 = PI / 3.0;
 const MOST_COLUMNS: f64 = 8192.0;
 /// Steps in which the profile of a lens is searched for its last angle.
 const PROFILE_STEPS: usize = 900;
+
+/// How a photograph maps directions to pixels.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Optics {
+    /// Full panorama of docs/scene-format.md.
+    Panorama,
+    /// Perspective with OpenCV's k1 k2 p1 p2: what the solver models itself.
+    Perspective(Perspective),
+    /// Any other lens: the writer resamples the photograph.
+    Distorted(Lens),
+}
+
+/// Intrinsics in pixels of the photograph's own size, pixel centres at +0.5.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Perspective {
+    /// Focal lengths along x and y.
+    pub focal: [f64; 2],
+    /// Principal point.
+    pub centre: [f64; 2],
+    /// k1, k2.
+    pub radial: [f64; 2],
+    /// p1, p2.
+    pub tangential: [f64; 2],
+}
 
 /// How a lens bends light, without focal length and principal point.
 #[derive(Clone, Copy, Debug, PartialEq)]

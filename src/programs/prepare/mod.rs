@@ -9,7 +9,9 @@
 mod account;
 mod capture;
 mod colmap;
+mod folder;
 mod frame;
+mod importer;
 mod labels;
 mod lens;
 mod nerfstudio;
@@ -24,77 +26,15 @@ mod write;
 mod zind;
 
 pub use account::Account;
-pub use capture::{
-    Capture, Depth, LabelledMesh, Mask, Optics, Perspective, RoomOutline, Shot, Surface, Up,
-};
-pub use lens::{Distortion, Lens};
+pub use capture::{Capture, Depth, LabelledMesh, Mask, RoomIds, RoomOutline, Shot, Surface, Up};
+pub use importer::{Importer, PrepareOptions};
+pub use lens::{Distortion, Lens, Optics, Perspective};
 pub use write::write_scene;
 
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
-use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
-
-/// How a capture becomes a scene.
-#[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
-#[command(next_help_heading = "Prepare")]
-pub struct PrepareOptions {
-    /// Mesh to use instead of the one that lies with the capture (.glb, .gltf, .obj, .ply), in the
-    /// capture's own coordinates.
-    #[arg(long, value_name = "FILE")]
-    pub mesh: Option<PathBuf>,
-    /// Metres per unit of the capture: every position is multiplied by it.
-    #[arg(long, value_name = "METRES")]
-    pub scale: Option<f64>,
-    /// Axis that points up in the capture, where its files leave that open: y or z.
-    #[arg(long, value_name = "AXIS")]
-    pub up: Option<String>,
-    /// Storey to take where a capture has several, by its name there.
-    #[arg(long, value_name = "NAME")]
-    pub floor: Option<String>,
-    /// Every N-th photograph is held out, so that `unbake eval` can say how good novel views are;
-    /// 0 trains on all. Captures of fewer than 16 photographs and those that state a split are left
-    /// as they are.
-    #[arg(long, value_name = "N", default_value_t = Self::default().hold_out)]
-    pub hold_out: usize,
-    /// Links the photographs instead of copying them: the scene then needs the capture to stay
-    /// where it is.
-    #[arg(long)]
-    pub link: bool,
-}
-
-impl Default for PrepareOptions {
-    fn default() -> Self {
-        Self {
-            mesh: None,
-            scale: None,
-            up: None,
-            floor: None,
-            hold_out: 8,
-            link: false,
-        }
-    }
-}
-
-/// Reads one kind of capture.
-pub trait Importer: Sync {
-    /// Its name on the command line.
-    fn kind(&self) -> &'static str;
-
-    /// What lies in such a folder, for the message that lists all sources.
-    fn looks_like(&self) -> &'static str;
-
-    /// Whether `path` (a folder or a file) is of this kind: a look at names and first bytes only.
-    fn recognises(&self, path: &Path) -> bool;
-
-    /// Reads the capture.
-    ///
-    /// # Errors
-    /// [`Error::Input`] naming the file, the place in it and the way out.
-    fn read(&self, path: &Path, options: &PrepareOptions, account: &mut Account)
-    -> Result<Capture>;
-}
+use serde::Serialize;
+use std::path::Path;
 
 /// All importers in the order in which they are asked; the more particular ones come first.
 #[must_use]
@@ -154,21 +94,6 @@ pub fn prepare(
         rooms: written.rooms,
         notes: account.lines(),
     })
-}
-
-impl PrepareOptions {
-    /// Refuses values that mean nothing.
-    fn check(&self) -> Result<()> {
-        if let Some(s) = self.scale.filter(|s| !(s.is_finite() && *s > 0.0)) {
-            return Err(Error::Usage(format!(
-                "--scale {s}: expected a positive number of metres per unit"
-            )));
-        }
-        match self.up.as_deref() {
-            None | Some("y" | "z") => Ok(()),
-            Some(other) => Err(Error::Usage(format!("--up {other}: expected y or z"))),
-        }
-    }
 }
 
 fn named(name: &str) -> Result<&'static dyn Importer> {

@@ -6,9 +6,11 @@
 //! found them; they are undone, because meshes lie in that program's coordinates. Depth images are
 //! steps of `depth_unit_scale_factor` (1 mm) along the optical axis.
 
-use super::capture::{Capture, Depth, Mask, Optics, Perspective, Shot, Surface, Up};
+use super::account::Account;
+use super::capture::{Capture, Depth, Mask, Shot, Surface, Up};
+use super::importer::{Importer, PrepareOptions};
 use super::lens::{Distortion, Lens};
-use super::{Account, Importer, PrepareOptions};
+use super::lens::{Optics, Perspective};
 use crate::error::{Error, Result};
 use crate::scene::Class;
 use glam::{DMat3, DMat4};

@@ -2,8 +2,9 @@
 //! mean of the photographs' up axes points up. An axis of the world near it is taken as it is, so
 //! that a world somebody aligned keeps its coordinates.
 
+use super::account::Account;
 use super::capture::{Capture, Surface, Up};
-use super::{Account, PrepareOptions};
+use super::importer::PrepareOptions;
 use glam::{DMat3, DMat4, DVec2, DVec3};
 
 /// An axis of the world this near to the mean is meant (derived: the mean of n cameras tilted by
@@ -116,7 +117,8 @@ fn turn_world(capture: &mut Capture, turn: DMat3) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::capture::{Optics, Shot};
+    use super::super::capture::Shot;
+    use super::super::lens::Optics;
     use super::*;
     use std::path::PathBuf;
 

@@ -4,7 +4,7 @@
 //! out, one inside a door or window takes that class. Floors and ceilings are triangulated by
 //! `earcut` (the port of Mapbox's earcut, the one most programs use). Called by `zind`.
 
-use super::capture::{LabelledMesh, RoomOutline};
+use super::capture::{LabelledMesh, RoomIds, RoomOutline};
 use crate::core::image::Plane;
 use glam::{DVec2, DVec3};
 
@@ -201,17 +201,6 @@ fn add_quad(corners: [DVec3; 4], class: u16, into: &mut LabelledMesh) {
         into.mesh.triangles.push(t.map(|i| i + first));
         into.classes.push(class);
     }
-}
-
-/// A grid of room ids (1 = the first outline) and where it lies.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RoomIds {
-    /// Ids, 0 outside.
-    pub cells: Plane<u16>,
-    /// Metres per cell.
-    pub cell: f64,
-    /// World x of the first column, world z of the first row.
-    pub min: DVec2,
 }
 
 /// Rasterises outlines; `None` without any area.

@@ -4,9 +4,10 @@
 //! USDZ is a zip archive without compression; layers refer to one another by path. Row vectors times
 //! matrices, as USD writes them; `xformOpOrder` lists the outermost operation first.
 
+use super::account::Account;
 use super::capture::{Capture, LabelledMesh, Surface, Up};
+use super::importer::{Importer, PrepareOptions};
 use super::usda::{self, Prim, Value};
-use super::{Account, Importer, PrepareOptions};
 use crate::error::{Error, Result};
 use crate::scene::Class;
 use glam::{DMat4, DQuat, DVec3};

@@ -1,8 +1,9 @@
 //! A scan that is a mesh and nothing else (3D Scanner App, Record3D, Polycam exports, LiDAR PLY):
 //! the geometry for photographs that come from elsewhere.
 
+use super::account::Account;
 use super::capture::{Capture, Surface, Up};
-use super::{Account, Importer, PrepareOptions};
+use super::importer::{Importer, PrepareOptions};
 use crate::error::{Error, Result};
 use glam::DMat4;
 use std::path::{Path, PathBuf};

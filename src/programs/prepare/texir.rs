@@ -5,9 +5,11 @@
 //! down, forward); panoramas as in docs/scene-format.md; working radiance = image · 2ᵉ, e = 5 (3 for scenes
 //! 1 and 7); alpha of `panoImage_orig.jpg` (a PNG by content) is a mask.
 
-use super::capture::{Capture, Mask, Optics, Shot, Surface, Up};
-use super::plan::RoomIds;
-use super::{Account, Importer, PrepareOptions};
+use super::account::Account;
+use super::capture::RoomIds;
+use super::capture::{Capture, Mask, Shot, Surface, Up};
+use super::importer::{Importer, PrepareOptions};
+use super::lens::Optics;
 use crate::core::formats;
 use crate::error::{Error, Result};
 use crate::scene::Class;

@@ -1,11 +1,14 @@
 //! The scene folder of a capture: made aside, then renamed into place whole.
 
-use super::capture::{Capture, LabelledMesh, Optics, Shot, Surface, Up};
+use super::account::Account;
+use super::capture::{Capture, LabelledMesh, Shot, Surface, Up};
+use super::folder::{MARK, SceneFolder, extension};
 use super::frame::FrameWriter;
+use super::importer::PrepareOptions;
 use super::labels::LabelSource;
+use super::lens::Optics;
 use super::plan::room_ids;
 use super::ply_out::write_ply;
-use super::{Account, PrepareOptions};
 use crate::core::formats;
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
@@ -14,11 +17,8 @@ use glam::{DMat3, DMat4, DVec3};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 
-/// File that marks a folder as ours: it may be replaced.
-const MARK: &str = "prepare.json";
 /// Captures with fewer photographs keep them all for training.
 const FEWEST_TO_HOLD_OUT: usize = 16;
 
@@ -51,7 +51,7 @@ pub fn write_scene(
     hold_out(&mut capture.shots, options.hold_out, account);
     let mesh = mesh_of(&capture, options, account)?;
     let (mesh_name, triangles) = match &mesh {
-        Some(mesh) => folder.mesh(mesh)?,
+        Some(mesh) => write_mesh(&folder, mesh)?,
         None => (None, 0),
     };
     let source = match &mesh {
@@ -92,7 +92,7 @@ pub fn write_scene(
             "{resampled} photographs of lenses beyond OpenCV's k1 k2 p1 p2 were resampled without distortion, with masks"
         ));
     }
-    let rooms = folder.rooms(&capture)?;
+    let rooms = write_rooms(&folder, &capture)?;
     if source.is_some() && !frames.is_empty() {
         account.converted("labels per pixel were rendered from the classes of the surface");
     }
@@ -284,125 +284,35 @@ fn transforms(capture: &Capture, frames: Vec<Value>, mesh: Option<&str>, rooms: 
     Value::Object(scene)
 }
 
-/// A scene folder under construction beside its destination; dropped unpublished, it disappears.
-pub(super) struct SceneFolder {
-    target: PathBuf,
-    temporary: PathBuf,
-}
-
-impl SceneFolder {
-    /// Begins a folder; refuses to replace one that `unbake prepare` did not write.
-    pub(super) fn new(target: &Path) -> Result<Self> {
-        let occupied = target.is_file()
-            || fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_some());
-        if occupied && !target.join(MARK).is_file() {
-            let message = "exists and was not written by `unbake prepare`; name another folder or remove it first";
-            return Err(Error::input(target, message));
+/// Writes the mesh; its name and number of triangles.
+fn write_mesh(folder: &SceneFolder, mesh: &SceneMesh) -> Result<(Option<String>, usize)> {
+    match mesh {
+        SceneMesh::Decoded(m) => {
+            write_ply(&folder.at("mesh.ply"), m)?;
+            Ok((Some("mesh.ply".into()), m.mesh.triangles.len()))
         }
-        let name = target
-            .file_name()
-            .ok_or_else(|| Error::input(target, "is not a folder name; name one to create"))?;
-        let temporary = target.with_file_name(format!(
-            ".{}.{}.partial",
-            name.to_string_lossy(),
-            std::process::id()
-        ));
-        let folder = Self {
-            target: target.to_path_buf(),
-            temporary,
-        };
-        for sub in ["images", "labels", "masks", "depth"] {
-            let path = folder.temporary.join(sub);
-            fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
+        SceneMesh::Copied(path) => {
+            let triangles = formats::read_mesh(path)?.triangles.len();
+            let name = format!("mesh.{}", extension(path));
+            folder.take(path, &name, false)?;
+            Ok((Some(name), triangles))
         }
-        Ok(folder)
-    }
-
-    pub(super) fn at(&self, name: impl AsRef<Path>) -> PathBuf {
-        self.temporary.join(name)
-    }
-
-    pub(super) fn write_json(&self, name: &str, value: &Value) -> Result<()> {
-        let path = self.at(name);
-        fs::write(&path, format!("{value:#}\n")).map_err(|e| Error::io(&path, e))
-    }
-
-    /// Copies (or links) a file of the capture.
-    pub(super) fn take(&self, from: &Path, name: &str, link: bool) -> Result<()> {
-        let to = self.at(name);
-        let from = from
-            .canonicalize()
-            .map_err(|e| Error::input(from, format!("cannot be read: {e}")))?;
-        if link && std::os::unix::fs::symlink(&from, &to).is_ok() {
-            return Ok(());
-        }
-        // not fs::copy: a capture's files may be read-only, the scene's are the user's own
-        let mut source = fs::File::open(&from)
-            .map_err(|e| Error::input(&from, format!("cannot be read: {e}")))?;
-        let mut target = fs::File::create(&to).map_err(|e| Error::io(&to, e))?;
-        std::io::copy(&mut source, &mut target).map_err(|e| Error::io(&to, e))?;
-        Ok(())
-    }
-
-    /// Writes the mesh; its name and number of triangles.
-    fn mesh(&self, mesh: &SceneMesh) -> Result<(Option<String>, usize)> {
-        match mesh {
-            SceneMesh::Decoded(m) => {
-                write_ply(&self.at("mesh.ply"), m)?;
-                Ok((Some("mesh.ply".into()), m.mesh.triangles.len()))
-            }
-            SceneMesh::Copied(path) => {
-                let triangles = formats::read_mesh(path)?.triangles.len();
-                let name = format!("mesh.{}", extension(path));
-                self.take(path, &name, false)?;
-                Ok((Some(name), triangles))
-            }
-        }
-    }
-
-    /// Writes the grid of room ids; the number of rooms.
-    fn rooms(&self, capture: &Capture) -> Result<usize> {
-        let Some(ids) = room_ids(&capture.rooms).or_else(|| capture.room_grid.clone()) else {
-            return Ok(0);
-        };
-        formats::write_png16(self.at("rooms.png"), &ids.cells)?;
-        let names: Vec<&str> = capture.rooms.iter().map(|r| r.name.as_str()).collect();
-        self.write_json(
-            "rooms.json",
-            &json!({"cell": ids.cell, "x_min": ids.min.x, "z_min": ids.min.y, "names": names}),
-        )?;
-        let mut found: Vec<u16> = ids.cells.data.clone();
-        found.sort_unstable();
-        found.dedup();
-        Ok(found.iter().filter(|&&id| id > 0).count())
-    }
-
-    /// Renames the folder into place.
-    pub(super) fn publish(self) -> Result<()> {
-        for sub in ["images", "labels", "masks", "depth"] {
-            // only empty ones can be removed this way
-            let _ = fs::remove_dir(self.at(sub));
-        }
-        if self.target.exists() {
-            fs::remove_dir_all(&self.target).map_err(|e| Error::io(&self.target, e))?;
-        }
-        if let Some(parent) = self.target.parent().filter(|p| !p.as_os_str().is_empty()) {
-            fs::create_dir_all(parent).map_err(|e| Error::io(parent, e))?;
-        }
-        fs::rename(&self.temporary, &self.target).map_err(|e| Error::io(&self.target, e))
     }
 }
 
-impl Drop for SceneFolder {
-    fn drop(&mut self) {
-        // after `publish` there is nothing left to remove
-        let _ = fs::remove_dir_all(&self.temporary);
-    }
-}
-
-pub(super) fn extension(path: &Path) -> String {
-    path.extension().map_or_else(
-        || "bin".into(),
-        |e| e.to_string_lossy().to_ascii_lowercase(),
-    )
+/// Writes the grid of room ids; the number of rooms.
+fn write_rooms(folder: &SceneFolder, capture: &Capture) -> Result<usize> {
+    let Some(ids) = room_ids(&capture.rooms).or_else(|| capture.room_grid.clone()) else {
+        return Ok(0);
+    };
+    formats::write_png16(folder.at("rooms.png"), &ids.cells)?;
+    let names: Vec<&str> = capture.rooms.iter().map(|r| r.name.as_str()).collect();
+    folder.write_json(
+        "rooms.json",
+        &json!({"cell": ids.cell, "x_min": ids.min.x, "z_min": ids.min.y, "names": names}),
+    )?;
+    let mut found: Vec<u16> = ids.cells.data.clone();
+    found.sort_unstable();
+    found.dedup();
+    Ok(found.iter().filter(|&&id| id > 0).count())
 }

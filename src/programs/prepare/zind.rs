@@ -7,9 +7,11 @@
 //! are triples (end, end, (lower, upper edge relative to the camera)). The world here is
 //! (−x, y, height): z up, the floor at 0.
 
-use super::capture::{Capture, LabelledMesh, Optics, RoomOutline, Shot, Surface, Up};
+use super::account::Account;
+use super::capture::{Capture, LabelledMesh, RoomOutline, Shot, Surface, Up};
+use super::importer::{Importer, PrepareOptions};
+use super::lens::Optics;
 use super::plan::{Opening, Shell, ShellClasses, extrude};
-use super::{Account, Importer, PrepareOptions};
 use crate::error::{Error, Result};
 use crate::scene::Class;
 use glam::{DMat4, DVec2, DVec4};
@@ -275,15 +277,7 @@ fn read_floor(
     file: &Path,
     account: &mut Account,
 ) -> Result<Capture> {
-    let mut rooms: Vec<Room> = Vec::new();
-    for (name, complete) in &floor.0 {
-        let inside = || complete.0.iter().flat_map(|p| &p.1.0).map(|p| &p.1);
-        let primary = inside().find(|p| p.is_primary).or_else(|| inside().next());
-        match primary.and_then(|p| room(p, metres)) {
-            Some(r) => rooms.push(r),
-            None => account.ignored(format!("{name}: no layout of at least three corners")),
-        }
-    }
+    let mut rooms = complete_rooms(floor, metres, account);
     if rooms.is_empty() {
         return Err(Error::input(
             file,
@@ -355,6 +349,20 @@ fn read_floor(
         up: Up::Z,
         ..Capture::default()
     })
+}
+
+/// Complete rooms, each from the layout of its first primary panorama.
+fn complete_rooms(floor: &Floor, metres: f64, account: &mut Account) -> Vec<Room> {
+    let mut rooms: Vec<Room> = Vec::new();
+    for (name, complete) in &floor.0 {
+        let inside = || complete.0.iter().flat_map(|p| &p.1.0).map(|p| &p.1);
+        let primary = inside().find(|p| p.is_primary).or_else(|| inside().next());
+        match primary.and_then(|p| room(p, metres)) {
+            Some(r) => rooms.push(r),
+            None => account.ignored(format!("{name}: no layout of at least three corners")),
+        }
+    }
+    rooms
 }
 
 fn room(pano: &Pano, metres: f64) -> Option<Room> {

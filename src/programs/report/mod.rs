@@ -46,6 +46,19 @@ pub fn shown_views(scene: &Scene) -> Vec<&View> {
         .collect()
 }
 
+/// What a report tells of.
+#[derive(Clone, Copy)]
+pub struct Reported<'a> {
+    /// The scene that was solved.
+    pub scene: &'a Scene,
+    /// Its solution.
+    pub solution: &'a Solution,
+    /// How the run went.
+    pub record: &'a RunRecord,
+    /// Its scores, if there is a truth to score against.
+    pub evaluation: Option<&'a Evaluation>,
+}
+
 /// Writes `report.json` and `report.html` into `folder`.
 ///
 /// `views` are pictures already taken (an evaluation takes them on its way, with ground truth);
@@ -55,13 +68,16 @@ pub fn shown_views(scene: &Scene) -> Vec<&View> {
 /// If a view cannot be read or rendered, or `folder` cannot be written to.
 pub fn write_report(
     folder: &Path,
-    scene: &Scene,
-    solution: &Solution,
+    reported: Reported<'_>,
     renderer: &dyn ViewRenderer,
-    record: &RunRecord,
-    evaluation: Option<&Evaluation>,
     mut views: Vec<ViewPictures>,
 ) -> Result<()> {
+    let Reported {
+        scene,
+        solution,
+        record,
+        evaluation,
+    } = reported;
     let photographer = Photographer::new(scene, solution)?;
     for view in shown_views(scene) {
         if !views.iter().any(|v| v.stem == view.stem) {

@@ -10,11 +10,11 @@ use crate::core::geometry::Mesh;
 use crate::core::image::{Plane, RgbPlane};
 use crate::error::{Error, Result};
 use crate::render::Frame;
+use crate::scene::StagedScene;
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Metres per cell of the room grid.
@@ -22,10 +22,9 @@ const ROOM_CELL: f32 = 0.05;
 /// File that marks a folder as ours: it may be replaced.
 const MARK: &str = "synth.json";
 
-/// A scene folder under construction beside its destination.
+/// A scene folder under construction.
 pub struct FolderWriter {
-    target: PathBuf,
-    temporary: PathBuf,
+    folder: StagedScene,
 }
 
 /// What the scene's files describe.
@@ -48,49 +47,20 @@ impl FolderWriter {
     /// # Errors
     /// If the folder holds something else or cannot be written to.
     pub fn new(target: &Path) -> Result<Self> {
-        let occupied = target.is_file()
-            || fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_some());
-        if occupied && !target.join(MARK).is_file() {
-            let message = "exists and was not written by `unbake synth`; name another folder or remove it first";
-            return Err(Error::input(target, message));
-        }
-        let name = target
-            .file_name()
-            .ok_or_else(|| Error::input(target, "is not a folder name; name one to create"))?;
-        let temporary = target.with_file_name(format!(
-            ".{}.{}.partial",
-            name.to_string_lossy(),
-            std::process::id()
-        ));
-        let writer = Self {
-            target: target.to_path_buf(),
-            temporary,
-        };
-        for folder in [
+        let folders = [
             "images",
             "labels",
             "gt/albedo",
             "gt/roughness",
             "gt/emission",
-        ] {
-            let path = writer.temporary.join(folder);
-            fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
-        }
-        Ok(writer)
+        ];
+        let folder = StagedScene::new(target, "synth", MARK, &folders)?;
+        Ok(Self { folder })
     }
 
     /// A place in the folder under construction.
     pub fn path(&self, name: impl AsRef<Path>) -> PathBuf {
-        self.temporary.join(name)
-    }
-
-    fn write(&self, name: &str, bytes: &[u8]) -> Result<()> {
-        let path = self.path(name);
-        fs::write(&path, bytes).map_err(|e| Error::io(&path, e))
-    }
-
-    fn write_json(&self, name: &str, value: &Value) -> Result<()> {
-        self.write(name, format!("{value:#}\n").as_bytes())
+        self.folder.at(name)
     }
 
     /// Writes a view's image, labels and ground truth.
@@ -142,7 +112,7 @@ impl FolderWriter {
     /// # Errors
     /// If the file system refuses.
     pub fn scene(&self, d: &Described<'_>) -> Result<()> {
-        self.write("mesh.glb", &glb::glb(d.mesh)?)?;
+        self.folder.write("mesh.glb", &glb::glb(d.mesh)?)?;
         formats::write_rgb_half(
             self.path("gt/albedo_texture.exr"),
             &d.texture.map(|t| t.truncate()),
@@ -151,11 +121,11 @@ impl FolderWriter {
             self.path("gt/roughness_texture.exr"),
             &d.texture.map(|t| t.w),
         )?;
-        self.write_json("gt/materials.json", &materials(d))?;
+        self.folder.write_json("gt/materials.json", &materials(d))?;
         let (grid, place) = rooms(d);
         formats::write_png16(self.path("rooms.png"), &grid)?;
-        self.write_json("rooms.json", &place)?;
-        self.write_json("transforms.json", &transforms(d))
+        self.folder.write_json("rooms.json", &place)?;
+        self.folder.write_json("transforms.json", &transforms(d))
     }
 
     /// Moves the finished folder into place.
@@ -165,18 +135,8 @@ impl FolderWriter {
     pub fn finish(self, summary: &SynthSummary) -> Result<()> {
         let text =
             serde_json::to_value(summary).map_err(|e| Error::Failed(format!("{MARK}: {e}")))?;
-        self.write_json(MARK, &text)?;
-        if self.target.exists() {
-            fs::remove_dir_all(&self.target).map_err(|e| Error::io(&self.target, e))?;
-        }
-        fs::rename(&self.temporary, &self.target).map_err(|e| Error::io(&self.target, e))
-    }
-}
-
-impl Drop for FolderWriter {
-    fn drop(&mut self) {
-        // after `finish` the folder is no longer here; after a failure nothing of it shall stay
-        let _ = fs::remove_dir_all(&self.temporary);
+        self.folder.write_json(MARK, &text)?;
+        self.folder.publish()
     }
 }
 
