@@ -83,7 +83,7 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let seen = &surface.fusion.views;
     let unseen = seen.iter().filter(|v| **v == 0).count();
     progress.note(format!(
-        "{} lamps and portals to sample; {:.1} % of texels unseen by any view",
+        "{} groups of emitters and openings to sample; {:.1} % of texels unseen by any view",
         emitters.lamp_count(),
         100.0 * unseen as f64 / seen.len().max(1) as f64
     ));

@@ -47,6 +47,16 @@ pub enum LampKind {
     Portal,
 }
 
+impl std::fmt::Display for LampKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Lamp => "lamp",
+            Self::Window => "window",
+            Self::Portal => "portal",
+        })
+    }
+}
+
 /// A lamp.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Lamp {

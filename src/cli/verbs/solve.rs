@@ -67,7 +67,7 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
     options.checkpoints.finish();
     let s = &solution;
     let text = format!(
-        "albedo {}x{}, roughness {}x{}, irradiance {}x{} in {} ({:.2} GiB at most, {} threads)\nreport: {}\n{verdict}\n",
+        "albedo {}x{}, roughness {}x{}, irradiance {}x{} in {} ({:.2} GiB at most, {} threads)\n{} lights in lights.json\nreport: {}\n{verdict}\n",
         s.albedo.width,
         s.albedo.height,
         s.roughness.width,
@@ -77,6 +77,7 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
         crate::cli::progress::seconds(Duration::from_secs_f64(record.wall_seconds)),
         record.peak_bytes as f64 / (1u64 << 30) as f64,
         record.machine.threads,
+        s.lamps.len(),
         out.join("report.html").display()
     );
     context.result(

@@ -106,8 +106,8 @@ pub struct TradeoffBench {
     #[arg(long)]
     pub quick: bool,
     /// Only the standard preset with and without each decision about what the scene requires.
-    #[arg(long, conflicts_with = "quick")]
-    pub needs: bool,
+    #[arg(long, alias = "needs", conflicts_with = "quick")]
+    pub ablations: bool,
     /// What counts as time in plot and ranking.
     #[arg(long, value_enum, default_value = "wall")]
     pub clock: Clock,
@@ -214,14 +214,14 @@ struct Plan {
 
 impl Plan {
     fn of(bench: &TradeoffBench) -> Self {
-        let (presets, knobs): (&[&str], _) = match (bench.needs, bench.quick) {
+        let (presets, knobs): (&[&str], _) = match (bench.ablations, bench.quick) {
             (true, _) => (&["standard"], &[][..]),
             (false, true) => (&PRESETS, QUICK),
             (false, false) => (&PRESETS, KNOBS),
         };
         let left_out = APPROXIMATIONS
             .iter()
-            .filter(|_| !bench.needs)
+            .filter(|_| !bench.ablations)
             .chain(NEEDS)
             .collect();
         Self {

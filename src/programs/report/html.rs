@@ -11,12 +11,16 @@ use crate::Result;
 use crate::core::formats::grouped;
 use crate::programs::evaluate::{Evaluation, GainScores, ImageScores, MaterialScores, SplitScores};
 use crate::scene::Split;
+use crate::solution::Lamp;
 use crate::verdict::{Level, Verdict};
 use base64::prelude::{BASE64_STANDARD, Engine};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 /// Quality of the embedded pictures: artefacts stay invisible at the size at which they are shown.
 const QUALITY: u8 = 86;
+
+/// Lights in the page's table, of the most powerful.
+const LIGHTS_SHOWN: usize = 20;
 
 /// What the page is made from.
 pub struct Page<'a> {
@@ -28,6 +32,8 @@ pub struct Page<'a> {
     pub views: &'a [ViewPictures],
     /// Textures.
     pub atlas: &'a [Captioned],
+    /// The list of `lights.json`.
+    pub lights: &'a [Lamp],
     /// Exposure of the radiance pictures, stops.
     pub exposure: f32,
 }
@@ -79,6 +85,7 @@ pub fn page(p: &Page<'_>) -> Result<String> {
         ("evaluation", "Evaluation", p.evaluation.is_some()),
         ("views", "Views", !p.views.is_empty()),
         ("maps", "Maps", !p.atlas.is_empty()),
+        ("lights", "Lights", !p.lights.is_empty()),
         (
             "decisions",
             "Decisions",
@@ -113,6 +120,7 @@ pub fn page(p: &Page<'_>) -> Result<String> {
                     @if let Some(evaluation) = p.evaluation { (evaluation_section(evaluation)) }
                     (views_section(p)?)
                     (maps_section(p)?)
+                    (lights_section(p.lights))
                     (decisions_section(r))
                     (stages_section(&r.stages))
                     (run_section(r))
@@ -144,6 +152,54 @@ fn verdict_section(verdict: &Verdict) -> Markup {
                         @if !r.place.is_empty() { " " small { "(" (r.place) ")" } }
                     }
                 }
+            }
+        }
+    }
+}
+
+/// The lights of `lights.json`, by the numbers that `relight` and the viewer use.
+fn lights_section(lights: &[Lamp]) -> Markup {
+    if lights.is_empty() {
+        return html! {};
+    }
+    let all: f32 = lights.iter().map(Lamp::strength).sum();
+    let cells = |l: &Lamp| {
+        let [x, y, z] = l.centre;
+        let [r, g, b] = l.radiance;
+        let known = match (l.clipped, l.standard_error) {
+            (true, e) if e > 0.0 => format!("estimated, ± {:.0} %", 100.0 * e),
+            (true, _) => "estimated".into(),
+            (false, _) => "photographed".into(),
+        };
+        [
+            l.id.to_string(),
+            l.kind.to_string(),
+            format!("{x:.2} {y:.2} {z:.2}"),
+            format!("{:.4}", l.area),
+            format!("{:.1} %", 100.0 * l.strength() / all.max(f32::MIN_POSITIVE)),
+            format!("{r:.3} {g:.3} {b:.3}"),
+            known,
+        ]
+    };
+    let named = [
+        "id",
+        "kind",
+        "centre x y z (m)",
+        "area (m²)",
+        "share of the power",
+        "radiance r g b",
+        "its radiance",
+    ];
+    html! {
+        section #lights {
+            h2 { "Lights" }
+            (command("unbake relight OUT --list-lamps"))
+            table {
+                (heads(&named))
+                tbody { @for l in lights.iter().take(LIGHTS_SHOWN) { (row(&cells(l))) } }
+            }
+            @if lights.len() > LIGHTS_SHOWN {
+                p { "The " (LIGHTS_SHOWN) " most powerful of " (lights.len()) "; all are in " code { "lights.json" } "." }
             }
         }
     }
@@ -708,6 +764,7 @@ mod tests {
             evaluation: None,
             views: &[],
             atlas: &[],
+            lights: &[],
             exposure: 0.0,
         })
         .expect("a page");
@@ -736,6 +793,7 @@ mod tests {
                 evaluation: None,
                 views: &[],
                 atlas,
+                lights: &[],
                 exposure: 0.0,
             })
         };
@@ -744,6 +802,24 @@ mod tests {
             html.contains("src=\"data:image/jpeg;base64,/9j/") && html.contains("a &lt;map&gt;")
         );
         assert!(page_of(&[picture(0)]).is_err(), "no picture of no pixels");
+    }
+
+    #[test]
+    fn lights_stand_by_their_numbers() {
+        let lights: Vec<Lamp> = (1..=LIGHTS_SHOWN + 2)
+            .map(|id| Lamp {
+                id,
+                power: [1.0; 3],
+                clipped: id == 2,
+                standard_error: 0.25,
+                ..Lamp::default()
+            })
+            .collect();
+        let html = lights_section(&lights).into_string();
+        assert!(html.contains("<td>20</td>") && !html.contains("<td>21</td>"));
+        assert_eq!(html.matches("estimated, ± 25 %").count(), 1);
+        assert!(html.contains("most powerful of 22"), "{html}");
+        assert!(lights_section(&[]).into_string().is_empty());
     }
 
     #[test]

@@ -109,6 +109,7 @@ pub fn write_report(
         evaluation,
         views: &views,
         atlas: &atlas,
+        lights: &solution.lamps,
         exposure: photographer.exposure(),
     };
     atomic_write(folder.join("report.html"), html::page(&page)?.as_bytes())

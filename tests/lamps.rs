@@ -1,0 +1,110 @@
+//! One list of lamps: `lights.json`, `relight --list-lamps`, the viewer, the exported point lights
+//! and the report name the same lamps by the same numbers.
+
+mod shared;
+
+use serde_json::Value;
+use shared::shared;
+use std::path::Path;
+use std::process::Command;
+use unbake::programs::export::punctual_lights;
+use unbake::programs::synth::{SynthOptions, generate};
+use unbake::programs::view::Content;
+use unbake::{Progress, Solution};
+
+fn unbake(arguments: &[&str]) -> Vec<u8> {
+    let out = Command::new(env!("CARGO_BIN_EXE_unbake"))
+        .args(arguments)
+        .output()
+        .expect("the program starts");
+    let said = String::from_utf8_lossy(&out.stderr);
+    assert_eq!(out.status.code(), Some(0), "{arguments:?}: {said}");
+    out.stdout
+}
+
+/// (id, centre) of each lamp of a JSON list.
+fn named(list: &Value) -> Vec<(u64, Vec<f64>)> {
+    let of = |lamp: &Value| {
+        let centre = lamp["centre"].as_array().expect("a centre");
+        (
+            lamp["id"].as_u64().expect("an id"),
+            centre.iter().filter_map(Value::as_f64).collect(),
+        )
+    };
+    list.as_array().expect("a list").iter().map(of).collect()
+}
+
+/// Solves coarsely and compares what every program lists.
+fn all_list_the_same(scene: &Path) {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let out = dir.path().join("out");
+    let (scene, out) = (scene.to_str().expect("UTF-8"), out.to_str().expect("UTF-8"));
+    let side = |name| [name, "256"];
+    let mut arguments = vec!["solve", scene, "-o", out, "--quality", "draft"];
+    arguments.extend(side("--albedo-size"));
+    arguments.extend(side("--roughness-size"));
+    arguments.extend(side("--irradiance-size"));
+    arguments.extend(["--photo-reduction", "2", "--quiet"]);
+    unbake(&arguments);
+
+    let folder = Path::new(out);
+    let bytes = std::fs::read(folder.join("lights.json")).expect("lights.json");
+    let file: Value = serde_json::from_slice(&bytes).expect("JSON");
+    let stored = named(file.get("lights").unwrap_or(&file));
+    assert!(!stored.is_empty(), "the scene has lamps");
+    let ids: Vec<u64> = stored.iter().map(|l| l.0).collect();
+    assert!(ids.iter().copied().eq(1..=ids.len() as u64), "{ids:?}");
+
+    let listed = unbake(&["relight", out, "--list-lamps", "--json"]);
+    let listed: Value = serde_json::from_slice(&listed).expect("JSON");
+    assert_eq!(named(&listed["lamps"]), stored, "relight --list-lamps");
+
+    let solution = Solution::load(folder).expect("loads");
+    let points: Vec<String> = punctual_lights(&solution)
+        .into_iter()
+        .map(|l| l.name)
+        .collect();
+    let expected: Vec<String> = ids.iter().map(|id| format!("lamp {id}")).collect();
+    assert_eq!(points, expected, "the exported point lights");
+
+    let page = Content::new(solution, None, None)
+        .expect("content")
+        .description();
+    assert_eq!(named(&page["lights"]), stored, "the viewer");
+    let mut in_sliders: Vec<u64> = page["lamps"]
+        .as_array()
+        .expect("sliders")
+        .iter()
+        .flat_map(|slider| slider["ids"].as_array().cloned().unwrap_or_default())
+        .filter_map(|id| id.as_u64())
+        .collect();
+    in_sliders.sort_unstable();
+    assert_eq!(in_sliders, ids, "every lamp has its place in one slider");
+
+    let report = std::fs::read_to_string(folder.join("report.html")).expect("report.html");
+    assert!(report.contains("id=\"lights\""), "the report lists lights");
+}
+
+#[test]
+fn every_program_lists_the_lamps_of_the_synthetic_apartment() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let scene = dir.path().join("scene");
+    let options = SynthOptions {
+        rooms: 2,
+        views: 8,
+        test_views: 1,
+        width: 192,
+        spp: 4,
+        texture: 256,
+        ..SynthOptions::default()
+    };
+    generate(&options, &scene, &Progress::silent()).expect("generates");
+    all_list_the_same(&scene);
+}
+
+#[test]
+fn every_program_lists_the_lamps_of_a_house_of_five_rooms() {
+    if let Some(scene) = shared("scenes/aws-house") {
+        all_list_the_same(&scene);
+    }
+}
