@@ -51,6 +51,8 @@ pub mod pipeline;
 #[doc(hidden)]
 pub mod programs;
 #[doc(hidden)]
+pub mod published;
+#[doc(hidden)]
 pub mod radiance;
 #[doc(hidden)]
 pub mod render;

@@ -27,9 +27,14 @@ const TABLE: &[(&str, &[&str])] = &[
             "irradiance",
             "highlight",
             "inverse",
+            "published",
             "solution",
             "vocabulary",
         ],
+    ),
+    (
+        "published",
+        &["gbuffer", "observed", "radiance", "vocabulary"],
     ),
     ("alignment", &["scene", "gbuffer", "vocabulary"]),
     (

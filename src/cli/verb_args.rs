@@ -1,7 +1,7 @@
 //! Arguments of the verbs that have many: export and bench.
 
 use crate::programs::bench::{
-    AlignmentBench, IrtBench, KernelBench, RobustnessBench, TradeoffBench, TsdrBench,
+    AlignmentBench, IrtBench, KernelBench, RobustnessBench, TablesBench, TradeoffBench, TsdrBench,
 };
 use crate::programs::export::ExportOptions;
 use crate::render::FrameOptions;
@@ -66,6 +66,23 @@ pub enum BenchVerb {
         #[command(flatten)]
         work: Work,
         /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
+        #[arg(long, value_name = "FILE")]
+        json_file: Option<PathBuf>,
+    },
+    /// The paper's tables: unbake beside the published method, its stages, its light and its
+    /// corrections one by one, and wrong labels.
+    Tables {
+        /// Scene folders (or their transforms.json), with ground truth.
+        #[arg(value_name = "SCENE", required = true)]
+        scenes: Vec<PathBuf>,
+        /// What is run.
+        #[command(flatten)]
+        bench: TablesBench,
+        /// Where reconstructions go.
+        #[command(flatten)]
+        work: Work,
+        /// Write all rows as JSON to a file, and keep the rows that stand there already; after
+        /// `bench`, `--json FILE` means the same.
         #[arg(long, value_name = "FILE")]
         json_file: Option<PathBuf>,
     },

@@ -422,7 +422,7 @@ fn adopt_subtexel_triangles(mesh: &Mesh, texels: &Texels, mut emissive: Vec<bool
     emissive
 }
 
-fn filled_radiance(surface: &Surface, values: &[Vec3], observed: &[bool]) -> RgbPlane {
+pub(super) fn filled_radiance(surface: &Surface, values: &[Vec3], observed: &[bool]) -> RgbPlane {
     let plane = surface.texels.scatter(values, Vec3::ZERO);
     fill_uncovered(&plane, &surface.texels.scatter(observed, false))
 }

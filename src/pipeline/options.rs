@@ -6,6 +6,7 @@ use super::{Budget, Checkpoints};
 use crate::core::brdf::Reflectance;
 use crate::core::switch::Switch;
 use crate::irradiance::Estimator;
+use crate::published::PublishedOptions;
 use crate::{Error, Result};
 use serde::Serialize;
 
@@ -91,6 +92,8 @@ pub struct SolveOptions {
     pub environment: Switch,
     /// Whether the scene is divided into rooms.
     pub rooms: Switch,
+    /// Runs the published method instead of unbake's own.
+    pub published: Option<PublishedOptions>,
     /// Reflection model; chosen from the evidence if `None`.
     pub reflectance: Option<Reflectance>,
     /// Relative error of irradiance that decides its samples.
@@ -165,6 +168,12 @@ impl SolveOptions {
         if let Some(target) = self.target_error.filter(|t| !(1e-4..=1.0).contains(t)) {
             return wrong(format!(
                 "--target-error {target}: must be from 0.0001 to 1 (0.02 = 2 %)"
+            ));
+        }
+        if let Some(published) = self.published.as_ref().filter(|p| !p.is_valid()) {
+            return wrong(format!(
+                "--epochs {}: must be from 1 to 10000 (the paper: 40)",
+                published.epochs
             ));
         }
         if self.irradiance_error.is_nan() || self.irradiance_error < 0.0 {

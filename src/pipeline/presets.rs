@@ -8,6 +8,7 @@ use super::{Budget, Checkpoints, Fit, SolveOptions, Switch};
 use crate::core::brdf::Reflectance;
 use crate::highlight::LEVELS;
 use crate::irradiance::Estimator;
+use crate::published::{Correction, PublishedOptions, PublishedStage, PublishedValues};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
@@ -44,6 +45,7 @@ impl SolveOptions {
             emission: Switch::Auto,
             environment: Switch::Auto,
             rooms: Switch::Auto,
+            published: None,
             reflectance: None,
             target_error: None,
             budget: None,
@@ -71,6 +73,13 @@ impl SolveOptions {
                 evidence_points: 2400,
                 evidence_rays: 48,
                 specular_rays: 16,
+                ..standard
+            },
+            // supplement, Secs. A and C.1
+            Quality::Paper => Self {
+                irradiance_rays: 2048,
+                fit: Fit::default(),
+                published: Some(PublishedOptions::new(PublishedValues::Text)),
                 ..standard
             },
         }
@@ -192,6 +201,19 @@ pub struct SolveRequest {
     /// Divide the scene into rooms: auto = if there are several, off = one room.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub rooms: Switch,
+    /// Whose numbers `--quality paper` takes where the supplement and the authors' code differ
+    /// [default: text].
+    #[arg(long, value_enum, value_name = "WHOSE")]
+    pub published_values: Option<PublishedValues>,
+    /// Epochs of each stage of `--quality paper` [default: 40].
+    #[arg(long, value_name = "N")]
+    pub epochs: Option<u32>,
+    /// Weaknesses that `--quality paper` takes out, by their number in docs/method.md: w1, w3,…
+    #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',')]
+    pub correct: Vec<Correction>,
+    /// Stages that `--quality paper` runs [default: i,ii,iii].
+    #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',')]
+    pub stages: Vec<PublishedStage>,
     /// Reflection model: the paper's, or one of the common alternatives; chosen from the evidence
     /// if not given.
     #[arg(long, value_enum, value_name = "MODEL")]
@@ -199,12 +221,27 @@ pub struct SolveRequest {
 }
 
 impl SolveRequest {
+    /// The numbers of the published method in effect.
+    fn published(&self) -> PublishedOptions {
+        let values = PublishedOptions::new(self.published_values.unwrap_or_default());
+        PublishedOptions {
+            epochs: self.epochs.unwrap_or(values.epochs),
+            corrections: self.correct.clone(),
+            stages: match self.stages.as_slice() {
+                [] => values.stages,
+                asked => asked.to_vec(),
+            },
+            values: values.values,
+        }
+    }
+
     /// The numbers in effect. A budget runs from `start`.
     #[must_use]
     pub fn options(&self, seed: u64, start: Instant) -> SolveOptions {
         let preset = SolveOptions::preset(self.quality);
         let fit = |given: bool| match self.fit_textures {
-            Switch::Auto => !given,
+            // the published sizes are part of its method
+            Switch::Auto => !given && self.quality != Quality::Paper,
             Switch::On => true,
             Switch::Off => false,
         };
@@ -248,6 +285,7 @@ impl SolveRequest {
             emission: self.emission,
             environment: self.environment,
             rooms: self.rooms,
+            published: (self.quality == Quality::Paper).then(|| self.published()),
             reflectance: self.reflectance,
             target_error: self.target_error,
             budget: self.budget.map(|seconds| Budget::new(start, seconds)),

@@ -13,4 +13,6 @@ pub enum Quality {
     Standard,
     /// Four times the samples of the default.
     High,
+    /// The method of TexIR as published, for comparison: slower and less exact.
+    Paper,
 }

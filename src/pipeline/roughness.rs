@@ -107,7 +107,11 @@ fn first_albedo(surface: &Surface, light: &Light) -> Vec<Vec3> {
 }
 
 /// Room ids per texel: the scene's own grid, or the rooms found in the mesh.
-fn rooms_of(surface: &Surface, options: &SolveOptions, progress: &Progress) -> Plane<u16> {
+pub(super) fn rooms_of(
+    surface: &Surface,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Plane<u16> {
     let scene = surface.scene;
     let Some(grid) = choose_rooms(scene, &surface.tracer, options, progress) else {
         return surface.texels.scatter(&vec![1; surface.texels.len()], 0);

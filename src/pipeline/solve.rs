@@ -6,6 +6,8 @@ use super::clipped_light::restore_clipped_light;
 use super::findings::{findings, spread_of_looks};
 use super::missing_light::add_missing_light;
 use super::painted::{Estimate, settle_palettes};
+use super::published::reconstruct_as_published;
+use super::solved::Solved;
 use super::{
     SolveOptions, fit_roughness, gather_highlights, observe, reconstruct_light, solve_albedo,
     trace_reflections,
@@ -13,22 +15,7 @@ use super::{
 use crate::Result;
 use crate::core::progress::Progress;
 use crate::core::switch::Switch;
-use crate::inverse::GroupFit;
 use crate::scene::Scene;
-use crate::solution::Solution;
-use crate::verdict::Findings;
-
-/// A reconstruction and what is known about it.
-pub struct Solved {
-    /// The textures.
-    pub solution: Solution,
-    /// Roughness fits per class.
-    pub fits: Vec<GroupFit>,
-    /// Rays traced in all.
-    pub rays: u64,
-    /// What is known of its faults.
-    pub findings: Findings,
-}
 
 /// Reconstructs materials and light of a scene.
 ///
@@ -36,6 +23,9 @@ pub struct Solved {
 /// Unusable options, unreadable or unusable images and labels.
 pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -> Result<Solved> {
     options.validate()?;
+    if let Some(method) = &options.published {
+        return reconstruct_as_published(scene, method, options, progress);
+    }
     let mut surface = observe(scene, options, progress)?;
     let clipped_light = restore_clipped_light(&mut surface, options, progress);
     let mut light = reconstruct_light(&surface, options, progress);

@@ -8,8 +8,9 @@ use crate::core::formats::{Aside, atomic_write};
 use crate::error::{Error, Result};
 use crate::pipeline::SolveOptions;
 use crate::programs::bench::{
-    AlignmentBench, IrtBench, RobustnessBench, TradeoffBench, TsdrBench, Workplace,
-    bench_alignment, bench_irt, bench_kernel, bench_robustness, bench_tradeoff, bench_tsdr,
+    AlignmentBench, IrtBench, RobustnessBench, TablesBench, TablesReport, TradeoffBench, TsdrBench,
+    Workplace, bench_alignment, bench_irt, bench_kernel, bench_robustness, bench_tables,
+    bench_tradeoff, bench_tsdr,
 };
 use crate::scene::{LdrImages, LoadOptions};
 use serde::Serialize;
@@ -101,6 +102,18 @@ pub(crate) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
             work,
             json_file,
         } => tsdr(scene, bench, work, &Outputs::json_alone(json_file), context),
+        BenchVerb::Tables {
+            scenes,
+            bench,
+            work,
+            json_file,
+        } => tables(
+            scenes,
+            bench,
+            work,
+            &Outputs::json_alone(json_file),
+            context,
+        ),
         BenchVerb::Robustness {
             scene,
             bench,
@@ -164,6 +177,39 @@ fn tsdr(
     let scene = read_scene(path, context)?;
     let runner = work.workplace(context)?.runner(path)?;
     let report = bench_tsdr(&scene, &runner, bench, &context.progress)?;
+    outputs.write(context, &report.text(), &report, no_plot)
+}
+
+fn tables(
+    scenes: &[PathBuf],
+    bench: &TablesBench,
+    work: &Work,
+    outputs: &Outputs,
+    context: &Context,
+) -> Result<()> {
+    outputs.check()?;
+    let workplace = work.workplace(context)?;
+    let found = match &outputs.json_file {
+        Some(path) if path.metadata().is_ok_and(|m| m.len() > 0) => TablesReport::read(path)?,
+        _ => TablesReport::default(),
+    };
+    let mut loaded = Vec::new();
+    for path in scenes {
+        loaded.push(read_scene(path, context)?);
+    }
+    let report = bench_tables(
+        &loaded,
+        bench,
+        &workplace,
+        found,
+        &context.progress,
+        &mut |so_far| outputs.write_files(so_far, no_plot).map(drop),
+    );
+    if !workplace.keep {
+        // nothing can be done about files that will not go
+        let _ = std::fs::remove_dir_all(&workplace.folder);
+    }
+    let report = report?;
     outputs.write(context, &report.text(), &report, no_plot)
 }
 

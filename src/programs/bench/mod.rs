@@ -19,6 +19,7 @@ mod irt_rates;
 mod kernel;
 mod plot;
 mod robustness;
+mod tables;
 mod tradeoff;
 mod tsdr;
 
@@ -34,6 +35,7 @@ pub use irt_oidn::OidnReport;
 pub use irt_rates::{BatchRate, EstimatorRate, Rates};
 pub use kernel::{KernelBench, KernelRates, KernelReport, bench_kernel};
 pub use robustness::{RobustnessBench, RobustnessPoint, RobustnessReport, bench_robustness};
+pub use tables::{TableRow, TablesBench, TablesReport, bench_tables};
 pub use tradeoff::{
     APPROXIMATIONS, Clock, KNOBS, NEEDS, PRESETS, TradePoint, TradeoffBench, TradeoffReport,
     bench_tradeoff,
