@@ -7,11 +7,11 @@ use super::solved::Solved;
 use super::{SolveOptions, bake_irradiance_texels, observe};
 use crate::Result;
 use crate::core::brdf::Reflectance;
+use crate::core::image::Plane;
 use crate::core::progress::Progress;
 use crate::core::switch::Switch;
 use crate::core::texture::Texels;
 use crate::irradiance::Estimator;
-use crate::observed::Surface;
 use crate::published::{
     Correction, Learned, PublishedInput, PublishedOptions, Sides, learn, one_view_per_texel,
 };
@@ -76,11 +76,9 @@ pub(super) fn reconstruct_as_published(
         origin: scene.origin,
         albedo: learned.albedo.plane(|a| Vec3::from(*a)),
         roughness: learned.roughness.plane(|r| r[0]),
-        emission: surface.texels.scatter(&emission(&surface), Vec3::ZERO),
-        confidence: surface.texels.scatter(
-            &vec![Vec2::splat(UNKNOWN); surface.texels.len()],
-            Vec2::splat(UNKNOWN),
-        ),
+        // the published method knows no emission: lamps are albedo above 1
+        emission: Plane::filled(sides.albedo, sides.albedo, Vec3::ZERO),
+        confidence: Plane::filled(sides.albedo, sides.albedo, Vec2::splat(UNKNOWN)),
         irradiance_error: Some(texels.scatter(&baked.error, 0.0)),
         camera_masks: surface.camera_masks.clone(),
         labels: surface.texels.scatter(&surface.labels, 0),
@@ -96,11 +94,6 @@ pub(super) fn reconstruct_as_published(
         fits: Vec::new(),
         rays,
     })
-}
-
-/// The published method knows no emission: lamps are albedo above 1.
-fn emission(surface: &Surface) -> Vec<Vec3> {
-    vec![Vec3::ZERO; surface.texels.len()]
 }
 
 /// What a reader must know of a result without stated errors.
