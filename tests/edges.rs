@@ -174,6 +174,7 @@ fn bars(label_of_bars: u16, shift: Vec3) -> (f32, f32, usize) {
         irradiance: &vec![Vec3::splat(PI); texels.len()],
         specular: &specular,
         reflectance: &reflectance,
+        settled: &[],
     }
     .solve(&mut albedo);
     assert!(report.pixels > 500 && report.misfit >= 1.0, "{report:?}");

@@ -56,6 +56,8 @@ pub struct MixedPixelSolver<'a> {
     pub specular: &'a [RgbPlane],
     /// How texels reflect; where no pixel tells, their specular part is that in even light.
     pub reflectance: &'a TexelReflectance,
+    /// Texels without a clean look whose albedo is known all the same, ascending.
+    pub settled: &'a [u32],
 }
 
 /// How many equations and unknowns there were, and how well they fit.
@@ -103,7 +105,9 @@ impl MixedPixelSolver<'_> {
         let texels = self.texels;
         let ids: Vec<u32> = (0..texels.len())
             .filter(|&i| {
-                !albedo.clean[i] && !self.field.is_emissive(texels.point[i].triangle as usize)
+                !albedo.clean[i]
+                    && !self.field.is_emissive(texels.point[i].triangle as usize)
+                    && self.settled.binary_search(&(i as u32)).is_err()
             })
             .map(|i| i as u32)
             .collect();

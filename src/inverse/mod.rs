@@ -4,6 +4,7 @@
 mod albedo;
 mod albedo_palette;
 mod class_prior;
+mod clipped_albedo;
 mod clipped_fit;
 mod confidence;
 mod materials;
@@ -17,6 +18,7 @@ mod view_residual;
 
 pub use albedo::{AlbedoEstimate, Shading, estimate_albedo};
 pub use albedo_palette::{ClassPalette, PaletteFit};
+pub use clipped_albedo::{Ground, LeastAlbedo, settle_clipped};
 pub use clipped_fit::{ClippedFit, LightGroup, ShadingRow, fit_clipped};
 pub use confidence::{ErrorSources, albedo_error};
 pub use materials::{Materials, Places, SPLIT_GAIN};

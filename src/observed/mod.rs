@@ -19,7 +19,7 @@ pub use fusion::{Fusion, UNSEEN, fuse_radiance};
 pub use gains::{ViewGains, estimate_gains};
 pub(crate) use labels::complete_labels;
 pub(crate) use photometric::{balance_views, leave_out_clipped_sky};
-pub use surface::{Surface, TextureSizes};
+pub use surface::{ClippedTexel, Surface, TextureSizes};
 pub(crate) use surface::{coverage, filled};
 
 #[cfg(test)]

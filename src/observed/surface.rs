@@ -21,6 +21,17 @@ pub struct TextureSizes {
     pub irradiance: usize,
 }
 
+/// A texel of a reflecting surface that is at the ceiling in most looks at it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClippedTexel {
+    /// Index among the covered texels.
+    pub texel: u32,
+    /// Radiance sent out at least.
+    pub least: Vec3,
+    /// Side of the sharpest clipped pixel's footprint, metres.
+    pub footprint: f32,
+}
+
 /// Mesh, acceleration structure, views and their fused observations on the atlas.
 pub struct Surface<'a> {
     /// The scene.
@@ -46,6 +57,8 @@ pub struct Surface<'a> {
     pub back: Vec<Vec3>,
     /// Where views contradict each other; empty unless geometry is only roughly right.
     pub contradictions: Contradictions,
+    /// Reflecting texels of which clipped looks give lower bounds, ascending.
+    pub clipped: Vec<ClippedTexel>,
     /// What the cameras carry along.
     pub camera_masks: Vec<CameraMask>,
     /// Distance by which rays start above a surface, metres.
@@ -206,6 +219,7 @@ pub(crate) mod tests {
             fusion,
             back: vec![Vec3::ZERO; triangles],
             contradictions: Contradictions::default(),
+            clipped: Vec::new(),
             camera_masks: Vec::new(),
             offset: 7e-5,
             disagreement: 0.0,

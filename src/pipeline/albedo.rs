@@ -2,11 +2,13 @@
 //! and what is known of its error.
 
 use super::{Light, Reflections, Roughness, SolveOptions};
+use crate::core::image::Plane;
 use crate::core::math::luminance;
 use crate::core::progress::Progress;
 use crate::core::switch::Switch;
 use crate::inverse::{
-    AlbedoEstimate, ErrorSources, MixedPixelSolver, Shading, albedo_error, estimate_albedo,
+    AlbedoEstimate, ErrorSources, Ground, LeastAlbedo, MixedPixelSolver, Shading, albedo_error,
+    estimate_albedo, settle_clipped,
 };
 use crate::observed::Surface;
 use glam::{Vec2, Vec3};
@@ -45,6 +47,8 @@ pub fn solve_albedo(
         )
     });
     settle_contradicted(surface, light, &mut albedo);
+    let rooms = roughness.texel_rooms(&surface.texels);
+    let settled = settle_bounds(surface, light, &rooms, &mut albedo);
     let affordable = || {
         let budget = options.budget.as_ref();
         budget.is_none_or(|b| b.allows_edges(progress))
@@ -55,14 +59,13 @@ pub fn solve_albedo(
         switch => switch == Switch::On,
     };
     let rays = if allowed && affordable() {
-        solve_edges(
-            surface,
-            light,
+        let known = Known {
             reflections,
             roughness,
-            &mut albedo,
-            progress,
-        )
+            rooms: &rooms,
+            settled: &settled,
+        };
+        solve_edges(surface, light, &known, &mut albedo, progress)
     } else {
         0
     };
@@ -88,12 +91,70 @@ fn settle_contradicted(surface: &Surface, light: &Light, albedo: &mut AlbedoEsti
     }
 }
 
+/// Error of a bound from what glossy surfaces add to their diffuse light, relative: the reflectance
+/// of dielectrics at normal incidence (derived, F0 = 0.04 for a refractive index of 1.5).
+const GLOSS: f32 = 0.04;
+
+/// Gives texels of which only clipped looks are known the albedo of their class above that bound;
+/// the texels concerned, ascending.
+fn settle_bounds(
+    surface: &Surface,
+    light: &Light,
+    rooms: &[u16],
+    albedo: &mut AlbedoEstimate,
+) -> Vec<u32> {
+    let (texels, mesh) = (&surface.texels, &surface.scene.mesh);
+    let noise = light.texels.scatter(&light.error, 1.0);
+    let reflects = |i: usize| !light.emissive[texels.point[i].triangle as usize];
+    let bounds: Vec<LeastAlbedo> = surface
+        .clipped
+        .iter()
+        .filter(|t| reflects(t.texel as usize))
+        .filter_map(|t| {
+            let i = t.texel as usize;
+            let e = texels.lookup(mesh, &light.irradiance, i);
+            let error = light_error(surface, &noise, i).hypot(GLOSS);
+            (e.min_element() > 0.0).then(|| LeastAlbedo {
+                texel: t.texel,
+                albedo: t.least * PI / e,
+                error,
+                footprint: t.footprint,
+            })
+        })
+        .collect();
+    let ground = Ground {
+        texels,
+        mesh,
+        labels: &surface.labels,
+        rooms,
+    };
+    settle_clipped(&ground, &bounds, albedo)
+}
+
+/// Relative error of the irradiance on a texel; `noise` is that of the light on its texture.
+fn light_error(surface: &Surface, noise: &Plane<f32>, i: usize) -> f32 {
+    let p = surface.texels.point[i];
+    let size = Vec2::new(noise.width as f32, noise.height as f32);
+    noise
+        .nearest(surface.scene.mesh.uv(p.triangle as usize, p.u, p.v) * size)
+        .clamp(0.0, 1.0)
+}
+
+/// What is known when mixed pixels are taken apart.
+struct Known<'a> {
+    reflections: &'a Reflections,
+    roughness: &'a Roughness,
+    /// Room per texel.
+    rooms: &'a [u16],
+    /// Texels without a clean look whose albedo is known all the same, ascending.
+    settled: &'a [u32],
+}
+
 /// Solves for the albedo of texels without a clean look; returns the rays traced.
 fn solve_edges(
     surface: &Surface,
     light: &Light,
-    reflections: &Reflections,
-    roughness: &Roughness,
+    known: &Known<'_>,
     albedo: &mut AlbedoEstimate,
     progress: &Progress,
 ) -> u64 {
@@ -110,10 +171,11 @@ fn solve_edges(
             field: &light.field,
             texels,
             labels: &surface.labels,
-            rooms: &roughness.texel_rooms(texels),
+            rooms: known.rooms,
             irradiance: &irradiance,
-            specular: &reflections.images,
-            reflectance: &roughness.reflectance,
+            specular: &known.reflections.images,
+            reflectance: &known.roughness.reflectance,
+            settled: known.settled,
         };
         unmixing.solve(albedo)
     });
@@ -129,13 +191,7 @@ pub(super) fn albedo_errors(surface: &Surface, light: &Light, albedo: &AlbedoEst
     let (texels, mesh) = (&surface.texels, &surface.scene.mesh);
     // beyond the charts of the irradiance texture nothing is known of its error
     let noise = light.texels.scatter(&light.error, 1.0);
-    let size = Vec2::new(noise.width as f32, noise.height as f32);
-    let irradiance_error = |i: usize| {
-        let p = texels.point[i];
-        noise
-            .nearest(mesh.uv(p.triangle as usize, p.u, p.v) * size)
-            .clamp(0.0, 1.0)
-    };
+    let irradiance_error = |i: usize| light_error(surface, &noise, i);
     let footprint = |i: usize| {
         let side = texels
             .texel_area(mesh, texels.point[i].triangle as usize)

@@ -8,6 +8,7 @@
 //! the masks are such as an unclipped camera would have left them, and all later stages are the
 //! same. Nothing happens where no pixel is clipped.
 
+use super::clipped_looks::{ClippedLooks, Restored, SECTORS, sector};
 use super::light::{first_radiance, known_lights, light_field, texture_of, trusted_radiance};
 use super::{SolveOptions, Switch};
 use crate::core::image::RgbPlane;
@@ -15,7 +16,6 @@ use crate::core::math::luminance;
 use crate::core::progress::Progress;
 use crate::core::stats::median;
 use crate::core::texture::Texels;
-use crate::core::trace::Hit;
 use crate::gbuffer::Observation;
 use crate::inverse::{ClippedFit, LightGroup, ShadingRow, fit_clipped};
 use crate::irradiance::{IrradianceOptions, bake_irradiance};
@@ -23,7 +23,7 @@ use crate::lights::Emitters;
 use crate::observed::Surface;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use crate::verdict::MissingLight;
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::FRAC_1_PI;
@@ -60,14 +60,6 @@ struct Group {
     basis: Vec<f32>,
 }
 
-/// What a clipped texel sends out.
-struct Restored {
-    texel: u32,
-    radiance: Vec3,
-    /// It is a light, not a surface that reflects.
-    is_light: bool,
-}
-
 /// The kinds of groups.
 const LAMP: usize = 0;
 const SKY: usize = 1;
@@ -77,6 +69,8 @@ const FOUND: usize = 2;
 struct Clipped {
     /// Channels at the ceiling, one bit each, per texel; 0 = not clipped.
     bits: Vec<u8>,
+    /// Side of the sharpest clipped pixel's footprint, metres; infinite where none.
+    footprint: Vec<f32>,
     /// Indicator of the clipped sky per channel, and whether there is any.
     sky: RgbPlane,
     has_sky: bool,
@@ -107,9 +101,12 @@ pub(super) fn restore_clipped_light(
             100.0 * found.share,
             100.0 * found.standard_error
         ));
-        let restored = restorer.restored(&fit);
-        let sky = restorer.sky_excess(&fit);
-        apply(surface, restored, &sky);
+        let looks = ClippedLooks {
+            texels: restorer.restored(&fit),
+            sky: restorer.sky_excess(&fit),
+            reflected: restorer.reflected_radiance(&fit),
+        };
+        looks.apply(surface);
         Some(found)
     })
 }
@@ -119,23 +116,34 @@ impl Clipped {
         let lights: Vec<u16> = (surface.scene.classes.iter().filter(|c| c.is_light))
             .map(|c| c.id)
             .collect();
-        let bits: Vec<u8> = (0..surface.texels.len())
+        let (bits, footprint) = (0..surface.texels.len())
             .into_par_iter()
             .map_init(Vec::new, |seen, i| {
                 let is_light = lights.contains(&surface.labels[i]);
                 clipped_bits(surface, i, is_light, seen)
             })
-            .collect();
+            .unzip();
         let (sky, has_sky) = clipped_sky(surface, options);
-        Self { bits, sky, has_sky }
+        Self {
+            bits,
+            footprint,
+            sky,
+            has_sky,
+        }
     }
 }
 
-/// Channels in which texel `i` is at the ceiling in most looks at it.
-fn clipped_bits(surface: &Surface, i: usize, is_light: bool, seen: &mut Vec<Observation>) -> u8 {
+/// Channels in which texel `i` is at the ceiling in most looks at it, and the footprint of the
+/// sharpest of those.
+fn clipped_bits(
+    surface: &Surface,
+    i: usize,
+    is_light: bool,
+    seen: &mut Vec<Observation>,
+) -> (u8, f32) {
     let f = &surface.fusion;
     if f.clean[i] || f.views[i] == 0 {
-        return 0;
+        return (0, f32::INFINITY);
     }
     let t = surface.texels.point[i].triangle as usize;
     let normal = surface.scene.mesh.face_normal(t) * surface.orientation.sign(t);
@@ -145,6 +153,7 @@ fn clipped_bits(surface: &Surface, i: usize, is_light: bool, seen: &mut Vec<Obse
         seen,
     );
     let (mut bits, mut at, mut below) = (0u8, 0.0f32, 0.0f32);
+    let mut footprint = f32::INFINITY;
     for o in seen.iter() {
         let own = surface.ceilings[o.view as usize].as_ref().map_or(0, |c| {
             let (x, y) = (o.pixel.x.max(0.0) as usize, o.pixel.y.max(0.0) as usize);
@@ -156,11 +165,12 @@ fn clipped_bits(surface: &Surface, i: usize, is_light: bool, seen: &mut Vec<Obse
         } else {
             at += weight;
             bits |= own;
+            footprint = footprint.min(o.footprint);
         }
     }
     // mixed pixels at a lamp's edge are not the lamp's radiance
     let enough = if is_light { at > 0.0 } else { at >= below };
-    if enough { bits } else { 0 }
+    (if enough { bits } else { 0 }, footprint)
 }
 
 /// Where the sky is at the ceiling, by direction and channel.
@@ -183,15 +193,6 @@ fn clipped_sky(surface: &mut Surface, options: &SolveOptions) -> (RgbPlane, bool
     }
     let has_sky = !marks.is_black();
     (marks.map().clone(), has_sky)
-}
-
-/// Sectors of the sky: four quarters around, above and below the horizon.
-const SECTORS: usize = 8;
-
-fn sector(direction: Vec3) -> usize {
-    usize::from(direction.x < 0.0)
-        + 2 * usize::from(direction.z < 0.0)
-        + 4 * usize::from(direction.y < 0.0)
 }
 
 /// Unit direction of pixel `i` of an environment map.
@@ -714,8 +715,26 @@ impl<'s, 'a> Restorer<'s, 'a> {
                     self.groups[k as usize].fit.ceiling + fit.excess[k as usize]
                 }),
                 is_light: light[i].is_some(),
+                least: self.surface.fusion.peak[i],
+                footprint: self.clipped.footprint[i],
             })
             .collect()
+    }
+
+    /// What the class of every texel reflects of the light there; zero where that is unknown, and
+    /// on lights.
+    fn reflected_radiance(&self, fit: &ClippedFit) -> RgbPlane {
+        let total = texture_of(&self.coarse, &self.total);
+        let light = self.group_of();
+        let values: Vec<Vec3> = (0..self.sent.len())
+            .into_par_iter()
+            .map(|i| {
+                let reflects = light[i].is_none() && !self.is_light_class(i);
+                let reflected = reflects.then(|| self.reflected(fit, &total, i));
+                reflected.flatten().unwrap_or(Vec3::ZERO)
+            })
+            .collect();
+        self.surface.texels.scatter(&values, Vec3::ZERO)
     }
 
     /// Excess radiance of every sector of the sky.
@@ -727,42 +746,5 @@ impl<'s, 'a> Restorer<'s, 'a> {
             }
         }
         out
-    }
-}
-
-/// Puts the restored light where later stages look for it.
-fn apply(surface: &mut Surface, restored: Vec<Restored>, sky: &[Vec3; SECTORS]) {
-    for Restored {
-        texel,
-        radiance,
-        is_light,
-    } in restored
-    {
-        let (i, f) = (texel as usize, &mut surface.fusion);
-        let radiance = radiance.max(f.peak[i]);
-        f.radiance[i] = radiance;
-        f.peak[i] = radiance;
-        f.floor[i] = luminance(radiance);
-        f.clean[i] |= is_light;
-    }
-    for (view, ceiling) in surface.views.iter_mut().zip(&surface.ceilings) {
-        let Some(ceiling) = ceiling else { continue };
-        let (width, camera) = (view.radiance.width, view.buffer.camera);
-        let mut valid = view.valid.take().unwrap_or_else(|| ceiling.map(|_| true));
-        for (i, &bits) in ceiling.data.iter().enumerate().filter(|(_, b)| **b != 0) {
-            if view.buffer.triangle.data[i] != Hit::MISS {
-                // a lower bound: no look at the material
-                valid.data[i] = false;
-                continue;
-            }
-            let pixel = Vec2::new((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
-            let excess = sky[sector(camera.direction(pixel))];
-            for c in 0..3 {
-                if (bits >> c) & 1 == 1 {
-                    view.radiance.data[i][c] += excess[c];
-                }
-            }
-        }
-        view.valid = Some(valid);
     }
 }

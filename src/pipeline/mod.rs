@@ -4,6 +4,7 @@ mod albedo;
 mod assemble;
 mod checkpoint;
 mod clipped_light;
+mod clipped_looks;
 mod decisions;
 mod findings;
 mod highlights;

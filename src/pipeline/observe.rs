@@ -93,6 +93,7 @@ pub fn observe<'a>(
         labels,
         back,
         contradictions,
+        clipped: Vec::new(),
         camera_masks,
         offset,
         disagreement: balanced.disagreement,
