@@ -64,6 +64,9 @@ pub fn settle_clipped(
         .iter()
         .filter(|b| !albedo.error[b.texel as usize].is_finite() && b.albedo.is_finite())
         .collect();
+    if open.is_empty() {
+        return Vec::new();
+    }
     let ids: Vec<u32> = open.iter().map(|b| b.texel).collect();
     let places: Vec<Place> = (ground.labels.iter().copied())
         .zip(ground.rooms.iter().copied())
