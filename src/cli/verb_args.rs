@@ -1,7 +1,8 @@
 //! Arguments of the verbs that have many: export and bench.
 
 use crate::programs::bench::{
-    AlignmentBench, IrtBench, KernelBench, RobustnessBench, TablesBench, TradeoffBench, TsdrBench,
+    AlignmentBench, IrtBench, KernelBench, LightBench, RobustnessBench, TablesBench, TradeoffBench,
+    TsdrBench,
 };
 use crate::programs::export::ExportOptions;
 use crate::render::FrameOptions;
@@ -36,6 +37,19 @@ pub enum BenchVerb {
         /// Where the figures go.
         #[command(flatten)]
         outputs: Outputs,
+    },
+    /// Irradiance against path-traced truth by class, and what its rays meet: where errors of the
+    /// light come from.
+    Light {
+        /// Scene folder (or its transforms.json), with ground truth.
+        #[arg(value_name = "SCENE")]
+        scene: PathBuf,
+        /// What is measured.
+        #[command(flatten)]
+        bench: LightBench,
+        /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
+        #[arg(long, value_name = "FILE")]
+        json_file: Option<PathBuf>,
     },
     /// Accuracy against time and memory over presets and knobs, each point a reconstruction of its
     /// own.

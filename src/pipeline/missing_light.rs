@@ -5,8 +5,8 @@
 //! mean over views drops what is left of those. A dielectric sends out a twentieth of the light it
 //! receives by specular reflection, a dark floor more than a quarter of all it sends out. And
 //! surfaces that face away from every camera, like the upper side of a hanging lamp, are black to
-//! it. So, with materials known, every texel sends out what its material does: E A / π to all
-//! sides; where the specular lobe is wide, its flux E ρ / π as well, ρ being its hemispherical
+//! it. So, with materials known, every texel sends out what its material does: E A f / π to all
+//! sides, f being the mean of its diffuse part over that of a Lambertian surface; where the specular lobe is wide, its flux E ρ / π as well, ρ being its hemispherical
 //! reflectance under even light; where it is narrow, towards every receiver what it mirrors there
 //! ([`SpecularBounce`]). Far sides that nobody saw get what their class reflects. The difference to
 //! the first pass is baked at a low resolution and added to E.
@@ -136,8 +136,10 @@ fn unsent_radiance(
                 reflectance.lobes.mean_response(roughness[i])
             });
             if albedo.clean[i] {
+                // (of all it sends, not of what views from the front see)
+                let diffuse = reflectance.model.mean_diffuse_factor(roughness[i]);
                 let sent = irradiance(i)
-                    * (albedo.value[i].clamp(Vec3::ZERO, Vec3::ONE) + specular)
+                    * (albedo.value[i].clamp(Vec3::ZERO, Vec3::ONE) * diffuse + specular)
                     * FRAC_1_PI;
                 sent - light.radiance.data[texels.cell[i] as usize]
             } else {
@@ -387,7 +389,7 @@ mod tests {
     }
 
     /// The second pass in a box that its first pass found to receive π everywhere.
-    fn second_pass(wall: impl Fn(usize) -> Wall + Sync) -> Vec<After> {
+    fn second_pass(model: Reflectance, wall: impl Fn(usize) -> Wall + Sync) -> Vec<After> {
         let scene = box_scene();
         let surface = unseen(&scene, SIDE);
         let (mesh, n) = (&scene.mesh, surface.texels.len());
@@ -434,7 +436,7 @@ mod tests {
             footprint: vec![0.01; n],
         };
         let roughness = (0..n).map(|i| wall(number(i)).roughness).collect();
-        let reflectance = TexelReflectance::new(Reflectance::Paper, roughness);
+        let reflectance = TexelReflectance::new(model, roughness);
         let MissingLight { rays, .. } = add_missing_light(
             &surface,
             &mut light,
@@ -455,7 +457,11 @@ mod tests {
 
     /// A furnace whose first pass sends out `radiance`, and the specular reflectance of its walls;
     /// `known` are those whose material is.
-    fn furnace(radiance: f32, known: impl Fn(usize) -> bool + Sync) -> (Vec<After>, f32) {
+    fn furnace(
+        model: Reflectance,
+        radiance: f32,
+        known: impl Fn(usize) -> bool + Sync,
+    ) -> (Vec<After>, f32) {
         let wall = |w: usize| Wall {
             radiance,
             known: known(w),
@@ -463,8 +469,8 @@ mod tests {
             roughness: 0.8,
         };
         (
-            second_pass(wall),
-            crate::specular::DirectionalAlbedo::new(Reflectance::Paper).mean_response(0.8),
+            second_pass(model, wall),
+            crate::specular::DirectionalAlbedo::new(model).mean_response(0.8),
         )
     }
 
@@ -475,7 +481,7 @@ mod tests {
         // as photographed past all reflections; with a highlight taken for light; black; far too
         // bright
         for radiance in [ALBEDO, 0.8, 0.0, 2.0] {
-            let (texels, specular) = furnace(radiance, |_| true);
+            let (texels, specular) = furnace(Reflectance::Paper, radiance, |_| true);
             assert!(specular > 0.01 && specular < 0.1, "{specular}");
             let expected = (1.0 + ALBEDO + specular - radiance).clamp(LIMITS.0, LIMITS.1);
             for After {
@@ -497,11 +503,28 @@ mod tests {
         }
     }
 
+    /// A diffuse part that brightens at grazing angles sends out more than views from the front
+    /// see: taken for Lambertian, white rough walls would darken their room.
+    #[test]
+    fn a_furnace_of_burleys_walls_gets_all_that_they_send() {
+        let (texels, specular) = furnace(Reflectance::Burley, ALBEDO, |_| true);
+        let diffuse = ALBEDO * Reflectance::Burley.mean_diffuse_factor(0.8);
+        assert!(
+            diffuse > 1.03 * ALBEDO,
+            "the factor of the test must matter"
+        );
+        let expected = 1.0 + diffuse + specular - ALBEDO;
+        for After { gain, place, .. } in texels {
+            let off = (gain / expected - 1.0).abs();
+            assert!(off < 2e-3, "{place}: {gain} for {expected}");
+        }
+    }
+
     /// If only the ceiling's material is known, the floor gets its share of that by the ceiling's
     /// form factor.
     #[test]
     fn missing_light_falls_off_as_form_factors_say() {
-        let (texels, specular) = furnace(0.0, |wall| wall == 1);
+        let (texels, specular) = furnace(Reflectance::Paper, 0.0, |wall| wall == 1);
         // of a rectangle from the point below its corner, x and y in units of the height
         let corner = |x: f32, y: f32| {
             let half =
@@ -532,7 +555,7 @@ mod tests {
     #[test]
     fn a_mirror_sends_its_light_where_the_image_is_seen() {
         const RADIANCE: f32 = 20.0;
-        let texels = second_pass(|w| Wall {
+        let texels = second_pass(Reflectance::Paper, |w| Wall {
             radiance: if w == 2 { RADIANCE } else { 0.0 },
             known: w == 1,
             albedo: 0.0,

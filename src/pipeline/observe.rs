@@ -296,7 +296,9 @@ fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) ->
     }
 }
 
-/// Mean radiance per triangle of pixels that see it from the side away from its orientation.
+/// Mean radiance per triangle of clean pixels that see it from the side away from its orientation;
+/// zero without any. A pixel at an edge mixes in what lies behind: blinds before a bright sky would
+/// shine with it. Of what is seen so only, the missing light predicts what it reflects.
 fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientation) -> Vec<Vec3> {
     let n = scene.mesh.triangles.len();
     let mut sum = vec![Vec3::ZERO; n];
@@ -307,7 +309,7 @@ fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientatio
         for y in 0..h {
             for x in 0..w {
                 let t = b.triangle[(x, y)];
-                if t == Hit::MISS {
+                if t == Hit::MISS || !v.clean[(x, y)] {
                     continue;
                 }
                 let t = t as usize;
@@ -330,6 +332,7 @@ fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientatio
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::geometry::{Lens, Mesh, Projection};
 
     #[test]
     fn a_reduced_photograph_keeps_its_brightness_even_beyond_its_size() {
@@ -343,5 +346,68 @@ mod tests {
                 small.data[0]
             );
         }
+    }
+
+    /// Slats before a bright sky: what is seen of their far sides at edges is the sky's, and tells
+    /// nothing; a pixel within tells.
+    #[test]
+    fn far_sides_do_not_shine_with_what_lies_behind_them() {
+        // a wide and a narrow sheet, both seen from behind
+        let mut mesh = Mesh::default();
+        for (low, high) in [(-0.5f32, 0.5f32), (0.9, 0.92)] {
+            let first = mesh.positions.len() as u32;
+            for (x, y) in [(-1.0, low), (1.0, low), (1.0, high), (-1.0, high)] {
+                mesh.positions.push(Vec3::new(x, y, -2.0));
+                mesh.normals.push(Vec3::NEG_Z);
+                mesh.uvs.push(glam::Vec2::ZERO);
+            }
+            mesh.triangles
+                .extend([[first, first + 2, first + 1], [first, first + 3, first + 2]]);
+        }
+        let scene = Scene::from_parts(
+            std::path::PathBuf::new(),
+            glam::DVec3::ZERO,
+            mesh,
+            Vec::new(),
+            Vec::new(),
+        );
+        let tracer = EmbreeTracer::new(&scene.mesh).expect("Embree");
+        let side = 64;
+        let camera = Camera {
+            projection: Projection::Pinhole(Lens::centred(side, side, 90.0)),
+            width: side,
+            height: side,
+            world_from_camera: glam::Mat3::IDENTITY,
+            position: Vec3::ZERO,
+        };
+        let buffer = ViewBuffer::trace(&camera, &tracer);
+        let clean = buffer.clean_pixels(&scene.mesh, None);
+        // sheets of 0.1 before a sky of 10, half of either in pixels at edges
+        let radiance = Plane {
+            width: side,
+            height: side,
+            data: (0..side * side)
+                .map(
+                    |i| match (buffer.triangle.data[i] == Hit::MISS, clean.data[i]) {
+                        (true, _) => Vec3::splat(10.0),
+                        (false, true) => Vec3::splat(0.1),
+                        (false, false) => Vec3::splat(5.0),
+                    },
+                )
+                .collect(),
+        };
+        let seen = |t: u32| buffer.triangle.data.contains(&t);
+        assert!((0..4).all(seen), "both sheets are in the picture");
+        let view = ObservedView {
+            buffer,
+            radiance,
+            clean,
+            labels: None,
+            valid: None,
+        };
+        let back = back_radiance(&scene, &[view], &Orientation::of_winding(4));
+        let near = |t: usize, l: f32| (back[t] - Vec3::splat(l)).length() < 1e-6;
+        assert!(near(0, 0.1) && near(1, 0.1), "wide: {back:?}");
+        assert!(near(2, 0.0) && near(3, 0.0), "narrow: {back:?}");
     }
 }

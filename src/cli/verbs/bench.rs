@@ -8,9 +8,9 @@ use crate::core::formats::{Aside, atomic_write};
 use crate::error::{Error, Result};
 use crate::pipeline::SolveOptions;
 use crate::programs::bench::{
-    AlignmentBench, IrtBench, RobustnessBench, TablesBench, TablesReport, TradeoffBench, TsdrBench,
-    Workplace, bench_alignment, bench_irt, bench_kernel, bench_robustness, bench_tables,
-    bench_tradeoff, bench_tsdr,
+    AlignmentBench, IrtBench, LightBench, RobustnessBench, TablesBench, TablesReport,
+    TradeoffBench, TsdrBench, Workplace, bench_alignment, bench_irt, bench_kernel, bench_light,
+    bench_robustness, bench_tables, bench_tradeoff, bench_tsdr,
 };
 use crate::scene::{LdrImages, LoadOptions};
 use serde::Serialize;
@@ -90,6 +90,11 @@ pub(crate) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
             bench,
             outputs,
         } => irt(scene, bench, outputs, context),
+        BenchVerb::Light {
+            scene,
+            bench,
+            json_file,
+        } => light(scene, bench, &Outputs::json_alone(json_file), context),
         BenchVerb::Tradeoff {
             scene,
             bench,
@@ -143,6 +148,13 @@ fn irt(scene: &Path, bench: &IrtBench, outputs: &Outputs, context: &Context) -> 
     let scene = read_scene(scene, context)?;
     let report = bench_irt(&scene, bench, &solve_options(context), &context.progress)?;
     outputs.write(context, &report.text(), &report, || report.plot())
+}
+
+fn light(path: &Path, bench: &LightBench, outputs: &Outputs, context: &Context) -> Result<()> {
+    outputs.check()?;
+    let scene = read_scene(path, context)?;
+    let report = bench_light(&scene, bench, &solve_options(context), &context.progress)?;
+    outputs.write(context, &report.text(), &report, no_plot)
 }
 
 fn tradeoff(

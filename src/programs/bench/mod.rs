@@ -17,6 +17,7 @@ mod irt_nirf;
 mod irt_oidn;
 mod irt_rates;
 mod kernel;
+mod light;
 mod plot;
 mod robustness;
 mod tables;
@@ -34,6 +35,7 @@ pub use irt_nirf::NirfReport;
 pub use irt_oidn::OidnReport;
 pub use irt_rates::{BatchRate, EstimatorRate, Rates};
 pub use kernel::{KernelBench, KernelRates, KernelReport, bench_kernel};
+pub use light::{ClassLevel, LightBench, LightReport, Met, bench_light};
 pub use robustness::{RobustnessBench, RobustnessPoint, RobustnessReport, bench_robustness};
 pub use tables::{TableRow, TablesBench, TablesReport, bench_tables};
 pub use tradeoff::{

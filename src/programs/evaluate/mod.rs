@@ -23,6 +23,7 @@ pub use options::EvalOptions;
 pub use scores::{ClassScores, Evaluation, MaterialScores, Protocols, SplitScores, ViewScores};
 pub use table::terminal_table;
 pub use truth::GroundTruth;
+pub(crate) use truth::true_materials;
 
 use crate::core::formats::{write_plane_half, write_rgb_half};
 use crate::core::image::{Plane, RgbPlane};
@@ -40,7 +41,6 @@ use protocol::{
 };
 use scores::{Accumulator, ClassTally};
 use std::path::Path;
-use truth::ground_truth;
 
 /// A view that has just been scored, for whoever collects pictures.
 pub struct ViewOutcome<'a> {
@@ -169,7 +169,7 @@ impl Scoring<'_> {
             self.files
                 .extend(write_view(aside.path(), &view.stem, &rendered)?);
         }
-        let truth = ground_truth(self.scene, view)?;
+        let truth = true_materials(self.scene, view)?;
         let accumulator = if view.split == Split::Test {
             &mut self.test
         } else {

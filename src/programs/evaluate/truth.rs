@@ -31,7 +31,7 @@ pub(super) fn check_size(path: &Path, width: usize, height: usize, camera: &Came
 }
 
 /// The true materials of a view, if the scene has them.
-pub(super) fn ground_truth(scene: &Scene, view: &View) -> Result<Option<GroundTruth>> {
+pub(crate) fn true_materials(scene: &Scene, view: &View) -> Result<Option<GroundTruth>> {
     let file = |kind: &str| -> PathBuf {
         scene
             .folder
