@@ -5,10 +5,13 @@ mod common;
 
 use glam::{Vec2, Vec3};
 use std::path::Path;
+use unbake::core::brdf::Reflectance;
 use unbake::core::formats::{self, gltf::mesh_from_gltf, obj::mesh_from_obj, ply::mesh_from_ply};
-use unbake::core::image::Plane;
+use unbake::core::geometry::Mesh;
+use unbake::core::image::{CameraMask, Plane};
 use unbake::core::sampling::KeyedRng;
 use unbake::scene::transforms::parse_transforms;
+use unbake::solution::{FILES, SaveOptions, Solution, find_lamps};
 
 /// Numbers that break careless code, in the bytes of the file's own kind.
 const NASTY: [u32; 8] = [
@@ -229,4 +232,81 @@ fn images_through_files() {
             run(&mutate(&bytes, &mut KeyedRng::new(0xfeed, key)));
         }
     }
+}
+
+/// A complete little solution: two triangles, textures of 4².
+fn solution() -> Solution {
+    let rgb = |scale: f32| Plane {
+        width: 4,
+        height: 4,
+        data: (0..16)
+            .map(|i| Vec3::new(i as f32, 1.0, 2.0) * scale)
+            .collect(),
+    };
+    let mut solution = Solution {
+        mesh: Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 0.0, 1.0), Vec3::Z],
+            normals: vec![Vec3::Y; 4],
+            uvs: vec![Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y],
+            triangles: vec![[0, 2, 1], [0, 3, 2]],
+        },
+        origin: glam::DVec3::new(1.0, 2.0, 3.0),
+        albedo: rgb(0.05),
+        roughness: Plane::filled(4, 4, 0.5),
+        irradiance: rgb(1.0),
+        radiance: rgb(0.3),
+        emission: rgb(0.1),
+        confidence: Plane::filled(4, 4, Vec2::new(0.1, 0.2)),
+        irradiance_error: Some(Plane::filled(4, 4, 0.1)),
+        labels: Plane::filled(4, 4, 3),
+        rooms: Plane::filled(4, 4, 1),
+        environment: rgb(0.2),
+        reflectance: Reflectance::Burley,
+        lamps: Vec::new(),
+        camera_masks: vec![CameraMask {
+            panorama: true,
+            visible: Plane::filled(4, 2, true),
+        }],
+    };
+    solution.lamps = find_lamps(&solution.mesh, &solution.emission, solution.origin);
+    solution
+}
+
+/// One damaged file in a folder that is whole besides; the same folder is the seed corpus of
+/// `fuzz/fuzz_targets/solution.rs`.
+#[test]
+fn solutions_on_disk() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    solution()
+        .save(dir.path(), &SaveOptions::default())
+        .expect("saves");
+    Solution::load(dir.path()).expect("intact");
+    let seeds = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/solution");
+    if let Some(to) = std::env::var_os("UNBAKE_WRITE_SEEDS") {
+        for entry in std::fs::read_dir(dir.path()).expect("lists").flatten() {
+            std::fs::copy(entry.path(), Path::new(&to).join(entry.file_name())).expect("copies");
+        }
+    }
+    let mut names: Vec<_> = std::fs::read_dir(dir.path())
+        .expect("lists")
+        .map(|e| e.expect("entry").file_name())
+        .collect();
+    names.sort();
+    assert!(names.len() > FILES.len());
+    for name in &names {
+        let path = dir.path().join(name);
+        let bytes = std::fs::read(&path).expect("reads");
+        for key in 0..60 {
+            let damaged = mutate(&bytes, &mut KeyedRng::new(0x50_1ed, key));
+            std::fs::write(&path, damaged).expect("writes");
+            if let Err(e) = Solution::load(dir.path()) {
+                assert!(!e.to_string().is_empty());
+            }
+        }
+        std::fs::write(&path, &bytes).expect("writes");
+        let seed = seeds.join(name);
+        assert!(seed.is_file(), "no seed {}", seed.display());
+    }
+    Solution::load(dir.path()).expect("intact again");
+    Solution::load(&seeds).expect("the seeds are a solution");
 }

@@ -137,6 +137,32 @@ fn roughness_difference(a: &Solution, b: &Solution) -> f32 {
     d / a.roughness.data.len() as f32
 }
 
+/// Share of the texels whose roughness changes by more than 0.3: those of a class that is divided
+/// in one solution and not in the other.
+fn roughness_jumps(a: &Solution, b: &Solution) -> f32 {
+    let both = a.roughness.data.iter().zip(&b.roughness.data);
+    both.filter(|(x, y)| (*x - *y).abs() > 0.3).count() as f32 / a.roughness.data.len() as f32
+}
+
+/// A decision that hangs on rounding is no decision: photographs and poses changed by a millionth
+/// change the materials by little, and no class by a lot.
+#[test]
+fn a_millionth_changes_little() {
+    let mut scene = load();
+    for (i, view) in scene.views.iter_mut().enumerate() {
+        let by = if i % 2 == 0 { 1e-6 } else { -1e-6 };
+        view.exposure_ev += by;
+        view.camera.position += Vec3::splat(by);
+    }
+    let (a, b) = (&reference().solution, solve(&scene).solution);
+    let (median, share) = albedo_difference(a, &b);
+    let (jumps, mean) = (roughness_jumps(a, &b), roughness_difference(a, &b));
+    println!("albedo {median}, {share} beyond 0.02; roughness {mean}, {jumps} beyond 0.3");
+    assert!(a.albedo.data != b.albedo.data, "the change arrives");
+    assert!(median < 5e-4 && share < 0.01, "albedo {median}, {share}");
+    assert!(mean < 5e-3 && jumps < 2e-3, "roughness {mean}, {jumps}");
+}
+
 #[test]
 fn materials_are_near_the_truth() {
     let s = &reference().solution;
@@ -416,13 +442,18 @@ fn scale_and_place_do_not_change_materials() {
         ratios.sort_by(f32::total_cmp);
         ratios[ratios.len() / 2]
     };
-    for scale in [1e-3, 1e4] {
+    for scale in [1e-3, 1e3, 1e4] {
         let b = solve_at(scale, DVec3::new(scale, 0.0, 0.0), 0);
         let (median, share) = albedo_difference(&a, &b);
         let drift = light(&b) - 1.0;
         let roughness = roughness_difference(&a, &b);
         println!(
-            "×{scale}: median {median}, {share} beyond 0.02, drift {drift}; roughness {roughness}"
+            "×{scale}: median {median}, {share} beyond 0.02, drift {drift}; roughness {roughness}, {} beyond 0.3",
+            roughness_jumps(&a, &b)
+        );
+        assert!(
+            roughness_jumps(&a, &b) < 5e-3,
+            "×{scale}: a class is divided by a hair"
         );
         // beyond the noise of the samples, roundings decide which pixels a texel at an edge is seen
         // in, which no seed changes: one and a half times what another seed does
@@ -445,6 +476,58 @@ fn windings_do_not_change_materials() {
     let solved = solve(&scene);
     let (median, off) = albedo_difference(&reference().solution, &solved.solution);
     assert!(median < 2e-3 && off < 0.03, "{median} {off}");
+    if std::env::var_os("UNBAKE_MIXED").is_some() {
+        let mut mixed = load();
+        for (t, corners) in mixed.mesh.triangles.iter_mut().enumerate() {
+            if (t.wrapping_mul(2_654_435_761) >> 9).is_multiple_of(2) {
+                corners.swap(1, 2);
+            }
+        }
+        let b = solve(&mixed).solution;
+        let a = &reference().solution;
+        let away = (0..a.mesh.triangles.len())
+            .filter(|&t| a.mesh.face_normal(t).dot(b.mesh.face_normal(t)) < 0.0)
+            .count();
+        let mut ratios: Vec<f32> = a
+            .irradiance
+            .data
+            .iter()
+            .zip(&b.irradiance.data)
+            .filter(|(x, _)| x.y > 0.0)
+            .map(|(x, y)| y.y / x.y)
+            .collect();
+        ratios.sort_by(f32::total_cmp);
+        let q = |p: f32| ratios[(ratios.len() as f32 * p) as usize];
+        println!(
+            "MIXED {:?} away {away} of {} irradiance {} {} {} radiance {} emission {} labels {} jumps {} mean rough {}",
+            albedo_difference(a, &b),
+            a.mesh.triangles.len(),
+            q(0.1),
+            q(0.5),
+            q(0.9),
+            a.radiance
+                .data
+                .iter()
+                .zip(&b.radiance.data)
+                .filter(|(x, y)| (**x - **y).abs().max_element() > 0.01 * x.max_element())
+                .count() as f32
+                / a.radiance.data.len() as f32,
+            a.emission
+                .data
+                .iter()
+                .zip(&b.emission.data)
+                .filter(|(x, y)| x != y)
+                .count(),
+            a.labels
+                .data
+                .iter()
+                .zip(&b.labels.data)
+                .filter(|(x, y)| x != y)
+                .count(),
+            roughness_jumps(a, &b),
+            roughness_difference(a, &b)
+        );
+    }
     // and what nobody sees faces the same way: both meshes come out wound alike
     let (a, b) = (&reference().solution.mesh, &solved.solution.mesh);
     let away = (0..a.triangles.len())

@@ -6,7 +6,7 @@ use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::luminance;
 use crate::scene::{Scene, View};
 use crate::{Error, Result};
-use glam::{Vec2, Vec4};
+use glam::{Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 use std::f32::consts::{PI, TAU};
 
@@ -84,6 +84,8 @@ pub struct ViewEvidence {
     pub labels: Option<Plane<u16>>,
     /// Points spread evenly over the sphere or the frame.
     pub samples: Vec<Sample>,
+    /// The contrast (difference of log radiance) that a tenth of the pairs exceed.
+    pub contrast: f32,
 }
 
 impl ViewEvidence {
@@ -126,6 +128,7 @@ impl ViewEvidence {
             valid,
             labels,
             samples: Vec::new(),
+            contrast: 0.0,
         };
         view.samples = spread(&camera, size.samples)
             .into_iter()
@@ -189,6 +192,7 @@ impl ViewEvidence {
             .map(|(i, c)| (c, i))
             .collect();
         order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        self.contrast = order.get(order.len() * 9 / 10).map_or(0.0, |o| o.0);
         let n = order.len() as f32;
         for (rank, (_, i)) in order.iter().enumerate() {
             self.samples[i / 2].pairs[i % 2].rank = (rank as f32 + 0.5) / n;
@@ -262,14 +266,16 @@ fn log_image(
         .data
         .iter()
         .map(|&m| luminance(m))
-        .filter(|&l| l > 0.0)
+        .filter(|&l| l > 0.0 && l.is_finite())
         .map(f32::ln)
         .collect();
     let level = (lit.iter().map(|&x| f64::from(x)).sum::<f64>() / lit.len().max(1) as f64).exp();
     let floor = (FLOOR * level as f32).max(f32::MIN_POSITIVE);
     let mut valid = sums.map(|s| s.w > 0.0);
+    // (negative radiance, which denoisers and demosaicing leave, is none)
     let mut features = means.map(|&m| {
-        let v = m + floor;
+        let m = if m.is_finite() { m } else { Vec3::ZERO };
+        let v = m.max(Vec3::ZERO) + floor;
         let (r, g, b) = (v.x.ln(), v.y.ln(), v.z.ln());
         Vec4::new(
             luminance(v).ln(),
@@ -278,7 +284,7 @@ fn log_image(
             0.0,
         )
     });
-    for (v, m) in valid.data.iter_mut().zip(&features.data) {
+    for (v, m) in valid.data.iter_mut().zip(&means.data) {
         *v &= m.is_finite();
     }
     let surround = box_mean(&features.map(|f| f.x), width / SURROUND, wrap);

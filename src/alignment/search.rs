@@ -18,7 +18,7 @@ const PLAUSIBLE: f64 = 0.6;
 pub const COARSE: usize = 3;
 /// … and every n-th in the first pass over hundreds of hypotheses, the best of which are scored
 /// again.
-const ROUGH: usize = 9;
+pub const ROUGH: usize = 9;
 const RETRIED: usize = 30;
 /// Shift of the coarse search in units of the median distance to surfaces (11°), and how many
 /// steps to each side.
@@ -84,9 +84,9 @@ impl Judge<'_> {
         scores.iter().sum::<f64>() / scores.len().max(1) as f64
     }
 
-    fn candidate(&self, hypothesis: Hypothesis) -> Candidate {
+    fn candidate(&self, hypothesis: Hypothesis, stride: usize) -> Candidate {
         Candidate {
-            score: self.mean(&hypothesis.correction, COARSE),
+            score: self.mean(&hypothesis.correction, stride),
             hypothesis,
         }
     }
@@ -130,9 +130,9 @@ impl Judge<'_> {
             .collect()
     }
 
-    /// Single usual mistakes, scored.
+    /// Single usual mistakes, scored with every `stride`-th sample.
     #[must_use]
-    pub fn usual(&self, scene: &Scene) -> Vec<Candidate> {
+    pub fn usual(&self, scene: &Scene, stride: usize) -> Vec<Candidate> {
         let mut all = vec![Hypothesis::as_given()];
         all.extend(usual::inversions());
         all.extend(usual::world_axes(self.z_up));
@@ -143,7 +143,7 @@ impl Judge<'_> {
         all.extend(usual::lenses(scene));
         self.plausible(all)
             .into_iter()
-            .map(|h| self.candidate(h))
+            .map(|h| self.candidate(h, stride))
             .collect()
     }
 
@@ -185,7 +185,10 @@ impl Judge<'_> {
             .collect();
         rough.sort_by(|a, b| b.0.total_cmp(&a.0));
         rough.truncate(RETRIED);
-        rough.into_iter().map(|(_, h)| self.candidate(h)).collect()
+        rough
+            .into_iter()
+            .map(|(_, h)| self.candidate(h, COARSE))
+            .collect()
     }
 
     /// Yaw of all poses and of each camera, scale, shift.

@@ -4,11 +4,13 @@
 use super::apply::apply;
 use super::correction::Correction;
 use super::evidence::{EvidenceSize, ViewEvidence};
+use super::refine::refine;
+use super::score::Ground;
 use super::verdict::{Alignment, assess_views};
 use crate::core::geometry::{Camera, Mesh, Projection};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
-use crate::scene::Scene;
+use crate::scene::{Mirror, Scene};
 use crate::verdict::AlignmentVerdict;
 use glam::{DMat3, DVec3, Mat3, Vec2, Vec3};
 use std::path::PathBuf;
@@ -157,6 +159,41 @@ impl Photographed {
         let tracer = EmbreeTracer::new(&self.scene.mesh).expect("tracer");
         assess_views(&self.scene, &tracer, &views)
     }
+
+    fn moved(&self, c: &Correction) -> Alignment {
+        self.judged(|camera| c.camera(camera, self.scene.origin, false))
+    }
+}
+
+#[test]
+fn usual_mistakes_are_named() {
+    let room = Photographed::panoramas(1.0);
+    let shift = Correction {
+        shift: DVec3::new(0.8, 0.0, 0.6),
+        ..Correction::default()
+    };
+    let opencv = Correction {
+        camera_turn: DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)),
+        ..Correction::default()
+    };
+    for (damage, expected) in [(shift, "shifted"), (opencv, "OpenCV")] {
+        let a = room.moved(&damage);
+        let winner = a.winner.clone().unwrap_or_default();
+        assert_eq!(a.verdict, AlignmentVerdict::Misaligned, "{expected}: {a:?}");
+        assert!(winner.contains(expected), "{expected}: {winner}");
+        assert!(a.problem().is_some_and(|p| p.contains("--fix-alignment")));
+    }
+}
+
+#[test]
+fn mirrored_photographs_are_told_from_right_ones() {
+    let mut room = Photographed::panoramas(1.0);
+    for image in &mut room.images {
+        image.data.chunks_exact_mut(96).for_each(<[Vec3]>::reverse);
+    }
+    let a = room.judged(|c| *c);
+    assert_eq!(a.verdict, AlignmentVerdict::Misaligned, "{a:?}");
+    assert_eq!(a.correction.map(|c| c.mirror), Some(Mirror::All), "{a:?}");
 }
 
 /// A room without a pattern says nothing: no verdict of misalignment may come of noise.
@@ -168,6 +205,66 @@ fn nothing_to_see_is_no_misalignment() {
     }
     let a = blank.judged(|c| *c);
     assert_ne!(a.verdict, AlignmentVerdict::Misaligned, "{a:?}");
+}
+
+/// Photographs of other rooms: no hypothesis fits, and that they show much and agree with nothing
+/// is proof enough.
+#[test]
+fn photographs_of_another_place_are_refused() {
+    let mut room = Photographed::panoramas(1.0);
+    for (i, image) in room.images.iter_mut().enumerate() {
+        let (w, k) = (image.width, i as f32);
+        for (j, p) in image.data.iter_mut().enumerate() {
+            let (x, y) = ((j % w) as f32 / w as f32, (j / w) as f32 / w as f32);
+            let turn = std::f32::consts::TAU * x;
+            let wave =
+                |a: f32, b: f32, c: f32| (a * turn.cos() + b * turn.sin() + c * y + k * k).sin();
+            let v = wave(3.0 + k, 2.0 - k, 17.0) + wave(1.0, 4.0 - k, 23.0 + k);
+            *p = Vec3::splat((0.7 * v).exp());
+        }
+    }
+    let a = room.judged(|c| *c);
+    assert_eq!(a.verdict, AlignmentVerdict::Misaligned, "{a:?}");
+    assert!(
+        a.problem()
+            .is_some_and(|p| p.contains("photographs of this mesh")),
+        "{a:?}"
+    );
+}
+
+/// Walls of one paint, lit from one side: little to see, and no reason to call it wrong.
+#[test]
+fn rooms_without_a_pattern_are_not_misaligned() {
+    for contrast in [0.0, 0.05, 0.2] {
+        let a = Photographed::panoramas(contrast).judged(|c| *c);
+        assert_ne!(a.verdict, AlignmentVerdict::Misaligned, "{contrast}: {a:?}");
+    }
+}
+
+/// Pixels that are negative or no numbers say nothing, and no figure of the verdict is one of
+/// them: what is written as JSON reads back.
+#[test]
+fn bad_pixels_leave_no_bad_figures() {
+    let mut room = Photographed::panoramas(1.0);
+    for (i, image) in room.images.iter_mut().enumerate() {
+        for (k, p) in image.data.iter_mut().enumerate() {
+            match (k + i) % 29 {
+                0 => *p = Vec3::splat(-5.0),
+                1 => *p = Vec3::new(f32::NAN, 1.0, 1.0),
+                2 => *p = Vec3::splat(f32::INFINITY),
+                _ => {}
+            }
+        }
+    }
+    let a = room.judged(|c| *c);
+    let json = serde_json::to_string(&a).expect("json");
+    let back: Alignment = serde_json::from_str(&json).expect("numbers");
+    assert_eq!(back, a);
+    assert_ne!(a.verdict, AlignmentVerdict::Misaligned, "{a:?}");
+    // one view alone has nothing to be compared with
+    room.cameras.truncate(1);
+    let json = serde_json::to_string(&room.judged(|c| *c)).expect("json");
+    serde_json::from_str::<Alignment>(&json).expect("numbers");
 }
 
 /// A mesh in millimetres is scaled, and poses that were right keep their metres.
@@ -208,5 +305,61 @@ fn the_side_that_was_wrong_is_mended() {
         let n = before.face_normal(t);
         let flipped = Vec3::new(-n.x, n.y, n.z);
         assert!((after.face_normal(t) - flipped).length() < 1e-5);
+    }
+}
+
+fn jittered(camera: &Camera, i: usize) -> Camera {
+    let k = i as f32;
+    let axis = Vec3::new(
+        (2.1 * k).sin(),
+        (1.3 * k + 1.0).cos(),
+        (0.7 * k + 2.0).sin(),
+    )
+    .normalize();
+    let shift = Vec3::new((1.9 * k).cos(), 0.5 * (2.3 * k).sin(), (0.9 * k).cos()).normalize();
+    Camera {
+        world_from_camera: camera.world_from_camera
+            * Mat3::from_axis_angle(axis, 2.0f32.to_radians()),
+        position: camera.position + shift * 0.03,
+        ..*camera
+    }
+}
+
+fn fine(room: &Photographed, cameras: &[Camera]) -> Vec<ViewEvidence> {
+    cameras
+        .iter()
+        .zip(&room.images)
+        .enumerate()
+        .map(|(i, (c, image))| {
+            ViewEvidence::new(&i.to_string(), c, image, None, None, EvidenceSize::FINE)
+        })
+        .collect()
+}
+
+#[test]
+fn right_poses_are_left_alone_and_wrong_ones_come_back() {
+    let room = Photographed::new(Projection::Equirectangular, [192, 96], 1.0);
+    let tracer = EmbreeTracer::new(&room.scene.mesh).expect("tracer");
+    let ground = Ground {
+        mesh: &room.scene.mesh,
+        tracer: &tracer,
+    };
+    let none = refine(&ground, &fine(&room, &room.cameras), 8);
+    assert!(none.is_empty(), "{none:?}");
+
+    let spoilt: Vec<Camera> = room
+        .cameras
+        .iter()
+        .enumerate()
+        .map(|(i, c)| jittered(c, i))
+        .collect();
+    let refined = refine(&ground, &fine(&room, &spoilt), 8);
+    assert!(refined.len() >= 5, "{refined:?}");
+    for pose in &refined {
+        let i: usize = pose.stem.parse().expect("a number");
+        let back = pose.camera(&spoilt[i]);
+        let turn = back.world_from_camera.transpose() * room.cameras[i].world_from_camera;
+        let cosine = 0.5 * (turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0);
+        assert!(cosine > 0.6f32.to_radians().cos(), "{i}: {pose:?}");
     }
 }

@@ -2,7 +2,7 @@
 
 use super::context::Context;
 use super::guard::{files_of_cameras, keep_inputs};
-use super::inputs::read_scene;
+use super::inputs::read_solved_scene;
 use crate::Result;
 use crate::core::geometry::Camera;
 use crate::core::trace::EmbreeTracer;
@@ -27,9 +27,10 @@ pub struct FrameSource {
 }
 
 impl FrameSource {
-    /// The cameras to render from.
+    /// The cameras to render the solution in `out` from; a scene's with what `solve` corrected.
     pub(super) fn frames(
         &self,
+        out: &Path,
         options: &FrameOptions,
         solution: &Solution,
         context: &Context,
@@ -40,7 +41,7 @@ impl FrameSource {
                 read_cameras(file, solution.origin, size)?.cameras
             }
             (None, Some(scene)) => {
-                let scene = read_scene(scene, context)?;
+                let scene = read_solved_scene(scene, out, context)?;
                 cameras_of_scene(&scene, options.split.split(), solution.origin)
             }
             (None, None) => {

@@ -78,8 +78,8 @@ impl Surface<'_> {
     }
 
     /// The mesh with every triangle wound so that its front is the side the cameras see. Vertices
-    /// between turned and unturned triangles are doubled, so that vertex normals agree with their
-    /// faces.
+    /// of turned triangles whose normals do not agree with the new fronts are doubled; those that do
+    /// (of files whose windings are wrong and whose normals are right) stay shared.
     #[must_use]
     pub fn oriented_mesh(&self) -> Mesh {
         let mut mesh = self.scene.mesh.clone();
@@ -88,8 +88,12 @@ impl Surface<'_> {
             if self.orientation.sign(t) > 0.0 {
                 continue;
             }
+            let front = -self.scene.mesh.face_normal(t);
             for c in corners.iter_mut() {
                 let i = *c as usize;
+                if mesh.normals[i].dot(front) > 0.0 {
+                    continue;
+                }
                 *c = *turned[i].get_or_insert_with(|| {
                     mesh.positions.push(mesh.positions[i]);
                     mesh.uvs.push(mesh.uvs[i]);

@@ -18,6 +18,12 @@ pub struct UnwrapStats {
 /// Largest side an atlas is laid out for.
 const MAX_SIDE: u32 = 16_384;
 
+/// Triangles around one vertex that may share a chart. Charts are tested for overlap pair by pair
+/// where triangles crowd, so a fan of n takes n² tests; cut into slices of this many it takes 256 n.
+/// Derived: far above the valence of any vertex that modelling leaves (a cylinder's cap has its
+/// sides), so that no other mesh's charts change.
+const MOST_IN_FAN: usize = 256;
+
 /// Cuts and flattens `mesh` into one square atlas for `resolution`² texels with `padding` texels
 /// around every chart.
 ///
@@ -39,6 +45,7 @@ pub fn unwrap_mesh(
         .flatten()
         .map(|&v| representative[v as usize])
         .collect();
+    let slices = fan_slices(&indices);
     let mut options = uvunwrap::Options {
         padding,
         // on a furnished room of 132 k triangles: rows 0.5 s and 39 % filled, nested shapes 11 s
@@ -46,7 +53,9 @@ pub fn unwrap_mesh(
         packing: uvunwrap::Packing::Fast,
         ..uvunwrap::Options::default()
     };
-    let input = uvunwrap::MeshInput::new(&positions, &indices);
+    let mut input = uvunwrap::MeshInput::new(&positions, &indices);
+    // charts never cross from one material to another
+    input.face_materials = slices.as_deref();
     let mut page = resolution.clamp(16, MAX_SIDE);
     let atlas = loop {
         options.density = uvunwrap::Density::Auto { page_size: page };
@@ -116,6 +125,61 @@ fn weld(mesh: &Mesh) -> Vec<u32> {
     (0..mesh.positions.len())
         .map(|i| *first.entry(key(i)).or_insert(i as u32))
         .collect()
+}
+
+/// For every triangle a number such that no vertex has more than [`MOST_IN_FAN`] triangles of one
+/// number; neighbours in a fan keep together. `None` if no vertex has that many triangles.
+fn fan_slices(indices: &[u32]) -> Option<Vec<u32>> {
+    let vertices = indices.iter().max().map_or(0, |m| *m as usize + 1);
+    let mut valence = vec![0usize; vertices];
+    indices.iter().for_each(|&v| valence[v as usize] += 1);
+    let mut fans: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for (corner, &v) in indices.iter().enumerate() {
+        if valence[v as usize] > MOST_IN_FAN {
+            fans.entry(v).or_default().push((corner / 3) as u32);
+        }
+    }
+    if fans.is_empty() {
+        return None;
+    }
+    // (fan, slice) of every triangle, for all the fans it belongs to
+    let mut of: Vec<Vec<(u32, u32)>> = vec![Vec::new(); indices.len() / 3];
+    for (&centre, fan) in &fans {
+        for (place, &t) in around(centre, fan, indices).iter().enumerate() {
+            of[t as usize].push((centre, (place / MOST_IN_FAN) as u32));
+        }
+    }
+    let mut numbers: BTreeMap<Vec<(u32, u32)>, u32> = BTreeMap::new();
+    let number = of.into_iter().map(|key| {
+        let next = numbers.len() as u32;
+        *numbers.entry(key).or_insert(next)
+    });
+    Some(number.collect())
+}
+
+/// The triangles of a fan such that each follows the one it shares an edge with, where there is
+/// one; else in the order of the file.
+fn around(centre: u32, fan: &[u32], indices: &[u32]) -> Vec<u32> {
+    // the two other corners, in the triangle's sense
+    let others = |t: u32| -> [u32; 2] {
+        let corners = &indices[3 * t as usize..3 * t as usize + 3];
+        let at = corners.iter().position(|&v| v == centre).unwrap_or(0);
+        [corners[(at + 1) % 3], corners[(at + 2) % 3]]
+    };
+    let mut by_first: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for &t in fan.iter().rev() {
+        by_first.entry(others(t)[0]).or_default().push(t);
+    }
+    let mut done = std::collections::BTreeSet::new();
+    let mut order = Vec::with_capacity(fan.len());
+    for &start in fan {
+        let mut next = Some(start);
+        while let Some(t) = next.filter(|t| done.insert(*t)) {
+            order.push(t);
+            next = by_first.get_mut(&others(t)[1]).and_then(Vec::pop);
+        }
+    }
+    order
 }
 
 #[cfg(test)]
@@ -199,6 +263,44 @@ mod tests {
             "{stats:?} {:?}",
             atlas_overlap(&out, 2048)
         );
+    }
+
+    /// A cone of `n` triangles around its tip, in scrambled order of the file.
+    fn cone(n: u32) -> Mesh {
+        let mut mesh = Mesh::default();
+        mesh.positions.push(Vec3::Y * 0.3);
+        for i in 0..n {
+            let a = std::f32::consts::TAU * i as f32 / n as f32;
+            mesh.positions.push(Vec3::new(a.cos(), 0.0, a.sin()));
+        }
+        let stride = 7;
+        for k in 0..n {
+            let i = k * stride % n;
+            mesh.triangles.push([0, 1 + (i + 1) % n, 1 + i]);
+        }
+        mesh.compute_normals();
+        mesh
+    }
+
+    #[test]
+    fn fans_are_cut_into_slices_of_neighbours() {
+        assert_eq!(fan_slices(&[0, 1, 2, 0, 2, 3]), None);
+        let n = 1000u32;
+        let mesh = cone(n);
+        let indices: Vec<u32> = mesh.triangles.iter().flatten().copied().collect();
+        let numbers = fan_slices(&indices).expect("a fan");
+        let mut sizes: BTreeMap<u32, usize> = BTreeMap::new();
+        numbers
+            .iter()
+            .for_each(|k| *sizes.entry(*k).or_default() += 1);
+        assert_eq!(sizes.values().sum::<usize>(), n as usize);
+        assert!(sizes.values().all(|s| *s <= MOST_IN_FAN), "{sizes:?}");
+        // by place around the tip, the numbers change four times only
+        let mut by_place: Vec<(u32, u32)> =
+            mesh.triangles.iter().map(|t| t[2]).zip(numbers).collect();
+        by_place.sort_unstable();
+        let changes = by_place.windows(2).filter(|w| w[0].1 != w[1].1).count();
+        assert!(changes <= 4, "{changes}");
     }
 
     #[test]

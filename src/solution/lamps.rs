@@ -6,6 +6,7 @@
 //! knows no unit: the gap is a share of the scene's diagonal.
 
 use super::Solution;
+use super::generation::other_run;
 use crate::core::geometry::{Mesh, clusters};
 use crate::core::image::RgbPlane;
 use crate::core::math::luminance;
@@ -168,12 +169,16 @@ fn describe(mesh: &Mesh, mean: &[Vec3], mut triangles: Vec<u32>, origin: DVec3) 
 /// The file's content.
 #[derive(Serialize, Deserialize)]
 struct LightsFile {
+    /// The set of files it belongs to; `None` in files of older versions or made by hand.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    generation: Option<String>,
     lights: Vec<Lamp>,
 }
 
-/// The list as the bytes of `lights.json`.
-pub(super) fn encode(lamps: &[Lamp]) -> Result<Vec<u8>> {
+/// The list as the bytes of `lights.json`, with the generation of the set of files it belongs to.
+pub(super) fn encode(lamps: &[Lamp], generation: &str) -> Result<Vec<u8>> {
     let file = LightsFile {
+        generation: Some(generation.to_owned()),
         lights: lamps.to_vec(),
     };
     serde_json::to_vec_pretty(&file).map_err(|e| Error::Failed(format!("{LIGHTS}: {e}")))
@@ -182,8 +187,13 @@ pub(super) fn encode(lamps: &[Lamp]) -> Result<Vec<u8>> {
 /// The stored list; that of the solution's own emission where a folder has none.
 ///
 /// # Errors
-/// A file that is no list of lights, or names triangles that the mesh does not have.
-pub(super) fn read(folder: &Path, solution: &Solution) -> Result<Vec<Lamp>> {
+/// A file that is no list of lights, names triangles that the mesh does not have, or is of another
+/// generation than `expected`.
+pub(super) fn read(
+    folder: &Path,
+    solution: &Solution,
+    expected: Option<&str>,
+) -> Result<Vec<Lamp>> {
     let path = folder.join(LIGHTS);
     if !path.is_file() {
         return Ok(find_lamps(
@@ -199,6 +209,11 @@ pub(super) fn read(folder: &Path, solution: &Solution) -> Result<Vec<Lamp>> {
             format!("is no list of lights ({e}); run `unbake solve` again"),
         )
     })?;
+    if let (Some(found), Some(expected)) = (&file.generation, expected)
+        && found != expected
+    {
+        return Err(other_run(&path));
+    }
     let triangles = solution.mesh.triangles.len();
     for lamp in &file.lights {
         if let Some(t) = lamp.triangles.iter().find(|&&t| t as usize >= triangles) {
@@ -277,18 +292,24 @@ mod tests {
         let mut solution = two_quads(2.0);
         solution.lamps = lamps(&solution);
         solution.lamps[1].clipped = true;
-        let bytes = encode(&solution.lamps).expect("json");
+        let bytes = encode(&solution.lamps, "a").expect("json");
         std::fs::write(folder.path().join(LIGHTS), &bytes).expect("write");
         assert_eq!(
-            read(folder.path(), &solution).expect("read"),
+            read(folder.path(), &solution, Some("a")).expect("read"),
             solution.lamps
         );
+        let mixed = read(folder.path(), &solution, Some("b")).expect_err("of another run");
+        assert!(mixed.exit_code() == 2 && mixed.to_string().contains("of another run"));
         solution.mesh.triangles.truncate(2);
-        let refused = read(folder.path(), &solution).expect_err("triangles that are not there");
+        let refused =
+            read(folder.path(), &solution, None).expect_err("triangles that are not there");
         assert!(refused.to_string().contains("light 2 names triangle"));
         std::fs::write(folder.path().join(LIGHTS), b"{").expect("write");
-        assert!(read(folder.path(), &solution).is_err());
+        assert!(read(folder.path(), &solution, None).is_err());
         std::fs::remove_file(folder.path().join(LIGHTS)).expect("remove");
-        assert_eq!(read(folder.path(), &solution).expect("found").len(), 1);
+        assert_eq!(
+            read(folder.path(), &solution, None).expect("found").len(),
+            1
+        );
     }
 }

@@ -3,12 +3,14 @@
 
 mod aside;
 mod camera_masks;
+mod generation;
 mod glb;
 mod lamps;
 mod lock;
 mod store;
 
 pub use aside::AsideFolder;
+pub use generation::check_generation;
 pub use glb::{GlbOptions, PunctualLight, scene_glb};
 pub use lamps::{LIGHTS, Lamp, LampKind, find_lamps, lamp_gap, triangle_emission};
 pub use lock::OutputLock;

@@ -7,6 +7,7 @@
 use super::Solution;
 use super::aside::AsideFolder;
 use super::camera_masks::{read_camera_masks, replace_camera_masks, write_camera_masks};
+use super::generation::other_run;
 use super::glb::{GlbOptions, marked_glb, read_glb};
 use super::lamps::{self, LIGHTS};
 use crate::core::formats::{
@@ -78,7 +79,7 @@ impl Solution {
             write_camera_masks(aside.path(), &self.camera_masks)?;
             write_radiometric(&marked, &at("environment.exr"), &self.environment)?;
             let path = at(LIGHTS);
-            std::fs::write(&path, lamps::encode(&self.lamps)?)
+            std::fs::write(&path, lamps::encode(&self.lamps, &generation)?)
                 .map_err(|e| Error::io(folder.join(LIGHTS), e))
         };
         let (glb, textures) = rayon::join(glb, textures);
@@ -173,7 +174,7 @@ impl Solution {
             lamps: Vec::new(),
             camera_masks: read_camera_masks(folder)?,
         };
-        solution.lamps = lamps::read(folder, &solution)?;
+        solution.lamps = lamps::read(folder, &solution, glb.generation.as_deref())?;
         Ok(solution)
     }
 
@@ -231,10 +232,7 @@ fn one_generation(folder: &Path, of_glb: Option<&str>) -> Result<()> {
             continue;
         }
         if generation_mark(&path)?.is_some_and(|mark| mark != expected) {
-            return Err(Error::input(
-                path,
-                "is of another run than scene.glb: a run was stopped while it wrote, or files were mixed. Run `unbake solve` again",
-            ));
+            return Err(other_run(&path));
         }
     }
     Ok(())

@@ -11,7 +11,7 @@ use std::path::Path;
 pub(crate) fn export(out: &Path, places: &FrameSource, context: &Context) -> Result<()> {
     let options = &context.config.export;
     let solution = read_solution(out, &context.progress)?;
-    let cameras = places.frames(&options.frames, &solution, context)?;
+    let cameras = places.frames(out, &options.frames, &solution, context)?;
     let (folder, _lock) = places.folder(out, "export")?;
     let files = context.progress.stage("exporting", 1, |_| {
         crate::programs::export::export(&folder, &solution, &cameras, &options.formats)

@@ -34,7 +34,7 @@ pub(crate) fn relight(
         return list_lamps(&solution.lamps, context);
     }
     let lighting = changed_light(&solution.lamps, lights, context)?;
-    let cameras = places.frames(&options.frames, &solution, context)?;
+    let cameras = places.frames(out, &options.frames, &solution, context)?;
     let (folder, _lock) = places.folder(out, "relight")?;
     let relit = Relit {
         solution: &solution,

@@ -22,7 +22,7 @@ pub(crate) fn render(out: &Path, places: &FrameSource, context: &Context) -> Res
         ));
     }
     let solution = read_solution(out, progress)?;
-    let cameras = places.frames(&options.frames, &solution, context)?;
+    let cameras = places.frames(out, &options.frames, &solution, context)?;
     let (folder, _lock) = places.folder(out, "render")?;
     let mut writer = FrameWriter::new(&folder, options.frames.exposure, !options.frames.no_exr)?;
     let mut seconds = Vec::new();

@@ -37,11 +37,12 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
     let (mut solution, mut findings) = (solved.solution, solved.findings);
     take_in(alignment.verdict, &mut findings, &mut solution);
     scene.camera_masks.clone_from(&solution.camera_masks);
-    progress.stage("writing the textures", 1, |_| {
+    let generation = progress.stage("writing the textures", 1, |_| {
         solution.save(out, &SaveOptions::default())
     })?;
     let verdict = findings.verdict();
     let mut record = record(&scene, inputs, context)?;
+    record.generation = generation;
     record.findings = Some(findings);
     record.alignment = Some(alignment);
     progress.stage("report", 1, |_| {

@@ -112,6 +112,8 @@ pub struct RunRecord {
     pub notes: Vec<String>,
     /// Every input file with its hash.
     pub inputs: Vec<InputFile>,
+    /// What tells the solution that the run wrote from any other; empty in files of older versions.
+    pub generation: String,
     /// What a reconstruction found of its own faults.
     pub findings: Option<Findings>,
     /// Whether photographs and mesh fitted, and what was corrected; verbs that read the scene again
