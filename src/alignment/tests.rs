@@ -260,7 +260,6 @@ fn bad_pixels_leave_no_bad_figures() {
     let json = serde_json::to_string(&a).expect("json");
     let back: Alignment = serde_json::from_str(&json).expect("numbers");
     assert_eq!(back, a);
-    assert_ne!(a.verdict, AlignmentVerdict::Misaligned, "{a:?}");
     // one view alone has nothing to be compared with
     room.cameras.truncate(1);
     let json = serde_json::to_string(&room.judged(|c| *c)).expect("json");
