@@ -6,6 +6,8 @@
 #[allow(unsafe_code)]
 pub mod embree;
 #[allow(unsafe_code)]
+pub mod meshopt;
+#[allow(unsafe_code)]
 pub mod oidn;
 #[allow(unsafe_code)]
 pub mod oiio;

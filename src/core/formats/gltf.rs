@@ -5,6 +5,9 @@
 //! panic or a huge allocation. Node transforms are composed in f64, so that a mesh moved far from
 //! the origin by its node keeps its shape.
 
+use super::gltf_compressed::{DracoPrimitive, PackedView, Unpacked};
+use super::gltf_numbers::{component, component_size};
+use super::gltf_texture::{Material, UvSource};
 use super::raw_mesh::{Part, RawMesh};
 use super::{MOST_DATA, read_input};
 use crate::{Error, Result};
@@ -12,7 +15,10 @@ use base64::engine::Engine;
 use glam::{DMat4, DQuat, DVec3, Vec2, Vec3};
 use serde::Deserialize;
 use std::borrow::Cow;
+use std::cell::{Cell, OnceCell, RefCell};
+use std::collections::BTreeMap;
 use std::path::{Component, Path};
+use std::rc::Rc;
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
@@ -31,6 +37,8 @@ struct Document {
     buffer_views: Vec<BufferView>,
     #[serde(default)]
     buffers: Vec<Buffer>,
+    #[serde(default)]
+    materials: Vec<Material>,
     #[serde(default)]
     extensions_required: Vec<String>,
 }
@@ -69,19 +77,19 @@ struct MeshEntry {
 
 #[derive(Deserialize)]
 struct Primitive {
-    attributes: Attributes,
+    /// Accessors by the attribute's name.
+    attributes: BTreeMap<String, usize>,
     indices: Option<usize>,
+    material: Option<usize>,
     mode: Option<u32>,
+    #[serde(default)]
+    extensions: PrimitiveExtensions,
 }
 
-#[derive(Deserialize)]
-struct Attributes {
-    #[serde(rename = "POSITION")]
-    position: Option<usize>,
-    #[serde(rename = "NORMAL")]
-    normal: Option<usize>,
-    #[serde(rename = "TEXCOORD_0")]
-    uv: Option<usize>,
+#[derive(Default, Deserialize)]
+struct PrimitiveExtensions {
+    #[serde(rename = "KHR_draco_mesh_compression")]
+    draco: Option<DracoPrimitive>,
 }
 
 #[derive(Deserialize)]
@@ -107,17 +115,43 @@ struct BufferView {
     byte_offset: u64,
     byte_length: u64,
     byte_stride: Option<u64>,
+    #[serde(default)]
+    extensions: ViewExtensions,
+}
+
+#[derive(Default, Deserialize)]
+struct ViewExtensions {
+    #[serde(rename = "EXT_meshopt_compression", alias = "KHR_meshopt_compression")]
+    packed: Option<PackedView>,
 }
 
 #[derive(Deserialize)]
 struct Buffer {
     uri: Option<String>,
+    #[serde(default)]
+    extensions: BufferExtensions,
+}
+
+#[derive(Default, Deserialize)]
+struct BufferExtensions {
+    #[serde(rename = "EXT_meshopt_compression", alias = "KHR_meshopt_compression")]
+    packed: Option<Fallback>,
+}
+
+/// Marks a buffer whose views are all packed: what it holds itself is for others.
+#[derive(Deserialize)]
+struct Fallback {
+    #[serde(default)]
+    fallback: bool,
 }
 
 /// Beginnings of the names of extensions that a file may require without changing what is read
-/// here: materials, textures, lights, and positions stored as integers.
-const UNDERSTOOD: [&str; 8] = [
+/// here (materials, lights), and of those that are read: integers and packed data.
+const UNDERSTOOD: [&str; 11] = [
     "KHR_mesh_quantization",
+    "KHR_meshopt_compression",
+    "EXT_meshopt_compression",
+    "KHR_draco_mesh_compression",
     "KHR_materials_",
     "KHR_texture_",
     "KHR_lights_",
@@ -169,6 +203,13 @@ pub fn mesh_from_gltf(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     let reader = Reader {
         document: &document,
         buffers,
+        views: document
+            .buffer_views
+            .iter()
+            .map(|_| OnceCell::new())
+            .collect(),
+        unpacked: Cell::new(0),
+        draco: RefCell::default(),
     };
     reader.check_instances().map_err(fail)?;
     let parts = reader.parts().map_err(fail)?;
@@ -232,6 +273,14 @@ fn load_buffer<'a>(
     path: &Path,
 ) -> Result<Cow<'a, [u8]>> {
     let fail = |m: String| Error::input(path, m);
+    if buffer
+        .extensions
+        .packed
+        .as_ref()
+        .is_some_and(|p| p.fallback)
+    {
+        return Ok(Cow::Borrowed(&[]));
+    }
     let Some(uri) = &buffer.uri else {
         return blob.map(Cow::Borrowed).ok_or_else(|| {
             fail(format!(
@@ -304,6 +353,18 @@ fn decode_percent(uri: &str) -> String {
 struct Reader<'a> {
     document: &'a Document,
     buffers: Vec<Cow<'a, [u8]>>,
+    /// Packed views that were unpacked.
+    views: Vec<OnceCell<Vec<u8>>>,
+    /// Bytes in `views`.
+    unpacked: Cell<u64>,
+    /// Draco's primitives by their buffer view: a mesh may stand in the scene many times.
+    draco: RefCell<BTreeMap<usize, Rc<Unpacked>>>,
+}
+
+/// A primitive with what Draco had of it.
+struct Source<'a> {
+    primitive: &'a Primitive,
+    draco: Option<Rc<Unpacked>>,
 }
 
 type Reading<T> = std::result::Result<T, String>;
@@ -322,12 +383,21 @@ impl Reader<'_> {
 
     /// Adds a primitive's vertices and indices to what the file has asked for so far.
     fn count(&self, primitive: &Primitive, asked: &mut u64) -> Reading<()> {
-        let of = |a: Option<usize>| a.and_then(|a| self.document.accessors.get(a));
-        for accessor in [of(primitive.attributes.position), of(primitive.indices)] {
+        let most = self.buffers.iter().map(|b| b.len() as u64).max();
+        for index in [
+            primitive.attributes.get("POSITION").copied(),
+            primitive.indices,
+        ] {
+            let accessor = index.and_then(|a| self.document.accessors.get(a));
+            let Some(accessor) = accessor else { continue };
+            let view = accessor
+                .buffer_view
+                .and_then(|v| self.document.buffer_views.get(v));
+            let plain = view.is_some_and(|v| v.extensions.packed.is_none());
             // a count that no buffer can hold is refused where it is read, with better words
-            let most = self.buffers.iter().map(|b| b.len() as u64).max();
-            let count = accessor.map_or(0, |a| a.count);
-            *asked += if count <= most.unwrap_or(0) { count } else { 0 };
+            if !plain || accessor.count <= most.unwrap_or(0) {
+                *asked = asked.saturating_add(accessor.count);
+            }
         }
         if *asked <= 2 * MAX_ELEMENTS {
             return Ok(());
@@ -411,12 +481,13 @@ impl Reader<'_> {
         if mode < 4 {
             return Ok(None); // points and lines carry no surface
         }
-        let position = primitive
-            .attributes
-            .position
-            .ok_or("no POSITION; export the mesh again")?;
+        let position = primitive.attributes.get("POSITION");
+        position.ok_or("no POSITION; export the mesh again")?;
+        let draco = self.draco(primitive)?;
+        let source = Source { primitive, draco };
         let positions: Vec<DVec3> = self
-            .floats::<3>(position)?
+            .vectors::<3>(&source, "POSITION")?
+            .unwrap_or_default()
             .into_iter()
             .map(|p| world.transform_point3(DVec3::from_array(p)))
             .collect();
@@ -432,39 +503,30 @@ impl Reader<'_> {
         };
         // normals transform with the inverse transpose; its sign carries mirrorings
         let normal_matrix = glam::DMat3::from_mat4(*world).inverse().transpose();
-        let normals = match primitive.attributes.normal {
-            Some(a) if normal_matrix.is_finite() => {
-                let n = self.floats::<3>(a)?;
+        let normals = match self.vectors::<3>(&source, "NORMAL")? {
+            Some(n) if normal_matrix.is_finite() => {
                 of_length("normals", n.len())?;
+                let turned = |n| (normal_matrix * DVec3::from_array(n)).normalize_or_zero();
                 Some(
                     n.into_iter()
-                        .map(|n| {
-                            (normal_matrix * DVec3::from_array(n))
-                                .normalize_or_zero()
-                                .as_vec3()
-                        })
+                        .map(|n| turned(n).as_vec3())
                         .collect::<Vec<Vec3>>(),
                 )
             }
             _ => None,
         };
-        let uvs = match primitive.attributes.uv {
-            Some(a) => {
-                let uv = self.floats::<2>(a)?;
-                of_length("texture coordinates", uv.len())?;
-                Some(
-                    uv.into_iter()
-                        .map(|[u, v]| Vec2::new(u as f32, v as f32))
-                        .collect(),
-                )
+        let uvs = self.uvs(&source)?;
+        if let Some(uvs) = &uvs {
+            of_length("texture coordinates", uvs.len())?;
+        }
+        let mut triangles = match (&source.draco, primitive.indices) {
+            (Some(d), _) => d.triangles(),
+            (None, Some(a)) => triangulate(&self.indices(a)?, mode)?,
+            (None, None) => {
+                let all: Vec<u32> = (0..positions.len() as u32).collect();
+                triangulate(&all, mode)?
             }
-            None => None,
         };
-        let indices = match primitive.indices {
-            Some(a) => self.indices(a)?,
-            None => (0..positions.len() as u32).collect(),
-        };
-        let mut triangles = triangulate(&indices, mode)?;
         if glam::DMat3::from_mat4(*world).determinant() < 0.0 {
             triangles.iter_mut().for_each(|t| t.swap(1, 2)); // a mirroring node turns the winding round
         }
@@ -476,15 +538,109 @@ impl Reader<'_> {
         }))
     }
 
+    fn accessor(&self, index: usize) -> Reading<&Accessor> {
+        let found = self.document.accessors.get(index);
+        found.ok_or_else(|| format!("accessor {index} does not exist; export the mesh again"))
+    }
+
+    /// The primitive unpacked, if Draco packed it.
+    fn draco(&self, primitive: &Primitive) -> Reading<Option<Rc<Unpacked>>> {
+        let Some(packed) = &primitive.extensions.draco else {
+            return Ok(None);
+        };
+        if let Some(done) = self.draco.borrow().get(&packed.buffer_view) {
+            return Ok(Some(Rc::clone(done)));
+        }
+        let stated = |index: Option<usize>| match index {
+            Some(a) => Ok(self.accessor(a)?.count),
+            None => Err("a primitive of Draco without indices; export the mesh again".to_owned()),
+        };
+        let vertices = stated(primitive.attributes.get("POSITION").copied())?;
+        let triangles = stated(primitive.indices)? / 3;
+        let bytes = self.view_bytes(packed.buffer_view)?;
+        let done = Rc::new(Unpacked::new(bytes, vertices, triangles)?);
+        let mut known = self.draco.borrow_mut();
+        known.insert(packed.buffer_view, Rc::clone(&done));
+        Ok(Some(done))
+    }
+
+    /// The vectors of an attribute, from Draco or from its accessor; `None` where the primitive has
+    /// no such attribute.
+    fn vectors<const N: usize>(
+        &self,
+        from: &Source<'_>,
+        name: &str,
+    ) -> Reading<Option<Vec<[f64; N]>>> {
+        let Some(&index) = from.primitive.attributes.get(name) else {
+            return Ok(None);
+        };
+        let extension = from.primitive.extensions.draco.as_ref();
+        let packed = extension.and_then(|d| d.attributes.get(name));
+        match (&from.draco, packed) {
+            (Some(unpacked), Some(&id)) => {
+                let a = self.accessor(index)?;
+                unpacked.vectors(id, a.component_type, a.normalized)
+            }
+            _ => self.floats::<N>(index),
+        }
+        .map(Some)
+    }
+
+    /// Texture coordinates where the material's base colour is sampled (`KHR_texture_transform`).
+    fn uvs(&self, from: &Source<'_>) -> Reading<Option<Vec<Vec2>>> {
+        let material = from.primitive.material;
+        let material = material.and_then(|m| self.document.materials.get(m));
+        let source = material.map_or_else(UvSource::default, Material::uv_source);
+        let named = format!("TEXCOORD_{}", source.set);
+        let has = from.primitive.attributes.contains_key(&named);
+        let name = if has { named.as_str() } else { "TEXCOORD_0" };
+        let read = self.vectors::<2>(from, name)?;
+        Ok(read.map(|uv| uv.into_iter().map(|uv| source.sampled_at(uv)).collect()))
+    }
+
+    /// The bytes of a buffer view, unpacked if they are packed.
+    fn view_bytes(&self, v: usize) -> Reading<&[u8]> {
+        let again = "export the mesh again";
+        let view = self
+            .document
+            .buffer_views
+            .get(v)
+            .ok_or_else(|| format!("buffer view {v} does not exist; {again}"))?;
+        let in_buffer = |buffer: usize, offset: u64, length: u64| -> Reading<&[u8]> {
+            let bytes = self
+                .buffers
+                .get(buffer)
+                .ok_or_else(|| format!("buffer {buffer} does not exist; {again}"))?;
+            let end = offset
+                .checked_add(length)
+                .filter(|e| *e <= bytes.len() as u64);
+            let end = end.ok_or_else(|| {
+                format!(
+                    "buffer view {v} claims more than its buffer of {} bytes holds; the file is truncated or damaged, {again}",
+                    bytes.len()
+                )
+            })?;
+            Ok(&bytes[offset as usize..end as usize])
+        };
+        let Some(packed) = &view.extensions.packed else {
+            return in_buffer(view.buffer, view.byte_offset, view.byte_length);
+        };
+        if let Some(done) = self.views[v].get() {
+            return Ok(done);
+        }
+        let bytes = in_buffer(packed.buffer, packed.byte_offset, packed.byte_length)?;
+        let mut sum = self.unpacked.get();
+        let done = packed.unpack(bytes, &mut sum);
+        self.unpacked.set(sum);
+        let done = done.map_err(|e| format!("buffer view {v}: {e}"))?;
+        Ok(self.views[v].get_or_init(|| done))
+    }
+
     /// The bytes of an accessor's elements: `(bytes from the first element, stride, count)`,
     /// checked to lie in the buffer.
     fn elements(&self, index: usize, size: u64) -> Reading<(&[u8], usize, usize)> {
         let again = "export the mesh again";
-        let a = self
-            .document
-            .accessors
-            .get(index)
-            .ok_or_else(|| format!("accessor {index} does not exist; {again}"))?;
+        let a = self.accessor(index)?;
         if a.sparse.is_some() {
             return Err(format!(
                 "accessor {index} is sparse, which is not supported; export without morph targets"
@@ -493,16 +649,8 @@ impl Reader<'_> {
         let v = a
             .buffer_view
             .ok_or_else(|| format!("accessor {index} has no data; {again}"))?;
-        let view = self
-            .document
-            .buffer_views
-            .get(v)
-            .ok_or_else(|| format!("buffer view {v} does not exist; {again}"))?;
-        let buffer = self
-            .buffers
-            .get(view.buffer)
-            .ok_or_else(|| format!("buffer {} does not exist; {again}", view.buffer))?;
-        let stride = view.byte_stride.unwrap_or(size);
+        let bytes = self.view_bytes(v)?;
+        let stride = self.document.buffer_views[v].byte_stride.unwrap_or(size);
         let needed = if a.count == 0 {
             Some(0)
         } else {
@@ -511,34 +659,21 @@ impl Reader<'_> {
                 .and_then(|n| n.checked_add(size))
                 .and_then(|n| n.checked_add(a.byte_offset))
         };
-        let end = view.byte_offset.checked_add(view.byte_length);
-        match (needed, end) {
-            (Some(needed), Some(end))
-                if needed <= view.byte_length && end <= buffer.len() as u64 && stride >= size =>
-            {
-                let begin = (view.byte_offset + a.byte_offset).min(end) as usize;
-                Ok((
-                    &buffer[begin..end as usize],
-                    stride as usize,
-                    a.count as usize,
-                ))
-            }
-            _ => Err(format!(
-                "accessor {index} claims {} elements, more than its buffer of {} bytes holds; the file is truncated or damaged, {again}",
-                a.count,
-                buffer.len()
-            )),
+        if needed.is_some_and(|n| n <= bytes.len() as u64) && stride >= size {
+            let begin = a.byte_offset.min(bytes.len() as u64) as usize;
+            return Ok((&bytes[begin..], stride as usize, a.count as usize));
         }
+        Err(format!(
+            "accessor {index} claims {} elements, more than its {} bytes hold; the file is truncated or damaged, {again}",
+            a.count,
+            bytes.len()
+        ))
     }
 
     /// Elements of `N` numbers: floats or (`KHR_mesh_quantization`) integers, normalised where the
     /// accessor says so.
     fn floats<const N: usize>(&self, index: usize) -> Reading<Vec<[f64; N]>> {
-        let a = self
-            .document
-            .accessors
-            .get(index)
-            .ok_or_else(|| format!("accessor {index} does not exist; export the mesh again"))?;
+        let a = self.accessor(index)?;
         let expected = if N == 3 { "VEC3" } else { "VEC2" };
         if a.shape != expected {
             return Err(format!(
@@ -556,11 +691,7 @@ impl Reader<'_> {
     }
 
     fn indices(&self, index: usize) -> Reading<Vec<u32>> {
-        let a = self
-            .document
-            .accessors
-            .get(index)
-            .ok_or_else(|| format!("accessor {index} does not exist; export the mesh again"))?;
+        let a = self.accessor(index)?;
         let width = match (a.component_type, a.shape.as_str()) {
             (5121, "SCALAR") => 1,
             (5123, "SCALAR") => 2,
@@ -600,31 +731,6 @@ fn local_transform(node: &Node) -> DMat4 {
         rotation,
         node.translation.map_or(DVec3::ZERO, DVec3::from_array),
     )
-}
-
-fn component_size(kind: u32) -> Option<usize> {
-    match kind {
-        5120 | 5121 => Some(1),
-        5122 | 5123 => Some(2),
-        5125 | 5126 => Some(4),
-        _ => None,
-    }
-}
-
-fn component(b: &[u8], kind: u32, normalized: bool) -> f64 {
-    let scaled = |v: f64, max: f64| if normalized { (v / max).max(-1.0) } else { v };
-    match (kind, b) {
-        (5120, &[a]) => scaled(f64::from(a as i8), 127.0),
-        (5121, &[a]) => scaled(f64::from(a), 255.0),
-        (5122, &[a, b]) => scaled(f64::from(i16::from_le_bytes([a, b])), 32767.0),
-        (5123, &[a, b]) => scaled(f64::from(u16::from_le_bytes([a, b])), 65535.0),
-        (5125, &[a, b, c, d]) => scaled(
-            f64::from(u32::from_le_bytes([a, b, c, d])),
-            f64::from(u32::MAX),
-        ),
-        (5126, &[a, b, c, d]) => f64::from(f32::from_le_bytes([a, b, c, d])),
-        _ => f64::NAN,
-    }
 }
 
 /// Triangles of an index list: mode 4 = list, 5 = strip, 6 = fan.

@@ -7,6 +7,9 @@
 mod exr_header;
 mod glb;
 pub mod gltf;
+mod gltf_compressed;
+mod gltf_numbers;
+mod gltf_texture;
 mod hdr;
 mod image_format;
 mod image_io;

@@ -520,3 +520,63 @@ fn greyscale_saved_as_rgb_is_read_as_ids_and_colours_are_refused() {
     let refused = read_labels(&path).expect_err("colours are no ids");
     assert!(refused.to_string().contains("one channel"), "{refused}");
 }
+
+/// The sheet of tests/files/README.md, in every packing: positions, normals, texture coordinates.
+#[test]
+fn packed_gltf_reads_as_what_was_packed() {
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/files/gltf");
+    // metres and texture coordinates within a step of the quantisation of 4 m or [0, 3]
+    let files = [
+        ("quantized", 1.0),
+        ("meshopt-high", 1.0),
+        ("draco-edgebreaker", 1.0),
+        ("draco-sequential", 1.0),
+        ("gltfpack-c", 3.0),
+        ("gltfpack-cc-vpf-vtf", 3.0),
+    ];
+    for (name, repeats) in files {
+        let mesh = read_mesh(&folder.join(format!("{name}.glb"))).expect(name);
+        assert_eq!(
+            (mesh.positions.len(), mesh.triangles.len()),
+            (25, 32),
+            "{name}"
+        );
+        for (i, p) in mesh.positions.iter().enumerate() {
+            let [x, y, z] = (*p - glam::DVec3::new(1.0, 2.0, 3.0)).to_array();
+            assert!((y - 0.25 * x * x).abs() < 2e-3, "{name}: {p}");
+            let upright = glam::DVec3::new(-0.5 * x, 1.0, 0.0).normalize().as_vec3();
+            assert!(
+                mesh.normals[i].dot(upright) > 0.999,
+                "{name}: {}",
+                mesh.normals[i]
+            );
+            let uv = Vec2::new(x as f32 + 2.0, z as f32 + 2.0) * (repeats / 4.0);
+            assert!(
+                (mesh.uvs[i] - uv).length() < 3e-3,
+                "{name}: {} {uv}",
+                mesh.uvs[i]
+            );
+        }
+        for t in &mesh.triangles {
+            let [a, b, c] = t.map(|i| mesh.positions[i as usize]);
+            let area = (b - a).cross(c - a);
+            assert!((area.y - 1.0).abs() < 5e-3, "{name}: {area}");
+        }
+    }
+}
+
+#[test]
+fn every_byte_of_packed_gltf_may_be_damaged() {
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/files/gltf");
+    for name in ["meshopt-high", "draco-edgebreaker", "draco-sequential"] {
+        let path = folder.join(format!("{name}.glb"));
+        let whole = std::fs::read(&path).expect("file");
+        for at in 0..whole.len() {
+            for flip in [0x01, 0x80, 0xff] {
+                let mut damaged = whole.clone();
+                damaged[at] ^= flip;
+                let _ = gltf::mesh_from_gltf(&damaged, &path);
+            }
+        }
+    }
+}

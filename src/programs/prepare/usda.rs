@@ -1,85 +1,20 @@
 //! USD in text form (`.usda`): prims, their properties and references, as far as rooms need them.
 //!
 //! A recursive-descent reader of the grammar in USD's documentation: `def Type "name" (metadata)
-//! { properties and prims }`. Binary layers are refused by name. Hand-written because the one
+//! { properties and prims }`. Binary layers are [`super::usdc`]'s. Hand-written because the one
 //! maintained Rust reader (`openusd`) asks for a newer compiler than this program's.
 
+use super::usd_layer::{Prim, Value};
 use std::collections::BTreeMap;
 
 /// Nesting beyond this is damage.
 const DEEPEST: usize = 64;
-
-/// A value of a property or of metadata.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Value {
-    /// Any number.
-    Number(f64),
-    /// A string, token, path or asset.
-    Text(String),
-    /// A tuple, or a list of values.
-    List(Vec<Value>),
-    /// A dictionary.
-    Map(BTreeMap<String, Value>),
-}
-
-impl Value {
-    /// The number, if it is one.
-    pub fn number(&self) -> Option<f64> {
-        match self {
-            Self::Number(n) => Some(*n),
-            _ => None,
-        }
-    }
-
-    /// The text, if it is one.
-    pub fn text(&self) -> Option<&str> {
-        match self {
-            Self::Text(t) => Some(t),
-            _ => None,
-        }
-    }
-
-    /// The elements; a single value is a list of itself.
-    pub fn list(&self) -> &[Value] {
-        match self {
-            Self::List(l) => l,
-            other => std::slice::from_ref(other),
-        }
-    }
-
-    /// All numbers in it, in order.
-    pub fn numbers(&self, into: &mut Vec<f64>) {
-        match self {
-            Self::Number(n) => into.push(*n),
-            Self::List(l) => l.iter().for_each(|v| v.numbers(into)),
-            _ => {}
-        }
-    }
-}
-
-/// A prim or, at the top, the whole layer.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Prim {
-    /// `Xform`, `Mesh`, ...; empty where none is stated.
-    pub kind: String,
-    /// Name without its path.
-    pub name: String,
-    /// Metadata in parentheses.
-    pub metadata: BTreeMap<String, Value>,
-    /// Properties by name (type and `uniform` left out).
-    pub properties: BTreeMap<String, Value>,
-    /// Prims inside.
-    pub children: Vec<Prim>,
-}
 
 /// Reads a layer.
 ///
 /// # Errors
 /// What was expected, and the line.
 pub fn parse(text: &str) -> Result<Prim, String> {
-    if text.as_bytes().starts_with(b"PXR-USDC") {
-        return Err("a binary USD layer; convert it to text (`usdcat -o out.usda`)".into());
-    }
     if !text.trim_start_matches('\u{feff}').starts_with("#usda") {
         return Err("line 1: expected #usda 1.0".into());
     }
@@ -436,6 +371,6 @@ def Xform "Room" (
         assert!(parse(&deep).is_err());
         let deep = format!("#usda 1.0\ndef X \"a\" {{ int a = {}", "[".repeat(100_000));
         assert!(parse(&deep).is_err());
-        assert!(parse("PXR-USDC").is_err_and(|e| e.contains("usdcat")));
+        assert!(parse("PXR-USDC").is_err_and(|e| e.contains("#usda")));
     }
 }
