@@ -8,7 +8,7 @@ use shared::shared;
 use std::path::PathBuf;
 use unbake::core::geometry::{Camera, Mesh, Projection};
 use unbake::core::trace::{BruteForce, EmbreeTracer};
-use unbake::scene::{LoadOptions, Scene, Split, View, find_rooms};
+use unbake::scene::{LoadOptions, Scene, Split, View, find_rooms, floor_plan};
 
 fn quad(mesh: &mut Mesh, a: Vec3, u: Vec3, v: Vec3) {
     let first = mesh.positions.len() as u32;
@@ -179,6 +179,43 @@ fn the_rooms_of_the_house_are_found() {
     assert_eq!(living, kitchen);
     let apart = std::collections::BTreeSet::from([bedroom, lounge, living, sunroom]);
     assert_eq!((apart.len(), grid.count()), (4, 4), "{table:?}");
+    drawn_rooms_cover_the_plan(&scene, &polygons);
+}
+
+/// Intersection over union of every drawn room with the rooms of the plan that lie in it.
+fn drawn_rooms_cover_the_plan(scene: &Scene, polygons: &[Vec<Vec2>]) {
+    let grid = floor_plan(scene, &EmbreeTracer::new(&scene.mesh).expect("embree"));
+    let centre = |i: usize| {
+        let (x, y) = (i % grid.cells.width, i / grid.cells.width);
+        Vec2::new(grid.x_min, grid.z_min) + Vec2::new(x as f32 + 0.5, y as f32 + 0.5) * grid.cell
+    };
+    let cells = 0..grid.cells.data.len();
+    let of_plan: Vec<Option<usize>> = cells
+        .map(|i| polygons.iter().position(|p| inside(p, centre(i))))
+        .collect();
+    // the drawn room that holds most of each room of the plan
+    let drawn = |room: usize| {
+        let mut counts = vec![0usize; usize::from(grid.count()) + 1];
+        let both = of_plan.iter().zip(&grid.cells.data);
+        both.filter(|(p, _)| **p == Some(room))
+            .for_each(|(_, &id)| counts[usize::from(id)] += 1);
+        (1..counts.len()).max_by_key(|&id| counts[id])
+    };
+    let home: Vec<Option<usize>> = (0..polygons.len()).map(drawn).collect();
+    for id in 1..=usize::from(grid.count()) {
+        let (mut both, mut either) = (0usize, 0usize);
+        for (plan, &cell) in of_plan.iter().zip(&grid.cells.data) {
+            let (in_plan, in_drawn) = (
+                plan.is_some_and(|p| home[p] == Some(id)),
+                usize::from(cell) == id,
+            );
+            both += usize::from(in_plan && in_drawn);
+            either += usize::from(in_plan || in_drawn);
+        }
+        let share = both as f64 / either as f64;
+        println!("drawn room {id}: {share:.3} of its union with the plan");
+        assert!(share >= 0.9, "room {id}: {share}");
+    }
 }
 
 #[test]

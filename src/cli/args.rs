@@ -81,16 +81,11 @@ pub enum Verb {
     /// rooms.
     Prepare {
         /// The capture's folder or file; its kind before it where looking does not tell (`unbake
-        /// prepare colmap DIR`).
+        /// prepare colmap DIR`). `rooms SCENE` draws the floor plan of a scene folder instead.
         #[arg(required_unless_present = "print_config", num_args = 1..=2, value_name = "[SOURCE] DIR")]
         what: Vec<PathBuf>,
-        /// Folder for the scene; created if need be.
-        #[arg(
-            long,
-            short,
-            required_unless_present = "print_config",
-            value_name = "SCENE"
-        )]
+        /// Folder for the scene; created if need be. `rooms` writes beside its scene without it.
+        #[arg(long, short, value_name = "SCENE")]
         out: Option<PathBuf>,
         /// How the capture is read.
         #[command(flatten)]

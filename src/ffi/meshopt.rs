@@ -51,9 +51,8 @@ pub fn decode(packing: Packing, encoded: &[u8], count: usize, size: usize) -> Op
     // SAFETY: `to` has room for `count · size` bytes and is aligned for the elements, `from` for
     // `length`; sizes and counts are those the functions allow (tested above).
     let failed = unsafe { run(to, count, size, from, length) };
-    let mut decoded = bytemuck::allocation::pod_collect_to_vec::<u32, u8>(&decoded);
-    decoded.truncate(bytes);
-    (failed == 0).then_some(decoded)
+    let decoded: &[u8] = bytemuck::cast_slice(&decoded);
+    (failed == 0).then(|| decoded[..bytes].to_vec())
 }
 
 /// Undoes a filter in place; `None` where the size of an element does not go with it.
@@ -67,7 +66,8 @@ pub fn undo(filter: Filter, elements: &mut [u8], size: usize) -> Option<()> {
     if !fits || !elements.len().is_multiple_of(size) {
         return None;
     }
-    let mut words: Vec<u32> = bytemuck::allocation::pod_collect_to_vec(elements);
+    let mut words = vec![0u32; elements.len() / 4];
+    bytemuck::cast_slice_mut(&mut words).copy_from_slice(elements);
     let count = elements.len() / size;
     let run = match filter {
         Filter::Octahedral => ffi::meshopt_decodeFilterOct,
@@ -94,7 +94,8 @@ mod tests {
         let indices: Vec<u32> = (0..98).flat_map(|i| [i, i + 1, i + 2]).collect();
         let packed = meshopt::encode_index_buffer(&indices, 100).expect("packs");
         let back = decode(Packing::Triangles, &packed, 294, 4).expect("unpacks");
-        let back: Vec<u32> = bytemuck::allocation::pod_collect_to_vec(&back);
+        let word = |b: &[u8]| u32::from_le_bytes(b.try_into().expect("four bytes"));
+        let back: Vec<u32> = back.chunks_exact(4).map(word).collect();
         // a triangle may begin at any of its corners
         let turned = |t: &[u32]| {
             let least = t.iter().min().copied();
@@ -120,7 +121,8 @@ mod tests {
         let packed = meshopt::encode_filter_exp(&numbers, 24, meshopt::EncodeExpMode::Separate);
         let mut bytes = bytemuck::cast_slice::<_, u8>(&packed).to_vec();
         undo(Filter::Exponential, &mut bytes, 12).expect("fits");
-        let back: Vec<f32> = bytemuck::allocation::pod_collect_to_vec(&bytes);
+        let float = |b: &[u8]| f32::from_le_bytes(b.try_into().expect("four bytes"));
+        let back: Vec<f32> = bytes.chunks_exact(4).map(float).collect();
         assert!(
             back.iter()
                 .zip(numbers[0])

@@ -22,7 +22,7 @@ pub use check::{
 pub use frame_account::FrameAccount;
 pub use mesh_prep::{MeshStats, atlas_overlap, prepare_mesh};
 pub use pixels::PixelStats;
-pub use rooms::find_rooms;
+pub use rooms::{find_rooms, floor_plan};
 pub use staged::StagedScene;
 pub use unwrap::{UnwrapStats, unwrap_mesh};
 

@@ -42,6 +42,9 @@ const NARROW: f32 = 0.3;
 const MIN_AREA: f32 = 2.0;
 /// How far room ids reach beyond the free floor, to cover the surfaces of walls and cupboards.
 const REACH: f32 = 1.0;
+/// How far they reach on a drawn plan. Derived: half a thick inner wall, as in the plans that
+/// `prepare` rasterises.
+const DRAWN_REACH: f32 = 0.15;
 
 #[derive(Deserialize)]
 struct RoomsFile {
@@ -140,6 +143,16 @@ impl RoomGrid {
 /// plan.
 #[must_use]
 pub fn find_rooms(scene: &Scene, tracer: &dyn Tracer) -> RoomGrid {
+    rooms_reaching(scene, tracer, REACH)
+}
+
+/// The same rooms as a plan shows them: ids end half a wall beyond the free floor.
+#[must_use]
+pub fn floor_plan(scene: &Scene, tracer: &dyn Tracer) -> RoomGrid {
+    rooms_reaching(scene, tracer, DRAWN_REACH)
+}
+
+fn rooms_reaching(scene: &Scene, tracer: &dyn Tracer, reach: f32) -> RoomGrid {
     let storey = storey(scene, tracer);
     let plan = Plan::new(scene, &storey);
     let walls = plan.walls(scene, &storey);
@@ -155,7 +168,7 @@ pub fn find_rooms(scene: &Scene, tracer: &dyn Tracer) -> RoomGrid {
         spread(
             &plan,
             &mut labels,
-            (REACH * storey.unit / plan.cell).ceil() as usize,
+            (reach * storey.unit / plan.cell).ceil() as usize,
         );
     }
     let cells = Plane {

@@ -24,7 +24,7 @@ use crate::error::{Error, Result};
 pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
     match verb {
         Verb::Synth { out, .. } => synth::synthesise(required(out)?, context),
-        Verb::Prepare { what, out, .. } => prepare::run(what, required(out)?, context),
+        Verb::Prepare { what, out, .. } => prepare::run(what, out.as_deref(), context),
         Verb::Check { scene, .. } => return check::check_scene(required(scene)?, context),
         Verb::Solve { scene, out, .. } => solve::solve(required(scene)?, required(out)?, context),
         Verb::Render { out, places, .. } => render::render(required(out)?, places, context),

@@ -6,8 +6,17 @@ use crate::programs::prepare;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Runs the verb: `what` is `[SOURCE] DIR`.
-pub(crate) fn run(what: &[PathBuf], out: &Path, context: &Context) -> Result<()> {
+/// Runs the verb: `what` is `[SOURCE] DIR`, or `rooms SCENE`.
+pub(crate) fn run(what: &[PathBuf], out: Option<&Path>, context: &Context) -> Result<()> {
+    if let [source, scene] = what
+        && source.as_os_str() == prepare::ROOMS
+    {
+        let made = prepare::write_floor_plan(scene, out.unwrap_or(scene), &context.progress)?;
+        return report(&made, out.unwrap_or(scene), context);
+    }
+    let out = out.ok_or_else(|| {
+        Error::Usage("-o SCENE: missing; name the folder that the scene becomes".into())
+    })?;
     let (source, dir) = match what {
         [dir] => (None, dir),
         [source, dir] => (Some(source.to_string_lossy().into_owned()), dir),
@@ -19,6 +28,10 @@ pub(crate) fn run(what: &[PathBuf], out: &Path, context: &Context) -> Result<()>
     };
     let options = &context.config.prepare;
     let made = prepare::prepare(source.as_deref(), dir, out, options, &context.progress)?;
+    report(&made, out, context)
+}
+
+fn report(made: &prepare::Prepared, out: &Path, context: &Context) -> Result<()> {
     let mut text = format!(
         "{}: {} frames, {} triangles, {} rooms from {}\n",
         out.display(),
@@ -30,7 +43,7 @@ pub(crate) fn run(what: &[PathBuf], out: &Path, context: &Context) -> Result<()>
     for note in &made.notes {
         text += &format!("  {note}\n");
     }
-    let mut json = serde_json::to_value(&made).map_err(|e| Error::Failed(e.to_string()))?;
+    let mut json = serde_json::to_value(made).map_err(|e| Error::Failed(e.to_string()))?;
     json["out"] = json!(out);
     context.result(&text, &json)
 }

@@ -572,7 +572,7 @@ fn every_byte_of_packed_gltf_may_be_damaged() {
         let path = folder.join(format!("{name}.glb"));
         let whole = std::fs::read(&path).expect("file");
         for at in 0..whole.len() {
-            for flip in [0x01, 0x80, 0xff] {
+            for flip in [0x01, 0x80] {
                 let mut damaged = whole.clone();
                 damaged[at] ^= flip;
                 let _ = gltf::mesh_from_gltf(&damaged, &path);

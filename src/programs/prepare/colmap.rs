@@ -6,7 +6,7 @@
 
 use super::account::Account;
 use super::capture::{Capture, Shot, Surface, Up};
-use super::importer::{Importer, PrepareOptions};
+use super::importer::{Importer, PrepareOptions, photograph_named, stem_of};
 use super::lens::{Distortion, Lens};
 use super::lens::{Optics, Perspective};
 use crate::error::{Error, Result};
@@ -202,19 +202,12 @@ fn models_used(cameras: &BTreeMap<u32, CameraEntry>) -> String {
     names.join(", ")
 }
 
-/// Folders of the image become part of its stem, so that rigs' equal file names stay apart.
-fn stem_of(name: &str) -> String {
-    let path = Path::new(name).with_extension("");
-    path.to_string_lossy().replace(['/', '\\'], "_")
-}
-
 fn find_image(root: &Path, model: &Path, name: &str) -> Result<PathBuf> {
-    let name = name.replace('\\', "/");
     let places = IMAGES
         .iter()
         .map(|place| model.join(place))
         .chain([root.join("images"), root.to_path_buf()]);
-    let found = places.map(|p| p.join(&name)).find(|p| p.is_file());
+    let found = photograph_named(places, name);
     found.ok_or_else(|| {
         Error::input(
             model,

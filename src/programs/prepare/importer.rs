@@ -3,6 +3,7 @@
 use super::account::Account;
 use super::capture::Capture;
 use crate::error::{Error, Result};
+use glam::DMat3;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -48,6 +49,21 @@ impl Default for PrepareOptions {
     }
 }
 
+/// What was made.
+#[derive(Clone, Debug, Serialize)]
+pub struct Prepared {
+    /// The importer's name.
+    pub kind: &'static str,
+    /// Posed photographs written.
+    pub frames: usize,
+    /// Triangles of the mesh; 0 without one.
+    pub triangles: usize,
+    /// Rooms the capture names; 0 where they are left to be found.
+    pub rooms: usize,
+    /// What was read, converted and ignored, one sentence each.
+    pub notes: Vec<String>,
+}
+
 /// Reads one kind of capture.
 pub trait Importer: Sync {
     /// Its name on the command line.
@@ -80,4 +96,28 @@ impl PrepareOptions {
             Some(other) => Err(Error::Usage(format!("--up {other}: expected y or z"))),
         }
     }
+}
+
+/// The name of what is written for a photograph: its folders become part of it, so that equal file
+/// names of rigs stay apart.
+pub(super) fn stem_of(name: &str) -> String {
+    let path = Path::new(name).with_extension("");
+    path.to_string_lossy().replace(['/', '\\'], "_")
+}
+
+/// A photograph by its name, in the first of these folders that has it.
+pub(super) fn photograph_named(
+    folders: impl IntoIterator<Item = PathBuf>,
+    name: &str,
+) -> Option<PathBuf> {
+    let name = name.replace('\\', "/");
+    folders
+        .into_iter()
+        .map(|f| f.join(&name))
+        .find(|p| p.is_file())
+}
+
+/// Whether a matrix is a rotation, to a thousandth: what files state with a few digits.
+pub(super) fn is_rotation(m: DMat3) -> bool {
+    (m.transpose() * m).abs_diff_eq(DMat3::IDENTITY, 1e-3) && m.determinant() > 0.0
 }

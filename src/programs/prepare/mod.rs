@@ -7,33 +7,40 @@
 //! Called by `cli`.
 
 mod account;
+mod alicevision;
 mod capture;
 mod colmap;
+mod floor_plan;
 mod folder;
 mod frame;
 mod importer;
 mod labels;
 mod lens;
+mod metashape;
 mod nerfstudio;
+mod opensfm;
 mod orient;
 mod plan;
 mod ply_out;
+mod polycam;
 mod roomplan;
 mod scan;
 mod texir;
+mod usd_layer;
 mod usda;
+mod usdc;
 mod write;
 mod zind;
 
 pub use account::Account;
 pub use capture::{Capture, Depth, LabelledMesh, Mask, RoomIds, RoomOutline, Shot, Surface, Up};
-pub use importer::{Importer, PrepareOptions};
+pub use floor_plan::{ROOMS, write_floor_plan};
+pub use importer::{Importer, PrepareOptions, Prepared};
 pub use lens::{Distortion, Lens, Optics, Perspective};
 pub use write::write_scene;
 
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
-use serde::Serialize;
 use std::path::Path;
 
 /// All importers in the order in which they are asked; the more particular ones come first.
@@ -44,24 +51,13 @@ pub fn importers() -> &'static [&'static dyn Importer] {
         &texir::TexIr,
         &colmap::Colmap,
         &nerfstudio::Nerfstudio,
+        &opensfm::OpenSfm,
+        &alicevision::AliceVision,
+        &metashape::Metashape,
+        &polycam::Polycam,
         &roomplan::RoomPlan,
         &scan::Scan,
     ]
-}
-
-/// What [`prepare`] made.
-#[derive(Clone, Debug, Serialize)]
-pub struct Prepared {
-    /// The importer's name.
-    pub kind: &'static str,
-    /// Posed photographs written.
-    pub frames: usize,
-    /// Triangles of the mesh; 0 without one.
-    pub triangles: usize,
-    /// Rooms the capture names; 0 where they are left to be found.
-    pub rooms: usize,
-    /// What was read, converted and ignored, one sentence each.
-    pub notes: Vec<String>,
 }
 
 /// Reads the capture at `path` and writes the scene folder `out`; without `source` the kind is

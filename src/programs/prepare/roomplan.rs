@@ -7,10 +7,13 @@
 use super::account::Account;
 use super::capture::{Capture, LabelledMesh, Surface, Up};
 use super::importer::{Importer, PrepareOptions};
-use super::usda::{self, Prim, Value};
+use super::usd_layer::{Prim, Value};
+use super::{usda, usdc};
+use crate::core::formats::read_input;
 use crate::error::{Error, Result};
 use crate::scene::Class;
 use glam::{DMat4, DQuat, DVec3};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -29,7 +32,7 @@ impl Importer for RoomPlan {
     }
 
     fn looks_like(&self) -> &'static str {
-        "RoomPlan: a .usdz (or .usda) of walls, doors, windows and furniture"
+        "RoomPlan: a .usdz (or .usda, .usdc) of walls, doors, windows and furniture"
     }
 
     fn recognises(&self, path: &Path) -> bool {
@@ -43,7 +46,10 @@ impl Importer for RoomPlan {
         account: &mut Account,
     ) -> Result<Capture> {
         let file = usd_file(path).ok_or_else(|| {
-            Error::input(path, "no .usdz or .usda here, or several; name the file")
+            Error::input(
+                path,
+                "no .usdz, .usda or .usdc here, or several; name the file",
+            )
         })?;
         let stage = Stage::open(&file)?;
         let mut builder = Builder {
@@ -114,7 +120,7 @@ impl Importer for RoomPlan {
 fn usd_file(path: &Path) -> Option<PathBuf> {
     let is_usd = |p: &Path| {
         let e = p.extension().and_then(|e| e.to_str()).unwrap_or("");
-        ["usdz", "usda"].contains(&e.to_ascii_lowercase().as_str())
+        ["usdz", "usda", "usdc", "usd"].contains(&e.to_ascii_lowercase().as_str())
     };
     if path.is_file() {
         return is_usd(path).then(|| path.to_path_buf());
@@ -134,8 +140,8 @@ fn usd_file(path: &Path) -> Option<PathBuf> {
 /// Layers by their path in the archive, or beside the file.
 struct Stage {
     file: PathBuf,
-    /// Texts of an archive; empty for a plain file.
-    layers: BTreeMap<String, String>,
+    /// Layers of an archive; empty for a plain file.
+    layers: BTreeMap<String, Vec<u8>>,
     /// Path of the first layer.
     root: String,
 }
@@ -172,7 +178,7 @@ impl Stage {
                     .map_err(|e| fail(&e))?;
                 // the first layer of the archive is its root (USDZ specification)
                 root.get_or_insert_with(|| name.clone());
-                layers.insert(name, String::from_utf8_lossy(&bytes).into_owned());
+                layers.insert(name, bytes);
             }
         }
         Ok(Self {
@@ -183,12 +189,10 @@ impl Stage {
     }
 
     fn layer(&self, path: &str) -> Result<Prim> {
-        let text = match self.layers.get(path) {
-            Some(text) => text.clone(),
+        let bytes = match self.layers.get(path) {
+            Some(bytes) => Cow::Borrowed(bytes),
             None if self.layers.is_empty() => {
-                let file = self.file.with_file_name(path);
-                std::fs::read_to_string(&file)
-                    .map_err(|e| Error::input(&file, format!("cannot be read as text: {e}")))?
+                Cow::Owned(read_input(&self.file.with_file_name(path), LARGEST_LAYER)?)
             }
             None => {
                 return Err(Error::input(
@@ -197,7 +201,11 @@ impl Stage {
                 ));
             }
         };
-        usda::parse(&text).map_err(|m| Error::input(&self.file, format!("{path}: {m}")))
+        match bytes.starts_with(usdc::MAGIC) {
+            true => usdc::parse(&bytes),
+            false => usda::parse(&String::from_utf8_lossy(&bytes)),
+        }
+        .map_err(|m| Error::input(&self.file, format!("{path}: {m}")))
     }
 }
 
@@ -462,5 +470,52 @@ mod tests {
         assert!((volume - 3.0).abs() < 1e-9, "{volume}");
         let middle = m.mesh.positions.iter().sum::<DVec3>() / m.mesh.positions.len() as f64;
         assert!((middle - DVec3::new(10.0, 0.0, 0.0)).length() < 1e-9);
+    }
+
+    fn room(form: &str) -> LabelledMesh {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/files/usd");
+        let mut account = Account::default();
+        let capture = RoomPlan
+            .read(
+                &folder.join(format!("room.{form}")),
+                &PrepareOptions::default(),
+                &mut account,
+            )
+            .expect(form);
+        let names: Vec<&str> = capture.classes.iter().map(|c| c.name.as_str()).collect();
+        assert_eq!(names, ["wall", "door", "floor", "sofa"], "{form}");
+        match capture.surface {
+            Some(Surface::Built(mesh)) => mesh,
+            other => panic!("{form}: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn text_binary_and_archive_hold_the_same_room() {
+        let text = room("usda");
+        assert_eq!(text.mesh.triangles.len(), 12 + 12 + 50 + 12);
+        for form in ["usdc", "usdz"] {
+            let other = room(form);
+            assert_eq!(text.mesh.triangles, other.mesh.triangles, "{form}");
+            assert_eq!(text.classes, other.classes, "{form}");
+            for (a, b) in text.mesh.positions.iter().zip(&other.mesh.positions) {
+                assert!((*a - *b).length() < 1e-6, "{form}: {a} {b}");
+            }
+        }
+    }
+
+    #[test]
+    fn damaged_binary_layers_are_survived() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/files/usd/room.usdc");
+        let whole = std::fs::read(file).expect("file");
+        for at in 0..whole.len() {
+            let _ = usdc::parse(&whole[..at]);
+            for flip in [0x01, 0x80, 0xff] {
+                let mut damaged = whole.clone();
+                damaged[at] ^= flip;
+                let _ = usdc::parse(&damaged);
+            }
+        }
+        assert!(usdc::parse(&whole[..whole.len() - 1]).is_err_and(|e| e.contains("damaged")));
     }
 }

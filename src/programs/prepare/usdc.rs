@@ -52,7 +52,9 @@ struct Bytes<'a> {
 
 impl<'a> Bytes<'a> {
     fn take(&mut self, count: u64) -> Reading<&'a [u8]> {
-        let end = usize::try_from(count).ok().and_then(|n| self.at.checked_add(n));
+        let end = usize::try_from(count)
+            .ok()
+            .and_then(|n| self.at.checked_add(n));
         match end.and_then(|e| self.all.get(self.at..e)) {
             Some(found) => {
                 self.at += found.len();
@@ -237,7 +239,8 @@ struct Crate<'a> {
     fields: Vec<(u32, u64)>,
     /// Fields of all sets, each set ended by `u32::MAX`.
     sets: Vec<u32>,
-    places: Vec<Option<Place>>,
+    /// Paths by their number.
+    places: BTreeMap<usize, Place>,
     /// Path, first field of its set, kind.
     specs: Vec<[u32; 3]>,
     /// Values read so far.
@@ -265,7 +268,7 @@ impl<'a> Crate<'a> {
             strings: Vec::new(),
             fields: Vec::new(),
             sets: Vec::new(),
-            places: Vec::new(),
+            places: BTreeMap::new(),
             specs: Vec::new(),
             spent: Cell::new(0),
         };
@@ -323,9 +326,8 @@ impl<'a> Crate<'a> {
         let mut prims: BTreeMap<usize, (u64, Prim)> = BTreeMap::new();
         let mut properties = Vec::new();
         for &[path, set, kind] in &self.specs {
-            let place = match self.places.get(path as usize) {
-                Some(Some(place)) => place,
-                _ => return damaged("a spec without a path"),
+            let Some(place) = self.places.get(&(path as usize)) else {
+                return damaged("a spec without a path");
             };
             let mut fields = self.fields_of(set)?;
             match kind {
@@ -359,27 +361,33 @@ impl<'a> Crate<'a> {
 
     /// Children into their parents, the deepest first; classes (specifier 2) are no geometry.
     fn assemble(&self, mut prims: BTreeMap<usize, (u64, Prim)>) -> Reading<Prim> {
-        let parent = |path: usize| self.places[path].as_ref().and_then(|p| p.parent);
+        let parent = |path: usize| self.places.get(&path).and_then(|p| p.parent);
         let depth = |path: usize| {
-            std::iter::successors(Some(path), |&p| parent(p)).take(DEEPEST + 1).count()
+            std::iter::successors(Some(path), |&p| parent(p))
+                .take(DEEPEST + 1)
+                .count()
         };
         let mut order: Vec<(usize, usize)> = prims.keys().map(|&p| (depth(p), p)).collect();
         if order.iter().any(|o| o.0 > DEEPEST) {
             return damaged("prims nested too deeply");
         }
-        // within a parent the order of the paths stays
-        order.sort_by_key(|&(depth, path)| (std::cmp::Reverse(depth), std::cmp::Reverse(path)));
+        order.sort_by_key(|&(depth, path)| (std::cmp::Reverse(depth), path));
         for (_, path) in order {
             let Some(above) = parent(path) else { continue };
-            let Some((specifier, prim)) = prims.remove(&path) else {
+            let Some((specifier, mut prim)) = prims.remove(&path) else {
                 continue;
             };
+            in_written_order(&mut prim);
             if let Some((_, above)) = prims.get_mut(&above).filter(|_| specifier != 2) {
-                above.children.insert(0, prim);
+                above.children.push(prim);
             }
         }
         let root = prims.into_values().next();
-        root.map_or_else(|| damaged("no root"), |(_, prim)| Ok(prim))
+        let Some((_, mut root)) = root else {
+            return damaged("no root");
+        };
+        in_written_order(&mut root);
+        Ok(root)
     }
 
     /// Counts values against the most there may be.
@@ -412,7 +420,10 @@ impl<'a> Crate<'a> {
         if is_array && payload == 0 {
             return Ok(Some(Value::List(Vec::new())));
         }
-        let mut from = Bytes { all: self.bytes, at };
+        let mut from = Bytes {
+            all: self.bytes,
+            at,
+        };
         if is_array {
             let length = match self.version >= 7 {
                 true => from.u64()?,
@@ -451,10 +462,18 @@ impl<'a> Crate<'a> {
         })
     }
 
-    fn array_of(&self, kind: Kind, from: &mut Bytes<'_>, count: usize, packed: bool) -> Reading<Value> {
+    fn array_of(
+        &self,
+        kind: Kind,
+        from: &mut Bytes<'_>,
+        count: usize,
+        packed: bool,
+    ) -> Reading<Value> {
         if packed {
             let numbers = packed_numbers(kind, from, count)?;
-            return Ok(Value::List(numbers.into_iter().map(Value::Number).collect()));
+            return Ok(Value::List(
+                numbers.into_iter().map(Value::Number).collect(),
+            ));
         }
         (0..count)
             .map(|_| self.plain(kind, from, 0))
@@ -463,11 +482,12 @@ impl<'a> Crate<'a> {
     }
 
     fn plain(&self, kind: Kind, from: &mut Bytes<'_>, depth: usize) -> Reading<Value> {
-        let numbers = |from: &mut Bytes<'_>, n: usize, width: usize, float: bool| -> Reading<Value> {
-            let bytes = from.take((n * width) as u64)?;
-            let one = |b: &[u8]| Value::Number(number(b, float, true));
-            Ok(Value::List(bytes.chunks_exact(width).map(one).collect()))
-        };
+        let numbers =
+            |from: &mut Bytes<'_>, n: usize, width: usize, float: bool| -> Reading<Value> {
+                let bytes = from.take((n * width) as u64)?;
+                let one = |b: &[u8]| Value::Number(number(b, float, true));
+                Ok(Value::List(bytes.chunks_exact(width).map(one).collect()))
+            };
         Ok(match kind {
             Kind::Integer(width, signed) => {
                 Value::Number(number(from.take(width as u64)?, false, signed))
@@ -530,12 +550,29 @@ impl<'a> Crate<'a> {
     }
 }
 
+/// Children as their author listed them; the file's tree has its own order.
+fn in_written_order(prim: &mut Prim) {
+    let Some(listed) = prim.metadata.remove("primChildren") else {
+        return;
+    };
+    let names = listed.list().iter().filter_map(Value::text);
+    let place: BTreeMap<&str, usize> = names.enumerate().map(|(i, name)| (name, i)).collect();
+    let children = &mut prim.children;
+    children.sort_by_key(|c| place.get(c.name.as_str()).copied().unwrap_or(usize::MAX));
+}
+
 /// Arrays of integers as differences; arrays of floats as such integers, or as numbers in a table.
 fn packed_numbers(kind: Kind, from: &mut Bytes<'_>, count: usize) -> Reading<Vec<f64>> {
     let n = count as u64;
     match kind {
         Kind::Integer(4, signed) => {
-            let each = |i: u32| if signed { f64::from(i as i32) } else { f64::from(i) };
+            let each = |i: u32| {
+                if signed {
+                    f64::from(i as i32)
+                } else {
+                    f64::from(i)
+                }
+            };
             Ok(from.integers(n)?.into_iter().map(each).collect())
         }
         Kind::Float(width) => match from.array()? {
@@ -587,7 +624,11 @@ impl<'a> Sections<'a> {
             return damaged(&format!("no section {name}"));
         };
         let at = usize::try_from(start).unwrap_or(usize::MAX);
-        let all = Bytes { all: self.bytes, at }.take(length)?;
+        let all = Bytes {
+            all: self.bytes,
+            at,
+        }
+        .take(length)?;
         Ok(Bytes { all, at: 0 })
     }
 }
@@ -634,15 +675,13 @@ fn specs(from: &mut Bytes<'_>) -> Reading<Vec<[u32; 3]>> {
 
 /// Paths from their tree, stored depth first: a jump of −1 goes on to a child, 0 to a sibling, a
 /// positive one to a child, with the sibling that many entries on; −2 ends the branch.
-fn places(from: &mut Bytes<'_>, tokens: &[String]) -> Reading<Vec<Option<Place>>> {
-    let (paths, count) = (from.u64()?, from.u64()?);
+fn places(from: &mut Bytes<'_>, tokens: &[String]) -> Reading<BTreeMap<usize, Place>> {
+    // the first number counts the empty path too, which the tree does not hold
+    let (_, count) = (from.u64()?, from.u64()?);
     let indices = from.integers(count)?;
     let names = from.integers(count)?;
     let jumps = from.integers(count)?;
-    if paths > indices.len() as u64 {
-        return damaged("paths");
-    }
-    let mut places: Vec<Option<Place>> = (0..paths).map(|_| None).collect();
+    let mut places = BTreeMap::new();
     let mut branches = vec![(0usize, None)];
     while let Some((mut at, mut parent)) = branches.pop() {
         loop {
@@ -652,19 +691,21 @@ fn places(from: &mut Bytes<'_>, tokens: &[String]) -> Reading<Vec<Option<Place>>
                 return damaged("the tree of paths");
             };
             let (jump, name) = (jump as i32, name as i32);
-            let token = tokens.get(name.unsigned_abs() as usize);
-            let (Some(slot), Some(token)) = (places.get_mut(index as usize), token) else {
+            let Some(token) = tokens.get(name.unsigned_abs() as usize) else {
                 return damaged("the tree of paths");
             };
+            let place = Place {
+                parent,
+                name: match parent {
+                    Some(_) => token.clone(),
+                    None => String::new(),
+                },
+                is_property: name < 0,
+            };
             // an entry met twice would be a circle
-            if slot.is_some() {
+            if places.insert(index as usize, place).is_some() {
                 return damaged("a path stored twice");
             }
-            *slot = Some(Place {
-                parent,
-                name: if parent.is_some() { token.clone() } else { String::new() },
-                is_property: name < 0,
-            });
             let (child, sibling) = (jump > 0 || jump == -1, jump >= 0);
             if child {
                 if sibling {
