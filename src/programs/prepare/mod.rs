@@ -115,18 +115,37 @@ fn found(path: &Path) -> Result<&'static dyn Importer> {
         return Err(Error::input(path, "no such file or folder"));
     }
     looked_at(path).ok_or_else(|| {
-            let known: Vec<String> = importers()
-                .iter()
-                .map(|i| format!("  {:<12} {}", i.kind(), i.looks_like()))
-                .collect();
-            Error::input(
-                path,
-                format!(
-                    "no capture known here; expected one of\n{}\nName the source before the folder if it looks different",
-                    known.join("\n")
-                ),
-            )
-        })
+        let known: Vec<String> = importers()
+            .iter()
+            .map(|i| format!("  {:<12} {}", i.kind(), i.looks_like()))
+            .collect();
+        Error::input(
+            path,
+            format!(
+                "no capture known here{}; expected one of\n{}\nName the source before the folder if it looks different",
+                what_is_missing(path),
+                known.join("\n")
+            ),
+        )
+    })
+}
+
+/// What nearly makes a capture of a folder, for the message.
+fn what_is_missing(path: &Path) -> String {
+    let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
+    let names: Vec<String> = entries
+        .map(|e| e.file_name().to_string_lossy().to_ascii_lowercase())
+        .collect();
+    let ending = |n: &String, of: &[&str]| of.iter().any(|e| n.ends_with(e));
+    let count = |of: &[&str]| names.iter().filter(|n| ending(n, of)).count();
+    let photographs = count(&[".jpg", ".jpeg", ".png", ".exr", ".hdr"]);
+    match (scan::meshes(path).len(), photographs) {
+        (meshes @ 2.., _) => format!(" ({meshes} meshes: name the file of one)"),
+        (_, n @ 1..) => format!(
+            " ({n} images without poses: have a photogrammetry program find them first, see docs/bring-your-own.md)"
+        ),
+        _ => String::new(),
+    }
 }
 
 #[cfg(test)]

@@ -55,7 +55,8 @@ impl Importer for Scan {
     }
 }
 
-fn meshes(path: &Path) -> Vec<PathBuf> {
+/// Meshes in a folder, or the file itself if it is one.
+pub(super) fn meshes(path: &Path) -> Vec<PathBuf> {
     let is_mesh = |p: &PathBuf| {
         let e = p.extension().and_then(|e| e.to_str()).unwrap_or("");
         MESHES.contains(&e.to_ascii_lowercase().as_str())

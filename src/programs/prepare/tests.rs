@@ -264,3 +264,24 @@ fn nerfstudio_poses_return_to_where_the_mesh_is() {
     let error = run(None, dir.path(), &out, &PrepareOptions::default()).expect_err("refused");
     assert!(error.to_string().contains("FISHEYE624"), "{error}");
 }
+
+#[test]
+fn what_nearly_is_a_capture_is_told_what_it_lacks() {
+    let dir = tempfile::tempdir().expect("temp");
+    let refused = || {
+        run(
+            None,
+            dir.path(),
+            &dir.path().join("o"),
+            &PrepareOptions::default(),
+        )
+        .expect_err("no capture")
+        .to_string()
+    };
+    fs::write(dir.path().join("a.JPG"), "").expect("file");
+    assert!(refused().contains("1 images without poses"));
+    for name in ["a.ply", "b.obj"] {
+        fs::write(dir.path().join(name), "").expect("file");
+    }
+    assert!(refused().contains("2 meshes: name the file"));
+}
