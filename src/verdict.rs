@@ -108,6 +108,21 @@ pub struct MissingLight {
     pub standard_error: f64,
 }
 
+impl MissingLight {
+    /// What two causes leave out, the second of what the first left.
+    #[must_use]
+    pub fn both(first: Option<Self>, second: Option<Self>) -> Option<Self> {
+        let (Some(a), Some(b)) = (first, second) else {
+            return first.or(second);
+        };
+        Some(Self {
+            share: 1.0 - (1.0 - a.share) * (1.0 - b.share),
+            standard_error: ((1.0 - b.share) * a.standard_error)
+                .hypot((1.0 - a.share) * b.standard_error),
+        })
+    }
+}
+
 /// A share of the surface, by area, and where most of it lies.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
@@ -315,6 +330,21 @@ mod tests {
             labelled: true,
             ..Findings::default()
         }
+    }
+
+    #[test]
+    fn two_causes_of_missing_light_multiply() {
+        let of = |share, standard_error| MissingLight {
+            share,
+            standard_error,
+        };
+        let both = MissingLight::both(Some(of(0.5, 0.1)), Some(of(0.2, 0.0))).expect("light");
+        assert!((both.share - 0.6).abs() < 1e-9 && (both.standard_error - 0.08).abs() < 1e-9);
+        assert_eq!(
+            MissingLight::both(None, Some(of(0.2, 0.1))),
+            Some(of(0.2, 0.1))
+        );
+        assert_eq!(MissingLight::both(None, None), None);
     }
 
     #[test]

@@ -244,6 +244,7 @@ fn solution() -> Solution {
             .collect(),
     };
     let mut solution = Solution {
+        portals: Vec::new(),
         mesh: Mesh {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 0.0, 1.0), Vec3::Z],
             normals: vec![Vec3::Y; 4],

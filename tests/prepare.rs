@@ -123,3 +123,29 @@ fn roomplan_is_a_labelled_mesh() {
         assert!(text.contains(class), "{class} in {text}");
     }
 }
+
+#[test]
+fn real_brackets_agree_among_themselves() {
+    for (name, stops) in [("brackets-room", 13.0), ("brackets-handheld", 4.0)] {
+        let Some(folder) = capture(name) else {
+            return;
+        };
+        let dir = tempfile::tempdir().expect("folder");
+        let out = dir.path().join("scene");
+        let made = prepared(&folder, &out);
+        assert_eq!((made.kind, made.frames), ("brackets", 1));
+        let text = made.notes.join("\n");
+        assert!(text.contains(&format!("over {stops:.1} stops")), "{text}");
+        let image = std::fs::read_dir(out.join("images"))
+            .expect("images")
+            .flatten()
+            .next()
+            .expect("one image");
+        let hdr = unbake::core::formats::read_rgb(image.path()).expect("image");
+        assert!(
+            hdr.data
+                .iter()
+                .all(|v| v.is_finite() && v.min_element() >= 0.0)
+        );
+    }
+}

@@ -1,12 +1,17 @@
 //! Last step: estimates per texel become the textures of the solution.
 
+use super::clipped_light::FoundLight;
+use super::lamp_surfaces::cut_lamps;
+use super::portal_list::portals;
 use super::roughness::ROUGHNESS_PRIOR;
 use super::{Light, Roughness};
+use crate::core::geometry::Mesh;
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::texture::fill_uncovered;
 use crate::inverse::AlbedoEstimate;
 use crate::observed::{Surface, filled};
-use crate::solution::{Solution, find_lamps};
+use crate::scene::Class;
+use crate::solution::{Lamp, LampKind, Solution, find_lamps};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -17,6 +22,7 @@ pub(super) fn assemble(
     roughness: &Roughness,
     albedo: &AlbedoEstimate,
     errors: &[f32],
+    found: &[FoundLight],
 ) -> Solution {
     let texels = &surface.texels;
     let per_texel = roughness_per_texel(surface, roughness, albedo);
@@ -25,11 +31,24 @@ pub(super) fn assemble(
         .zip(&per_texel)
         .map(|(e, r)| Vec2::new(e.min(1e4), r.error))
         .collect();
-    let mesh = surface.oriented_mesh();
-    let emission = emission(surface, light);
+    let emission = emission(surface, light, found);
+    let mesh = cut_lamps(surface.oriented_mesh(), &emission);
     let origin = surface.scene.origin;
+    let mut lamps = find_lamps(&mesh, &emission, origin);
+    let marks = LightMarks::of(surface, found);
+    lamps
+        .iter_mut()
+        .for_each(|lamp| marks.describe(&mesh, lamp));
+    let portals = portals(
+        &mesh,
+        &surface.tracer,
+        &light.field.environment,
+        origin,
+        lamps.len(),
+    );
     Solution {
-        lamps: find_lamps(&mesh, &emission, origin),
+        lamps,
+        portals,
         mesh,
         origin,
         albedo: albedo_texture(surface, albedo),
@@ -115,17 +134,70 @@ fn roughness_texture(surface: &Surface, per_texel: &[TexelRoughness]) -> Plane<f
     }
 }
 
-/// Emitted radiance: that of emissive triangles, black elsewhere.
-fn emission(surface: &Surface, light: &Light) -> RgbPlane {
+/// Emitted radiance: that of emissive triangles and of lamps within other triangles, black
+/// elsewhere.
+fn emission(surface: &Surface, light: &Light, found: &[FoundLight]) -> RgbPlane {
     let texels = &surface.texels;
-    let value: Vec<Vec3> = (0..texels.len())
-        .map(|i| {
-            if light.emissive[texels.point[i].triangle as usize] {
-                light.radiance.data[texels.cell[i] as usize]
+    let mut emits: Vec<bool> = (texels.point.iter())
+        .map(|p| light.emissive[p.triangle as usize])
+        .collect();
+    for &i in found.iter().filter(|l| l.emits).flat_map(|l| &l.texels) {
+        emits[i as usize] = true;
+    }
+    let value: Vec<Vec3> = (texels.cell.iter().zip(&emits))
+        .map(|(&cell, &emits)| {
+            if emits {
+                light.radiance.data[cell as usize]
             } else {
                 Vec3::ZERO
             }
         })
         .collect();
     texels.scatter(&value, Vec3::ZERO)
+}
+
+/// What is known of lights by texel.
+struct LightMarks {
+    /// Window panes.
+    window: Plane<bool>,
+    /// Relative standard error where the radiance was beyond the photographs' ceiling, else zero.
+    error: Plane<f32>,
+}
+
+impl LightMarks {
+    fn of(surface: &Surface, found: &[FoundLight]) -> Self {
+        let texels = &surface.texels;
+        let window: Vec<bool> = (surface.labels.iter())
+            .map(|l| surface.scene.class(*l).is_some_and(Class::is_window))
+            .collect();
+        let mut error = vec![0.0f32; texels.len()];
+        for light in found {
+            for &i in &light.texels {
+                error[i as usize] = light.log_error.max(f32::MIN_POSITIVE);
+            }
+        }
+        Self {
+            window: texels.scatter(&window, false),
+            error: texels.scatter(&error, 0.0),
+        }
+    }
+
+    /// Says of a lamp what most of its surface is.
+    fn describe(&self, mesh: &Mesh, lamp: &mut Lamp) {
+        let size = Vec2::new(self.window.width as f32, self.window.height as f32);
+        let (mut all, mut window, mut clipped, mut square) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
+        for &t in &lamp.triangles {
+            let at = mesh.uv(t as usize, 1.0 / 3.0, 1.0 / 3.0) * size;
+            let (area, error) = (mesh.area(t as usize), *self.error.nearest(at));
+            all += area;
+            window += area * f32::from(u8::from(*self.window.nearest(at)));
+            clipped += area * f32::from(u8::from(error > 0.0));
+            square += area * error * error;
+        }
+        if window > 0.5 * all {
+            lamp.kind = LampKind::Window;
+        }
+        lamp.clipped = clipped > 0.5 * all;
+        lamp.standard_error = (square / all.max(f32::MIN_POSITIVE)).sqrt();
+    }
 }

@@ -22,6 +22,7 @@ use crate::irradiance::{IrradianceOptions, bake_irradiance};
 use crate::lights::Emitters;
 use crate::observed::Surface;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
+use crate::scene::Class;
 use crate::verdict::MissingLight;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -44,8 +45,12 @@ const GAP: f32 = 0.02;
 const MOST_GROUPS: usize = 24;
 /// A clipped surface this much brighter than its class would be there is a light.
 const BRIGHTER: f32 = 1.6;
-/// A light sends at least this share of what all clipped surfaces send at their ceilings.
+/// A light sends at least this share of what all clipped surfaces send at their ceilings; one that
+/// faces down less: the sun's patches, which make up most of that, fall on nothing that does.
 const LEAST_POWER: f32 = 0.01;
+const LEAST_POWER_DOWN: f32 = 0.0005;
+/// Cosine to the vertical of a face that looks down.
+const DOWN: f32 = -0.7;
 /// Fits, with what follows from each for clipped surfaces that reflect.
 const ROUNDS: usize = 3;
 
@@ -64,6 +69,25 @@ struct Group {
 const LAMP: usize = 0;
 const SKY: usize = 1;
 const FOUND: usize = 2;
+const WINDOW: usize = 3;
+
+/// Lights beyond the ceiling.
+pub(super) struct ClippedLights {
+    /// The light that the photographs lack.
+    pub(super) missing: MissingLight,
+    /// Every group on surfaces.
+    pub(super) lights: Vec<FoundLight>,
+}
+
+/// A group of texels that send out more than the photographs show.
+pub(super) struct FoundLight {
+    /// Its texels, ascending.
+    pub(super) texels: Vec<u32>,
+    /// Standard error of ln radiance.
+    pub(super) log_error: f32,
+    /// It emits: a lamp or a window; else it may be a surface that the sun shines on.
+    pub(super) emits: bool,
+}
 
 /// Texels at the ceiling.
 struct Clipped {
@@ -81,7 +105,7 @@ pub(super) fn restore_clipped_light(
     surface: &mut Surface,
     options: &SolveOptions,
     progress: &Progress,
-) -> Option<MissingLight> {
+) -> Option<ClippedLights> {
     if options.clipped_light == Switch::Off || surface.ceilings.iter().all(Option::is_none) {
         return None;
     }
@@ -101,13 +125,17 @@ pub(super) fn restore_clipped_light(
             100.0 * found.share,
             100.0 * found.standard_error
         ));
+        let lights = restorer.lights(&fit);
         let looks = ClippedLooks {
             texels: restorer.restored(&fit),
             sky: restorer.sky_excess(&fit),
             reflected: restorer.reflected_radiance(&fit),
         };
         looks.apply(surface);
-        Some(found)
+        Some(ClippedLights {
+            missing: found,
+            lights,
+        })
     })
 }
 
@@ -286,8 +314,9 @@ impl<'s, 'a> Restorer<'s, 'a> {
 
     /// The lights that classes and the sky tell of, and clusters that may be lights.
     fn gather_lights(&mut self) {
+        let is_window = self.windows();
         let at: Vec<u32> = (0..self.clipped.bits.len() as u32)
-            .filter(|&i| self.clipped.bits[i as usize] != 0)
+            .filter(|&i| self.clipped.bits[i as usize] != 0 && !is_window[i as usize])
             .collect();
         let (lamps, others): (Vec<u32>, Vec<u32>) = at
             .into_iter()
@@ -306,8 +335,23 @@ impl<'s, 'a> Restorer<'s, 'a> {
             let group = self.surface_group(texels, LAMP);
             self.groups.push(group);
         }
+        let windows: Vec<u32> = (0..is_window.len() as u32)
+            .filter(|&i| is_window[i as usize])
+            .collect();
+        for texels in self.clusters(&windows) {
+            let group = self.window_group(texels);
+            self.groups.push(group);
+        }
         let mut doubtful = self.clusters(&others);
-        doubtful.retain(|c| self.power(c) > LEAST_POWER * all);
+        let least = |c: &[u32]| {
+            if self.faces_down(c) {
+                LEAST_POWER_DOWN
+            } else {
+                LEAST_POWER
+            }
+        };
+        doubtful.retain(|c| self.power(c) > least(c) * all);
+        doubtful.sort_by(|a, b| self.power(b).total_cmp(&self.power(a)));
         self.doubtful = doubtful;
         if self.clipped.has_sky {
             for s in 0..SECTORS {
@@ -346,6 +390,43 @@ impl<'s, 'a> Restorer<'s, 'a> {
             out.push(cluster);
         }
         out
+    }
+
+    /// Seen texels of windows that no class of light holds: photographs of an ordinary camera show
+    /// what is behind them darker than it is, clipped or not.
+    fn windows(&self) -> Vec<bool> {
+        let scene = self.surface.scene;
+        (0..self.surface.labels.len())
+            .map(|i| {
+                let class = scene.class(self.surface.labels[i]);
+                class.is_some_and(Class::is_window)
+                    && self.surface.fusion.views[i] > 0
+                    && !self.is_light_class(i)
+            })
+            .collect()
+    }
+
+    /// A window: what it sends in every channel is a lower bound.
+    fn window_group(&self, texels: Vec<u32>) -> Group {
+        let mut group = self.surface_group(texels, WINDOW);
+        let (mut sum, mut total) = (Vec3::ZERO, 0.0);
+        for &i in &group.texels {
+            sum += self.sent[i as usize] * self.area(i as usize);
+            total += self.area(i as usize);
+        }
+        group.fit.ceiling = sum / total.max(f32::MIN_POSITIVE);
+        group.fit.free = [true; 3];
+        group
+    }
+
+    /// Whether most of a cluster looks down.
+    fn faces_down(&self, texels: &[u32]) -> bool {
+        let down = |i: &&u32| {
+            let t = self.surface.texels.point[**i as usize].triangle as usize;
+            let sign = self.surface.orientation.sign(t);
+            self.surface.scene.mesh.face_normal(t).y * sign < DOWN
+        };
+        2 * texels.iter().filter(down).count() > texels.len()
     }
 
     fn surface_group(&self, texels: Vec<u32>, kind: usize) -> Group {
@@ -507,7 +588,7 @@ impl<'s, 'a> Restorer<'s, 'a> {
 
     fn emitting(&self) -> Vec<bool> {
         let mut emitting = self.known.clone();
-        for g in self.groups.iter().filter(|g| g.fit.kind == FOUND) {
+        for g in self.groups.iter().filter(|g| g.fit.kind >= FOUND) {
             for &i in &g.texels {
                 emitting[self.surface.texels.point[i as usize].triangle as usize] = true;
             }
@@ -708,7 +789,7 @@ impl<'s, 'a> Restorer<'s, 'a> {
     fn restored(&self, fit: &ClippedFit) -> Vec<Restored> {
         let light = self.group_of();
         (0..self.sent.len())
-            .filter(|&i| self.clipped.bits[i] != 0)
+            .filter(|&i| self.clipped.bits[i] != 0 || light[i].is_some())
             .map(|i| Restored {
                 texel: i as u32,
                 radiance: light[i].map_or(self.sent[i], |k| {
@@ -735,6 +816,19 @@ impl<'s, 'a> Restorer<'s, 'a> {
             })
             .collect();
         self.surface.texels.scatter(&values, Vec3::ZERO)
+    }
+
+    /// The groups on surfaces.
+    fn lights(&self, fit: &ClippedFit) -> Vec<FoundLight> {
+        let on_surface = |(g, _): &(&Group, &f32)| g.sector.is_none();
+        (self.groups.iter().zip(&fit.log_error))
+            .filter(on_surface)
+            .map(|(g, e)| FoundLight {
+                texels: g.texels.clone(),
+                log_error: *e,
+                emits: g.fit.kind != FOUND || self.faces_down(&g.texels),
+            })
+            .collect()
     }
 
     /// Excess radiance of every sector of the sky.

@@ -101,7 +101,7 @@ pub(super) fn add_missing_light(
     .bake(seed, progress);
     let rays = more.rays;
     let ratio = relative_change(surface, light, more, &coarse);
-    let change = apply(surface, light, albedo, &ratio);
+    let change = scale_irradiance(surface, light, albedo, &ratio);
     MissingLight {
         change,
         rays: rays + far_rays,
@@ -253,7 +253,7 @@ fn relative_change(
 
 /// Multiplies the irradiance by `ratio` and divides the albedo by what that changes; returns the
 /// mean relative change.
-fn apply(
+pub(super) fn scale_irradiance(
     surface: &Surface,
     light: &mut Light,
     albedo: &mut AlbedoEstimate,

@@ -6,7 +6,6 @@ use super::decisions::choose_sizes;
 use crate::Result;
 use crate::core::geometry::Camera;
 use crate::core::image::{CameraMask, Plane, RgbPlane};
-use crate::core::math::linear_from_srgb;
 use crate::core::progress::Progress;
 use crate::core::texture::Texels;
 use crate::core::trace::{EmbreeTracer, Hit};
@@ -137,7 +136,7 @@ fn read_view(
     progress: &Progress,
 ) -> Result<(ObservedView, Option<Plane<u8>>)> {
     let full = scene.load_radiance(view)?;
-    let ceiling = clipped_channels(&full, encoded_ceiling(view))
+    let ceiling = clipped_channels(&full, view.encoded_ceiling())
         .map(|c| blocks(&c, options.photo_reduction.max(1), |a, b| a | b));
     let radiance = reduced(full, options.photo_reduction);
     let labels = scene.load_labels(view)?;
@@ -264,14 +263,6 @@ fn reduced(image: RgbPlane, factor: usize) -> RgbPlane {
 /// A mask at the size of [`reduced`]: a block may be used if all of it may.
 fn all_valid(mask: &Plane<bool>, factor: usize) -> Plane<bool> {
     blocks(mask, factor, |a, b| a && b)
-}
-
-/// From which radiance on a display-referred file is at its ceiling; `None` for linear files.
-fn encoded_ceiling(view: &View) -> Option<f32> {
-    /// Encoders of JPEG ring, cameras roll off: the last steps below 255 are the ceiling too.
-    const TOP: f32 = 250.0 / 255.0;
-    let info = crate::core::formats::image_info(&view.image_path).ok()?;
-    (!info.format.is_linear()).then(|| linear_from_srgb(TOP) * view.exposure_ev.exp2())
 }
 
 /// The factor, but no more than leaves one block.

@@ -72,6 +72,7 @@ pub(super) fn reconstruct_as_published(
     let rays = baked.rays + learned.rays;
     let solution = Solution {
         lamps: Vec::new(),
+        portals: Vec::new(),
         mesh: surface.oriented_mesh(),
         origin: scene.origin,
         albedo: learned.albedo.plane(|a| Vec3::from(*a)),

@@ -2,7 +2,8 @@
 
 use super::albedo::albedo_errors;
 use super::assemble::assemble;
-use super::clipped_light::restore_clipped_light;
+use super::clipped_light::{FoundLight, restore_clipped_light};
+use super::energy_balance::balance_rooms;
 use super::findings::{findings, spread_of_looks};
 use super::missing_light::add_missing_light;
 use super::painted::{Estimate, settle_palettes};
@@ -15,7 +16,9 @@ use super::{
 use crate::Result;
 use crate::core::progress::Progress;
 use crate::core::switch::Switch;
+use crate::inverse::AlbedoEstimate;
 use crate::scene::Scene;
+use crate::verdict::MissingLight;
 
 /// Reconstructs materials and light of a scene.
 ///
@@ -43,6 +46,12 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         progress,
     );
     let mut albedo = solved.albedo;
+    let lights = clipped_light.as_ref().map_or(&[][..], |c| &c.lights);
+    forget_lit(&mut albedo, lights);
+    let rooms = roughness.texel_rooms(&surface.texels);
+    let short = progress.stage("energy balance", 0, |p| {
+        balance_rooms(&surface, &mut light, &mut albedo, &rooms, options, p)
+    });
     let mut rays = light.rays + highlights.evidence.rays + reflections.rays + solved.rays;
     if options.missing_light != Switch::Off {
         let seed = options.seed;
@@ -61,20 +70,30 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     let estimate = Estimate {
         albedo: &mut albedo,
         errors: &mut errors,
-        rooms: &roughness.texel_rooms(&surface.texels),
+        rooms: &rooms,
     };
     progress.stage("paint", 0, |p| {
         settle_palettes(&surface, &mut light, estimate, options, p);
     });
     let mut findings = findings(&surface, &light, &albedo, &errors, &spread);
-    findings.light_missing = clipped_light;
+    let clipped = clipped_light.as_ref().map(|c| c.missing);
+    findings.light_missing = MissingLight::both(clipped, short);
     // what no texel knows of by itself
     let model_error = findings.model_error() as f32;
     errors.iter_mut().for_each(|e| *e = e.hypot(model_error));
     Ok(Solved {
-        solution: assemble(&surface, &light, &roughness, &albedo, &errors),
+        solution: assemble(&surface, &light, &roughness, &albedo, &errors, lights),
         fits: roughness.materials.fits().cloned().collect(),
         rays,
         findings,
     })
+}
+
+/// What a clipped light hides of its surface is unknown: lamps, and what the sun shines on.
+fn forget_lit(albedo: &mut AlbedoEstimate, lights: &[FoundLight]) {
+    for &i in lights.iter().flat_map(|l| &l.texels) {
+        albedo.value[i as usize] = glam::Vec3::ZERO;
+        albedo.error[i as usize] = f32::INFINITY;
+        albedo.clean[i as usize] = false;
+    }
 }

@@ -2,9 +2,10 @@
 //! in one report.
 
 use super::frame_account;
+use super::recorded_light::{ClippedView, RecordedLight};
 use super::{FrameAccount, LoadOptions, RoomGrid, Scene, Split, View, find_rooms};
 use crate::core::geometry::Projection;
-use crate::core::image::RgbPlane;
+use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::luminance;
 use crate::core::parallel::sum_f64;
 use crate::core::sampling::{AliasTable, KeyedRng};
@@ -40,6 +41,8 @@ pub struct Summary {
     pub images: Vec<ImageKind>,
     /// Every frame whose files could be read.
     pub frames: Vec<FrameAccount>,
+    /// Light that the photographs do not hold; `None` where nothing is clipped.
+    pub recorded_light: Option<RecordedLight>,
     /// Geometry.
     pub mesh: MeshSummary,
     /// Radiance of the training images, exposure applied.
@@ -230,6 +233,7 @@ pub fn check_loaded(scene: &Scene, tracer: &dyn Tracer, report: &mut CheckReport
         rooms_given: scene.rooms.is_some(),
         ..Summary::default()
     };
+    summary.recorded_light = recorded_light(scene, &findings);
     summary.frames = findings.iter().map(|f| f.account.clone()).collect();
     let total: f64 = findings
         .iter()
@@ -267,6 +271,16 @@ pub fn check_loaded(scene: &Scene, tracer: &dyn Tracer, report: &mut CheckReport
     report.summary = Some(summary);
 }
 
+/// What the training views that are files for screens lack of the light.
+fn recorded_light(scene: &Scene, findings: &[ViewFindings]) -> Option<RecordedLight> {
+    let views: Vec<&ClippedView> = (findings.iter().filter(|f| f.train))
+        .filter_map(|f| f.clipped.as_ref())
+        .collect();
+    RecordedLight::of(&views, |id| {
+        scene.class(id).map_or(String::new(), |c| c.name.clone())
+    })
+}
+
 /// What one view contributes.
 struct ViewFindings {
     account: FrameAccount,
@@ -280,6 +294,8 @@ struct ViewFindings {
     holes: f64,
     unlabelled_surface: f64,
     class_angle: BTreeMap<u16, f64>,
+    /// What is at the ceiling, of files for screens.
+    clipped: Option<ClippedView>,
     /// (triangle, class, rays).
     votes: BTreeMap<(u32, u16), u32>,
 }
@@ -313,6 +329,7 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
         holes: 0.0,
         unlabelled_surface: 0.0,
         class_angle: BTreeMap::new(),
+        clipped: None,
         votes: BTreeMap::new(),
     };
     // a regular lattice of rays in the image's aspect
@@ -334,6 +351,7 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
         .collect();
     let mut hits = vec![Hit::miss(); rays.len()];
     tracer.closest(&rays, &mut hits);
+    f.clipped = clipped_view(view, &image, labels.as_ref(), (&pixels, &rays, &hits));
     for (&p, hit) in pixels.iter().zip(&hits) {
         let angle = f64::from(camera.pixel_solid_angle(p));
         f.solid_angle += angle;
@@ -354,6 +372,35 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
         }
     }
     Ok(f)
+}
+
+/// What rays through pixels of a file for screens find at its ceiling; `None` of linear files.
+fn clipped_view(
+    view: &View,
+    image: &RgbPlane,
+    labels: Option<&Plane<u16>>,
+    (pixels, rays, hits): (&[Vec2], &[Ray], &[Hit]),
+) -> Option<ClippedView> {
+    let ceiling = view.encoded_ceiling()?;
+    let camera = &view.camera;
+    let size = Vec2::new(camera.width as f32, camera.height as f32);
+    let mut out = ClippedView {
+        stem: view.stem.clone(),
+        ..ClippedView::default()
+    };
+    for ((&p, ray), hit) in pixels.iter().zip(rays).zip(hits) {
+        let angle = f64::from(camera.pixel_solid_angle(p));
+        out.whole += angle;
+        let of_image = Vec2::new(image.width as f32, image.height as f32) / size;
+        if image.nearest(p * of_image).max_element() >= ceiling {
+            let class = labels.map_or(0, |l| {
+                *l.nearest(p * Vec2::new(l.width as f32, l.height as f32) / size)
+            });
+            let place = || Vec3::from(ray.origin) + Vec3::from(ray.direction) * hit.t;
+            out.add(angle, hit.is_hit().then(place), class);
+        }
+    }
+    Some(out)
 }
 
 fn subsampled(image: &RgbPlane) -> Vec<f32> {

@@ -15,6 +15,9 @@ impl Display for CheckReport {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
         writeln!(f, "{}", printable(&self.path))?;
         if let Some(s) = &self.summary {
+            if let Some(light) = &s.recorded_light {
+                writeln!(f, "\n{}\n", printable(&light.advice()))?;
+            }
             summary(f, s)?;
         }
         list(f, "warning", &self.warnings)?;

@@ -9,6 +9,7 @@ pub mod known_keys;
 mod load;
 mod mesh_prep;
 mod pixels;
+mod recorded_light;
 mod rigid;
 mod rooms;
 mod staged;
@@ -22,6 +23,7 @@ pub use check::{
 pub use frame_account::FrameAccount;
 pub use mesh_prep::{MeshStats, atlas_overlap, prepare_mesh};
 pub use pixels::PixelStats;
+pub use recorded_light::RecordedLight;
 pub use rooms::{find_rooms, floor_plan};
 pub use staged::StagedScene;
 pub use unwrap::{UnwrapStats, unwrap_mesh};
@@ -104,6 +106,22 @@ pub struct Class {
     pub name: String,
     /// Known to emit light (`kind` = `light`).
     pub is_light: bool,
+}
+
+impl Class {
+    /// Whether its name is that of a pane that daylight comes through: "window" or "skylight" as a
+    /// word, without a word for what holds or covers one ("window_frame", "window blind").
+    #[must_use]
+    pub fn is_window(&self) -> bool {
+        const PANES: [&str; 4] = ["window", "windows", "skylight", "windowpane"];
+        const PARTS: [&str; 10] = [
+            "frame", "sill", "blind", "blinds", "shutter", "curtain", "handle", "seat", "casing",
+            "box",
+        ];
+        let name = self.name.to_lowercase();
+        let words = || name.split(|c: char| !c.is_alphabetic());
+        words().any(|w| PANES.contains(&w)) && !words().any(|w| PARTS.contains(&w))
+    }
 }
 
 /// Which pixels are mirrored left to right, and turned back as they are read.

@@ -175,16 +175,17 @@ struct LightsFile {
     lights: Vec<Lamp>,
 }
 
-/// The list as the bytes of `lights.json`, with the generation of the set of files it belongs to.
-pub(super) fn encode(lamps: &[Lamp], generation: &str) -> Result<Vec<u8>> {
+/// The list as the bytes of `lights.json`, lamps and windows, then portals, with the generation of
+/// the set of files it belongs to.
+pub(super) fn encode(lamps: &[Lamp], portals: &[Lamp], generation: &str) -> Result<Vec<u8>> {
     let file = LightsFile {
         generation: Some(generation.to_owned()),
-        lights: lamps.to_vec(),
+        lights: [lamps, portals].concat(),
     };
     serde_json::to_vec_pretty(&file).map_err(|e| Error::Failed(format!("{LIGHTS}: {e}")))
 }
 
-/// The stored list; that of the solution's own emission where a folder has none.
+/// The stored list, portals apart; that of the solution's own emission where a folder has none.
 ///
 /// # Errors
 /// A file that is no list of lights, names triangles that the mesh does not have, or is of another
@@ -193,14 +194,11 @@ pub(super) fn read(
     folder: &Path,
     solution: &Solution,
     expected: Option<&str>,
-) -> Result<Vec<Lamp>> {
+) -> Result<(Vec<Lamp>, Vec<Lamp>)> {
     let path = folder.join(LIGHTS);
     if !path.is_file() {
-        return Ok(find_lamps(
-            &solution.mesh,
-            &solution.emission,
-            solution.origin,
-        ));
+        let lamps = find_lamps(&solution.mesh, &solution.emission, solution.origin);
+        return Ok((lamps, Vec::new()));
     }
     let bytes = std::fs::read(&path).map_err(|e| Error::io(&path, e))?;
     let file: LightsFile = serde_json::from_slice(&bytes).map_err(|e| {
@@ -226,7 +224,9 @@ pub(super) fn read(
             ));
         }
     }
-    Ok(file.lights)
+    let is_portal = |light: &Lamp| light.kind == LampKind::Portal;
+    let (portals, lamps) = file.lights.into_iter().partition(is_portal);
+    Ok((lamps, portals))
 }
 
 #[cfg(test)]
@@ -292,11 +292,17 @@ mod tests {
         let mut solution = two_quads(2.0);
         solution.lamps = lamps(&solution);
         solution.lamps[1].clipped = true;
-        let bytes = encode(&solution.lamps, "a").expect("json");
+        solution.lamps[0].kind = LampKind::Window;
+        solution.portals = vec![Lamp {
+            id: 3,
+            kind: LampKind::Portal,
+            ..Lamp::default()
+        }];
+        let bytes = encode(&solution.lamps, &solution.portals, "a").expect("json");
         std::fs::write(folder.path().join(LIGHTS), &bytes).expect("write");
         assert_eq!(
             read(folder.path(), &solution, Some("a")).expect("read"),
-            solution.lamps
+            (solution.lamps.clone(), solution.portals.clone())
         );
         let mixed = read(folder.path(), &solution, Some("b")).expect_err("of another run");
         assert!(mixed.exit_code() == 2 && mixed.to_string().contains("of another run"));
@@ -307,9 +313,7 @@ mod tests {
         std::fs::write(folder.path().join(LIGHTS), b"{").expect("write");
         assert!(read(folder.path(), &solution, None).is_err());
         std::fs::remove_file(folder.path().join(LIGHTS)).expect("remove");
-        assert_eq!(
-            read(folder.path(), &solution, None).expect("found").len(),
-            1
-        );
+        let (lamps, portals) = read(folder.path(), &solution, None).expect("found");
+        assert_eq!((lamps.len(), portals.len()), (1, 0));
     }
 }

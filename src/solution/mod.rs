@@ -56,6 +56,9 @@ pub struct Solution {
     pub reflectance: Reflectance,
     /// Its lamps, most powerful first: every program numbers them by this list.
     pub lamps: Vec<Lamp>,
+    /// Openings to the environment, numbered on from the lamps. They have no triangles: their light
+    /// is the environment's.
+    pub portals: Vec<Lamp>,
     /// What the photographs' cameras carry along, one mask per kind and size of image; those
     /// without any are left out.
     pub camera_masks: Vec<CameraMask>,
@@ -120,6 +123,7 @@ pub(crate) mod tests {
             environment: ramp(8, 4, 3.0),
             reflectance: Reflectance::Burley,
             lamps: Vec::new(),
+            portals: Vec::new(),
             camera_masks: vec![CameraMask {
                 panorama: true,
                 visible: Plane {

@@ -79,8 +79,11 @@ impl Solution {
             write_camera_masks(aside.path(), &self.camera_masks)?;
             write_radiometric(&marked, &at("environment.exr"), &self.environment)?;
             let path = at(LIGHTS);
-            std::fs::write(&path, lamps::encode(&self.lamps, &generation)?)
-                .map_err(|e| Error::io(folder.join(LIGHTS), e))
+            std::fs::write(
+                &path,
+                lamps::encode(&self.lamps, &self.portals, &generation)?,
+            )
+            .map_err(|e| Error::io(folder.join(LIGHTS), e))
         };
         let (glb, textures) = rayon::join(glb, textures);
         textures.and(glb)?;
@@ -172,9 +175,11 @@ impl Solution {
             environment: rgb("environment.exr")?,
             reflectance: glb.reflectance,
             lamps: Vec::new(),
+            portals: Vec::new(),
             camera_masks: read_camera_masks(folder)?,
         };
-        solution.lamps = lamps::read(folder, &solution, glb.generation.as_deref())?;
+        (solution.lamps, solution.portals) =
+            lamps::read(folder, &solution, glb.generation.as_deref())?;
         Ok(solution)
     }
 

@@ -263,6 +263,7 @@ fn true_solution(ground: &BenchScene, model: Reflectance, progress: &Progress) -
         })
         .collect();
     Ok(Solution {
+        portals: Vec::new(),
         lamps: Vec::new(),
         mesh,
         origin: scene.origin,

@@ -49,6 +49,7 @@ fn furnace(albedo: f32, radiance: f32) -> Solution {
         confidence: Plane::filled(48, 48, Vec2::ZERO),
         irradiance_error: None,
         lamps: Vec::new(),
+        portals: Vec::new(),
         camera_masks: Vec::new(),
         labels,
         rooms: Plane::filled(48, 48, 1),

@@ -30,6 +30,9 @@ pub struct PrepareOptions {
     /// as they are.
     #[arg(long, value_name = "N", default_value_t = Self::default().hold_out)]
     pub hold_out: usize,
+    /// Exposure times of brackets without EXIF, in the order of the file names: "1/4,1/15,1/60".
+    #[arg(long, value_name = "TIMES")]
+    pub exposure_times: Option<String>,
     /// Links the photographs instead of copying them: the scene then needs the capture to stay
     /// where it is.
     #[arg(long)]
@@ -44,6 +47,7 @@ impl Default for PrepareOptions {
             up: None,
             floor: None,
             hold_out: 8,
+            exposure_times: None,
             link: false,
         }
     }

@@ -8,6 +8,7 @@
 
 mod account;
 mod alicevision;
+mod brackets;
 mod capture;
 mod colmap;
 mod floor_plan;
@@ -73,6 +74,10 @@ pub fn prepare(
     progress: &Progress,
 ) -> Result<Prepared> {
     options.check()?;
+    let is_bracket = || looked_at(path).is_none() && brackets::recognises(path);
+    if source == Some(brackets::KIND) || (source.is_none() && is_bracket()) {
+        return brackets::run(path, out, options, progress);
+    }
     let importer = match source {
         Some(name) => named(name)?,
         None => found(path)?,
@@ -98,7 +103,8 @@ fn named(name: &str) -> Result<&'static dyn Importer> {
         .find(|i| i.kind() == name)
         .copied()
         .ok_or_else(|| {
-            let known: Vec<&str> = importers().iter().map(|i| i.kind()).collect();
+            let mut known: Vec<&str> = importers().iter().map(|i| i.kind()).collect();
+            known.push(brackets::KIND);
             Error::Usage(format!(
                 "\"{name}\" is no source known here; expected one of {}, or leave it out",
                 known.join(", ")
@@ -122,7 +128,7 @@ fn found(path: &Path) -> Result<&'static dyn Importer> {
         Error::input(
             path,
             format!(
-                "no capture known here{}; expected one of\n{}\nName the source before the folder if it looks different",
+                "no capture known here{}; expected one of\n{}\n  brackets     photographs of several exposures (EXIF)\nName the source before the folder if it looks different",
                 what_is_missing(path),
                 known.join("\n")
             ),

@@ -53,6 +53,7 @@ fn assemble(apartment: &Apartment, mesh: Mesh, texture: &Plane<Vec4>) -> Solutio
     let emission = texels.scatter(&emitted, Vec3::ZERO);
     Solution {
         lamps: find_lamps(&mesh, &emission, DVec3::ZERO),
+        portals: Vec::new(),
         mesh,
         origin: DVec3::ZERO,
         albedo: fill_uncovered(&texture.map(|t| t.truncate()), &covered),

@@ -353,6 +353,7 @@ mod tests {
         }
         Solution {
             lamps: find_lamps(&mesh, &emission, DVec3::ZERO),
+            portals: Vec::new(),
             mesh,
             origin: DVec3::ZERO,
             albedo: Plane::filled(8, 8, Vec3::splat(0.5)),
