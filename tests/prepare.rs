@@ -127,7 +127,7 @@ fn roomplan_is_a_labelled_mesh() {
 #[test]
 fn real_brackets_agree_among_themselves() {
     for (name, stops) in [("brackets-room", 13.0), ("brackets-handheld", 4.0)] {
-        let Some(folder) = capture(name) else {
+        let Some(folder) = shared(format!("captures/{name}")) else {
             return;
         };
         let dir = tempfile::tempdir().expect("folder");

@@ -45,41 +45,7 @@ pub fn unwrap_mesh(
         .flatten()
         .map(|&v| representative[v as usize])
         .collect();
-    let slices = fan_slices(&indices);
-    let mut options = uvunwrap::Options {
-        padding,
-        // on a furnished room of 132 k triangles: rows 0.5 s and 39 % filled, nested shapes 11 s
-        // and 60 %
-        packing: uvunwrap::Packing::Fast,
-        ..uvunwrap::Options::default()
-    };
-    let mut input = uvunwrap::MeshInput::new(&positions, &indices);
-    // charts never cross from one material to another
-    input.face_materials = slices.as_deref();
-    let mut page = resolution.clamp(16, MAX_SIDE);
-    let atlas = loop {
-        options.density = uvunwrap::Density::Auto { page_size: page };
-        match uvunwrap::generate(std::slice::from_ref(&input), &options) {
-            Ok(atlas) if atlas.page_count <= 1 => break atlas,
-            Ok(_) if page < MAX_SIDE => page = (2 * page).min(MAX_SIDE),
-            Ok(atlas) => {
-                return Err(format!(
-                    "{} charts do not fit one atlas; simplify the mesh",
-                    atlas.chart_count
-                ));
-            }
-            // many tiny charts: their padding alone overfills the page, a finer page has room for
-            // it
-            Err(uvunwrap::Error::ChartTooLarge { .. }) if page < MAX_SIDE => {
-                page = (2 * page).min(MAX_SIDE)
-            }
-            Err(e) => {
-                return Err(format!(
-                    "no atlas could be made ({e}); unwrap the mesh in a modelling program"
-                ));
-            }
-        }
-    };
+    let atlas = one_page(&positions, &indices, resolution, padding)?;
     let made = &atlas.meshes[0];
     // pages may be cropped in height: texture space is square
     let scale =
@@ -114,6 +80,50 @@ pub fn unwrap_mesh(
         texels_per_metre,
     };
     Ok((out, stats))
+}
+
+/// Charts on one page, of `resolution`² texels or as many more as they need.
+fn one_page(
+    positions: &[[f32; 3]],
+    indices: &[u32],
+    resolution: u32,
+    padding: u32,
+) -> Result<uvunwrap::Atlas, String> {
+    let slices = fan_slices(indices);
+    let mut options = uvunwrap::Options {
+        padding,
+        // on a furnished room of 132 k triangles: rows 0.5 s and 39 % filled, nested shapes 11 s
+        // and 60 %
+        packing: uvunwrap::Packing::Fast,
+        ..uvunwrap::Options::default()
+    };
+    let mut input = uvunwrap::MeshInput::new(positions, indices);
+    // charts never cross from one material to another
+    input.face_materials = slices.as_deref();
+    let mut page = resolution.clamp(16, MAX_SIDE);
+    loop {
+        options.density = uvunwrap::Density::Auto { page_size: page };
+        match uvunwrap::generate(std::slice::from_ref(&input), &options) {
+            Ok(atlas) if atlas.page_count <= 1 => return Ok(atlas),
+            Ok(_) if page < MAX_SIDE => page = (2 * page).min(MAX_SIDE),
+            Ok(atlas) => {
+                return Err(format!(
+                    "{} charts do not fit one atlas; simplify the mesh",
+                    atlas.chart_count
+                ));
+            }
+            // many tiny charts: their padding alone overfills the page, a finer page has room for
+            // it
+            Err(uvunwrap::Error::ChartTooLarge { .. }) if page < MAX_SIDE => {
+                page = (2 * page).min(MAX_SIDE)
+            }
+            Err(e) => {
+                return Err(format!(
+                    "no atlas could be made ({e}); unwrap the mesh in a modelling program"
+                ));
+            }
+        }
+    }
 }
 
 /// For every vertex the first one with the same position and normal: an abandoned atlas' seams must

@@ -183,30 +183,22 @@ pub fn bench_light(
     let real = progress.stage("true irradiance", points.len() as u64, |p| {
         paths.irradiance(&points, bench.paths, 1, p)
     });
-    let name = |label: u16| {
-        let class = scene.class(label);
-        class.map_or_else(|| format!("class {label}"), |c| c.name.clone())
-    };
+    let name = |label: u16| class_name(scene, label);
     let labels = surface.texels.scatter(&surface.labels, 0);
     let all: Vec<u32> = (0..surface.texels.len() as u32).collect();
     let owner = surface.texels.scatter(&all, u32::MAX);
-    let receivers: Vec<String> = ids
-        .iter()
-        .zip(&points)
-        .map(|(&i, p)| {
-            let t = texels.point[i].triangle;
-            name(surface.nearest(&labels, t, p.position))
-        })
-        .collect();
-    let result = match &bench.result {
-        Some(folder) => Some(Solution::load(folder)?.irradiance),
+    let class_at = |(&i, p): (&usize, &IrradiancePoint)| {
+        name(surface.nearest(&labels, texels.point[i].triangle, p.position))
+    };
+    let receivers: Vec<String> = ids.iter().zip(&points).map(class_at).collect();
+    let ended = match &bench.result {
+        Some(folder) => {
+            let plane = Solution::load(folder)?.irradiance;
+            let at = |&i: &usize| texels.lookup(&scene.mesh, &plane, i);
+            Some(ids.iter().map(at).collect::<Vec<Vec3>>())
+        }
         None => None,
     };
-    let ended = result.map(|plane| -> Vec<Vec3> {
-        ids.iter()
-            .map(|&i| texels.lookup(&scene.mesh, &plane, i))
-            .collect()
-    });
     let rays = Rays {
         ground: &ground,
         paths: &paths,
@@ -222,6 +214,12 @@ pub fn bench_light(
         kinds: met(&receivers, &finds, |f| f.kind.to_owned()),
         targets: met(&receivers, &finds, |f| f.class.clone()),
     })
+}
+
+/// A class's name, or its number where it has none.
+fn class_name(scene: &Scene, label: u16) -> String {
+    let class = scene.class(label);
+    class.map_or_else(|| format!("class {label}"), |c| c.name.clone())
 }
 
 /// The scene's true materials on the atlas, with its lamps and sky as photographed.
