@@ -476,58 +476,6 @@ fn windings_do_not_change_materials() {
     let solved = solve(&scene);
     let (median, off) = albedo_difference(&reference().solution, &solved.solution);
     assert!(median < 2e-3 && off < 0.03, "{median} {off}");
-    if std::env::var_os("UNBAKE_MIXED").is_some() {
-        let mut mixed = load();
-        for (t, corners) in mixed.mesh.triangles.iter_mut().enumerate() {
-            if (t.wrapping_mul(2_654_435_761) >> 9).is_multiple_of(2) {
-                corners.swap(1, 2);
-            }
-        }
-        let b = solve(&mixed).solution;
-        let a = &reference().solution;
-        let away = (0..a.mesh.triangles.len())
-            .filter(|&t| a.mesh.face_normal(t).dot(b.mesh.face_normal(t)) < 0.0)
-            .count();
-        let mut ratios: Vec<f32> = a
-            .irradiance
-            .data
-            .iter()
-            .zip(&b.irradiance.data)
-            .filter(|(x, _)| x.y > 0.0)
-            .map(|(x, y)| y.y / x.y)
-            .collect();
-        ratios.sort_by(f32::total_cmp);
-        let q = |p: f32| ratios[(ratios.len() as f32 * p) as usize];
-        println!(
-            "MIXED {:?} away {away} of {} irradiance {} {} {} radiance {} emission {} labels {} jumps {} mean rough {}",
-            albedo_difference(a, &b),
-            a.mesh.triangles.len(),
-            q(0.1),
-            q(0.5),
-            q(0.9),
-            a.radiance
-                .data
-                .iter()
-                .zip(&b.radiance.data)
-                .filter(|(x, y)| (**x - **y).abs().max_element() > 0.01 * x.max_element())
-                .count() as f32
-                / a.radiance.data.len() as f32,
-            a.emission
-                .data
-                .iter()
-                .zip(&b.emission.data)
-                .filter(|(x, y)| x != y)
-                .count(),
-            a.labels
-                .data
-                .iter()
-                .zip(&b.labels.data)
-                .filter(|(x, y)| x != y)
-                .count(),
-            roughness_jumps(a, &b),
-            roughness_difference(a, &b)
-        );
-    }
     // and what nobody sees faces the same way: both meshes come out wound alike
     let (a, b) = (&reference().solution.mesh, &solved.solution.mesh);
     let away = (0..a.triangles.len())
