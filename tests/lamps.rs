@@ -50,10 +50,17 @@ fn all_list_the_same(scene: &Path) {
     let folder = Path::new(out);
     let bytes = std::fs::read(folder.join("lights.json")).expect("lights.json");
     let file: Value = serde_json::from_slice(&bytes).expect("JSON");
-    let stored = named(file.get("lights").unwrap_or(&file));
+    // portals follow the lamps and windows: the environment shines through them, not they
+    let is_portal = |light: &&Value| light["kind"] == "portal";
+    let lights = file["lights"].as_array().expect("lights");
+    let portals: Vec<&Value> = lights.iter().filter(is_portal).collect();
+    let (stored, last) = lights.split_at(lights.len() - portals.len());
+    assert!(last.iter().all(|l| is_portal(&l)), "portals come last");
+    let stored = named(&Value::from(stored.to_vec()));
     assert!(!stored.is_empty(), "the scene has lamps");
-    let ids: Vec<u64> = stored.iter().map(|l| l.0).collect();
+    let ids: Vec<u64> = named(&file["lights"]).iter().map(|l| l.0).collect();
     assert!(ids.iter().copied().eq(1..=ids.len() as u64), "{ids:?}");
+    let ids = ids[..stored.len()].to_vec();
 
     let listed = unbake(&["relight", out, "--list-lamps", "--json"]);
     let listed: Value = serde_json::from_slice(&listed).expect("JSON");
