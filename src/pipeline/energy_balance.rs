@@ -5,14 +5,17 @@
 //! about πL, and A = πL/E stands at one everywhere. That bound is a statement about the light. In
 //! every part of a room whose brightest large surfaces reflect more than white paint does, the
 //! irradiance is raised, channel by channel, until they are white paint (white patch: Land &
-//! McCann 1971); what is darker is left alone. Only display-referred photographs, which cameras
-//! compress by place, are judged so, and only where walls and ceilings at large stand at the bound. Called by `solve` after the albedo, before the missing light.
+//! McCann 1971); what is darker is left alone. A texel that still exceeds the bound gets the mean
+//! of what it may be below it. Only display-referred photographs, which cameras compress by place,
+//! are judged so, and only where walls and ceilings at large stand at the bound. Called by `solve`
+//! after the albedo, before the missing light.
 
 use super::light::texture_of;
 use super::missing_light::scale_irradiance;
 use super::{Light, SolveOptions, Switch};
 use crate::core::math::luminance;
 use crate::core::progress::Progress;
+use crate::core::stats::inverse_mills;
 use crate::inverse::AlbedoEstimate;
 use crate::observed::Surface;
 use crate::scene::View;
@@ -76,9 +79,13 @@ pub(super) fn balance_rooms(
         &texture_of(&surface.texels, &factors),
     );
     for (i, factor) in factors.iter().enumerate() {
-        if luminance(*factor) > 1.0 {
-            let paint = WHITE_SPREAD * luminance(albedo.value[i]);
-            albedo.error[i] = albedo.error[i].hypot(paint);
+        if albedo.error[i].is_finite() {
+            let raised = f32::from(u8::from(luminance(*factor) > 1.0));
+            let paint = raised * WHITE_SPREAD * luminance(albedo.value[i]);
+            let error = albedo.error[i].hypot(paint);
+            let below = albedo.value[i].to_array().map(|a| below_bound(a, error));
+            albedo.value[i] = Vec3::from(below.map(|b| b.mean));
+            albedo.error[i] = below.iter().map(|b| b.deviation).fold(0.0, f32::max);
         }
     }
     progress.note(format!(
@@ -89,6 +96,27 @@ pub(super) fn balance_rooms(
         100.0 * missing.standard_error / (1.0 - missing.share).powi(2),
     ));
     Some(missing)
+}
+
+/// Mean and standard deviation.
+#[derive(Clone, Copy)]
+struct Moments {
+    mean: f32,
+    deviation: f32,
+}
+
+/// An albedo measured as `value` ± `error` that no paint lets exceed [`BOUND`]: mean of the truncated
+/// normal distribution v − s λ(z), variance s² (1 − λ (λ + z)), z = (bound − v)/s, λ = φ/Φ (Johnson,
+/// Kotz and Balakrishnan 1994, ch. 13).
+fn below_bound(value: f32, error: f32) -> Moments {
+    let (v, s) = (f64::from(value), f64::from(error.max(1e-4)));
+    let z = (f64::from(BOUND) - v) / s;
+    let mills = inverse_mills(z);
+    let variance = s * s * (1.0 - mills * (mills + z)).max(0.0);
+    Moments {
+        mean: (v - s * mills).max(0.0) as f32,
+        deviation: variance.sqrt() as f32,
+    }
 }
 
 /// What is known of the surfaces that reflect.
@@ -241,6 +269,24 @@ mod tests {
         assert_eq!(upper_quantile(&mut values, 0.3), 0.9);
         assert_eq!(upper_quantile(&mut values, 0.9), 0.2);
         assert_eq!(upper_quantile(&mut [], 0.3), 0.0);
+    }
+
+    #[test]
+    fn what_exceeds_any_paint_lies_below_the_bound_and_the_rest_stays() {
+        let dark = below_bound(0.3, 0.05);
+        assert!((dark.mean - 0.3).abs() < 1e-4 && (dark.deviation - 0.05).abs() < 1e-4);
+        for (value, error) in [(1.0, 0.08), (1.4, 0.1), (0.95, 0.2), (3.0, 0.01)] {
+            let b = below_bound(value, error);
+            assert!(
+                b.mean < BOUND && b.mean > 0.0 && b.deviation <= error,
+                "{value} ± {error}: {} ± {}",
+                b.mean,
+                b.deviation
+            );
+        }
+        // half a normal distribution: its mean is √(2/π) of its deviation from its end
+        let half = below_bound(BOUND, 0.1);
+        assert!((BOUND - half.mean - 0.1 * 0.797_884_6).abs() < 1e-5);
     }
 
     /// Between the middles of parts the factor is in between, and another room has no say.
