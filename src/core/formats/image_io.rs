@@ -60,7 +60,14 @@ pub(super) fn open_part(path: &Path, format: ImageFormat, part: usize) -> Result
     Ok(image)
 }
 
+/// What is wrong with a file whose pixels cannot be read.
 pub(super) fn damaged(reason: &str) -> String {
+    // OpenImageIO 2.5 (Debian 13) wants subsampled Y, RY, BY in a buffer of their own
+    if reason.contains("subsampling") {
+        return format!(
+            "luminance-chroma channels that this OpenImageIO does not read ({reason}); save it as R, G, B"
+        );
+    }
     format!("damaged or cut short: {reason}; copy, render or download it again")
 }
 
