@@ -106,12 +106,12 @@ fn every_case_has_its_outcome() {
             ..LoadOptions::default()
         };
         let report = check(&path, &options);
-        // decoded, or refused by name: OpenImageIO of Debian 13 does not read these channels
-        let refused = report.problems.join("\n").contains("luminance-chroma");
-        if *name == "fc09-exr-luminance-chroma" && refused {
-            assert_eq!(report.exit_code(), 2, "{name}: {report}");
-            continue;
-        }
+        // OpenImageIO from 2.5 on (Debian 13) does not read these channels: refused by name there
+        let decoded = unbake::core::formats::version().starts_with("2.4");
+        let outcome = match *name {
+            "fc09-exr-luminance-chroma" if !decoded => &Refused("luminance-chroma"),
+            _ => outcome,
+        };
         match outcome {
             Plain => plain_figures(name, &report, (12, 94.0)),
             Mesh(triangles, area) => plain_figures(name, &report, (*triangles, *area)),
