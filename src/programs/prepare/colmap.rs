@@ -9,6 +9,7 @@ use super::capture::{Capture, Shot, Surface, Up};
 use super::importer::{Importer, PrepareOptions, photograph_named, stem_of};
 use super::lens::{Distortion, Lens};
 use super::lens::{Optics, Perspective};
+use crate::core::formats::{MOST_DATA, read_input, read_input_text};
 use crate::error::{Error, Result};
 use glam::{DMat3, DMat4, DQuat, DVec3};
 use std::collections::BTreeMap;
@@ -299,10 +300,6 @@ fn pose(q: [f64; 4], t: [f64; 3]) -> Option<DMat4> {
     })
 }
 
-fn read_text(path: &Path) -> Result<String> {
-    std::fs::read_to_string(path).map_err(|e| Error::input(path, format!("cannot be read: {e}")))
-}
-
 /// The words of every line that is no comment, with its number.
 fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines()
@@ -312,7 +309,7 @@ fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
 }
 
 fn text_cameras(path: &Path) -> Result<BTreeMap<u32, CameraEntry>> {
-    let text = read_text(path)?;
+    let text = read_input_text(path)?;
     let mut cameras = BTreeMap::new();
     for (number, line) in lines(&text).filter(|(_, l)| !l.trim().is_empty()) {
         let words: Vec<&str> = line.split_whitespace().collect();
@@ -339,7 +336,7 @@ fn text_cameras(path: &Path) -> Result<BTreeMap<u32, CameraEntry>> {
 }
 
 fn text_images(path: &Path) -> Result<Vec<ImageEntry>> {
-    let text = read_text(path)?;
+    let text = read_input_text(path)?;
     let mut images = Vec::new();
     let mut rows = lines(&text).skip_while(|(_, l)| l.trim().is_empty());
     // two lines an image: the pose, then its points (possibly empty)
@@ -434,12 +431,8 @@ impl<'a> Bytes<'a> {
     }
 }
 
-fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    std::fs::read(path).map_err(|e| Error::input(path, format!("cannot be read: {e}")))
-}
-
 fn binary_cameras(path: &Path) -> Result<BTreeMap<u32, CameraEntry>> {
-    let data = read_bytes(path)?;
+    let data = read_input(path, MOST_DATA)?;
     let mut bytes = Bytes {
         path,
         data: &data,
@@ -477,7 +470,7 @@ fn binary_cameras(path: &Path) -> Result<BTreeMap<u32, CameraEntry>> {
 }
 
 fn binary_images(path: &Path) -> Result<Vec<ImageEntry>> {
-    let data = read_bytes(path)?;
+    let data = read_input(path, MOST_DATA)?;
     let mut bytes = Bytes {
         path,
         data: &data,

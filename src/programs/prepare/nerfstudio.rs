@@ -11,6 +11,7 @@ use super::capture::{Capture, Depth, Mask, Shot, Surface, Up};
 use super::importer::{Importer, PrepareOptions};
 use super::lens::{Distortion, Lens};
 use super::lens::{Optics, Perspective};
+use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
 use crate::scene::Class;
 use glam::{DMat3, DMat4};
@@ -122,8 +123,7 @@ impl Importer for Nerfstudio {
             false => path.to_path_buf(),
         };
         let folder = file.parent().unwrap_or(Path::new(".")).to_path_buf();
-        let text = std::fs::read_to_string(&file)
-            .map_err(|e| Error::input(&file, format!("cannot be read: {e}")))?;
+        let text = read_input_text(&file)?;
         let root: Value = serde_json::from_str(&text)
             .map_err(|e| Error::input(&file, format!("{e}; expected nerfstudio's JSON")))?;
         let no_frames = || {

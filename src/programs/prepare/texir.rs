@@ -101,7 +101,7 @@ fn root(path: &Path) -> Option<PathBuf> {
 
 /// What a class file says, if there is one.
 fn read_facts(path: &Path) -> Value {
-    std::fs::read_to_string(path)
+    formats::read_input_text(path)
         .ok()
         .and_then(|text| serde_json::from_str(&text).ok())
         .unwrap_or(Value::Null)
@@ -130,16 +130,15 @@ fn classes(facts: &Value) -> Vec<Class> {
     classes
 }
 
-fn read(path: &Path) -> Result<String> {
-    std::fs::read_to_string(path).map_err(|e| Error::input(path, format!("cannot be read: {e}")))
-}
-
 fn read_ids(path: &Path) -> Result<Vec<String>> {
-    Ok(read(path)?.split_whitespace().map(Into::into).collect())
+    Ok(formats::read_input_text(path)?
+        .split_whitespace()
+        .map(Into::into)
+        .collect())
 }
 
 fn read_poses(path: &Path, count: usize) -> Result<Vec<DMat4>> {
-    let text = read(path)?;
+    let text = formats::read_input_text(path)?;
     let fail = |m: String| {
         Error::input(
             path,
@@ -193,7 +192,7 @@ fn room_grid(root: &Path, account: &mut Account) -> Result<Option<RoomIds>> {
     if !meta.is_file() || !picture.is_file() {
         return Ok(None);
     }
-    let numbers: Vec<f64> = read(&meta)?
+    let numbers: Vec<f64> = formats::read_input_text(&meta)?
         .split_whitespace()
         .filter_map(|w| w.parse().ok())
         .collect();

@@ -12,6 +12,7 @@ use super::capture::{Capture, LabelledMesh, RoomOutline, Shot, Surface, Up};
 use super::importer::{Importer, PrepareOptions};
 use super::lens::Optics;
 use super::plan::{Opening, Shell, ShellClasses, extrude};
+use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
 use crate::scene::Class;
 use glam::{DMat4, DVec2, DVec4};
@@ -171,8 +172,7 @@ impl Importer for Zind {
             )
         })?;
         let file = folder.join(FILE);
-        let text = std::fs::read_to_string(&file)
-            .map_err(|e| Error::input(&file, format!("cannot be read: {e}")))?;
+        let text = read_input_text(&file)?;
         let data: Data = serde_json::from_str(&text).map_err(|e| {
             Error::input(
                 &file,
