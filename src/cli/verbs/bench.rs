@@ -217,10 +217,7 @@ fn tables(
         &context.progress,
         &mut |so_far| outputs.write_files(so_far, no_plot).map(drop),
     );
-    if !workplace.keep {
-        // nothing can be done about files that will not go
-        let _ = std::fs::remove_dir_all(&workplace.folder);
-    }
+    workplace.clear();
     let report = report?;
     outputs.write(context, &report.text(), &report, no_plot)
 }
@@ -243,10 +240,7 @@ fn robustness(
         &context.progress,
         &mut |so_far| outputs.write_files(so_far, no_plot).map(drop),
     );
-    if !workplace.keep {
-        // nothing can be done about files that will not go
-        let _ = std::fs::remove_dir_all(&workplace.folder);
-    }
+    workplace.clear();
     let report = report?;
     outputs.write(context, &report.text(), &report, no_plot)
 }

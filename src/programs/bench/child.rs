@@ -78,6 +78,14 @@ impl Workplace {
         })
     }
 
+    /// Removes the working folder, unless what the processes wrote stays.
+    pub fn clear(&self) {
+        if !self.keep {
+            // nothing can be done about files that will not go
+            let _ = std::fs::remove_dir_all(&self.folder);
+        }
+    }
+
     /// A folder of its own in this one.
     #[must_use]
     pub fn within(&self, name: &str) -> Self {
