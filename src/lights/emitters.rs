@@ -9,12 +9,16 @@
 //! times what rays found of their visibility from the point's cell, so that lamps in other rooms
 //! and behind the surface cost no samples.
 
+use super::grouping::{bright_sets, split_into_lamps, uncovered};
+use super::light_model::LightModel;
 use super::light_sampler::{LightSampler, LightShapes, Piece};
 use super::portal_grid::PortalGrid;
+use super::portals::find_exits;
 use super::primitives::{Columns, GRAZING, PORTAL, SHORT, Sources};
+use super::reach::{Found, ReachTable};
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
-use crate::core::sampling::{SlotTable, SobolSequence};
+use crate::core::sampling::{SlotTable, SobolSequence, hash_u64, square_to_triangle};
 use crate::core::trace::{Hit, Ray, Tracer};
 use crate::ffi::simd::{floor_to_index, prefetch};
 use crate::radiance::LightField;
@@ -24,21 +28,14 @@ use std::collections::BTreeMap;
 
 /// At most this many lamps; more are merged with their neighbours in space.
 const MAX_LAMPS: usize = 128;
-/// Reflecting triangles this many times brighter than the mean are sampled like lamps.
-const BRIGHT: f64 = 2.5;
 /// At most this many portals.
 const MAX_PORTALS: usize = 64;
-/// Receivers and rays per receiver that look for openings.
+/// Receivers that look for openings.
 const PORTAL_PROBES: usize = 16_384;
-const PORTAL_RAYS: u32 = 32;
 /// Cells along the longest side of the scene: about one metre in a flat.
 const CELLS_LONGEST: f32 = 20.0;
 /// Receivers per cell used to find which lamps reach it.
 const PROBES: usize = 32;
-/// Share of the expected irradiance that a lamp is believed to send where no ray from it arrived.
-const DEFENSIVE: f32 = 0.03;
-/// What a neighbouring cell's findings count beside a cell's own.
-const NEIGHBOURS: f32 = 0.2;
 
 /// Distance in cells and cosine between normals within which two points ask the same lamps.
 const ALIKE: f32 = 0.1;
@@ -70,6 +67,29 @@ impl Lamp {
     }
 }
 
+/// A piece of a lamp, as [`Sources`] numbers it.
+#[derive(Clone, Copy)]
+struct LampPiece {
+    /// Mesh triangle or cell of the hull.
+    id: u32,
+    /// Its first slot within its lamp, and how many it has.
+    first: f32,
+    slots: f32,
+}
+
+/// A point on a lamp or in an opening, as seen from another point.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LightPoint {
+    /// Unit direction towards it.
+    pub direction: Vec3,
+    /// Metres; infinite for an opening, behind which the environment lies.
+    pub distance: f32,
+    /// Density per steradian.
+    pub pdf: f32,
+    /// Triangle and barycentrics; `None` for an opening.
+    pub place: Option<(u32, f32, f32)>,
+}
+
 /// What a lamp is made of.
 enum LampKind {
     /// Mesh triangles.
@@ -84,6 +104,7 @@ pub struct Emitters {
     shapes: LightShapes,
     /// The pieces of all lamps, lamp by lamp.
     sources: Sources,
+    pieces: Vec<LampPiece>,
     /// The pieces again, lamp by lamp, each as often as it is likely.
     slots: Vec<u32>,
     /// Per triangle, and once more for no triangle: lamp and density per m² within the lamp;
@@ -97,12 +118,12 @@ pub struct Emitters {
 }
 
 impl Emitters {
-    /// Gathers the emissive triangles of `field` and the openings to its environment into lamps,
-    /// and learns which of them reach the `receivers` (position, normal).
+    /// Gathers the emissive triangles of a scene and the openings to its environment into lamps,
+    /// and learns which of them reach the `receivers` (position, unit normal).
     #[must_use]
     pub fn new(
         mesh: &Mesh,
-        field: &LightField,
+        model: &dyn LightModel,
         tracer: &dyn Tracer,
         receivers: &[(Vec3, Vec3)],
     ) -> Self {
@@ -112,6 +133,7 @@ impl Emitters {
             lamps: Vec::new(),
             shapes: LightShapes::default(),
             sources: Sources::default(),
+            pieces: Vec::new(),
             slots: Vec::new(),
             triangle_slot: vec![(0, 0.0); mesh.triangles.len() + 1],
             portal_slot: Vec::new(),
@@ -123,12 +145,12 @@ impl Emitters {
         let centre = |t: u32| mesh.position(t as usize, 1.0 / 3.0, 1.0 / 3.0);
         let power: Vec<f64> = (0..mesh.triangles.len())
             .into_par_iter()
-            .map(|t| triangle_power(mesh, field, t))
+            .map(|t| model.power(mesh, t))
             .collect();
-        for set in bright_sets(mesh, field, &power) {
-            let set = uncovered(mesh, field, tracer, set);
+        for set in bright_sets(mesh, model, &power) {
+            let set = uncovered(mesh, model, tracer, set);
             for group in split_into_lamps(&centre, small, MAX_LAMPS, set) {
-                let out_of = |t: u32| field.outward_normal(t as usize);
+                let out_of = |t: u32| model.outward_normal(t as usize);
                 let item = |t: u32| {
                     let (area, power) = (mesh.area(t as usize), power[t as usize]);
                     (
@@ -143,15 +165,15 @@ impl Emitters {
                     )
                 };
                 let items = group.iter().map(|&t| item(t)).collect::<Vec<_>>();
-                out.add_lamp(mesh, field, LampKind::Triangles(group), &items);
+                out.add_lamp(mesh, model, LampKind::Triangles(group), &items);
             }
         }
-        if !field.environment.is_black() {
-            out.add_portals(mesh, field, tracer, receivers);
+        if !model.is_dark_outside() {
+            out.add_portals(mesh, model, tracer, receivers);
         }
-        out.reach.everywhere = vec![1.0; out.lamps.len()];
+        out.reach = ReachTable::unknown(out.lamps.len());
         if out.lamps.len() > 1 {
-            out.learn_reach(field, tracer, receivers);
+            out.learn_reach(mesh, model, tracer, receivers);
         }
         out
     }
@@ -160,7 +182,7 @@ impl Emitters {
     fn add_lamp(
         &mut self,
         mesh: &Mesh,
-        field: &LightField,
+        model: &dyn LightModel,
         kind: LampKind,
         items: &[(Piece, f32, f64)],
     ) {
@@ -175,16 +197,20 @@ impl Emitters {
         }
         for (i, item) in items.iter().enumerate() {
             let density = table.pmf(i) / item.1;
-            match &kind {
+            let id = match &kind {
                 LampKind::Triangles(ids) => {
                     self.triangle_slot[ids[i] as usize] = (lamp, density);
-                    self.sources.push_triangle(mesh, field, ids[i], density);
+                    self.sources.push_triangle(mesh, model, ids[i], density);
+                    ids[i]
                 }
                 LampKind::Portal(ids) => {
                     self.portal_slot[ids[i] as usize] = (lamp, density);
                     self.sources.push_portal(&self.hull, ids[i], density);
+                    ids[i]
                 }
-            }
+            };
+            let [first, slots] = table.share(i);
+            self.pieces.push(LampPiece { id, first, slots });
         }
         let first = self.slots.len() as u32;
         self.slots.extend(table.owners().iter().map(|i| base + i));
@@ -199,42 +225,17 @@ impl Emitters {
     fn add_portals(
         &mut self,
         mesh: &Mesh,
-        field: &LightField,
+        model: &dyn LightModel,
         tracer: &dyn Tracer,
         receivers: &[(Vec3, Vec3)],
     ) {
         let stride = (receivers.len() / PORTAL_PROBES).max(1);
-        let probes: Vec<usize> = (0..receivers.len()).step_by(stride).collect();
-        let found = crate::core::parallel::map_chunks(probes.len(), 64, |range| {
-            let mut rays = Vec::new();
-            for k in range {
-                let (p, n) = receivers[probes[k]];
-                let frame = crate::core::math::Frame::from_normal(n);
-                let sequence = SobolSequence::new(0x907_7a1, k as u64);
-                for j in 0..PORTAL_RAYS {
-                    let d = frame.world_from_local(
-                        crate::core::sampling::square_to_cosine_hemisphere(sequence.point2(j)),
-                    );
-                    rays.push(Ray::new(p + n * (1e-4 * self.cell_size), d, f32::INFINITY));
-                }
-            }
-            let mut hits = vec![crate::core::trace::Hit::miss(); rays.len()];
-            tracer.closest(&rays, &mut hits);
-            let mut out = Vec::new();
-            for (r, h) in rays.iter().zip(&hits) {
-                if !h.is_hit() {
-                    let d = Vec3::from_array(r.direction);
-                    if let Some((cell, _, _)) = self.hull.exit(Vec3::from_array(r.origin), d) {
-                        out.push((cell, f64::from(luminance(field.environment.radiance(d)))));
-                    }
-                }
-            }
-            out
-        });
+        let probes: Vec<(Vec3, Vec3)> = receivers.iter().copied().step_by(stride).collect();
         let mut light: BTreeMap<u32, f64> = BTreeMap::new();
         let (mut sum, mut crossings) = (0.0, 0.0);
-        for (cell, l) in found.into_iter().flatten() {
-            *light.entry(cell).or_default() += l;
+        for exit in find_exits(&self.hull, tracer, &probes) {
+            let l = f64::from(luminance(model.environment(exit.direction)));
+            *light.entry(exit.cell).or_default() += l;
             (sum, crossings) = (sum + l, crossings + 1.0);
         }
         if light.is_empty() {
@@ -266,89 +267,82 @@ impl Emitters {
                 (piece, area, light[&c].max(0.2 * mean))
             };
             let items: Vec<_> = group.iter().map(|&c| item(c)).collect();
-            self.add_lamp(mesh, field, LampKind::Portal(group), &items);
+            self.add_lamp(mesh, model, LampKind::Portal(group), &items);
         }
     }
 
     /// Learns how much of the expected irradiance of each lamp arrives in each cell.
-    fn learn_reach(&mut self, field: &LightField, tracer: &dyn Tracer, receivers: &[(Vec3, Vec3)]) {
+    fn learn_reach(
+        &mut self,
+        mesh: &Mesh,
+        model: &dyn LightModel,
+        tracer: &dyn Tracer,
+        receivers: &[(Vec3, Vec3)],
+    ) {
         let mut members: BTreeMap<[i32; 3], Vec<usize>> = BTreeMap::new();
         for (i, (p, _)) in receivers.iter().enumerate() {
             members.entry(self.cell(*p)).or_default().push(i);
         }
-        let lamps = self.lamps.len();
-        let nothing = || vec![[0.0f32; 2]; lamps];
-        // per lamp: what arrives, what was expected
-        let probed: BTreeMap<[i32; 3], Vec<[f32; 2]>> = members
+        let probed = members
             .par_iter()
             .map(|(cell, ids)| {
-                let mut found = nothing();
                 let stride = (ids.len() / PROBES).max(1);
-                let sequence = SobolSequence::new(
-                    0x1a3b,
-                    crate::core::sampling::hash_u64(
-                        cell[0] as u64,
-                        crate::core::sampling::hash_u64(cell[1] as u64, cell[2] as u64),
-                    ),
-                );
-                let (mut rays, mut owners, mut expected) = (Vec::new(), Vec::new(), Vec::new());
-                for (probe, &i) in ids.iter().step_by(stride).take(PROBES).enumerate() {
-                    let (p, n) = receivers[i];
-                    let origin = p + n * (1e-4 * self.cell_size);
-                    self.shapes
-                        .expected(p, n, &self.reach.everywhere, &mut expected);
-                    found.iter_mut().zip(&expected).for_each(|(f, e)| f[1] += e);
-                    for (k, lamp) in self.lamps.iter().enumerate() {
-                        let u = sequence.point3((probe * lamps + k) as u32);
-                        let Some(sample) = self.aim(field, lamp.slot(u[0]), origin, [u[1], u[2]])
-                        else {
-                            continue;
-                        };
-                        let cosine = n.dot(Vec3::from_array(sample.ray.direction));
-                        if cosine > 0.0 {
-                            // at most what was expected: one sample of a lamp nearby says little of
-                            // the others
-                            let light = (luminance(sample.radiance) * cosine / sample.pdf).max(0.0);
-                            rays.push(sample.ray);
-                            owners.push((k, light.min(expected[k])));
-                        }
-                    }
-                }
-                let mut hidden = vec![0u8; rays.len()];
-                tracer.occluded(&rays, &mut hidden);
-                for ((k, light), h) in owners.into_iter().zip(hidden) {
-                    found[k][0] += if h == 0 { light } else { 0.0 };
-                }
-                (*cell, found)
+                let probes = ids.iter().step_by(stride).take(PROBES);
+                let probes: Vec<_> = probes.map(|&i| receivers[i]).collect();
+                let key = hash_u64(cell[1] as u64, cell[2] as u64);
+                let sequence = SobolSequence::new(0x1a3b, hash_u64(cell[0] as u64, key));
+                (*cell, self.probe(mesh, model, tracer, &probes, &sequence))
             })
             .collect();
-        // a few probes may miss a lamp that the cell does see: its neighbours' findings count too
-        let learned = probed
-            .iter()
-            .map(|(cell, own)| {
-                let mut sum = own.clone();
-                for near in neighbours(*cell).filter_map(|c| probed.get(&c)) {
-                    sum.iter_mut()
-                        .zip(near)
-                        .for_each(|(s, n)| (0..2).for_each(|j| s[j] += NEIGHBOURS * n[j]));
+        self.reach.learn(&probed);
+    }
+
+    /// What receivers close to each other find of each lamp.
+    fn probe(
+        &self,
+        mesh: &Mesh,
+        model: &dyn LightModel,
+        tracer: &dyn Tracer,
+        probes: &[(Vec3, Vec3)],
+        sequence: &SobolSequence,
+    ) -> Vec<Found> {
+        let lamps = self.lamps.len();
+        let everywhere = vec![1.0; lamps];
+        let mut found = vec![Found::default(); lamps];
+        let (mut rays, mut owners, mut expected) = (Vec::new(), Vec::new(), Vec::new());
+        for (probe, &(p, n)) in probes.iter().enumerate() {
+            let origin = p + n * (1e-4 * self.cell_size);
+            self.shapes.expected(p, n, &everywhere, &mut expected);
+            for (f, e) in found.iter_mut().zip(&expected) {
+                f.expected += e;
+            }
+            for (k, lamp) in self.lamps.iter().enumerate() {
+                let u = sequence.point3((probe * lamps + k) as u32);
+                let source = self.slots[lamp.slot(u[0]) as usize];
+                let Some(point) = self.point(mesh, model, source, origin, [u[1], u[2]]) else {
+                    continue;
+                };
+                let cosine = n.dot(point.direction);
+                if cosine > 0.0 {
+                    let radiance = match point.place {
+                        Some((t, u, v)) => model.radiance(t as usize, u, v),
+                        None => model.environment(point.direction),
+                    };
+                    // at most what was expected: one sample of a lamp nearby says little of the
+                    // others
+                    let light = (luminance(radiance) * cosine / point.pdf).max(0.0);
+                    let t_far = point.distance * (1.0 - SHORT);
+                    rays.push(Ray::new(origin, point.direction, t_far));
+                    owners.push((k, light.min(expected[k])));
                 }
-                // of equal light, what arrives in a few places only varies more: the least variance
-                // has the root of the share that arrives
-                (
-                    *cell,
-                    sum.iter()
-                        .map(|[a, e]| {
-                            if *e > 0.0 {
-                                DEFENSIVE + (a / e).sqrt()
-                            } else {
-                                1.0
-                            }
-                        })
-                        .collect(),
-                )
-            })
-            .collect();
-        self.reach.set(learned);
+            }
+        }
+        let mut hidden = vec![0u8; rays.len()];
+        tracer.occluded(&rays, &mut hidden);
+        for ((k, light), h) in owners.into_iter().zip(hidden) {
+            found[k].arrives += if h == 0 { light } else { 0.0 };
+        }
+        found
     }
 
     fn cell(&self, p: Vec3) -> [i32; 3] {
@@ -458,6 +452,72 @@ impl Emitters {
         }
     }
 
+    /// The point of a source that `u` in [0, 1)² stands for, as seen from `from`, with the density
+    /// within its lamp; `None` if it faces away or is seen edge-on.
+    fn point(
+        &self,
+        mesh: &Mesh,
+        model: &dyn LightModel,
+        source: u32,
+        from: Vec3,
+        u: [f32; 2],
+    ) -> Option<LightPoint> {
+        let id = self.pieces[source as usize].id;
+        let (place, position, normal, density) = if self.sources.is_portal(source) {
+            let position = self.hull.cell_point(id, u);
+            let normal = self.hull.cell_frame(id)[3];
+            (None, position, normal, self.portal_slot[id as usize].1)
+        } else {
+            let ([b1, b2], t) = (square_to_triangle(u), id as usize);
+            let position = mesh.position(t, b1, b2);
+            let density = self.triangle_slot[t].1;
+            (
+                Some((id, b1, b2)),
+                position,
+                model.outward_normal(t),
+                density,
+            )
+        };
+        let to = position - from;
+        let distance = to.length();
+        let direction = to / distance;
+        let cosine = match place {
+            Some((t, _, _)) if normal == Vec3::ZERO => {
+                mesh.face_normal(t as usize).dot(direction).abs()
+            }
+            _ => -normal.dot(direction),
+        };
+        let pdf = density * distance * distance / cosine;
+        (cosine > GRAZING && pdf > 0.0 && pdf.is_finite()).then_some(LightPoint {
+            direction,
+            distance: place.map_or(f32::INFINITY, |_| distance),
+            pdf,
+            place,
+        })
+    }
+
+    /// Draws a point on a lamp or in an opening from two numbers, which keep their stratification;
+    /// `None` where the drawn point faces away from `from`.
+    pub(crate) fn sample_point(
+        &self,
+        mesh: &Mesh,
+        model: &dyn LightModel,
+        choice: &LightSampler,
+        from: Vec3,
+        u: [f32; 2],
+    ) -> Option<LightPoint> {
+        let (lamp, rest) = choice.sample(u[0]);
+        let source = self.slots[self.lamps[lamp].slot(rest) as usize];
+        let piece = &self.pieces[source as usize];
+        let within = (rest * self.lamps[lamp].slots - piece.first) / piece.slots;
+        let within = within.clamp(0.0, 1.0 - f32::EPSILON);
+        let point = self.point(mesh, model, source, from, [within, u[1]])?;
+        Some(LightPoint {
+            pdf: choice.pmf(lamp) * point.pdf,
+            ..point
+        })
+    }
+
     /// The pieces of all lamps.
     pub(crate) fn sources(&self) -> &Sources {
         &self.sources
@@ -518,203 +578,6 @@ impl Emitters {
             0.0
         }
     }
-}
-
-/// Per cell of space and lamp: how much of the expected irradiance arrives; in a dense grid around
-/// the cells that hold receivers.
-#[derive(Default)]
-struct ReachTable {
-    base: [i32; 3],
-    size: [usize; 3],
-    /// One more than the place in `tables`; 0 where nothing was learned.
-    index: Vec<u32>,
-    tables: Vec<Vec<f32>>,
-    /// What holds where nothing was learned.
-    everywhere: Vec<f32>,
-}
-
-impl ReachTable {
-    fn set(&mut self, learned: Vec<([i32; 3], Vec<f32>)>) {
-        let bound = |pick: fn(i32, i32) -> i32, a: usize| {
-            learned.iter().map(|(c, _)| c[a]).reduce(pick).unwrap_or(0)
-        };
-        self.base = std::array::from_fn(|a| bound(i32::min, a));
-        // receivers lie in the scene's box, which has about CELLS_LONGEST cells a side
-        self.size = std::array::from_fn(|a| {
-            (bound(i32::max, a).saturating_sub(self.base[a]) as usize + 1).min(256)
-        });
-        self.index = vec![0; self.size.iter().product()];
-        for (cell, table) in learned {
-            if let Some(i) = self.slot(cell) {
-                self.tables.push(table);
-                self.index[i] = self.tables.len() as u32;
-            }
-        }
-    }
-
-    fn slot(&self, cell: [i32; 3]) -> Option<usize> {
-        let at: [usize; 3] = std::array::from_fn(|a| {
-            i64::from(cell[a]).wrapping_sub(i64::from(self.base[a])) as usize
-        });
-        (0..3)
-            .all(|a| at[a] < self.size[a])
-            .then(|| (at[2] * self.size[1] + at[1]) * self.size[0] + at[0])
-    }
-
-    fn at(&self, cell: [i32; 3]) -> &[f32] {
-        let place = self
-            .slot(cell)
-            .and_then(|s| self.index.get(s))
-            .map_or(0, |i| *i as usize);
-        self.tables
-            .get(place.wrapping_sub(1))
-            .unwrap_or(&self.everywhere)
-    }
-}
-
-/// The 26 cells around one.
-fn neighbours(cell: [i32; 3]) -> impl Iterator<Item = [i32; 3]> {
-    (0..27).filter(|i| *i != 13).map(move |i| {
-        [
-            cell[0] + i % 3 - 1,
-            cell[1] + i / 3 % 3 - 1,
-            cell[2] + i / 9 - 1,
-        ]
-    })
-}
-
-/// Triangles worth sampling: the emissive ones, and those that reflect much more light than the
-/// average surface (a window sill in the sun). Sampling the latter changes no estimate, only its
-/// noise.
-fn bright_sets(mesh: &Mesh, field: &LightField, power: &[f64]) -> [Vec<u32>; 2] {
-    let area: Vec<f64> = (0..mesh.triangles.len())
-        .map(|t| f64::from(mesh.area(t)))
-        .collect();
-    let reflecting = |t: usize| !field.is_emissive(t) && area[t] > 0.0;
-    let (sum, total) = (0..area.len())
-        .filter(|&t| reflecting(t))
-        .fold((0.0, 0.0), |s, t| (s.0 + power[t], s.1 + area[t]));
-    let threshold = BRIGHT * sum / f64::max(total, f64::MIN_POSITIVE);
-    let emissive = (0..area.len())
-        .filter(|&t| field.is_emissive(t) && area[t] > 0.0)
-        .map(|t| t as u32)
-        .collect();
-    let bright = (0..area.len())
-        .filter(|&t| reflecting(t) && power[t] > threshold * area[t])
-        .map(|t| t as u32)
-        .collect();
-    [emissive, bright]
-}
-
-/// The triangles that can be seen from right above somewhere. A shadow ray ends so close to its
-/// source that it may overlook what covers that: a hidden twin of a lamp would shine through it.
-/// Hemisphere rays meet whatever is dropped here and visible after all.
-fn uncovered(
-    mesh: &Mesh,
-    field: &LightField,
-    tracer: &dyn Tracer,
-    triangles: Vec<u32>,
-) -> Vec<u32> {
-    const PLACES: [(f32, f32); 4] = [
-        (1.0 / 3.0, 1.0 / 3.0),
-        (0.7, 0.15),
-        (0.15, 0.7),
-        (0.15, 0.15),
-    ];
-    let (lo, hi) = mesh.bounds();
-    let above = 0.5 * SHORT * (hi - lo).length();
-    let rays: Vec<Ray> = triangles
-        .iter()
-        .flat_map(|&t| {
-            let normal = field.outward_normal(t as usize);
-            PLACES.map(|(u, v)| {
-                Ray::new(
-                    mesh.position(t as usize, u, v) + normal * above,
-                    -normal,
-                    2.0 * above,
-                )
-            })
-        })
-        .collect();
-    let mut hits = vec![Hit::miss(); rays.len()];
-    tracer.closest(&rays, &mut hits);
-    let seen = |i: usize| {
-        hits[PLACES.len() * i..][..PLACES.len()]
-            .iter()
-            .any(|h| h.triangle == triangles[i])
-    };
-    (0..triangles.len())
-        .filter(|&i| seen(i))
-        .map(|i| triangles[i])
-        .collect()
-}
-
-/// Luminance × area, from a few points; a floor keeps dim corners possible.
-fn triangle_power(mesh: &Mesh, field: &LightField, t: usize) -> f64 {
-    const POINTS: [(f32, f32); 4] = [(1.0 / 3.0, 1.0 / 3.0), (0.6, 0.2), (0.2, 0.6), (0.2, 0.2)];
-    let lum: Vec<f32> = POINTS
-        .iter()
-        .map(|&(u, v)| luminance(field.emitted(t, u, v)).max(0.0))
-        .collect();
-    let peak = lum.iter().copied().fold(0.0, f32::max);
-    f64::from((lum.iter().sum::<f32>() / 4.0).max(0.1 * peak)) * f64::from(mesh.area(t))
-}
-
-/// Splits items into at most `most` compact groups by cutting the largest group at its widest gap
-/// until groups are smaller than `small`.
-fn split_into_lamps(
-    centre: &dyn Fn(u32) -> Vec3,
-    small: f32,
-    most: usize,
-    items: Vec<u32>,
-) -> Vec<Vec<u32>> {
-    let mut groups = if items.is_empty() {
-        vec![]
-    } else {
-        vec![items]
-    };
-    loop {
-        let extent = |g: &Vec<u32>| {
-            let b = g
-                .iter()
-                .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |b, &t| {
-                    (b.0.min(centre(t)), b.1.max(centre(t)))
-                });
-            b.1 - b.0
-        };
-        let largest = groups
-            .iter()
-            .enumerate()
-            .filter(|(_, g)| g.len() > 1)
-            .map(|(i, g)| (i, extent(g)))
-            .max_by(|a, b| a.1.max_element().total_cmp(&b.1.max_element()));
-        let Some((i, e)) = largest else { break };
-        if e.max_element() < small || groups.len() >= most {
-            break;
-        }
-        let axis = if e.x >= e.y && e.x >= e.z {
-            0
-        } else if e.y >= e.z {
-            1
-        } else {
-            2
-        };
-        let mut g = std::mem::take(&mut groups[i]);
-        g.sort_by(|&a, &b| centre(a)[axis].total_cmp(&centre(b)[axis]).then(a.cmp(&b)));
-        // cut at the widest gap, so that separate lamps stay whole
-        let cut = (1..g.len())
-            .max_by(|&a, &b| {
-                let gap = |k: usize| centre(g[k])[axis] - centre(g[k - 1])[axis];
-                gap(a)
-                    .total_cmp(&gap(b))
-                    .then(b.abs_diff(g.len() / 2).cmp(&a.abs_diff(g.len() / 2)))
-            })
-            .unwrap_or(1);
-        let tail = g.split_off(cut);
-        groups[i] = g;
-        groups.push(tail);
-    }
-    groups
 }
 
 impl Emitters {

@@ -13,8 +13,9 @@ use crate::core::trace::{Hit, Ray, Tracer};
 use glam::Vec3;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Surface points from which openings are looked for, and rays from each.
+/// Surface points from which openings are looked for.
 const PROBES: usize = 8192;
+/// Rays from each.
 const RAYS: u32 = 32;
 /// Cells of a rectangle that must be open, else it is cut in two.
 const FILLED: f32 = 0.6;
@@ -69,21 +70,29 @@ impl Patch {
     }
 }
 
-/// The portals of a mesh; none if no ray escapes.
-#[must_use]
-pub fn find_portals(mesh: &Mesh, tracer: &dyn Tracer) -> Vec<[Vec3; 3]> {
-    let (lo, hi) = mesh.bounds();
-    let hull = PortalGrid::around(lo, hi);
-    let stride = (mesh.triangles.len() / PROBES).max(1);
-    let probes: Vec<usize> = (0..mesh.triangles.len()).step_by(stride).collect();
+/// A ray that left the scene.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Exit {
+    /// The cell of the grid through which it left.
+    pub cell: u32,
+    /// Its direction.
+    pub direction: Vec3,
+}
+
+/// Where cosine-distributed rays from surface points (position, unit normal) leave the scene, in
+/// the order of the points.
+pub(super) fn find_exits(
+    hull: &PortalGrid,
+    tracer: &dyn Tracer,
+    probes: &[(Vec3, Vec3)],
+) -> Vec<Exit> {
     let offset = hull.diagonal() * 1e-5;
-    let crossed = map_chunks(probes.len(), 64, |range| {
+    let found = map_chunks(probes.len(), 64, |range| {
         let mut rays = Vec::new();
         for k in range {
-            let t = probes[k];
-            let (p, n) = (mesh.position(t, 1.0 / 3.0, 1.0 / 3.0), mesh.face_normal(t));
+            let (p, n) = probes[k];
             let frame = Frame::from_normal(n);
-            let sequence = SobolSequence::new(0x0_907_7a1, t as u64);
+            let sequence = SobolSequence::new(0x907_7a1, k as u64);
             for j in 0..RAYS {
                 let d = frame.world_from_local(square_to_cosine_hemisphere(sequence.point2(j)));
                 rays.push(Ray::new(p + n * offset, d, f32::INFINITY));
@@ -94,14 +103,27 @@ pub fn find_portals(mesh: &Mesh, tracer: &dyn Tracer) -> Vec<[Vec3; 3]> {
         let exits = rays.iter().zip(&hits).filter(|(_, h)| !h.is_hit());
         exits
             .filter_map(|(r, _)| {
-                Some(
-                    hull.exit(Vec3::from_array(r.origin), Vec3::from_array(r.direction))?
-                        .0,
-                )
+                let direction = Vec3::from_array(r.direction);
+                let (cell, _, _) = hull.exit(Vec3::from_array(r.origin), direction)?;
+                Some(Exit { cell, direction })
             })
-            .collect::<Vec<u32>>()
+            .collect::<Vec<Exit>>()
     });
-    let cells: BTreeSet<u32> = crossed.into_iter().flatten().collect();
+    found.into_iter().flatten().collect()
+}
+
+/// The portals of a mesh; none if no ray escapes.
+#[must_use]
+pub fn find_portals(mesh: &Mesh, tracer: &dyn Tracer) -> Vec<[Vec3; 3]> {
+    let (lo, hi) = mesh.bounds();
+    let hull = PortalGrid::around(lo, hi);
+    let stride = (mesh.triangles.len() / PROBES).max(1);
+    let probes: Vec<(Vec3, Vec3)> = (0..mesh.triangles.len())
+        .step_by(stride)
+        .map(|t| (mesh.position(t, 1.0 / 3.0, 1.0 / 3.0), mesh.face_normal(t)))
+        .collect();
+    let exits = find_exits(&hull, tracer, &probes);
+    let cells: BTreeSet<u32> = exits.iter().map(|e| e.cell).collect();
     let corner =
         |face: u32, c: [u32; 2], u: [f32; 2]| hull.cell_point((face * 128 + c[0]) * 128 + c[1], u);
     let mut out = Vec::new();

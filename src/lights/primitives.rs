@@ -2,6 +2,7 @@
 //! side by side in memory.
 
 use super::PortalGrid;
+use super::light_model::LightModel;
 use crate::core::geometry::Mesh;
 use crate::core::sampling::square_to_triangle;
 use crate::ffi::simd::{prefetch, transpose4};
@@ -111,20 +112,26 @@ impl Sources {
 
     /// Adds a triangle, which comes after those that emit if it does not; `density` is per m²
     /// within its lamp.
-    pub(crate) fn push_triangle(&mut self, mesh: &Mesh, field: &LightField, t: u32, density: f32) {
+    pub(crate) fn push_triangle(
+        &mut self,
+        mesh: &Mesh,
+        model: &dyn LightModel,
+        t: u32,
+        density: f32,
+    ) {
         let t = t as usize;
         let ([a, b, c], [uv_a, uv_b, uv_c]) = (mesh.corners(t), mesh.corner_uvs(t));
         let uv_edges = [uv_b - uv_a, uv_c - uv_a];
         self.list.push(Source::new(
             a,
             [b - a, c - a],
-            field.outward_normal(t),
+            model.outward_normal(t),
             density,
             uv_a,
             uv_edges,
         ));
         self.triangles_end = self.list.len() as u32;
-        if field.is_emissive(t) {
+        if model.is_emissive(t) {
             self.emitting_end = self.triangles_end;
         }
     }
@@ -147,8 +154,9 @@ impl Sources {
         index < self.emitting_end
     }
 
+    /// Whether a source is an opening.
     #[inline(always)]
-    fn is_portal(&self, index: u32) -> bool {
+    pub(crate) fn is_portal(&self, index: u32) -> bool {
         index >= self.triangles_end
     }
 

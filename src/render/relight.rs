@@ -78,13 +78,12 @@ pub struct PathTracedScene<'w, 's> {
 }
 
 impl<'w, 's> PathTracedScene<'w, 's> {
-    /// Builds the ray structure and looks for windows.
+    /// Builds the ray structure.
     ///
     /// # Errors
     /// Embree cannot be used.
-    pub fn new(world: &'w mut EditableScene<'s>) -> Result<Self> {
+    pub fn new(world: &'w EditableScene<'s>) -> Result<Self> {
         let embree = EmbreeTracer::new(world.mesh())?;
-        world.open_portals(&embree);
         Ok(Self { world, embree })
     }
 

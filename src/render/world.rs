@@ -6,9 +6,7 @@ use super::{IesProfile, PointLight, Shape};
 use crate::core::brdf::{Material, Reflectance};
 use crate::core::geometry::Mesh;
 use crate::core::image::{RgbPlane, Wrap};
-use crate::core::trace::Tracer;
 use crate::error::Result;
-use crate::lights::portals::find_portals;
 use crate::radiance::Environment;
 use crate::solution::{Solution, triangle_emission};
 use glam::{DVec3, Vec2, Vec3};
@@ -96,7 +94,6 @@ pub struct EditableScene<'a> {
     textured: usize,
     environment: Environment,
     environment_gain: Vec3,
-    portals: Vec<[Vec3; 3]>,
     points: Vec<PointLight>,
 }
 
@@ -125,7 +122,6 @@ impl<'a> EditableScene<'a> {
             constant: Vec::new(),
             environment: Environment::from_map(solution.environment.clone()),
             environment_gain: Vec3::ONE,
-            portals: Vec::new(),
             points: Vec::new(),
         }
     }
@@ -286,17 +282,6 @@ impl<'a> EditableScene<'a> {
         self.constant
             .extend(std::iter::repeat_n(radiance, triangles.len()));
     }
-
-    /// Finds the openings through which the environment is seen; without this, windows are noisier
-    /// and nothing else.
-    pub fn open_portals(&mut self, tracer: &dyn Tracer) {
-        let dark = self.environment.is_black() || self.environment_gain == Vec3::ZERO;
-        self.portals = if dark {
-            Vec::new()
-        } else {
-            find_portals(&self.mesh, tracer)
-        };
-    }
 }
 
 impl SurfaceModel for EditableScene<'_> {
@@ -365,8 +350,8 @@ impl path_tracer::Environment for EditableScene<'_> {
         self.environment.radiance(direction) * self.environment_gain
     }
 
-    fn portals(&self) -> &[[Vec3; 3]] {
-        &self.portals
+    fn is_black(&self) -> bool {
+        self.environment.is_black() || self.environment_gain == Vec3::ZERO
     }
 }
 

@@ -120,7 +120,7 @@ impl<'a> Relit<'a> {
             let mut world = self.world()?;
             world.set_environment(sky);
             world.scale_emission(&all, Vec3::splat(lamps));
-            let stage = PathTracedScene::new(&mut world)?;
+            let stage = PathTracedScene::new(&world)?;
             let clock = Instant::now();
             let name = format!("{i:04}");
             stage.render(
@@ -141,10 +141,10 @@ impl<'a> Relit<'a> {
     /// Renders and writes the cameras' pictures, a preview of each first; returns the seconds of
     /// each.
     fn views(&self, cameras: &[NamedCamera], writer: &mut FrameWriter) -> Result<Vec<f64>> {
-        let mut world = self.world()?;
+        let world = self.world()?;
         let stage = self
             .progress
-            .stage("preparing", 1, |_| PathTracedScene::new(&mut world))?;
+            .stage("preparing", 1, |_| PathTracedScene::new(&world))?;
         let mut seconds = Vec::new();
         let mut clock = Instant::now();
         let shared = std::cell::RefCell::new(writer);
@@ -165,8 +165,8 @@ impl<'a> Relit<'a> {
 
     /// Renders cameras given relative to `origin`.
     fn images(&self, cameras: &[NamedCamera], origin: DVec3) -> Result<Vec<RgbPlane>> {
-        let mut world = self.world()?;
-        let stage = PathTracedScene::new(&mut world)?;
+        let world = self.world()?;
+        let stage = PathTracedScene::new(&world)?;
         let shift = (origin - self.solution.origin).as_vec3();
         let mut placed = traced(cameras);
         for (_, camera) in &mut placed {

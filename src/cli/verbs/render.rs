@@ -49,8 +49,8 @@ pub(crate) fn render(out: &Path, places: &FrameSource, context: &Context) -> Res
             })?;
         }
         Renderer::Path => {
-            let mut world = EditableScene::new(&solution);
-            let stage = progress.stage("preparing", 1, |_| PathTracedScene::new(&mut world))?;
+            let world = EditableScene::new(&solution);
+            let stage = progress.stage("preparing", 1, |_| PathTracedScene::new(&world))?;
             let tracer = PathTracerOptions {
                 seed: context.seed(),
                 lambertian: options.diffuse_only,

@@ -89,6 +89,12 @@ impl SlotTable {
         &self.owner
     }
 
+    /// First slot and number of slots of entry `i`.
+    #[must_use]
+    pub fn share(&self, i: usize) -> [f32; 2] {
+        self.share[i]
+    }
+
     /// Probability of index `i`.
     #[must_use]
     #[inline(always)]

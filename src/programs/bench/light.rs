@@ -146,9 +146,8 @@ pub fn bench_light(
 ) -> Result<LightReport> {
     let ground = BenchScene::prepare(scene, options, progress)?;
     let truth = true_solution(&ground, bench.model, progress)?;
-    let mut world = EditableScene::new(&truth);
+    let world = EditableScene::new(&truth);
     let tracer = EmbreeTracer::new(&truth.mesh)?;
-    world.open_portals(&tracer);
     let paths = PathTracerOptions {
         samples: bench.paths,
         max_bounces: bench.bounces,

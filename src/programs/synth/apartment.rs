@@ -30,8 +30,6 @@ pub struct Apartment {
     pub paints: Vec<Paint>,
     /// Rooms from west to east.
     pub rooms: Vec<Room>,
-    /// Window openings, two triangles each.
-    pub portals: Vec<[Vec3; 3]>,
     /// Where furniture stands, world coordinates.
     pub footprints: Vec<Footprint>,
 }
@@ -44,7 +42,6 @@ impl Apartment {
             charts: Vec::new(),
             paints: Vec::new(),
             rooms: Vec::new(),
-            portals: Vec::new(),
             footprints: Vec::new(),
         };
         let mut x = 0.0;
@@ -76,7 +73,6 @@ impl Apartment {
                 c
             }));
             out.footprints.append(&mut d.footprints);
-            out.portals.append(&mut d.portals);
         }
         out
     }
@@ -203,12 +199,6 @@ fn window_wall(d: &mut Decorator, north: &Wall, finishes: &ShellFinishes) {
     wall_with_opening(d, north, Some(window), finishes.wall);
     tunnel(d, north, window, Vec3::NEG_Z * WALL_THICKNESS, frame);
     window_bars(d, Vec3::new(left, SILL, -0.5 * WALL_THICKNESS), frame);
-    let outer = Vec3::new(left, SILL, -WALL_THICKNESS);
-    let c = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)].map(|(a, b)| {
-        d.builder
-            .world(outer + Vec3::new(a * WINDOW.x, b * WINDOW.y, 0.0))
-    });
-    d.portals.extend([[c[0], c[1], c[2]], [c[0], c[2], c[3]]]);
 }
 
 /// A wall with a doorway around `centre` metres from its start: each room builds its half of the

@@ -52,12 +52,11 @@ fn does_not_fit(apartment: &apartment::Apartment, options: &SynthOptions) -> Err
 }
 
 /// The sky above every apartment.
-fn sky(apartment: &apartment::Apartment) -> Sky {
+fn sky() -> Sky {
     Sky {
         horizon: Vec3::new(4.6, 4.9, 5.2),
         zenith: Vec3::new(5.6, 6.6, 8.4),
         ground: Vec3::new(1.3, 1.4, 1.0),
-        portals: apartment.portals.clone(),
     }
 }
 
@@ -199,7 +198,7 @@ fn photograph_all(
 ) -> Result<Photographed> {
     let tracer = EmbreeTracer::new(&built.mesh)?;
     let surfaces = Textured::new(&built.mesh, &built.apartment.charts, &built.texture);
-    let sky = sky(&built.apartment);
+    let sky = sky();
     let settings = PathTracerOptions {
         samples: options.spp,
         seed: options.seed,

@@ -68,8 +68,6 @@ pub struct Sky {
     pub zenith: Vec3,
     /// Radiance of the ground.
     pub ground: Vec3,
-    /// Window openings.
-    pub portals: Vec<[Vec3; 3]>,
 }
 
 impl Environment for Sky {
@@ -78,9 +76,6 @@ impl Environment for Sky {
         // a soft horizon four degrees wide, so that no pixel depends on a discontinuity
         let t = (d.y / 0.07 + 0.5).clamp(0.0, 1.0);
         self.ground.lerp(sky, t * t * (3.0 - 2.0 * t))
-    }
-    fn portals(&self) -> &[[Vec3; 3]] {
-        &self.portals
     }
 }
 

@@ -32,8 +32,6 @@ pub struct Decorator {
     /// Materials of the room.
     pub paints: Vec<Paint>,
     paint_of: BTreeMap<u16, usize>,
-    /// Window openings.
-    pub portals: Vec<[Vec3; 3]>,
 }
 
 impl Decorator {
@@ -46,7 +44,6 @@ impl Decorator {
             footprints: Vec::new(),
             paints: Vec::new(),
             paint_of: BTreeMap::new(),
-            portals: Vec::new(),
         }
     }
 

@@ -48,7 +48,7 @@ fn assemble(apartment: &Apartment, mesh: Mesh, texture: &Plane<Vec4>) -> Solutio
         .iter()
         .map(|p| finishes[p.triangle as usize].class)
         .collect();
-    let sky = sky(apartment);
+    let sky = sky();
     let black = || Plane::filled(4, 4, Vec3::ZERO);
     let emission = texels.scatter(&emitted, Vec3::ZERO);
     Solution {
@@ -116,7 +116,7 @@ mod tests {
         let texture = atlas.paint(&apartment.charts, &apartment.paints);
         let tracer = EmbreeTracer::new(&mesh).expect("embree");
         let surfaces = super::super::Textured::new(&mesh, &apartment.charts, &texture);
-        let sky = sky(&apartment);
+        let sky = sky();
         let settings = PathTracerOptions {
             samples: 64,
             ..PathTracerOptions::default()
@@ -133,9 +133,9 @@ mod tests {
         let own = PathTracer::new(&mesh, &tracer, &surfaces, &sky, settings)
             .render(&camera, 0, &Progress::silent())
             .radiance();
-        let mut world = EditableScene::new(&truth);
+        let world = EditableScene::new(&truth);
         assert!(!truth.lamps.is_empty());
-        let stage = PathTracedScene::new(&mut world).expect("embree");
+        let stage = PathTracedScene::new(&world).expect("embree");
         let goal = Adaptive {
             first: 64,
             most: 64,

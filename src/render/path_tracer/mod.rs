@@ -217,6 +217,7 @@ impl PathTracer<'_> {
                         beta: Vec3::ONE,
                         first: [Vec3::ONE; 2],
                         origin: camera.position,
+                        normal: Vec3::ZERO,
                         pdf: 0.0,
                     });
                 }
@@ -309,6 +310,7 @@ impl PathTracer<'_> {
                     beta: Vec3::ONE,
                     first: [Vec3::ONE; 2],
                     origin: point.position,
+                    normal: point.normal,
                     pdf: 0.0,
                 };
                 self.scatter(&vertex, path, keys[slot], 0, &mut wave);

@@ -36,9 +36,9 @@ pub trait SurfaceModel: Sync {
 pub trait Environment: Sync {
     /// Radiance arriving from a unit direction (pointing away from the scene).
     fn radiance(&self, direction: Vec3) -> Vec3;
-    /// Triangles in the openings the environment is seen through; a hint for sampling only.
-    fn portals(&self) -> &[[Vec3; 3]] {
-        &[]
+    /// Whether no light comes from outside at all.
+    fn is_black(&self) -> bool {
+        false
     }
 }
 
@@ -47,6 +47,9 @@ pub struct BlackEnvironment;
 impl Environment for BlackEnvironment {
     fn radiance(&self, _: Vec3) -> Vec3 {
         Vec3::ZERO
+    }
+    fn is_black(&self) -> bool {
+        true
     }
 }
 

@@ -1,11 +1,12 @@
 //! The path tracer's scene: what is traced, and the tables its lights are sampled by.
 
-use super::lights::Lights;
+use super::lights::{TracedLights, receivers};
 use super::options::PathTracerOptions;
 use super::scene::{Environment, SurfaceModel};
 use crate::core::brdf::Reflectance;
 use crate::core::geometry::Mesh;
 use crate::core::trace::Tracer;
+use crate::lights::Emitters;
 use crate::render::point_light::PointLight;
 
 /// A scene ready to be rendered.
@@ -14,7 +15,7 @@ pub struct PathTracer<'a> {
     pub(super) tracer: &'a dyn Tracer,
     pub(super) surfaces: &'a dyn SurfaceModel,
     pub(super) environment: &'a dyn Environment,
-    pub(super) lights: Lights,
+    pub(super) emitters: Emitters,
     pub(super) points: Vec<PointLight>,
     pub(super) reflectance: Reflectance,
     pub(super) options: PathTracerOptions,
@@ -32,7 +33,12 @@ impl<'a> PathTracer<'a> {
         environment: &'a dyn Environment,
         options: PathTracerOptions,
     ) -> Self {
-        let lights = Lights::new(mesh, surfaces, environment, tracer, options.seed);
+        let model = TracedLights {
+            mesh,
+            surfaces,
+            environment,
+        };
+        let emitters = Emitters::new(mesh, &model, tracer, &receivers(mesh, options.seed));
         let (low, high) = mesh.bounds();
         let offset_floor = 0.01 * (high - low).max_element();
         Self {
@@ -40,11 +46,20 @@ impl<'a> PathTracer<'a> {
             tracer,
             surfaces,
             environment,
-            lights,
+            emitters,
             points: Vec::new(),
             reflectance: surfaces.reflectance(),
             options,
             offset_floor,
+        }
+    }
+
+    /// The scene as the light sampler knows it.
+    pub(super) fn light_model(&self) -> TracedLights<'a> {
+        TracedLights {
+            mesh: self.mesh,
+            surfaces: self.surfaces,
+            environment: self.environment,
         }
     }
 

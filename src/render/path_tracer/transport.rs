@@ -6,6 +6,7 @@ use crate::core::brdf::{Material, Reflectance};
 use crate::core::math::luminance;
 use crate::core::sampling::{KeyedRng, SobolSequence};
 use crate::core::trace::{Hit, Ray};
+use crate::lights::LightSampler;
 use crate::render::point_light::PointLight;
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
@@ -14,6 +15,8 @@ use std::f32::consts::FRAC_1_PI;
 pub(super) const WAVEFRONT: usize = 4096;
 /// Ray origins move this many units in the last place of the largest coordinate off the surface.
 const OFFSET_ULPS: f32 = 64.0;
+/// Directions drawn by a surface per direction drawn towards a light.
+const SURFACE_RAYS: f32 = 1.0;
 
 fn power_heuristic(a: f32, b: f32) -> f32 {
     if a.is_infinite() {
@@ -156,12 +159,13 @@ impl PathTracer<'_> {
                 };
                 let (hit, slot) = (&arrival.hit, arrival.path.slot as usize);
                 if !hit.is_hit() {
-                    self.add_environment(&arrival, &mut sums[slot]);
+                    self.add_environment(&arrival, &mut wave.choice, &mut sums[slot]);
                     continue;
                 }
                 let triangle = hit.triangle as usize;
                 let surface = self.surfaces.surface(triangle, hit.u, hit.v);
-                self.add_emission(&arrival, surface.emission, &mut sums[slot]);
+                let emission = surface.emission;
+                self.add_emission(&arrival, emission, &mut wave.choice, &mut sums[slot]);
                 let mut vertex = self.vertex(hit, -arrival.direction, surface.material);
                 if let Some(f) = features.as_deref_mut().filter(|_| bounce == 0) {
                     f[slot] = Some(Feature {
@@ -186,20 +190,28 @@ impl PathTracer<'_> {
     }
 
     /// Adds the environment's light to a path that leaves the scene.
-    fn add_environment(&self, arrival: &Arrival, sums: &mut Sums) {
+    fn add_environment(&self, arrival: &Arrival, choice: &mut LightSampler, sums: &mut Sums) {
         let (path, direction) = (&arrival.path, arrival.direction);
         let radiance = self.environment.radiance(direction);
         if arrival.bounce == 0 {
             sums.emission += radiance;
         } else {
-            let other = self.lights.environment_pdf(path.origin, direction);
+            let other = self
+                .choose_lights(path.origin, path.normal, choice)
+                .map_or(0.0, |c| self.emitters.miss_pdf(c, path.origin, direction));
             let weight = power_heuristic(path.pdf, other);
             self.deposit(sums, path, radiance * weight, arrival.bounce);
         }
     }
 
     /// Adds what the surface that a path meets emits towards it.
-    fn add_emission(&self, arrival: &Arrival, emission: Vec3, sums: &mut Sums) {
+    fn add_emission(
+        &self,
+        arrival: &Arrival,
+        emission: Vec3,
+        choice: &mut LightSampler,
+        sums: &mut Sums,
+    ) {
         let (path, hit, direction) = (&arrival.path, &arrival.hit, arrival.direction);
         if emission == Vec3::ZERO || !self.emits_towards(hit.triangle as usize, direction) {
             return;
@@ -207,10 +219,15 @@ impl PathTracer<'_> {
         if arrival.bounce == 0 {
             sums.emission += emission;
         } else {
-            let distance = hit.t + self.offset(path.origin);
+            let normal = self.mesh.face_normal(hit.triangle as usize);
+            let hit = Hit {
+                t: hit.t + self.offset(path.origin),
+                ..*hit
+            };
+            let cosine = normal.dot(direction).abs();
             let other = self
-                .lights
-                .triangle_pdf(path.origin, direction, distance, hit.triangle);
+                .choose_lights(path.origin, path.normal, choice)
+                .map_or(0.0, |c| self.emitters.hit_pdf(c, &hit, cosine));
             let weight = power_heuristic(path.pdf, other);
             self.deposit(sums, path, emission * weight, arrival.bounce);
         }
@@ -255,6 +272,20 @@ impl PathTracer<'_> {
         }
         vertex.lobes = Lobes::Specular;
         true
+    }
+
+    /// How a vertex chooses among the lights; `None` where none can send it any.
+    fn choose_lights<'c>(
+        &self,
+        p: Vec3,
+        normal: Vec3,
+        choice: &'c mut LightSampler,
+    ) -> Option<&'c LightSampler> {
+        if self.emitters.is_empty() {
+            return None;
+        }
+        self.emitters.choose(p, normal, SURFACE_RAYS, choice);
+        (!choice.is_empty()).then_some(choice)
     }
 
     /// Whether a triangle's light leaves on the side that a ray along `direction` meets.
@@ -343,9 +374,10 @@ impl PathTracer<'_> {
     /// Next-event estimation: a shadow ray to a point of a light or of the environment.
     fn sample_light(&self, s: &Scattering<'_>, u: [f32; 2], wave: &mut Wave) {
         let vertex = s.vertex;
+        let (from, model) = (vertex.position, self.light_model());
         let Some(sample) = self
-            .lights
-            .sample(vertex.position, u)
+            .choose_lights(from, vertex.normal, &mut wave.choice)
+            .and_then(|c| self.emitters.sample_point(self.mesh, &model, c, from, u))
             .filter(|sample| s.above(sample.direction))
         else {
             return;
@@ -355,8 +387,7 @@ impl PathTracer<'_> {
             .material
             .pdf_with_share(vertex.normal, vertex.view, towards, s.share);
         let weight = power_heuristic(sample.pdf, pdf);
-        let radiance = match sample.hit {
-            Some((t, _, _)) if !self.emits_towards(t as usize, towards) => Vec3::ZERO,
+        let radiance = match sample.place {
             Some((t, b1, b2)) => self.surfaces.surface(t as usize, b1, b2).emission,
             None => self.environment.radiance(towards),
         };
@@ -438,6 +469,7 @@ impl PathTracer<'_> {
         let mut next = s.advance(&s.factors(l, pdf));
         next.pdf = pdf;
         next.origin = vertex.position;
+        next.normal = vertex.normal;
         if !(pdf > 0.0
             && next.beta.max_element() > 0.0
             && next.beta.is_finite()

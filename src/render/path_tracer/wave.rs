@@ -3,6 +3,7 @@
 use super::scene::KnownLight;
 use crate::core::brdf::Material;
 use crate::core::trace::{Hit, Ray};
+use crate::lights::LightSampler;
 use glam::Vec3;
 
 /// Which lobes of a vertex are followed; the diffuse one alone is Lambert's, whatever the
@@ -44,8 +45,9 @@ pub(super) struct Path {
     pub(super) beta: Vec3,
     /// Factors of the first vertex' diffuse (with albedo) and specular lobe.
     pub(super) first: [Vec3; 2],
-    /// Where the last direction was drawn and with what density.
+    /// Where the last direction was drawn, on a surface of which normal, and with what density.
     pub(super) origin: Vec3,
+    pub(super) normal: Vec3,
     pub(super) pdf: f32,
 }
 
@@ -92,4 +94,6 @@ pub(super) struct Wave {
     pub(super) shadow: Vec<ShadowRay>,
     pub(super) shadow_rays: Vec<Ray>,
     pub(super) occluded: Vec<u8>,
+    /// The lights as the vertex at hand chooses among them.
+    pub(super) choice: LightSampler,
 }
