@@ -7,6 +7,7 @@ mod class_prior;
 mod clipped_albedo;
 mod clipped_fit;
 mod confidence;
+mod gloss_slope;
 mod materials;
 mod mixed_pixels;
 mod reflectance;

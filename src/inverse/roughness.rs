@@ -4,6 +4,7 @@
 //! tabulated at all levels; its global minimum is the answer and its depth the confidence (method
 //! §12.3 point 7).
 
+use super::gloss_slope;
 use super::view_residual::{Disagreement, points_by_class};
 use crate::core::brdf::Reflectance;
 use crate::core::stats::passing_weight;
@@ -43,7 +44,11 @@ const MODEL_GAIN: f64 = 0.01;
 pub fn fit_groups(evidence: &Evidence, model: Reflectance) -> Vec<GroupFit> {
     points_by_class(evidence)
         .into_iter()
-        .map(|(class, points)| fit(class, &Disagreement::of(evidence, model, &points)))
+        .map(|(class, points)| {
+            let mut found = fit(class, &Disagreement::of(evidence, model, &points));
+            gloss_slope::reconsider(evidence, model, &points, &mut found);
+            found
+        })
         .collect()
 }
 

@@ -1,0 +1,219 @@
+//! Whether a class that seems matte may be glossy: the slope of what the views show against the
+//! specular response that a roughness predicts.
+//!
+//! The robust disagreement ([`super::view_residual`]) takes highlights of a few pixels for
+//! outliers, and a response that misses them by a pixel explains the views less than none. The slope
+//! a(R) of observed on predicted differences between a point's views tells the two apart: it is 0 at
+//! every sharp level where there is no gloss, and errors of the prediction (place, footprint, light
+//! field) only attenuate it (regression dilution, Fuller 1987, 1.1): a gloss of roughness R has a(R)
+//! between ½ and 1. Where even the sharpest lobe predicts less than is seen, the differences are not
+//! gloss, and the slope says nothing. Products of the two halves of a response have no noise bias.
+//! Called by [`super::roughness`] for every class.
+
+use super::roughness::GroupFit;
+use crate::core::brdf::Reflectance;
+use crate::core::math::luminance;
+use crate::core::stats::{median, passing_weight};
+use crate::highlight::{Evidence, MODELS};
+use glam::Vec3;
+use std::collections::BTreeMap;
+
+/// Roughness below which highlights can be seen, and above which a fit counts as matte. Measured:
+/// .55 to .6 change no scene's roughness by more than half a decibel (docs/lab/roughness.md).
+const GLOSSY: f32 = 0.55;
+/// Relative rise of the disagreement that the model's common errors amount to. Measured: .03 to .05
+/// alike (docs/lab/roughness.md).
+const COMMON: f64 = 0.05;
+/// Chance that the slope is no evidence at all: the usual level of significance.
+const CORRUPT: f64 = 0.05;
+/// Slopes of gloss: the prediction holds at least as much signal as error.
+const DILUTED: f64 = 0.5;
+/// Standard deviation of the slope that errors common to all points add. Measured: .1 to .4 alike.
+const SLOPE_ERROR: f64 = 0.2;
+/// Points from which slopes are taken.
+const FEWEST: usize = 40;
+/// Brightness over the median beyond which a view counts no more.
+const BRIGHTEST: f32 = 1.5;
+/// Blocks along the longest side of a class's evidence: errors within one are taken as common.
+const BLOCKS: f32 = 6.0;
+
+/// Slope and standard error (clustered by block) per level.
+struct Slopes(Vec<(f64, f64)>);
+
+/// Sums of observed by predicted, and of predicted by predicted differences per level.
+type Moments = Vec<[f64; 2]>;
+
+/// Averages a fit that seems matte with the gloss that the slopes allow (Hoeting et al. 1999).
+pub(super) fn reconsider(
+    evidence: &Evidence,
+    model: Reflectance,
+    points: &[usize],
+    found: &mut GroupFit,
+) {
+    let matte = passing_weight(f64::from(found.roughness), f64::from(GLOSSY));
+    if matte <= 0.0 || points.len() < FEWEST {
+        return;
+    }
+    if let Some(slopes) = Slopes::of(evidence, model, points) {
+        slopes.average(&evidence.levels, matte, found);
+    }
+}
+
+impl Slopes {
+    fn of(evidence: &Evidence, model: Reflectance, points: &[usize]) -> Option<Self> {
+        let places = || points.iter().map(|&i| evidence.points[i].position);
+        let low = places().fold(Vec3::splat(f32::INFINITY), Vec3::min);
+        let high = places().fold(Vec3::splat(f32::NEG_INFINITY), Vec3::max);
+        let side = (high - low).max_element().max(f32::MIN_POSITIVE) / BLOCKS;
+        let mut blocks: BTreeMap<[i32; 3], Moments> = BTreeMap::new();
+        for &i in points {
+            let block = ((evidence.points[i].position - low) / side).floor();
+            let sums = blocks
+                .entry(block.as_ivec3().to_array())
+                .or_insert_with(|| vec![[0.0; 2]; evidence.levels.len()]);
+            let own = moments(evidence, model, i);
+            for (sum, m) in sums.iter_mut().zip(own) {
+                *sum = [sum[0] + m[0], sum[1] + m[1]];
+            }
+        }
+        let n = blocks.len() as f64;
+        if n < 2.0 {
+            return None;
+        }
+        let slope = |k: usize| {
+            let total: f64 = blocks.values().map(|b| b[k][1]).sum();
+            if total <= 0.0 {
+                return (0.0, f64::INFINITY);
+            }
+            let a = blocks.values().map(|b| b[k][0]).sum::<f64>() / total;
+            let scatter: f64 = blocks
+                .values()
+                .map(|b| (b[k][0] - a * b[k][1]).powi(2))
+                .sum();
+            (a, (scatter * n / (n - 1.0)).sqrt() / total)
+        };
+        Some(Self((0..evidence.levels.len()).map(slope).collect()))
+    }
+
+    /// How likely the slope of level `k` is.
+    fn likelihood(&self, k: usize) -> f64 {
+        let (a, error) = self.0[k];
+        let z = (a - a.clamp(DILUTED, 1.0)) / error.hypot(SLOPE_ERROR);
+        (1.0 - CORRUPT) * (-0.5 * z * z).exp() + CORRUPT
+    }
+
+    fn average(&self, levels: &[f32], matte: f64, found: &mut GroupFit) {
+        let (sharpest, error) = self.0[0];
+        let gloss = passing_weight(1.0 - sharpest, error);
+        let least = found.disagreement();
+        if !gloss.is_finite() || least <= 0.0 {
+            return;
+        }
+        let last = levels.len() - 1;
+        let (mut all, mut glossy, mut first, mut second) = (0.0, 0.0, 0.0, 0.0);
+        for (k, level) in levels.iter().enumerate() {
+            let (below, above) = (levels[k.saturating_sub(1)], levels[(k + 1).min(last)]);
+            let weight = f64::from(above - below)
+                * (-(found.objective[k] / least - 1.0) / COMMON).exp()
+                * self.likelihood(k);
+            all += weight;
+            if *level < GLOSSY {
+                let r = f64::from(*level);
+                glossy += weight;
+                first += weight * r;
+                second += weight * r * r;
+            }
+        }
+        let share = matte * gloss * glossy / all;
+        if share.is_nan() || share <= 0.0 {
+            return;
+        }
+        let centre = first / glossy;
+        let variance = (second / glossy - centre * centre).max(0.0);
+        let (old, error) = (f64::from(found.roughness), f64::from(found.error));
+        let mean = share * centre + (1.0 - share) * old;
+        let spread = share * (variance + (centre - mean).powi(2))
+            + (1.0 - share) * (error * error + (old - mean).powi(2));
+        found.roughness = mean as f32;
+        found.error = spread.sqrt().min(1.0) as f32;
+    }
+}
+
+/// A point's moments: weighted over its views, relative to their median luminance.
+fn moments(evidence: &Evidence, model: Reflectance, point: usize) -> Moments {
+    let m = usize::from(model != Reflectance::Paper).min(MODELS.len() - 1);
+    let p = &evidence.points[point];
+    let views = p.first as usize..(p.first + p.count) as usize;
+    let bright = |j: usize| luminance(evidence.sights[j].radiance);
+    let scale = median(views.clone().map(bright).collect())
+        .unwrap_or(0.0)
+        .max(1e-9);
+    let total: f32 = views.clone().map(|j| evidence.sights[j].weight).sum();
+    let mean = |of: &dyn Fn(usize) -> f32| {
+        let sum: f32 = views
+            .clone()
+            .map(|j| evidence.sights[j].weight * of(j))
+            .sum();
+        f64::from(sum / total)
+    };
+    let seen = |j: usize| (bright(j) / scale).min(BRIGHTEST);
+    let seen_mean = mean(&seen) as f32;
+    (0..evidence.levels.len())
+        .map(|k| {
+            let response = |j: usize| luminance(evidence.response(j, m)[k]) / scale;
+            let noise = |j: usize| evidence.noise(j, m)[k] / scale;
+            let (response_mean, noise_mean) = (mean(&response) as f32, mean(&noise) as f32);
+            let of = |j: usize| (response(j) - response_mean, noise(j) - noise_mean);
+            [
+                mean(&|j| (seen(j) - seen_mean) * of(j).0),
+                mean(&|j| of(j).0 * of(j).0 - of(j).1 * of(j).1),
+            ]
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::highlight::LEVELS;
+
+    fn matte_by_a_hair() -> GroupFit {
+        GroupFit {
+            class: 1,
+            roughness: 1.0,
+            error: 0.05,
+            objective: LEVELS
+                .iter()
+                .map(|r| 0.05 * (1.0 + 0.04 * f64::from(1.0 - r)))
+                .collect(),
+            points: 500,
+        }
+    }
+
+    /// Slopes of a class whose response falls as 1/R² from `sharp` at the sharpest level on.
+    fn slopes(sharp: f64) -> Slopes {
+        let slope = |r: &f32| (sharp * (1.0 + f64::from(r / 0.31).powi(2)), 0.05);
+        Slopes(LEVELS.iter().map(slope).collect())
+    }
+
+    #[test]
+    fn a_slope_between_a_half_and_one_refutes_matte_and_its_error_tells() {
+        let mut found = matte_by_a_hair();
+        slopes(0.3).average(&LEVELS, 1.0, &mut found);
+        assert!(found.roughness < 0.65, "{found:?}");
+        assert!(
+            (found.roughness - 0.31).abs() < 2.0 * found.error,
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn what_no_lobe_predicts_or_no_view_shows_is_left_alone() {
+        for sharp in [1.2, 0.0] {
+            let mut found = matte_by_a_hair();
+            found.objective[17] *= if sharp == 0.0 { 0.6 } else { 1.0 };
+            slopes(sharp).average(&LEVELS, 1.0, &mut found);
+            assert!(found.roughness > 0.97, "{sharp}: {found:?}");
+        }
+    }
+}
