@@ -343,14 +343,32 @@ impl PaletteFit<'_> {
                 far.push(contrast);
             }
         }
-        let typical =
-            |[all, far]: [Vec<f32>; 2]| median(if far.len() >= ENOUGH_FLAT { far } else { all });
         classes
             .into_iter()
             .filter(|(_, [all, _])| all.len() >= ENOUGH_FLAT)
-            .filter_map(|(c, l)| Some((c, typical(l)?)))
+            .filter_map(|(c, [all, far])| Some((c, texture_of(all, far)?)))
             .collect()
     }
+}
+
+/// Median contrast of flat surface: of what lies `far` from edges if there is enough of it, else of
+/// `all`, or what the few far texels allow at most if that is less.
+///
+/// The median of n independent contrasts errs by √(π/2) σ/√n, σ being half of their central 68 %.
+/// Texels that are compared with the same ones are not independent: one in (2 [`LAG`])² counts.
+fn texture_of(all: Vec<f32>, mut far: Vec<f32>) -> Option<f32> {
+    if far.len() >= ENOUGH_FLAT {
+        return median(far);
+    }
+    let near = median(all)?;
+    far.sort_by(f32::total_cmp);
+    let at = |share: f64| far.get((share * far.len() as f64) as usize).copied();
+    let (Some(low), Some(middle), Some(high)) = (at(0.16), at(0.5), at(0.84)) else {
+        return Some(near);
+    };
+    let independent = far.len() as f32 / (4 * LAG * LAG) as f32;
+    let error = (0.5 * std::f32::consts::PI / independent).sqrt() * 0.5 * (high - low);
+    Some(near.min(middle + error))
 }
 
 /// The clean texels of one class in a cube: their number, the sum of their ln albedo, and how many
@@ -692,6 +710,25 @@ mod tests {
                 .zip(&wall.albedo.value)
                 .all(|(s, v)| s.0 == *v)
         );
+    }
+
+    /// A class of which most flat surface lies near edges is judged by the rest, if that is enough to
+    /// be sure.
+    #[test]
+    fn few_texels_far_from_edges_tell_of_texture_as_far_as_they_can() {
+        let even = |n: usize, level: f32| -> Vec<f32> {
+            (0..n)
+                .map(|i| level * (0.5 + i as f32 / n as f32))
+                .collect()
+        };
+        let texture = |far: usize| texture_of(even(1500, 0.06), even(far, 0.01)).expect("known");
+        assert!((texture(400) - 0.01).abs() < 1e-4);
+        let (some, few, none) = (texture(70), texture(8), texture(0));
+        assert!(some > 0.011 && some < 0.015, "{some}");
+        assert!(few > some && few < none, "{few}");
+        assert!((none - 0.06).abs() < 1e-3, "{none}");
+        // surface that is smoother near edges than far from them stays what it was
+        assert!(texture_of(even(1500, 0.01), even(70, 0.06)).expect("known") < 0.011);
     }
 
     #[test]

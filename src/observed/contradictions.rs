@@ -12,6 +12,7 @@ use super::fusion::{prefer_clean, sharpness};
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::parallel;
+use crate::core::stats::median;
 use crate::core::texture::Texels;
 use crate::gbuffer::{Observation, Observer, Orientation};
 use glam::{DVec3, Vec3};
@@ -35,6 +36,9 @@ pub struct Contradictions {
     pub deviation: Vec<f32>,
     /// Mean radiance of the looks of a contradicted texel.
     mean: Vec<Vec3>,
+    /// Median of the deviations of texels that several views see and that are not contradicted: by
+    /// how much views disagree where no texel states it; 0 without any.
+    pub agreed: f32,
 }
 
 /// A place at which much surface is contradicted: what is missing stands there or before it.
@@ -62,8 +66,21 @@ impl Contradictions {
                 })
                 .collect::<Vec<_>>()
         });
-        let (deviation, mean) = parts.into_iter().flatten().unzip();
-        Self { deviation, mean }
+        let looks: Vec<Compared> = parts.into_iter().flatten().collect();
+        let agree = |c: &&Compared| c.several && c.deviation < CONTRADICTED;
+        let agreed: Vec<f32> = looks.iter().filter(agree).map(|c| c.deviation).collect();
+        let (deviation, mean) = looks
+            .iter()
+            .map(|c| match c.deviation < CONTRADICTED {
+                true => (0.0, Vec3::ZERO),
+                false => (c.deviation, c.mean),
+            })
+            .unzip();
+        Self {
+            deviation,
+            mean,
+            agreed: median(agreed).unwrap_or(0.0),
+        }
     }
 
     /// Whether the views of texel `i` contradict each other.
@@ -135,22 +152,32 @@ fn area(mesh: &Mesh, texels: &Texels, i: usize) -> f32 {
     texels.texel_area(mesh, texels.point[i].triangle as usize)
 }
 
-/// Deviation and mean of some looks at a texel; zeros where they agree.
-fn compared(seen: &[Observation]) -> (f32, Vec3) {
+/// What some looks at a texel say against each other.
+#[derive(Clone, Copy, Default)]
+struct Compared {
+    /// Whether there are several.
+    several: bool,
+    /// Weighted root mean square of their ln luminance against its mean.
+    deviation: f32,
+    /// Their mean radiance.
+    mean: Vec3,
+}
+
+/// Deviation and mean of some looks at a texel; zeros where there is only one.
+fn compared(seen: &[Observation]) -> Compared {
     let weight = |o: &Observation| sharpness(o).sqrt();
     let total: f32 = seen.iter().map(weight).sum();
     if seen.len() < 2 || total <= 0.0 {
-        return (0.0, Vec3::ZERO);
+        return Compared::default();
     }
     let log = |o: &Observation| luminance(o.radiance).max(f32::MIN_POSITIVE).ln();
     let centre = seen.iter().map(|o| weight(o) * log(o)).sum::<f32>() / total;
     let square = seen.iter().map(|o| weight(o) * (log(o) - centre).powi(2));
-    let deviation = (square.sum::<f32>() / total).sqrt();
-    if deviation < CONTRADICTED {
-        return (0.0, Vec3::ZERO);
+    Compared {
+        several: true,
+        deviation: (square.sum::<f32>() / total).sqrt(),
+        mean: seen.iter().map(|o| o.radiance * weight(o)).sum::<Vec3>() / total,
     }
-    let mean = seen.iter().map(|o| o.radiance * weight(o)).sum::<Vec3>() / total;
-    (deviation, mean)
 }
 
 #[cfg(test)]

@@ -63,7 +63,8 @@ pub struct Surface<'a> {
     pub camera_masks: Vec<CameraMask>,
     /// Distance by which rays start above a surface, metres.
     pub offset: f32,
-    /// By how much the views disagree about what they share: the median deviation of ln radiance.
+    /// By how much the views disagree about what they share, where texels do not state it as
+    /// contradicted: the median deviation of ln radiance.
     pub disagreement: f32,
 }
 

@@ -85,7 +85,8 @@ pub(super) fn balance_rooms(
             let error = albedo.error[i].hypot(paint);
             let below = albedo.value[i].to_array().map(|a| below_bound(a, error));
             albedo.value[i] = Vec3::from(below.map(|b| b.mean));
-            albedo.error[i] = below.iter().map(|b| b.deviation).fold(0.0, f32::max);
+            let own = below.iter().map(|b| b.deviation).fold(0.0, f32::max);
+            albedo.error[i] = own.hypot(cast_error(albedo.value[i], *factor));
         }
     }
     progress.note(format!(
@@ -96,6 +97,18 @@ pub(super) fn balance_rooms(
         100.0 * missing.standard_error / (1.0 - missing.share).powi(2),
     ));
     Some(missing)
+}
+
+/// Error of the luminance of an albedo that was settled by `factor`, for the cast of the light that
+/// this implies may be paint instead.
+///
+/// A room all of whose surfaces have one colour looks the same under coloured light. Made white, its
+/// albedo is ρ_c; with the colour taken for paint whose brightest channel is white paint's, it is
+/// ρ_c f_c/max f. Neither is likelier, so the expected squared error of the first is half the
+/// squared distance of the two.
+fn cast_error(albedo: Vec3, factor: Vec3) -> f32 {
+    let paint = albedo * factor / factor.max_element();
+    (luminance(albedo) - luminance(paint)) * std::f32::consts::FRAC_1_SQRT_2
 }
 
 /// Mean and standard deviation.
@@ -287,6 +300,24 @@ mod tests {
         // half a normal distribution: its mean is √(2/π) of its deviation from its end
         let half = below_bound(BOUND, 0.1);
         assert!((BOUND - half.mean - 0.1 * 0.797_884_6).abs() < 1e-5);
+    }
+
+    /// A room of one strong colour is made white, and the truth lies within two of its stated errors;
+    /// where the light lacks the same in all channels nothing is added.
+    #[test]
+    fn one_strong_colour_may_be_paint_or_light() {
+        for truth in [Vec3::new(0.75, 0.4, 0.2), Vec3::new(0.2, 0.35, 0.7)] {
+            let seen = truth * 1.3; // light that is short by 1.3
+            let factor = (seen / WHITE).max(Vec3::splat(0.2));
+            let settled = seen / factor;
+            let off = luminance(settled) - luminance(truth);
+            let error = cast_error(settled, factor);
+            assert!(
+                off > 3.0 * WHITE_SPREAD * luminance(settled) && off < 2.0 * error,
+                "{off} {error}"
+            );
+        }
+        assert!(cast_error(Vec3::splat(WHITE), Vec3::splat(2.5)).abs() < 1e-6);
     }
 
     /// Between the middles of parts the factor is in between, and another room has no say.

@@ -78,6 +78,12 @@ pub fn observe<'a>(
         Contradictions::default()
     };
     contradictions.settle(&mut fusion.radiance);
+    // contradicted texels state theirs as their own error
+    let disagreement = if balanced.rough {
+        contradictions.agreed
+    } else {
+        balanced.disagreement
+    };
     let labels = complete_labels(&scene.mesh, &texels, &fusion);
     let back = back_radiance(scene, &views, &orientation);
     Ok(Surface {
@@ -95,7 +101,7 @@ pub fn observe<'a>(
         clipped: Vec::new(),
         camera_masks,
         offset,
-        disagreement: balanced.disagreement,
+        disagreement,
     })
 }
 
