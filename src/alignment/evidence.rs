@@ -4,10 +4,10 @@
 use crate::core::geometry::{Camera, Projection};
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::scene::{Scene, View};
 use crate::{Error, Result};
 use glam::{Vec2, Vec3, Vec4};
-use rayon::prelude::*;
 use std::f32::consts::{PI, TAU};
 
 /// How much is taken from each photograph.

@@ -12,10 +12,10 @@ use super::evidence::ViewEvidence;
 use super::score::{Ground, Lookup, lookups};
 use crate::core::geometry::{Camera, Projection};
 use crate::core::image::Wrap;
+use crate::core::parallel::prelude::*;
 use crate::core::stats::median;
 use glam::{DQuat, DVec3, Mat3, Quat, Vec2, Vec3, Vec4};
 use nalgebra::{SMatrix, SVector};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Steps of Gauss–Newton per round.

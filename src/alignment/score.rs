@@ -16,12 +16,12 @@
 use super::evidence::ViewEvidence;
 use crate::core::geometry::{Camera, Mesh, Projection};
 use crate::core::image::Wrap;
+use crate::core::parallel::prelude::*;
 use crate::core::sampling::KeyedRng;
 use crate::core::stats::median;
 use crate::core::trace::{Hit, Ray, Tracer};
 use crate::scene::Mirror;
 use glam::{Vec2, Vec3, Vec4};
-use rayon::prelude::*;
 use serde::Serialize;
 
 /// Other views in which a view's points are looked up: the nearest ones.

@@ -117,6 +117,10 @@ pub enum Verb {
             value_name = "OUT"
         )]
         out: Option<PathBuf>,
+        /// Record every piece of work with its processor time in a file (needs `--threads 1`); read
+        /// by `unbake bench scaling`.
+        #[arg(long, value_name = "FILE", help_heading = "Advanced: measurement")]
+        tape: Option<PathBuf>,
         /// The reconstruction's options.
         #[command(flatten)]
         options: SolveRequest,

@@ -13,6 +13,7 @@ mod guard;
 mod inputs;
 mod progress;
 mod run_record;
+mod tape;
 mod verb_args;
 mod verbs;
 
@@ -91,9 +92,19 @@ fn dispatch(cli: &Cli, matches: &clap::ArgMatches, command: Vec<String>) -> Resu
             "a verb is missing: say what to do, for example `unbake solve SCENE -o OUT`".into(),
         ));
     };
-    start_threads(config.threads)?;
+    let tape = match verb {
+        Verb::Solve { tape, .. } => tape.as_deref(),
+        _ => None,
+    };
+    match tape {
+        Some(file) => tape::start(file, config.threads)?,
+        None => start_threads(config.threads)?,
+    }
     let recorder = Arc::new(Recorder::new(crate::core::trace::rays_traced));
     let mut observers: Vec<Arc<dyn Observer>> = vec![recorder.clone()];
+    if tape.is_some() {
+        observers.push(Arc::new(tape::StageMarks::default()));
+    }
     if !config.quiet {
         observers.push(if std::io::stderr().is_terminal() {
             Arc::new(Bars::new())
@@ -107,7 +118,9 @@ fn dispatch(cli: &Cli, matches: &clap::ArgMatches, command: Vec<String>) -> Resu
         recorder,
         command,
     };
-    verbs::run(verb, &context)
+    let code = verbs::run(verb, &context)?;
+    tape.map_or(Ok(()), tape::write)?;
+    Ok(code)
 }
 
 fn start_threads(threads: Option<usize>) -> Result<()> {

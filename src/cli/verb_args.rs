@@ -1,8 +1,8 @@
 //! Arguments of the verbs that have many: export and bench.
 
 use crate::programs::bench::{
-    AlignmentBench, IrtBench, KernelBench, LightBench, RobustnessBench, TablesBench, TradeoffBench,
-    TsdrBench,
+    AlignmentBench, IrtBench, KernelBench, LightBench, RobustnessBench, ScalingBench, TablesBench,
+    TradeoffBench, TsdrBench,
 };
 use crate::programs::export::ExportOptions;
 use crate::render::FrameOptions;
@@ -115,6 +115,22 @@ pub enum BenchVerb {
         /// Write all figures as JSON to a file; after `bench`, `--json FILE` means the same.
         #[arg(long, value_name = "FILE")]
         json_file: Option<PathBuf>,
+    },
+    /// What a reconstruction takes on more cores than are at hand: runs on every number of threads
+    /// of this machine, and one recorded on one thread and scheduled on up to 128.
+    Scaling {
+        /// Scene folder (or its transforms.json).
+        #[arg(value_name = "SCENE")]
+        scene: PathBuf,
+        /// What is run.
+        #[command(flatten)]
+        bench: ScalingBench,
+        /// Where reconstructions go.
+        #[command(flatten)]
+        work: Work,
+        /// Where the figures go.
+        #[command(flatten)]
+        outputs: Outputs,
     },
     /// Generated misalignments of poses and mesh: how many are recognised, and whether the scenes
     /// as they are pass.

@@ -18,10 +18,10 @@
 use super::ViewBuffer;
 use crate::core::geometry::{Mesh, Shells};
 use crate::core::math::Frame;
+use crate::core::parallel::prelude::*;
 use crate::core::sampling::{KeyedRng, square_to_cosine_hemisphere};
 use crate::core::trace::{Hit, Ray, Tracer};
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 
 /// Rounds of conjugate gradients at most, and the residual, relative to the first, at which they
 /// end. Derived: only signs are read, and the first rounds settle all but the far ends of large

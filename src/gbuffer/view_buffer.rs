@@ -2,9 +2,9 @@
 
 use crate::core::geometry::{Camera, Mesh, Projection};
 use crate::core::image::{Plane, Wrap};
+use crate::core::parallel::prelude::*;
 use crate::core::trace::{Hit, Ray, Tracer};
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 
 /// Two neighbouring hits lie on one surface if they leave each other's tangent plane by less than
 /// this share of their distance (30°), and their normals agree to about 45°.

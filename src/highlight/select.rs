@@ -7,12 +7,12 @@
 
 use crate::core::brdf::fresnel;
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::sampling::hash_u64;
 use crate::core::trace::{Hit, Ray};
 use crate::lights::LitScene;
 use crate::observed::{ClassMap, Surface};
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// How many points are selected.

@@ -12,10 +12,10 @@
 use super::AlbedoEstimate;
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::stats::{median, passing_weight};
 use crate::core::texture::Texels;
 use glam::Vec3;
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Relative contrast of flat surface up to which a class is painted: estimates of paint vary by 0.6
@@ -111,6 +111,7 @@ impl PaletteFit<'_> {
             .filter(|&i| self.is_clean(i))
             .for_each(|i| clean.entry(self.labels[i]).or_default().push(i));
         let texture = self.textures();
+        let clean: Vec<(u16, Vec<usize>)> = clean.into_iter().collect();
         clean
             .into_par_iter()
             .filter_map(|(class, members)| {

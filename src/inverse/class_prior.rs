@@ -3,10 +3,10 @@
 use super::AlbedoEstimate;
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::stats::{median, weighted_median};
 use crate::core::texture::Texels;
 use glam::{DVec3, Vec3};
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Least relative standard deviation of the prior.

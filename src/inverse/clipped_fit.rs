@@ -16,10 +16,10 @@
 //! Called by the pipeline's stage `clipped_light`.
 
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::stats::median;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
-use rayon::prelude::*;
 use std::f32::consts::PI;
 
 /// Least spread of ln L of a class about its model: bakes of few samples and unmodelled gloss leave

@@ -17,10 +17,10 @@ use super::spatial_roughness::{self, Field};
 use super::view_residual::{Disagreement, diffuse_radiance, points_by_class};
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::stats::{least_passing, passing_weight};
 use crate::highlight::Evidence;
 use glam::Vec3;
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::PI;
 

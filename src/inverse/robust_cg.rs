@@ -8,8 +8,8 @@
 use super::class_prior::Expected;
 use crate::core::math::luminance;
 use crate::core::parallel;
+use crate::core::parallel::prelude::*;
 use glam::Vec3;
-use rayon::prelude::*;
 
 /// Residuals of that many standard errors count a half.
 const TOLERANCE: f32 = 2.0;

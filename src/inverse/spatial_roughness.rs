@@ -10,9 +10,9 @@
 
 use super::roughness::{GroupFit, at_roughness, fit, lowest, parabola_minimum};
 use super::view_residual::Disagreement;
+use crate::core::parallel::prelude::*;
 use crate::core::stats::least_passing;
 use glam::Vec3;
-use rayon::prelude::*;
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 

@@ -6,10 +6,10 @@
 
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::stats::{median, weighted_median};
 use crate::highlight::{Evidence, MODELS};
 use glam::Vec3;
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Relative disagreement beyond which a view counts as an outlier (moving object, misregistration).

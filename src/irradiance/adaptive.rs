@@ -14,9 +14,9 @@ use super::{
     Estimator, Irradiance, IrradianceOptions, Receiver, SUB_ESTIMATES, SurfaceFilter, Surfel,
     bake_irradiance,
 };
+use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use glam::Vec3;
-use rayon::prelude::*;
 
 /// One over the share of the budget that the first of several rounds may take: what fewer samples
 /// have not found is not looked for.

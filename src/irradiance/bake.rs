@@ -9,9 +9,9 @@
 use super::ray_batch::{RayBatch, SamplePass};
 use super::{Bake, Estimator, Irradiance, IrradianceOptions, Receiver, SUB_ESTIMATES, spread};
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use glam::Vec3;
-use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
 /// Bakes the irradiance of `count` receivers given by `receiver(i)`.

@@ -1,10 +1,10 @@
 //! What an irradiance bake takes and gives: options, receivers, and estimates E(x) = ∫ L(x, ω)
 //! cosθ dω in independent parts, whose scatter tells their error.
 
+use crate::core::parallel::prelude::*;
 use crate::lights::LitScene;
 use crate::specular::SpecularBounce;
 use glam::Vec3;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Independent estimates that a bake keeps of every value: what the others say decides which

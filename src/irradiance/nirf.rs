@@ -11,12 +11,12 @@
 //! × inputs`. Every sum has a fixed order, so that the number of threads does not change a bit.
 
 use super::{Bake, Estimator, IrradianceOptions, Receiver, bake_irradiance};
+use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::sampling::{Discrete, KeyedRng, square_to_triangle};
 use crate::ffi::simd::with_widest;
 use crate::lights::LitScene;
 use glam::Vec3;
-use rayon::prelude::*;
 use std::time::Instant;
 
 /// Samples per batch: the paper's, and the vector lanes of every kernel.

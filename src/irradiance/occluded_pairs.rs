@@ -1,6 +1,6 @@
 //! Which texels are hidden from which: lists of numbers, mutual.
 
-use rayon::prelude::*;
+use crate::core::parallel::prelude::*;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
 /// The texels hidden from each.

@@ -13,11 +13,11 @@ use super::surfel_grid::{Discs, Near, Surfel, SurfelGrid};
 use super::surfel_visibility::find_occluded;
 use super::{Irradiance, SUB_ESTIMATES, spread};
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::sampling::hash_u64;
 use crate::core::trace::Tracer;
 use crate::ffi::simd::{Kernel, run_widest};
 use glam::Vec3;
-use rayon::prelude::*;
 
 /// Reach of the regression in texels.
 const REACH: f32 = 6.0;

@@ -9,9 +9,9 @@
 
 use super::occluded_pairs::OccludedPairs;
 use crate::core::math::Frame;
+use crate::core::parallel::prelude::*;
 use crate::ffi::simd::with_widest;
 use glam::Vec3;
-use rayon::prelude::*;
 use std::f32::consts::PI;
 use std::ops::Range;
 

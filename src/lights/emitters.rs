@@ -19,11 +19,11 @@ use super::reach::{Found, ReachTable};
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::sampling::{SlotTable, SobolSequence, hash_u64, square_to_triangle};
+use crate::core::parallel::prelude::*;
 use crate::core::trace::{Hit, Ray, Tracer};
 use crate::ffi::simd::{floor_to_index, prefetch};
 use crate::radiance::LightField;
 use glam::Vec3;
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// At most this many lamps; more are merged with their neighbours in space.
@@ -283,8 +283,9 @@ impl Emitters {
         for (i, (p, _)) in receivers.iter().enumerate() {
             members.entry(self.cell(*p)).or_default().push(i);
         }
-        let probed = members
-            .par_iter()
+        let cells: Vec<(&[i32; 3], &Vec<usize>)> = members.iter().collect();
+        let probed = cells
+            .into_par_iter()
             .map(|(cell, ids)| {
                 let stride = (ids.len() / PROBES).max(1);
                 let probes = ids.iter().step_by(stride).take(PROBES);

@@ -4,6 +4,7 @@
 use super::{Light, Reflections, Roughness, SolveOptions};
 use crate::core::image::Plane;
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::switch::Switch;
 use crate::inverse::{
@@ -12,7 +13,6 @@ use crate::inverse::{
 };
 use crate::observed::Surface;
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 use std::f32::consts::PI;
 
 /// Albedo and the rays that it took.

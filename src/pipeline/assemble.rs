@@ -7,13 +7,13 @@ use super::roughness::ROUGHNESS_PRIOR;
 use super::{Light, Roughness};
 use crate::core::geometry::Mesh;
 use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::parallel::prelude::*;
 use crate::core::texture::fill_uncovered;
 use crate::inverse::AlbedoEstimate;
 use crate::observed::{Surface, filled};
 use crate::scene::Class;
 use crate::solution::{Lamp, LampKind, Solution, find_lamps};
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 
 /// The textures of a reconstruction.
 pub(super) fn assemble(

@@ -13,6 +13,7 @@ use super::light::{first_radiance, known_lights, light_field, texture_of, truste
 use super::{SolveOptions, Switch};
 use crate::core::image::RgbPlane;
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::stats::median;
 use crate::core::texture::Texels;
@@ -25,7 +26,6 @@ use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use crate::scene::Class;
 use crate::verdict::MissingLight;
 use glam::Vec3;
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::FRAC_1_PI;
 

@@ -9,10 +9,10 @@
 
 use crate::core::image::RgbPlane;
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::trace::Hit;
 use crate::observed::{ClippedTexel, Surface};
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 
 /// Sectors of the sky: four quarters around, above and below the horizon.
 pub(super) const SECTORS: usize = 8;

@@ -14,6 +14,7 @@ use super::light::texture_of;
 use super::missing_light::scale_irradiance;
 use super::{Light, SolveOptions, Switch};
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::stats::inverse_mills;
 use crate::inverse::AlbedoEstimate;
@@ -21,7 +22,6 @@ use crate::observed::Surface;
 use crate::scene::View;
 use crate::verdict::MissingLight;
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Share of the seen surface at the bound from which the light is taken to be short. Derived: walls

@@ -16,6 +16,7 @@ use super::light::{coarse_texels, patches, texture_of};
 use crate::core::brdf::Reflectance;
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::stats::median;
 use crate::core::texture::Texels;
@@ -29,7 +30,6 @@ use crate::observed::Surface;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use crate::specular::{Glossy, Reflector, SpecularBounce, WIDE};
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::FRAC_1_PI;
 

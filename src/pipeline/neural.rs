@@ -2,13 +2,13 @@
 //! (method §3.2).
 
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::texture::Texels;
 use crate::irradiance::{Irradiance, NirfOptions, SUB_ESTIMATES, train_nirf};
 use crate::lights::LitScene;
 use crate::observed::Surface;
 use glam::Vec3;
-use rayon::prelude::*;
 use std::f32::consts::FRAC_PI_2;
 
 /// Trains a field and reads it out at every texel. The stated error is what the last

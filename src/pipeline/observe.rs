@@ -72,18 +72,15 @@ pub fn observe<'a>(
     if let Some(budget) = &options.budget {
         budget.fused(begin.elapsed().as_secs_f64());
     }
-    let contradictions = if balanced.rough {
-        find_contradictions(scene, &views, &orientation, &texels, progress)
+    // contradicted texels state their disagreement as their own error
+    let (contradictions, disagreement) = if balanced.rough {
+        let found = find_contradictions(scene, &views, &orientation, &texels, progress);
+        let agreed = found.agreed;
+        (found, agreed)
     } else {
-        Contradictions::default()
+        (Contradictions::default(), balanced.disagreement)
     };
     contradictions.settle(&mut fusion.radiance);
-    // contradicted texels state theirs as their own error
-    let disagreement = if balanced.rough {
-        contradictions.agreed
-    } else {
-        balanced.disagreement
-    };
     let labels = complete_labels(&scene.mesh, &texels, &fusion);
     let back = back_radiance(scene, &views, &orientation);
     Ok(Surface {

@@ -6,11 +6,11 @@
 
 use super::decisions::report_paint;
 use super::{Light, SolveOptions, Switch};
+use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::inverse::{AlbedoEstimate, PaletteFit, Unseen};
 use crate::observed::Surface;
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 
 /// The irradiance may be off by this factor at most; beyond it a texel is no paint rather than
 /// badly lit.

@@ -5,6 +5,7 @@ use super::decisions::{choose_rooms, report_materials, report_model};
 use super::{Light, SolveOptions};
 use crate::core::brdf::F0;
 use crate::core::image::{Plane, Wrap};
+use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::switch::Switch;
 use crate::core::texture::Texels;
@@ -12,7 +13,6 @@ use crate::highlight::Evidence;
 use crate::inverse::{Materials, Places, SPLIT_GAIN, TexelReflectance, choose_model, fit_groups};
 use crate::observed::Surface;
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 use std::f32::consts::PI;
 
 /// Roughness of a class without evidence anywhere: matte, as most indoor surfaces without visible

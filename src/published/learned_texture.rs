@@ -3,8 +3,8 @@
 //! What nvdiffrast's `texture` does in the published method.
 
 use crate::core::image::Plane;
+use crate::core::parallel::prelude::*;
 use glam::Vec2;
-use rayon::prelude::*;
 
 /// Decay of the gradient's mean and of its square: Adam's defaults, which the paper keeps.
 const BETA: [f32; 2] = [0.9, 0.999];

@@ -3,10 +3,10 @@
 
 use crate::core::geometry::{Camera, Lens, Projection};
 use crate::core::image::Plane;
+use crate::core::parallel::prelude::*;
 use crate::gbuffer::{ObservedView, ViewBuffer};
 use crate::observed::Surface;
 use glam::{Mat3, Vec2, Vec3};
-use rayon::prelude::*;
 
 /// Pixels along a side of a cube's face (cited: supplement, Sec. C.1).
 pub const FACE: usize = 128;

@@ -4,11 +4,11 @@
 use super::lobe::{LobeSample, half_vector_sample};
 use super::pixels::{Pixel, PixelGrid};
 use crate::core::math::Frame;
+use crate::core::parallel::prelude::*;
 use crate::core::sampling::{KeyedRng, hammersley, hash_u64};
 use crate::core::trace::{Hit, Ray, Tracer};
 use crate::radiance::LightField;
 use glam::Vec3;
-use rayon::prelude::*;
 
 /// Rays per pixel (cited: supplement, Sec. C.1).
 pub const SAMPLES: u32 = 16;

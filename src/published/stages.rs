@@ -5,10 +5,10 @@ use super::learned_texture::{LearnedTexture, MipTexture, Taps};
 use super::options::{Correction, PublishedOptions, PublishedStage as Stage, Weights};
 use super::pixels::{Pixel, PixelGrid};
 use super::reflection::Reflector;
+use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::sampling::{KeyedRng, hash_u64};
 use glam::Vec3;
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::FRAC_1_PI;
 

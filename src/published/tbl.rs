@@ -2,10 +2,10 @@
 
 use crate::core::image::RgbPlane;
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::texture::fill_uncovered;
 use crate::observed::Surface;
 use glam::Vec3;
-use rayon::prelude::*;
 
 /// Luma from which a texel is light, in units of the photographs' median luminance. Derived: the
 /// code's 0.5 stands beside exposures of 2⁵ that bring its rooms' median near 0.5 (method §7.1), so light is 32 times as bright as the median.

@@ -6,9 +6,9 @@
 //! Signs are for differences of light.
 
 use crate::core::image::RgbPlane;
+use crate::core::parallel::prelude::*;
 use crate::ffi::simd::prefetch;
 use glam::Vec3;
-use rayon::prelude::*;
 
 /// Texels of a cache line.
 const LINE: usize = 8;

@@ -2,10 +2,10 @@
 
 use crate::core::geometry::{Camera, Mesh};
 use crate::core::image::Plane;
+use crate::core::parallel::prelude::*;
 use crate::core::trace::{Hit, Tracer};
 use crate::gbuffer::ViewBuffer;
 use glam::Vec2;
-use rayon::prelude::*;
 
 /// Pixels with an edge in them or within a quarter of a pixel of them. `labels` is an atlas texture
 /// of class ids.

@@ -7,6 +7,7 @@ use super::edges::pixels_at_edges;
 use crate::core::geometry::Camera;
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::sampling::hash_u64;
 use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
 use crate::gbuffer::pixel_rays;
@@ -16,7 +17,6 @@ use crate::solution::Solution;
 use crate::specular::{Levels, Reflector, ShadingPoint};
 use crate::{Error, Result};
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 use std::f32::consts::FRAC_1_PI;
 
 /// What a renderer shows from one camera, at the camera's image size.

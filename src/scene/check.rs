@@ -7,12 +7,12 @@ use super::{FrameAccount, LoadOptions, RoomGrid, Scene, Split, View, find_rooms}
 use crate::core::geometry::Projection;
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::parallel::sum_f64;
 use crate::core::sampling::{AliasTable, KeyedRng};
 use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
 use crate::{Error, Result};
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -6,9 +6,9 @@ use super::transforms::{Frame, Model, Transforms, parse_usable, y_up_from_z_up};
 use super::{Class, LdrImages, LoadOptions, Mirror, Scene, Split, View, rooms};
 use crate::core::formats::{self, ImageAccount, ImageInfo};
 use crate::core::geometry::Camera;
+use crate::core::parallel::prelude::*;
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
-use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 

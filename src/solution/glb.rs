@@ -157,10 +157,10 @@ pub(super) fn marked_glb(
 /// Encodes the textures side by side.
 fn encode_pictures(solution: &Solution, options: &GlbOptions) -> Result<Pictures> {
     let strength = peak(&solution.emission);
-    let (base, (orm, emissive)) = rayon::join(
+    let (base, (orm, emissive)) = crate::core::parallel::join(
         || base_colour(&solution.albedo, options),
         || {
-            rayon::join(
+            crate::core::parallel::join(
                 || occlusion_roughness_metallic(&solution.roughness, options),
                 || {
                     strength

@@ -85,7 +85,7 @@ impl Solution {
             )
             .map_err(|e| Error::io(folder.join(LIGHTS), e))
         };
-        let (glb, textures) = rayon::join(glb, textures);
+        let (glb, textures) = crate::core::parallel::join(glb, textures);
         textures.and(glb)?;
         match &self.irradiance_error {
             Some(_) => aside.publish(folder, &[IRRADIANCE_ERROR])?,

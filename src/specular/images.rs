@@ -2,12 +2,12 @@
 
 use super::{DirectionalAlbedo, Levels, Reflector, ShadingPoint, WIDE};
 use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::parallel::prelude::*;
 use crate::core::sampling::hash_u64;
 use crate::core::switch::Switch;
 use crate::core::trace::Hit;
 use crate::observed::{ClassMap, Surface};
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::f32::consts::FRAC_1_PI;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -8,9 +8,9 @@ use crate::core::formats::{Aside, atomic_write};
 use crate::error::{Error, Result};
 use crate::pipeline::SolveOptions;
 use crate::programs::bench::{
-    AlignmentBench, IrtBench, LightBench, RobustnessBench, TablesBench, TablesReport,
+    AlignmentBench, IrtBench, LightBench, RobustnessBench, ScalingBench, TablesBench, TablesReport,
     TradeoffBench, TsdrBench, Workplace, bench_alignment, bench_irt, bench_kernel, bench_light,
-    bench_robustness, bench_tables, bench_tradeoff, bench_tsdr,
+    bench_robustness, bench_scaling, bench_tables, bench_tradeoff, bench_tsdr,
 };
 use crate::scene::{LdrImages, LoadOptions};
 use serde::Serialize;
@@ -125,6 +125,12 @@ pub(crate) fn run(what: &BenchVerb, context: &Context) -> Result<()> {
             work,
             json_file,
         } => robustness(scene, bench, work, &Outputs::json_alone(json_file), context),
+        BenchVerb::Scaling {
+            scene,
+            bench,
+            work,
+            outputs,
+        } => scaling(scene, bench, work, outputs, context),
         BenchVerb::Alignment {
             scenes,
             bench,
@@ -243,6 +249,19 @@ fn robustness(
     workplace.clear();
     let report = report?;
     outputs.write(context, &report.text(), &report, no_plot)
+}
+
+fn scaling(
+    path: &Path,
+    bench: &ScalingBench,
+    work: &Work,
+    outputs: &Outputs,
+    context: &Context,
+) -> Result<()> {
+    outputs.check()?;
+    let runner = work.workplace(context)?.runner(path)?;
+    let report = bench_scaling(&runner, bench, &context.progress)?;
+    outputs.write(context, &report.text(), &report, || report.plot())
 }
 
 fn alignment(

@@ -7,12 +7,12 @@ use super::image_format::{ImageFormat, sniff};
 use super::whole::Aside;
 use super::{checked_size, exr_header, hdr, open_regular, pixel_buffer};
 use crate::core::image::{Plane, RgbPlane};
+use crate::core::parallel::prelude::*;
 use crate::ffi::oiio::{self, OpenImage, Samples};
 use crate::{Error, Result};
 use glam::{Vec2, Vec3};
 use half::f16;
 use half::slice::HalfFloatSliceExt;
-use rayon::prelude::*;
 use std::ffi::CStr;
 use std::path::Path;
 

@@ -10,10 +10,10 @@ use super::image_format::{ImageFormat, sniff};
 use super::{hdr, image_io, open_regular};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::colour::{Chromaticities, ColourSpace, D65, REC709};
+use crate::core::parallel::prelude::*;
 use crate::ffi::oiio::{OpenImage, Sample};
 use crate::{Error, Result};
 use glam::{DVec2, Mat3, Vec3};
-use rayon::prelude::*;
 use std::path::Path;
 
 /// How an image was understood, for people and for `check --json`.

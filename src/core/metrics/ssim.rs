@@ -8,7 +8,7 @@
 
 use super::{Channels, assert_same_size};
 use crate::core::image::Plane;
-use rayon::prelude::*;
+use crate::core::parallel::prelude::*;
 
 /// Window side in pixels.
 const WINDOW: usize = 11;

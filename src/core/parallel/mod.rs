@@ -1,7 +1,24 @@
 //! Deterministic parallel loops: fixed chunks, results folded in order, so that the number of
 //! threads never changes a bit of the answer.
+//!
+//! Every parallel loop of the program goes through [`prelude`], which is rayon's with one thing
+//! added: a run on one thread can be recorded as a [`tape`] of all pieces of work, from which
+//! `unbake bench scaling` works out what more threads would give.
 
-use rayon::prelude::*;
+mod marked;
+pub mod tape;
+
+/// Parallel iterators: use this where `rayon::prelude` would be.
+pub mod prelude {
+    pub use super::marked::{
+        IntoParallelIterator, IntoParallelRefIterator, IntoParallelRefMutIterator, ParallelSlices,
+        ParallelSlicesMut,
+    };
+    pub use rayon::iter::{IndexedParallelIterator, ParallelExtend, ParallelIterator};
+}
+pub use marked::join;
+
+use prelude::*;
 
 /// Elements per chunk of a deterministic reduction: a constant of the algorithm, not of the
 /// machine.

@@ -8,8 +8,8 @@
 
 use crate::core::geometry::Mesh;
 use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::parallel::prelude::*;
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 
 /// Rows per band of the rasteriser; bands run in parallel.
 const BAND: usize = 32;

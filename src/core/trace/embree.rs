@@ -5,10 +5,10 @@
 
 use super::{Hit, Ray, Tracer};
 use crate::core::geometry::Mesh;
+use crate::core::parallel::prelude::*;
 use crate::ffi::embree::{self, PacketWidth, TriangleScene};
 use crate::ffi::ray::is_usable;
 use crate::{Error, Result};
-use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Rays per foreign call: large enough to hide its cost, small enough to balance two threads or two

@@ -147,6 +147,27 @@ impl Runner {
         Ok((outcome(seconds, &record, &scores), seen))
     }
 
+    /// Reconstructs with the given `solve` flags alone and returns the record of the run.
+    ///
+    /// # Errors
+    /// As [`Runner::run`].
+    pub fn solve(&self, name: &str, flags: &[String]) -> Result<RunRecord> {
+        let out = self.folder(name);
+        let solve = [
+            "solve".as_ref(),
+            self.scene.as_os_str(),
+            "--out".as_ref(),
+            out.as_os_str(),
+        ];
+        self.process(&solve, flags)?;
+        let record = RunRecord::read_manifest(&out)
+            .ok_or_else(|| Error::Failed(format!("{}: no manifest.json", out.display())))?;
+        if !self.keep {
+            std::fs::remove_dir_all(&out).map_err(|e| Error::io(&out, e))?;
+        }
+        Ok(record)
+    }
+
     fn process(&self, arguments: &[&std::ffi::OsStr], flags: &[String]) -> Result<()> {
         let mut command = Command::new(&self.exe);
         command

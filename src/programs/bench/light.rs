@@ -12,6 +12,7 @@ use crate::core::brdf::Reflectance;
 use crate::core::geometry::{Camera, Lens, Projection};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::{Frame, luminance};
+use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::sampling::{KeyedRng, square_to_cosine_hemisphere};
 use crate::core::stats::median;
@@ -28,7 +29,6 @@ use crate::render::path_tracer::{IrradiancePoint, PathTracer, PathTracerOptions}
 use crate::scene::Scene;
 use crate::solution::Solution;
 use glam::{Mat3, Vec2, Vec3};
-use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

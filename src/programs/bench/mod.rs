@@ -20,6 +20,7 @@ mod kernel;
 mod light;
 mod plot;
 mod robustness;
+mod scaling;
 mod tables;
 mod tradeoff;
 mod tsdr;
@@ -37,6 +38,7 @@ pub use irt_rates::{BatchRate, EstimatorRate, Rates};
 pub use kernel::{KernelBench, KernelRates, KernelReport, bench_kernel};
 pub use light::{ClassLevel, LightBench, LightReport, Met, bench_light};
 pub use robustness::{RobustnessBench, RobustnessPoint, RobustnessReport, bench_robustness};
+pub use scaling::{ScalingBench, bench_scaling};
 pub use tables::{TableRow, TablesBench, TablesReport, bench_tables};
 pub use tradeoff::{
     APPROXIMATIONS, Clock, KNOBS, NEEDS, PRESETS, TradePoint, TradeoffBench, TradeoffReport,

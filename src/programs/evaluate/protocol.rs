@@ -4,8 +4,8 @@ use super::options::EvalOptions;
 use super::truth::GroundTruth;
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::metrics::least_squares_scale;
+use crate::core::parallel::prelude::*;
 use glam::Vec3;
-use rayon::prelude::*;
 use std::collections::BTreeSet;
 
 /// Largest width at which images are compared (TexIR: 512×256 panoramas).

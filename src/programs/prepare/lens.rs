@@ -7,8 +7,8 @@
 //! against pycolmap 4.2. Camera axes here are OpenCV's: x right, y down, z forward.
 
 use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::parallel::prelude::*;
 use glam::{DVec2, DVec3, Vec2, Vec3};
-use rayon::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// Half the angle of view up to which a perspective image serves (derived: at 60° a pixel at the

@@ -194,7 +194,7 @@ impl RunRecord {
 /// # Errors
 /// If a file cannot be read.
 pub fn hash_inputs(scene: &Scene) -> Result<Vec<InputFile>> {
-    use rayon::prelude::*;
+    use crate::core::parallel::prelude::*;
     let mut paths = scene.input_files();
     paths.retain(|p| p.is_file());
     paths

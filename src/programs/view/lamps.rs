@@ -10,12 +10,12 @@ use super::encode::gzip;
 use crate::core::geometry::Mesh;
 use crate::core::image::{Plane, Wrap};
 use crate::core::math::{Frame, luminance};
+use crate::core::parallel::prelude::*;
 use crate::core::sampling::{Discrete, KeyedRng, square_to_cosine_hemisphere, square_to_triangle};
 use crate::core::texture::{Texels, fill_uncovered};
 use crate::core::trace::{Ray, Tracer};
 use crate::solution::{Lamp, Solution, triangle_emission};
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 use std::f32::consts::PI;
 
 /// Sliders of lamps: the strongest have one of their own, the last is for all others.

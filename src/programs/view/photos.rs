@@ -3,10 +3,10 @@
 use super::encode::{gzip, radiometric};
 use crate::core::geometry::{Camera, Projection};
 use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::parallel::prelude::*;
 use crate::error::Result;
 use crate::scene::Scene;
 use glam::{Mat3, Vec2, Vec3};
-use rayon::prelude::*;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 

@@ -10,13 +10,13 @@ use super::encode::{gzip, rgb9e5};
 use crate::core::geometry::{Camera, Projection};
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::Frame;
+use crate::core::parallel::prelude::*;
 use crate::core::sampling::{KeyedRng, hammersley};
 use crate::core::texture::MipChain;
 use crate::core::trace::{Hit, Ray, Tracer};
 use crate::solution::Solution;
 use glam::{Mat3, Vec2, Vec3};
 use half::f16;
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::TAU;
 

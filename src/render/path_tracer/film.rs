@@ -6,8 +6,8 @@ use super::wave::{Feature, Sums};
 use crate::core::brdf::Material;
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use glam::Vec3;
-use rayon::prelude::*;
 
 /// An image with what its first hits saw.
 #[derive(Clone, Debug)]

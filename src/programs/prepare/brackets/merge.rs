@@ -8,8 +8,8 @@
 use super::align::Shift;
 use super::response::Response;
 use crate::core::image::{Plane, RgbPlane};
+use crate::core::parallel::prelude::*;
 use glam::Vec3;
-use rayon::prelude::*;
 
 /// Codes between which a photograph is trusted (derived: JPEG's error of a few codes reaches the
 /// plateau above and is as large as the signal below).
