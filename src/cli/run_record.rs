@@ -11,7 +11,8 @@ pub(super) fn run_key(inputs: &[InputFile], context: &Context) -> Result<String>
     let program = std::env::current_exe()
         .and_then(std::fs::read)
         .map_err(|e| Error::Failed(format!("reading this program: {e}")))?;
-    let program = blake3::hash(&program).to_hex().to_string();
+    let mut hash = blake3::Hasher::new();
+    let program = hash.update_rayon(&program).finalize().to_hex().to_string();
     let all = json!([
         inputs,
         options_of(context)?,

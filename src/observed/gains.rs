@@ -17,6 +17,8 @@ use nalgebra::DMatrix;
 /// Points in all, and the bounds per view.
 const POINTS: usize = 24_000;
 const PER_VIEW: (usize, usize) = (60, 1500);
+/// Points that a thread works on at a time.
+const POINTS_PER_PIECE: usize = 256;
 /// Looks more slanting than this are left out: they see mostly reflection.
 const MIN_COSINE: f32 = 0.25;
 const ITERATIONS: usize = 25;
@@ -125,8 +127,7 @@ pub fn estimate_gains(observer: &Observer, orientation: &Orientation) -> ViewGai
 /// caught, then narrowing to the quarter of the looks that agree best, which are those of matte
 /// surfaces. Glossy ones would tilt the gains by what they mirror.
 fn scale(points: &[&[Look]], gains: &[Vec3], iteration: usize) -> f32 {
-    let wide = quantile(points, gains, 0.5);
-    let narrow = quantile(points, gains, 0.25);
+    let [wide, narrow] = quantiles(points, gains, [0.5, 0.25]);
     let t = (iteration as f32 / ANNEALING as f32).min(1.0);
     (1.5 * wide * (1.0 - t) + narrow * t).max(1e-4)
 }
@@ -184,64 +185,112 @@ fn level(point: &[Look], gains: &[Vec3], order: &mut Vec<(f32, Vec3)>) -> Vec3 {
 
 /// Median over all looks of the mean absolute deviation of its channels from its point's level.
 fn disagreement(points: &[&[Look]], gains: &[Vec3]) -> f32 {
-    quantile(points, gains, 0.5)
+    let [median] = quantiles(points, gains, [0.5]);
+    median
 }
 
-fn quantile(points: &[&[Look]], gains: &[Vec3], share: f64) -> f32 {
-    let mut order = Vec::new();
-    let mut all: Vec<f32> = Vec::new();
-    for p in points {
-        let centre = level(p, gains, &mut order);
-        // the look that is the level itself says nothing
-        all.extend(
-            p.iter()
-                .map(|l| distance(l.1 - gains[l.0 as usize] - centre))
-                .filter(|d| *d > 0.0),
-        );
-    }
-    all.sort_by(f32::total_cmp);
-    all.get((all.len() as f64 * share) as usize)
-        .copied()
-        .unwrap_or(0.0)
+/// Quantiles of the deviations of all looks from their points' levels.
+fn quantiles<const N: usize>(points: &[&[Look]], gains: &[Vec3], shares: [f64; N]) -> [f32; N] {
+    let parts = parallel::map_chunks(points.len(), POINTS_PER_PIECE, |range| {
+        let mut order = Vec::new();
+        let mut found: Vec<f32> = Vec::new();
+        for p in &points[range] {
+            let centre = level(p, gains, &mut order);
+            // the look that is the level itself says nothing
+            found.extend(
+                p.iter()
+                    .map(|l| distance(l.1 - gains[l.0 as usize] - centre))
+                    .filter(|d| *d > 0.0),
+            );
+        }
+        found
+    });
+    let mut all = parts.concat();
+    shares.map(|share| {
+        let at = (all.len() as f64 * share) as usize;
+        if at < all.len() {
+            *all.select_nth_unstable_by(at, f32::total_cmp).1
+        } else {
+            0.0
+        }
+    })
 }
 
 fn distance(e: Vec3) -> f32 {
     e.abs().element_sum() / 3.0
 }
 
-/// One step of reweighted least squares: the points' levels eliminated, a dense system over the
-/// views.
-fn solve(points: &[&[Look]], gains: &[Vec3], scale: f32) -> Vec<Vec3> {
-    let n = gains.len();
-    let mut a = DMatrix::<f64>::zeros(n, n);
-    let mut b = DMatrix::<f64>::zeros(n, 3);
-    let (mut order, mut weights) = (Vec::new(), Vec::new());
-    for p in points {
-        let centre = level(p, gains, &mut order);
-        weights.clear();
-        weights.extend(p.iter().map(|l| {
+/// The looks at a point, weighed by how well they agree with its level.
+struct Weighted {
+    weights: Vec<f64>,
+    total: f64,
+    /// Weighted mean of the looks.
+    mean: [f64; 3],
+}
+
+impl Weighted {
+    fn of(p: &[Look], gains: &[Vec3], scale: f32, order: &mut Vec<(f32, Vec3)>) -> Self {
+        let centre = level(p, gains, order);
+        let weight = |l: &Look| {
             let r = distance(l.1 - gains[l.0 as usize] - centre) / scale;
             f64::from(l.2 / (1.0 + r * r).powi(2))
-        }));
+        };
+        let weights: Vec<f64> = p.iter().map(weight).collect();
         let total: f64 = weights.iter().sum();
-        let mean: [f64; 3] = std::array::from_fn(|c| {
+        let mean = std::array::from_fn(|c| {
             p.iter()
                 .zip(&weights)
                 .map(|(l, w)| w * f64::from(l.1[c]))
                 .sum::<f64>()
                 / total
         });
-        for (l, w) in p.iter().zip(&weights) {
-            let i = l.0 as usize;
-            a[(i, i)] += w;
-            for (m, v) in p.iter().zip(&weights) {
-                a[(i, m.0 as usize)] -= w * v / total;
-            }
-            for c in 0..3 {
-                b[(i, c)] += w * (f64::from(l.1[c]) - mean[c]);
-            }
+        Self {
+            weights,
+            total,
+            mean,
         }
     }
+}
+
+/// One step of reweighted least squares: the points' levels eliminated, a dense system over the
+/// views.
+fn solve(points: &[&[Look]], gains: &[Vec3], scale: f32) -> Vec<Vec3> {
+    let n = gains.len();
+    let weighted = parallel::map_chunks(points.len(), POINTS_PER_PIECE, |range| {
+        let mut order = Vec::new();
+        let weigh = |p: &&[Look]| Weighted::of(p, gains, scale, &mut order);
+        points[range].iter().map(weigh).collect::<Vec<_>>()
+    });
+    // every view's looks, as point and place in it
+    let mut of_view: Vec<Vec<(u32, u32)>> = vec![Vec::new(); n];
+    for (i, p) in points.iter().enumerate() {
+        for (k, l) in p.iter().enumerate() {
+            of_view[l.0 as usize].push((i as u32, k as u32));
+        }
+    }
+    let rows = parallel::map_chunks(n, 1, |range| {
+        let row = |i: usize| {
+            let (mut a, mut b) = (vec![0.0f64; n], [0.0f64; 3]);
+            for &(point, k) in &of_view[i] {
+                let (p, k) = (points[point as usize], k as usize);
+                let point = point as usize;
+                let known = &weighted[point / POINTS_PER_PIECE][point % POINTS_PER_PIECE];
+                let w = known.weights[k];
+                a[i] += w;
+                for (m, v) in p.iter().zip(&known.weights) {
+                    a[m.0 as usize] -= w * v / known.total;
+                }
+                for (c, b) in b.iter_mut().enumerate() {
+                    *b += w * (f64::from(p[k].1[c]) - known.mean[c]);
+                }
+            }
+            (a, b)
+        };
+        range.map(row).collect::<Vec<_>>()
+    });
+    let rows: Vec<(Vec<f64>, [f64; 3])> = rows.into_iter().flatten().collect();
+    let mut a = DMatrix::<f64>::from_fn(n, n, |i, j| rows[i].0[j]);
+    let b = DMatrix::<f64>::from_fn(n, 3, |i, c| rows[i].1[c]);
     // the gauge, and a touch of ridge that holds views which share nothing with the rest at their
     // own mean
     let trace = a.trace().max(f64::MIN_POSITIVE);

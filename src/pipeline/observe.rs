@@ -6,6 +6,7 @@ use super::decisions::choose_sizes;
 use crate::Result;
 use crate::core::geometry::Camera;
 use crate::core::image::{CameraMask, Plane, RgbPlane};
+use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
 use crate::core::texture::Texels;
 use crate::core::trace::{EmbreeTracer, Hit};
@@ -294,27 +295,33 @@ fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) ->
 /// zero without any. A pixel at an edge mixes in what lies behind: blinds before a bright sky would
 /// shine with it. Of what is seen so only, the missing light predicts what it reflects.
 fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientation) -> Vec<Vec3> {
+    let row = |v: &ObservedView, y: usize| {
+        let b = &v.buffer;
+        let behind = |x: usize| {
+            let t = b.triangle[(x, y)];
+            if t == Hit::MISS || !v.clean[(x, y)] {
+                return None;
+            }
+            let d = b
+                .camera
+                .direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+            let t = t as usize;
+            let away = scene.mesh.face_normal(t).dot(d) * orientation.sign(t) > 0.0;
+            away.then(|| (t, v.radiance[(x, y)]))
+        };
+        (0..b.triangle.width).filter_map(behind).collect::<Vec<_>>()
+    };
     let n = scene.mesh.triangles.len();
     let mut sum = vec![Vec3::ZERO; n];
     let mut count = vec![0u32; n];
     for v in views {
-        let b = &v.buffer;
-        let (w, h): (usize, usize) = (b.triangle.width, b.triangle.height);
-        for y in 0..h {
-            for x in 0..w {
-                let t = b.triangle[(x, y)];
-                if t == Hit::MISS || !v.clean[(x, y)] {
-                    continue;
-                }
-                let t = t as usize;
-                let d = b
-                    .camera
-                    .direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
-                if scene.mesh.face_normal(t).dot(d) * orientation.sign(t) > 0.0 {
-                    sum[t] += v.radiance[(x, y)];
-                    count[t] += 1;
-                }
-            }
+        let rows = map_chunks(v.buffer.triangle.height, 1, |range| {
+            range.flat_map(|y| row(v, y)).collect::<Vec<_>>()
+        });
+        // in the order of the pixels: sums of the same bits
+        for (t, radiance) in rows.into_iter().flatten() {
+            sum[t] += radiance;
+            count[t] += 1;
         }
     }
     sum.iter()

@@ -39,7 +39,7 @@ pub struct RenderedView {
 
 /// Renders a solution from a camera. Implementations hold what they need prepared (ray structure,
 /// textures).
-pub trait ViewRenderer {
+pub trait ViewRenderer: Sync {
     /// The view from `camera`, at its image size.
     ///
     /// # Errors

@@ -9,6 +9,7 @@ use super::pictures::{CONFIDENCE_RANGE, Captioned, ERROR_RANGE, ViewPictures, in
 use super::record::{RunRecord, StageRecord};
 use crate::Result;
 use crate::core::formats::grouped;
+use crate::core::parallel::prelude::*;
 use crate::programs::evaluate::{Evaluation, GainScores, ImageScores, MaterialScores, SplitScores};
 use crate::scene::Split;
 use crate::solution::Lamp;
@@ -506,6 +507,11 @@ fn views_section(p: &Page<'_>) -> Result<Markup> {
     if p.views.is_empty() {
         return Ok(html! {});
     }
+    let views: Vec<Markup> = p
+        .views
+        .par_iter()
+        .map(view_section)
+        .collect::<Result<_>>()?;
     Ok(html! {
         section #views {
             h2 { "Views" }
@@ -518,8 +524,8 @@ fn views_section(p: &Page<'_>) -> Result<Markup> {
                 ". Drag across a comparison; click a picture to enlarge it."
             }
             @for split in [Split::Test, Split::Train] {
-                @for view in p.views.iter().filter(|v| v.split == split) {
-                    (view_section(view)?)
+                @for (_, section) in p.views.iter().zip(&views).filter(|(v, _)| v.split == split) {
+                    (section)
                 }
             }
         }
@@ -567,6 +573,7 @@ fn maps_section(p: &Page<'_>) -> Result<Markup> {
     if p.atlas.is_empty() {
         return Ok(html! {});
     }
+    let maps: Vec<Markup> = p.atlas.par_iter().map(figure).collect::<Result<_>>()?;
     Ok(html! {
         section #maps {
             h2 { "Maps on the atlas" }
@@ -574,7 +581,7 @@ fn maps_section(p: &Page<'_>) -> Result<Markup> {
                 "Sizes are those of the files. Standard errors on a logarithmic scale, "
                 (CONFIDENCE_RANGE.0) (scale_bar()) (CONFIDENCE_RANGE.1) "; grey is unobserved."
             }
-            div.figures.maps { @for captioned in p.atlas { (figure(captioned)?) } }
+            div.figures.maps { @for map in &maps { (map) } }
         }
     })
 }

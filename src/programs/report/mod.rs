@@ -14,6 +14,7 @@ pub use record::{
 };
 
 use crate::core::formats::atomic_write;
+use crate::core::parallel::prelude::*;
 use crate::error::{Error, Result};
 use crate::programs::evaluate::Evaluation;
 use crate::render::ViewRenderer;
@@ -79,12 +80,13 @@ pub fn write_report(
         evaluation,
     } = reported;
     let photographer = Photographer::new(scene, solution)?;
-    for view in shown_views(scene) {
-        if !views.iter().any(|v| v.stem == view.stem) {
-            let rendered = renderer.render(&report_camera(view))?;
-            views.push(photographer.view(view, &rendered, None)?);
-        }
-    }
+    let mut missing = shown_views(scene);
+    missing.retain(|view| !views.iter().any(|v| v.stem == view.stem));
+    let rendered = missing.par_iter().map(|view| {
+        let rendered = renderer.render(&report_camera(view))?;
+        photographer.view(view, &rendered, None)
+    });
+    views.extend(rendered.collect::<Result<Vec<_>>>()?);
     let shown: Vec<_> = views
         .iter()
         .map(|v| json!({"stem": v.stem, "held_out": v.split == Split::Test, "psnr": v.psnr, "ssim": v.ssim}))

@@ -5,6 +5,7 @@ use crate::core::formats::srgb8_from_linear;
 use crate::core::geometry::{Camera, Projection};
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::metrics::{masked_mse, masked_ssim, psnr};
+use crate::core::parallel::prelude::*;
 use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
 use crate::error::Result;
 use crate::programs::evaluate::{GroundTruth, comparable};
@@ -395,11 +396,16 @@ fn picked<T: Clone>(plane: &Plane<T>, side: usize) -> Plane<T> {
     }
 }
 
-fn coloured<T>(plane: &Plane<T>, f: impl Fn(&T) -> [u8; 3]) -> Picture {
+fn coloured<T: Sync>(plane: &Plane<T>, f: impl Fn(&T) -> [u8; 3] + Sync + Send) -> Picture {
     Picture {
         width: plane.width,
         height: plane.height,
-        rgb: plane.data.iter().flat_map(f).collect(),
+        rgb: plane
+            .data
+            .par_iter()
+            .map(f)
+            .collect::<Vec<_>>()
+            .into_flattened(),
     }
 }
 

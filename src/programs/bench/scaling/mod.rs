@@ -14,15 +14,9 @@ use crate::core::parallel::tape::Tape;
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
 use crate::programs::report::RunRecord;
-use report::{Measured, ScalingReport, StageScaling};
+use report::{Measured, ScalingReport, StageScaling, THREADS};
 use simulate::Work;
 use std::time::Instant;
-
-/// Numbers of threads of the curve.
-const THREADS: [usize; 8] = [1, 2, 4, 8, 16, 32, 64, 128];
-
-/// Stages named as those that bend the curve.
-const BENDING: usize = 3;
 
 /// What `unbake bench scaling` can be told.
 #[derive(clap::Args, Clone, Debug)]

@@ -1,12 +1,17 @@
 //! The figures of `unbake bench scaling` as JSON, a table and a plot.
 
 use super::super::plot::{Chart, Series, svg};
-use super::{BENDING, THREADS};
 use crate::Result;
 use crate::programs::report::{Machine, RunRecord, SceneSummary, Versions, machine};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
+
+/// Numbers of threads of the curve.
+pub(super) const THREADS: [usize; 8] = [1, 2, 4, 8, 16, 32, 64, 128];
+
+/// Stages named as those that bend the curve.
+const BENDING: usize = 3;
 
 /// A run of this machine.
 #[derive(Clone, Debug, Serialize)]

@@ -119,10 +119,9 @@ pub(super) fn stages(tape: &Tape) -> Vec<(String, Work)> {
             let (_, known): &mut (String, Work) = &mut all[stage as usize];
             known.steps.append(&mut work.steps);
         }
-        match tape.marks.get(at) {
-            Some(Mark::Stage(number)) => current = Some(*number),
-            // an unfinished loop's end: nothing that a recorder writes
-            Some(_) | None => {}
+        // any other mark would be the end of a loop that never began: no recorder writes it
+        if let Some(Mark::Stage(number)) = tape.marks.get(at) {
+            current = Some(*number);
         }
         at += 1;
     }
