@@ -10,7 +10,7 @@
 //! gloss, and the slope says nothing. Products of the two halves of a response have no noise bias.
 //! Called by [`super::roughness`] for every class.
 
-use super::roughness::GroupFit;
+use super::group_fit::GroupFit;
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
 use crate::core::stats::{median, passing_weight};

@@ -12,7 +12,8 @@
 //! [`passing_weight`] (model averaging, Hoeting et al. 1999), so that the roughness moves steadily
 //! with the input.
 
-use super::roughness::{GroupFit, fit, held_out};
+use super::group_fit::GroupFit;
+use super::roughness::{fit, held_out};
 use super::spatial_roughness::{self, Field};
 use super::view_residual::{Disagreement, diffuse_radiance, points_by_class};
 use crate::core::brdf::Reflectance;

@@ -5,33 +5,11 @@
 //! §12.3 point 7).
 
 use super::gloss_slope;
+use super::group_fit::GroupFit;
 use super::view_residual::{Disagreement, points_by_class};
 use crate::core::brdf::Reflectance;
 use crate::core::stats::passing_weight;
 use crate::highlight::Evidence;
-
-/// What the evidence says about one group.
-#[derive(Clone, Debug)]
-pub struct GroupFit {
-    /// Class id.
-    pub class: u16,
-    /// Best roughness.
-    pub roughness: f32,
-    /// Standard error of the roughness from the curvature of the objective.
-    pub error: f32,
-    /// Objective per level (mean relative disagreement).
-    pub objective: Vec<f64>,
-    /// Points used.
-    pub points: usize,
-}
-
-impl GroupFit {
-    /// The least mean relative disagreement of the views.
-    #[must_use]
-    pub fn disagreement(&self) -> f64 {
-        self.objective.iter().copied().fold(f64::INFINITY, f64::min)
-    }
-}
 
 /// Width of the range of values that explain the views equally well from which a roughness counts
 /// as unknown.

@@ -8,7 +8,8 @@
 //! them; so it is views that judge: what one half of them asks for must explain the other half
 //! better.
 
-use super::roughness::{GroupFit, at_roughness, fit, lowest, parabola_minimum};
+use super::group_fit::GroupFit;
+use super::roughness::{at_roughness, fit, lowest, parabola_minimum};
 use super::view_residual::Disagreement;
 use crate::core::parallel::prelude::*;
 use crate::core::stats::least_passing;
