@@ -166,7 +166,8 @@ impl ScalingReport {
     #[must_use]
     pub fn text(&self) -> String {
         let mut out = String::from(
-            "stage                           work    serial  loops  seconds on 16      64     128 threads\n",
+            "stage                           work    serial  loops  seconds on 16      64     128 \
+             threads\n",
         );
         for s in &self.stages {
             let on = |n| s.seconds.get(&n).copied().unwrap_or(0.0);

@@ -1,11 +1,12 @@
 //! What a recorded run would take on more threads: greedy list scheduling of its pieces.
 //!
 //! The tape is a fork-join tree: work, loops of pieces, loops within pieces. Every piece is given
-//! to the thread that is free first, in the order of the tape; a piece that holds a loop goes on
-//! once its loop has ended, and its thread takes part in that loop as any other. Such a schedule is
-//! at most twice as long as the best one (R. L. Graham, Bounds on multiprocessing timing anomalies,
-//! SIAM J. Appl. Math. 17, 1969) and is what work stealing strives for (Blumofe & Leiserson, JACM
-//! 46, 1999). Every loop costs its beginning and end besides.
+//! to the thread that is free first, in the order of the tape. Such a schedule is at most twice as
+//! long as the best one (R. L. Graham, Bounds on multiprocessing timing anomalies, SIAM J. Appl.
+//! Math. 17, 1969) and is what work stealing strives for (Blumofe & Leiserson, JACM 46, 1999).
+//! Pieces that hold loops are scheduled more crudely: in rounds, the threads divided evenly among
+//! the pieces of a round, which states more time than work stealing takes. Every loop costs its
+//! beginning and end besides.
 
 use crate::core::parallel::tape::{Mark, Tape};
 use std::cmp::Reverse;
