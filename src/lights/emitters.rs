@@ -469,15 +469,15 @@ impl Emitters {
             let normal = self.hull.cell_frame(id)[3];
             (None, position, normal, self.portal_slot[id as usize].1)
         } else {
-            let ([b1, b2], t) = (square_to_triangle(u), id as usize);
-            let position = mesh.position(t, b1, b2);
+            let (mut at, t) = (square_to_triangle(u), id as usize);
+            let normal = model.outward_normal(t);
+            // the same point however the triangle is wound
+            if mesh.face_normal(t).dot(normal) < 0.0 {
+                at.reverse();
+            }
             let density = self.triangle_slot[t].1;
-            (
-                Some((id, b1, b2)),
-                position,
-                model.outward_normal(t),
-                density,
-            )
+            let position = mesh.position(t, at[0], at[1]);
+            (Some((id, at[0], at[1])), position, normal, density)
         };
         let to = position - from;
         let distance = to.length();
