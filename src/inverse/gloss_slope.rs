@@ -30,8 +30,8 @@ const CORRUPT: f64 = 0.05;
 const DILUTED: f64 = 0.5;
 /// Standard deviation of the slope that errors common to all points add. Measured: .1 to .4 alike.
 const SLOPE_ERROR: f64 = 0.2;
-/// Points from which slopes are taken.
-const FEWEST: usize = 40;
+/// Points from which slopes are taken: fewer leave a block too few for its error to be known.
+const FEWEST: f64 = 100.0;
 /// Brightness over the median beyond which a view counts no more.
 const BRIGHTEST: f32 = 1.5;
 /// Blocks along the longest side of a class's evidence: errors within one are taken as common.
@@ -51,11 +51,12 @@ pub(super) fn reconsider(
     found: &mut GroupFit,
 ) {
     let matte = passing_weight(f64::from(found.roughness), f64::from(GLOSSY));
-    if matte <= 0.0 || points.len() < FEWEST {
+    let enough = passing_weight(points.len() as f64, FEWEST);
+    if matte * enough <= 0.0 {
         return;
     }
     if let Some(slopes) = Slopes::of(evidence, model, points) {
-        slopes.average(&evidence.levels, matte, found);
+        slopes.average(&evidence.levels, matte * enough, found);
     }
 }
 
@@ -110,11 +111,13 @@ impl Slopes {
             return;
         }
         let last = levels.len() - 1;
+        // the mean of n disagreements that scatter as much as they are large is known to 1/√n
+        let common = COMMON.hypot((found.points.max(1) as f64).sqrt().recip());
         let (mut all, mut glossy, mut first, mut second) = (0.0, 0.0, 0.0, 0.0);
         for (k, level) in levels.iter().enumerate() {
             let (below, above) = (levels[k.saturating_sub(1)], levels[(k + 1).min(last)]);
             let weight = f64::from(above - below)
-                * (-(found.objective[k] / least - 1.0) / COMMON).exp()
+                * (-(found.objective[k] / least - 1.0) / common).exp()
                 * self.likelihood(k);
             all += weight;
             if *level < GLOSSY {
