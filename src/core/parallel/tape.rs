@@ -3,7 +3,7 @@
 //!
 //! A run is recorded by the thread that calls [`start`], which must be the only one that works
 //! (`unbake solve --threads 1 --tape FILE`). Other threads, and every run without a tape, pass the
-//! marks by: [`fork`] answers `false`.
+//! marks by: `fork` answers `false`.
 
 use crate::ffi::clock::thread_nanoseconds;
 use std::cell::RefCell;
