@@ -1,22 +1,24 @@
 //! Pixels at the sensor's ceiling: what they show is a lower bound.
 //!
-//! Clipping leaves a plateau at a channel's maximum. A lamp of constant radiance does too, but
-//! there all channels reach their maximum together, while around clipped light there are pixels
-//! with only some channels at the ceiling. In an 8-bit file the ceiling is known: it is that of the
-//! encoding.
+//! Clipping leaves a plateau at a channel's maximum. A lamp or a sky of constant radiance does too,
+//! but its plateau has one colour, while around clipped light there are pixels with one channel at
+//! its ceiling and the others on their way there. In an 8-bit file the ceiling is known: it is that
+//! of the encoding.
 
 use crate::core::image::{Plane, RgbPlane};
+use crate::core::stats::median;
+use glam::Vec3;
 
 /// A value this close below the maximum is at the ceiling: one step of half precision.
 const STEP: f32 = 1.0 / 2048.0;
 /// A plateau has this many pixels at least, and this share of the image at least and at most.
 const FEWEST: usize = 16;
 const SHARES: (f32, f32) = (2e-5, 0.5);
-/// Share of the plateau's pixels in which some channel is clearly below its ceiling.
+/// Share of the plateau's pixels that are clearly of another colour than most of them.
 const PARTIAL: f32 = 0.02;
-/// A channel is clearly below its ceiling by this share: what is left of the noise of a denoised
-/// constant sky is smaller (measured: dining-room, whose sky differs by steps of half precision
-/// alone), and light that falls off around a clipped core crosses the last hundredth in few pixels.
+/// A channel is clearly another by this share: what is left of the noise of a denoised constant sky
+/// is smaller (measured: dining-room, whose sky differs by steps of half precision alone), and light
+/// that falls off around a clipped core crosses the last hundredth in few pixels.
 const CLEARLY: f32 = 0.01;
 
 /// Channels at their ceiling, a bit for each, per pixel; `None` where the image has no ceiling.
@@ -48,22 +50,25 @@ fn plateau(image: &RgbPlane) -> Option<[f32; 3]> {
             *level = from;
         }
     }
-    let (mut any, mut some) = (0usize, 0usize);
-    for p in &image.data {
-        let at_ceiling = (0..3).any(|c| p[c] >= ceiling[c]);
-        let below = (0..3).any(|c| p[c] < ceiling[c] * (1.0 - CLEARLY));
-        any += usize::from(at_ceiling);
-        some += usize::from(at_ceiling && below);
-    }
+    let clipped: Vec<Vec3> = (image.data.iter())
+        .filter(|p| (0..3).any(|c| p[c] >= ceiling[c]))
+        .copied()
+        .collect();
+    let usual = Vec3::from_array([0, 1, 2].map(|c| {
+        let values = clipped.iter().map(|p| p[c]).collect();
+        median(values).unwrap_or(0.0)
+    }));
+    let other = |p: &Vec3| (*p - usual).abs().cmpgt(usual * CLEARLY).any();
+    let others = clipped.iter().filter(|p| other(p)).count();
+    let any = clipped.len();
     let plausible =
-        any > 0 && any as f32 <= SHARES.1 * n as f32 && some as f32 >= PARTIAL * any as f32;
+        any > 0 && any as f32 <= SHARES.1 * n as f32 && others as f32 >= PARTIAL * any as f32;
     plausible.then_some(ceiling)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
 
     fn clipped_pixels(image: &RgbPlane) -> Option<Plane<bool>> {
         clipped_channels(image, None).map(|bits| bits.map(|b| *b != 0))
@@ -113,6 +118,15 @@ mod tests {
             *p = Vec3::splat(10.0) * (1.0 - steps / 1024.0);
         }
         assert!(clipped_pixels(&sky).is_none(), "a constant sky");
+        // the same with a glint before it that is brighter in one channel: two keep their plateau
+        for p in &mut sky.data[..600] {
+            *p = Vec3::new(10.0, 11.5, 13.0);
+        }
+        sky.data[700] = Vec3::new(9.0, 9.0, 14.3);
+        assert!(
+            clipped_pixels(&sky).is_none(),
+            "a constant sky beside a glint"
+        );
         assert!(clipped_pixels(&Plane::filled(64, 32, Vec3::splat(0.5))).is_none());
         assert!(clipped_pixels(&Plane::filled(64, 32, Vec3::ZERO)).is_none());
         assert!(clipped_pixels(&Plane::filled(0, 0, Vec3::ZERO)).is_none());
