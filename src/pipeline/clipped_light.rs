@@ -8,7 +8,7 @@
 //! the masks are such as an unclipped camera would have left them, and all later stages are the
 //! same. Nothing happens where no pixel is clipped.
 
-use super::clipped_looks::{ClippedLooks, Restored, SECTORS, sector};
+use super::clipped_looks::{ClippedLooks, Restored, SECTORS, sector, where_clipped};
 use super::light::{first_radiance, known_lights, light_field, texture_of, trusted_radiance};
 use super::{SolveOptions, Switch};
 use crate::core::image::RgbPlane;
@@ -181,12 +181,15 @@ fn clipped_bits(
         seen,
     );
     let (mut bits, mut at, mut below) = (0u8, 0.0f32, 0.0f32);
+    let (mut bound, mut measured) = (Vec3::ZERO, Vec3::ZERO);
     let mut footprint = f32::INFINITY;
     for o in seen.iter() {
         let own = surface.ceilings[o.view as usize].as_ref().map_or(0, |c| {
             let (x, y) = (o.pixel.x.max(0.0) as usize, o.pixel.y.max(0.0) as usize);
             c[(x.min(c.width - 1), y.min(c.height - 1))]
         });
+        let (held, free) = split(own, o.radiance);
+        (bound, measured) = (bound.max(held), measured.max(free));
         let weight = 1.0 / o.footprint.max(f32::MIN_POSITIVE);
         if own == 0 {
             below += weight;
@@ -196,9 +199,21 @@ fn clipped_bits(
             footprint = footprint.min(o.footprint);
         }
     }
+    // another view, exposed for it, shows as much as the bounds and did not clip it
+    for c in 0..3 {
+        if measured[c] >= bound[c] {
+            bits &= !(1 << c);
+        }
+    }
     // mixed pixels at a lamp's edge are not the lamp's radiance
     let enough = if is_light { at > 0.0 } else { at >= below };
     (if enough { bits } else { 0 }, footprint)
+}
+
+/// The channels of `value` that are clipped, and those that are not; zero elsewhere.
+fn split(bits: u8, value: Vec3) -> (Vec3, Vec3) {
+    let held = where_clipped(bits, value);
+    (held, value - held)
 }
 
 /// Where the sky is at the ceiling, by direction and channel.

@@ -106,7 +106,7 @@ impl ClippedLooks {
 }
 
 /// The channels of `value` that are clipped, the others zero.
-fn where_clipped(bits: u8, value: Vec3) -> Vec3 {
+pub(super) fn where_clipped(bits: u8, value: Vec3) -> Vec3 {
     Vec3::from_array(std::array::from_fn(|c| {
         if (bits >> c) & 1 == 1 { value[c] } else { 0.0 }
     }))
