@@ -13,6 +13,11 @@
 //! L would fall below its bound. Where the shape says nothing, weak priors speak: lights of a kind
 //! are alike, no large class reflects more than nearly all, the brightest is white paint.
 //!
+//! Neighbouring pieces err together (gloss, texture, the bake), so that they tell less than their
+//! number says: each class's rows are worth 1/d of what independent ones would be, with the design
+//! effect d = Σ_blocks (Σ w ψ)² / Σ (w ψ)² of its residuals ψ over blocks of space (Kish, Survey
+//! Sampling, 1965, §8.2), the largest over sizes of block. Stated errors follow from it.
+//!
 //! Called by the pipeline's stage `clipped_light`.
 
 use crate::core::math::luminance;
@@ -20,6 +25,7 @@ use crate::core::parallel::prelude::*;
 use crate::core::stats::median;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
+use std::collections::BTreeMap;
 use std::f32::consts::PI;
 
 /// Least spread of ln L of a class about its model: bakes of few samples and unmodelled gloss leave
@@ -28,8 +34,17 @@ const LEAST_SPREAD: f32 = 0.03;
 /// A residual of this many spreads has a quarter of its weight.
 const NARROW: f32 = 2.0;
 const ITERATIONS: usize = 40;
+/// Fits, each with the design effects of the one before.
+const PASSES: usize = 3;
+/// Blocks per diagonal: from a tenth of a metre in a flat to a whole wall.
+const BLOCKS: [f32; 5] = [64.0, 32.0, 16.0, 8.0, 4.0];
 /// Largest step of ln e per iteration.
 const MOST_STEP: f64 = 0.7;
+/// First guesses of excess over ceiling, and the one to begin with.
+const STEPS: [f64; 12] = [
+    0.03, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0, 8.0, 16.0, 40.0, 120.0, 500.0,
+];
+const MIDDLE: usize = 4;
 /// ln e below and above the ceiling's radiance.
 const RANGE: (f64, f64) = (-5.0, 11.0);
 /// Prior of a kind's mean ln(e/ceiling): lamps are some ten times brighter than white paint beside
@@ -52,8 +67,10 @@ const WHITE: (f64, f64) = (0.82, 0.35);
 pub struct ShadingRow {
     /// Index of its class.
     pub class: usize,
-    /// Area in units in which pieces are independent of each other.
+    /// Area, in any unit.
     pub weight: f32,
+    /// Position in units of the scene's diagonal, each coordinate in \[0, 1\].
+    pub position: Vec3,
     /// Radiance sent out, or the ceiling it is above.
     pub radiance: Vec3,
     /// `radiance` is a lower bound.
@@ -96,34 +113,18 @@ pub fn fit_clipped(rows: &[ShadingRow], groups: &[LightGroup], classes: usize) -
         groups,
         classes,
         share: class_shares(rows, classes),
+        worth: vec![0.0; classes],
     };
+    let middle = problem.guess(&vec![MIDDLE; problem.kinds()]);
+    problem.worth = problem.worths(&problem.state(&middle));
     let mut phi = problem.first_guess();
     if phi.is_empty() {
         return problem.result(&phi, None);
     }
     let mut information = None;
-    for iteration in 0..ITERATIONS {
-        let state = problem.state(&phi);
-        let Normal { a, g } = problem.normal_equations(&phi, &state);
-        let damping = 0.5f64.powi(iteration as i32 / 2);
-        let mut damped = a.clone();
-        for i in 0..phi.len() {
-            damped[(i, i)] *= 1.0 + damping;
-        }
-        information = Some(a);
-        let Some(factor) = damped.cholesky() else {
-            break;
-        };
-        let step = factor.solve(&g);
-        let most = step.amax();
-        let shorten = (MOST_STEP / most.max(1e-12)).min(1.0);
-        for i in 0..phi.len() {
-            phi[i] += step[i] * shorten;
-        }
-        problem.limit(&mut phi);
-        if most < 1e-4 && iteration > 10 {
-            break;
-        }
+    for _ in 0..PASSES {
+        information = problem.descend(&mut phi);
+        problem.worth = problem.worths(&problem.state(&phi));
     }
     problem.result(&phi, information)
 }
@@ -144,6 +145,8 @@ struct Problem<'a> {
     groups: &'a [LightGroup],
     classes: usize,
     share: Vec<f32>,
+    /// Independent rows that a unit of weight of each class is worth.
+    worth: Vec<f32>,
 }
 
 /// Location and spread of every class at some excess.
@@ -162,6 +165,85 @@ struct Normal {
 }
 
 impl Problem<'_> {
+    /// Damped Gauss-Newton steps from `phi`; the information matrix of the last.
+    fn descend(&self, phi: &mut [f64]) -> Option<DMatrix<f64>> {
+        let mut information = None;
+        for iteration in 0..ITERATIONS {
+            let state = self.state(phi);
+            let Normal { a, g } = self.normal_equations(phi, &state);
+            let damping = 0.5f64.powi(iteration as i32 / 2);
+            let mut damped = a.clone();
+            for i in 0..phi.len() {
+                damped[(i, i)] *= 1.0 + damping;
+            }
+            information = Some(a);
+            let Some(factor) = damped.cholesky() else {
+                break;
+            };
+            let step = factor.solve(&g);
+            let most = step.amax();
+            let shorten = (MOST_STEP / most.max(1e-12)).min(1.0);
+            for i in 0..phi.len() {
+                phi[i] += step[i] * shorten;
+            }
+            self.limit(phi);
+            if most < 1e-4 && iteration > 10 {
+                break;
+            }
+        }
+        information
+    }
+
+    /// What a unit of weight of each class is worth, from how its residuals go together.
+    fn worths(&self, state: &State) -> Vec<f32> {
+        let psi: Vec<f64> = (self.rows.par_iter().zip(&state.residual))
+            .map(|(r, residual)| {
+                let off = *residual - state.log_albedo[r.class];
+                let mean = off.element_sum() / 3.0;
+                f64::from(r.weight * robust_weight(off, state.spread[r.class]) * mean)
+            })
+            .collect();
+        let effects: Vec<Vec<f64>> = BLOCKS
+            .par_iter()
+            .map(|&blocks| self.design_effects(&psi, blocks))
+            .collect();
+        let (mut weight, mut square) = (vec![0.0f64; self.classes], vec![0.0f64; self.classes]);
+        for r in self.rows.iter().filter(|r| !r.is_bound) {
+            weight[r.class] += f64::from(r.weight);
+            square[r.class] += f64::from(r.weight).powi(2);
+        }
+        (0..self.classes)
+            .map(|c| {
+                let effect = effects.iter().map(|e| e[c]).fold(1.0, f64::max);
+                // rows of equal weight that tell as much (Kish), less what they have in common
+                (weight[c] / square[c].max(f64::MIN_POSITIVE) / effect) as f32
+            })
+            .collect()
+    }
+
+    /// Variance of the residuals' sums over blocks against that of independent rows, per class.
+    fn design_effects(&self, psi: &[f64], blocks: f32) -> Vec<f64> {
+        let mut sums: BTreeMap<(usize, [i16; 3]), f64> = BTreeMap::new();
+        let mut alone = vec![0.0f64; self.classes];
+        for (r, psi) in self.rows.iter().zip(psi).filter(|(r, _)| !r.is_bound) {
+            let cell = (r.position * blocks).floor().to_array().map(|x| x as i16);
+            *sums.entry((r.class, cell)).or_default() += psi;
+            alone[r.class] += psi * psi;
+        }
+        let (mut together, mut count) = (vec![0.0f64; self.classes], vec![0.0f64; self.classes]);
+        for ((class, _), sum) in sums {
+            together[class] += sum * sum;
+            count[class] += 1.0;
+        }
+        (0..self.classes)
+            .map(|c| {
+                // the class's mean is one of the sums
+                let free = (count[c] - 1.0).max(1.0) / count[c].max(1.0);
+                together[c] / (free * alone[c]).max(f64::MIN_POSITIVE)
+            })
+            .collect()
+    }
+
     /// Kinds of groups: the highest index and one.
     fn kinds(&self) -> usize {
         self.groups.iter().map(|g| g.kind + 1).max().unwrap_or(0)
@@ -192,53 +274,53 @@ impl Problem<'_> {
         f64::from(self.groups[k].ceiling[c].max(1e-9))
     }
 
+    /// Every kind at a step of [`STEPS`].
+    fn guess(&self, choice: &[usize]) -> Vec<f64> {
+        let mut phi: Vec<f64> = (0..self.groups.len())
+            .flat_map(|k| {
+                let step = STEPS[choice[self.groups[k].kind]];
+                (0..3).map(move |c| (k, c, step))
+            })
+            .map(|(k, c, step)| (step * self.ceiling(k, c)).ln())
+            .collect();
+        let means: Vec<f64> = (0..choice.len())
+            .flat_map(|kind| {
+                let first = self.groups.iter().position(|g| g.kind == kind).unwrap_or(0);
+                [0, 1, 2].map(|c| phi[Self::at(first, c)])
+            })
+            .collect();
+        phi.extend(means);
+        phi
+    }
+
     /// The best of a grid of excess over ceiling, one factor for each kind.
     fn first_guess(&self) -> Vec<f64> {
-        const STEPS: [f64; 12] = [
-            0.03, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0, 8.0, 16.0, 40.0, 120.0, 500.0,
-        ];
         let kinds = self.kinds();
-        let mut choice = vec![4usize; kinds];
-        let of = |choice: &[usize]| -> Vec<f64> {
-            let mut phi: Vec<f64> = (0..self.groups.len())
-                .flat_map(|k| {
-                    let step = STEPS[choice[self.groups[k].kind]];
-                    (0..3).map(move |c| (k, c, step))
-                })
-                .map(|(k, c, step)| (step * self.ceiling(k, c)).ln())
-                .collect();
-            let means: Vec<f64> = (0..kinds)
-                .flat_map(|kind| {
-                    let first = self.groups.iter().position(|g| g.kind == kind).unwrap_or(0);
-                    [0, 1, 2].map(|c| phi[Self::at(first, c)])
-                })
-                .collect();
-            phi.extend(means);
-            phi
-        };
+        let mut choice = vec![MIDDLE; kinds];
         // coordinate by coordinate, twice: kinds are few and the score is nearly convex
         for kind in (0..kinds).chain(0..kinds) {
             let scores: Vec<f64> = (0..STEPS.len())
                 .map(|s| {
                     let mut trial = choice.clone();
                     trial[kind] = s;
-                    self.score(&of(&trial))
+                    self.score(&self.guess(&trial))
                 })
                 .collect();
             choice[kind] = (0..STEPS.len())
                 .min_by(|a, b| scores[*a].total_cmp(&scores[*b]))
                 .unwrap_or(0);
         }
-        of(&choice)
+        self.guess(&choice)
     }
 
     /// −ln likelihood up to a constant: Σ weight · ln spread, and the bound on albedo.
     fn score(&self, phi: &[f64]) -> f64 {
         let state = self.state(phi);
-        let total: f64 = self.rows.iter().map(|r| f64::from(r.weight)).sum();
+        let total: f32 = self.rows.iter().map(|r| r.weight).sum();
         (0..self.classes)
             .map(|c| {
-                let fit = f64::from(self.share[c]) * total * f64::from(state.spread[c]).ln();
+                let told = f64::from(self.share[c] * total * self.worth[c]);
+                let fit = told * f64::from(state.spread[c]).ln();
                 let over = f64::from(state.log_albedo[c].max_element()) - MOST_ALBEDO.ln();
                 let bound = if self.share[c] > LARGE {
                     0.5 * (over.max(0.0) / SOFTNESS).powi(2)
@@ -349,7 +431,8 @@ impl Problem<'_> {
                 let counts = !r.is_bound || off[c] > 0.0;
                 let weight = if counts {
                     // the channels of a piece err together: each has a third of what it tells
-                    r.weight * robust_weight(off, spread) / (3.0 * spread * spread)
+                    self.worth[r.class] * r.weight * robust_weight(off, spread)
+                        / (3.0 * spread * spread)
                 } else {
                     0.0
                 };
@@ -480,7 +563,7 @@ impl Problem<'_> {
     }
 
     /// Keeps ln e within its range about the ceiling.
-    fn limit(&mut self, phi: &mut [f64]) {
+    fn limit(&self, phi: &mut [f64]) {
         for k in 0..self.groups.len() {
             for c in 0..3 {
                 let at = self.ceiling(k, c).ln();
@@ -572,6 +655,7 @@ mod tests {
                 ShadingRow {
                     class: i % 3,
                     weight: 0.1,
+                    position: Vec3::new(x, y, 0.0),
                     radiance: total * albedo * (noise / PI),
                     is_bound: false,
                     base,

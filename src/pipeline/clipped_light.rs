@@ -36,9 +36,6 @@ const RAYS: u32 = 48;
 const LIGHT_SAMPLES: u32 = 32;
 /// Pieces of surface that enter the fit.
 const ROWS: usize = 50_000;
-/// Shading and paint are independent from piece to piece of this size, a share of the scene's
-/// diagonal: half a metre in a flat.
-const INDEPENDENT: f32 = 0.05;
 /// Clipped texels closer than this share of the diagonal are one light.
 const GAP: f32 = 0.02;
 /// Groups on surfaces at most; the weakest are joined.
@@ -639,14 +636,15 @@ impl<'s, 'a> Restorer<'s, 'a> {
             })
             .collect();
         let (lo, hi) = mesh.bounds();
-        let piece = (INDEPENDENT * (hi - lo).length()).powi(2);
+        let diagonal = (hi - lo).length().max(f32::MIN_POSITIVE);
         let stride = useful.len().div_ceil(ROWS).max(1);
         useful
             .par_iter()
             .step_by(stride)
             .map(|&i| ShadingRow {
                 class: usize::from(self.class[i]),
-                weight: self.area(i) * stride as f32 / piece,
+                weight: self.area(i),
+                position: (surface.texels.position(mesh, i) - lo) / diagonal,
                 radiance: if self.clipped.bits[i] != 0 {
                     surface.fusion.peak[i]
                 } else {
