@@ -77,6 +77,13 @@ impl Apartment {
         out
     }
 
+    /// Papers every wall.
+    pub fn paper_walls(&mut self) {
+        for chart in self.charts.iter().filter(|c| c.finish.class == WALL) {
+            self.paints[chart.finish.material].make_wallpaper();
+        }
+    }
+
     /// Whether a standing camera has at least `clearance` metres to walls and furniture.
     #[must_use]
     pub fn is_free(&self, room: usize, p: Vec2, clearance: f32) -> bool {

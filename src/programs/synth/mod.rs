@@ -109,6 +109,9 @@ impl Built {
                 .iter_mut()
                 .for_each(pattern::Paint::make_matte);
         }
+        if options.wallpaper {
+            apartment.paper_walls();
+        }
         let atlas = atlas::Atlas::pack(&apartment.charts, options.texture)
             .ok_or_else(|| does_not_fit(&apartment, options))?;
         let mesh = atlas.mesh(&apartment.charts);

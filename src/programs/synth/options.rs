@@ -41,6 +41,9 @@ pub struct SynthOptions {
     /// Give every surface roughness 1: a room without any highlight.
     #[arg(long, help_heading = "Synthetic scene")]
     pub diffuse: bool,
+    /// Paper the walls: a pale pattern that covers a tenth of them.
+    #[arg(long, help_heading = "Synthetic scene")]
+    pub wallpaper: bool,
     /// Also write the truth as a solution, gt/solution, for `unbake relight OUT --against`.
     #[arg(long, help_heading = "Synthetic scene")]
     pub truth: bool,
@@ -59,6 +62,7 @@ impl Default for SynthOptions {
             no_denoise: false,
             full_paths: false,
             diffuse: false,
+            wallpaper: false,
             truth: false,
         }
     }

@@ -41,6 +41,13 @@ pub enum Pattern {
     Rug,
     /// Every chart its own colour between the two.
     Assorted,
+    /// Wallpaper: sprigs that cover little of an even ground.
+    Sprigs {
+        /// Distance between sprigs, metres.
+        spacing: f32,
+        /// How far their albedo is from the ground's towards the second colour.
+        contrast: f32,
+    },
 }
 
 /// A material of the apartment.
@@ -93,6 +100,15 @@ impl Paint {
         }
     }
 
+    /// Papers a wall: sprigs a third of the way from the ground to a fixed dull green.
+    pub const fn make_wallpaper(&mut self) {
+        self.pattern = Pattern::Sprigs {
+            spacing: 0.16,
+            contrast: 0.35,
+        };
+        self.colours[1] = Vec3::new(0.25, 0.32, 0.22);
+    }
+
     /// The look at `uv` metres on chart `key` of the given size.
     #[must_use]
     pub fn look(&self, uv: Vec2, size: Vec2, key: u64) -> Look {
@@ -124,6 +140,9 @@ impl Paint {
             Pattern::Picture => picture(uv / size, key),
             Pattern::Rug => self.rug(uv, size, key),
             Pattern::Assorted => a.lerp(b, unit(key, 5, 5)) * (0.4 + 0.6 * vivid(key)) * 1.4,
+            Pattern::Sprigs { spacing, contrast } => {
+                a.lerp(b, contrast * sprigs(uv / spacing, key)) * (0.98 + 0.03 * fractal(key, uv))
+            }
         };
         let roughness = match self.pattern {
             Pattern::Tiles {
@@ -178,6 +197,25 @@ impl Paint {
     }
 }
 
+/// How far a point lies in a sprig, 0 to 1: in every other unit square a stalk with two leaves, a
+/// tenth of the ground in all.
+fn sprigs(p: Vec2, key: u64) -> f32 {
+    let cell = p.floor();
+    if (cell.x + cell.y).rem_euclid(2.0) < 0.5 {
+        return 0.0;
+    }
+    let q = p - cell - Vec2::splat(0.5);
+    let angle = 0.6 * (unit(key, cell.x as i64, cell.y as i64) - 0.5);
+    let q = Vec2::from_angle(angle).rotate(q);
+    let stalk = 0.03 - q.x.abs().max(q.y.abs() - 0.35);
+    let leaf = |side: f32| {
+        let d = Vec2::from_angle(side * 0.7).rotate(q - Vec2::new(side * 0.16, 0.1));
+        0.17 - (d * Vec2::new(2.2, 1.0)).length()
+    };
+    let inside = stalk.max(leaf(1.0)).max(leaf(-1.0));
+    (inside / 0.02 + 0.5).clamp(0.0, 1.0)
+}
+
 /// Whether `uv` lies in the grout between square tiles of the given edge.
 fn in_grout(uv: Vec2, edge: f32) -> bool {
     let p = uv / edge;
@@ -223,6 +261,10 @@ mod tests {
             Pattern::Picture,
             Pattern::Rug,
             Pattern::Assorted,
+            Pattern::Sprigs {
+                spacing: 0.2,
+                contrast: 0.5,
+            },
         ];
         for pattern in patterns {
             let paint = Paint {
