@@ -14,18 +14,16 @@
 //! are alike, no large class reflects more than nearly all, the brightest is white paint.
 //!
 //! Neighbouring pieces err together (gloss, texture, the bake), so that they tell less than their
-//! number says: each class's rows are worth 1/d of what independent ones would be, with the design
-//! effect d = Σ_blocks (Σ w ψ)² / Σ (w ψ)² of its residuals ψ over blocks of space (Kish, Survey
-//! Sampling, 1965, §8.2), the largest over sizes of block. Stated errors follow from it.
+//! number says: each class's rows are worth 1/d of what independent ones would be, d being the
+//! [`design_effect`] of its residuals. Stated errors follow from it.
 //!
 //! Called by the pipeline's stage `clipped_light`.
 
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::median;
+use crate::core::stats::{design_effect, median};
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
-use std::collections::BTreeMap;
 use std::f32::consts::PI;
 
 /// Least spread of ln L of a class about its model: bakes of few samples and unmodelled gloss leave
@@ -36,8 +34,6 @@ const NARROW: f32 = 2.0;
 const ITERATIONS: usize = 40;
 /// Fits, each with the design effects of the one before.
 const PASSES: usize = 3;
-/// Blocks per diagonal: from a tenth of a metre in a flat to a whole wall.
-const BLOCKS: [f32; 5] = [64.0, 32.0, 16.0, 8.0, 4.0];
 /// Largest step of ln e per iteration.
 const MOST_STEP: f64 = 0.7;
 /// First guesses of excess over ceiling, and the one to begin with.
@@ -69,7 +65,7 @@ pub struct ShadingRow {
     pub class: usize,
     /// Area, in any unit.
     pub weight: f32,
-    /// Position in units of the scene's diagonal, each coordinate in \[0, 1\].
+    /// Position, in any unit.
     pub position: Vec3,
     /// Radiance sent out, or the ceiling it is above.
     pub radiance: Vec3,
@@ -196,52 +192,33 @@ impl Problem<'_> {
 
     /// What a unit of weight of each class is worth, from how its residuals go together.
     fn worths(&self, state: &State) -> Vec<f32> {
-        let psi: Vec<f64> = (self.rows.par_iter().zip(&state.residual))
-            .map(|(r, residual)| {
-                let off = *residual - state.log_albedo[r.class];
-                let mean = off.element_sum() / 3.0;
-                f64::from(r.weight * robust_weight(off, state.spread[r.class]) * mean)
-            })
-            .collect();
-        let effects: Vec<Vec<f64>> = BLOCKS
-            .par_iter()
-            .map(|&blocks| self.design_effects(&psi, blocks))
-            .collect();
-        let (mut weight, mut square) = (vec![0.0f64; self.classes], vec![0.0f64; self.classes]);
-        for r in self.rows.iter().filter(|r| !r.is_bound) {
-            weight[r.class] += f64::from(r.weight);
-            square[r.class] += f64::from(r.weight).powi(2);
+        let mut members: Vec<Vec<usize>> = vec![Vec::new(); self.classes];
+        for (i, r) in self.rows.iter().enumerate().filter(|(_, r)| !r.is_bound) {
+            members[r.class].push(i);
         }
-        (0..self.classes)
-            .map(|c| {
-                let effect = effects.iter().map(|e| e[c]).fold(1.0, f64::max);
-                // rows of equal weight that tell as much (Kish), less what they have in common
-                (weight[c] / square[c].max(f64::MIN_POSITIVE) / effect) as f32
-            })
+        members
+            .par_iter()
+            .enumerate()
+            .map(|(class, members)| self.worth_of(class, members, state))
             .collect()
     }
 
-    /// Variance of the residuals' sums over blocks against that of independent rows, per class.
-    fn design_effects(&self, psi: &[f64], blocks: f32) -> Vec<f64> {
-        let mut sums: BTreeMap<(usize, [i16; 3]), f64> = BTreeMap::new();
-        let mut alone = vec![0.0f64; self.classes];
-        for (r, psi) in self.rows.iter().zip(psi).filter(|(r, _)| !r.is_bound) {
-            let cell = (r.position * blocks).floor().to_array().map(|x| x as i16);
-            *sums.entry((r.class, cell)).or_default() += psi;
-            alone[r.class] += psi * psi;
-        }
-        let (mut together, mut count) = (vec![0.0f64; self.classes], vec![0.0f64; self.classes]);
-        for ((class, _), sum) in sums {
-            together[class] += sum * sum;
-            count[class] += 1.0;
-        }
-        (0..self.classes)
-            .map(|c| {
-                // the class's mean is one of the sums
-                let free = (count[c] - 1.0).max(1.0) / count[c].max(1.0);
-                together[c] / (free * alone[c]).max(f64::MIN_POSITIVE)
+    fn worth_of(&self, class: usize, members: &[usize], state: &State) -> f32 {
+        let off = |i: usize| state.residual[i] - state.log_albedo[class];
+        let values: Vec<f64> = (members.iter())
+            .map(|&i| {
+                let weight = self.rows[i].weight * robust_weight(off(i), state.spread[class]);
+                f64::from(weight * off(i).element_sum() / 3.0)
             })
-            .collect()
+            .collect();
+        let places: Vec<Vec3> = members.iter().map(|&i| self.rows[i].position).collect();
+        let (mut weight, mut square) = (0.0f64, 0.0f64);
+        for &i in members {
+            weight += f64::from(self.rows[i].weight);
+            square += f64::from(self.rows[i].weight).powi(2);
+        }
+        // rows of equal weight that tell as much (Kish), less what they have in common
+        (weight / square.max(f64::MIN_POSITIVE) / design_effect(&places, &values)) as f32
     }
 
     /// Kinds of groups: the highest index and one.

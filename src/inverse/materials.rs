@@ -361,6 +361,10 @@ fn explained(class: u16, sides: &[Disagreement]) -> Option<Explained> {
     let together = Disagreement {
         levels: sides[0].levels,
         rows: sides.iter().flat_map(|s| s.rows.iter().cloned()).collect(),
+        places: sides
+            .iter()
+            .flat_map(|s| s.places.iter().copied())
+            .collect(),
     };
     let together = held_out(&together);
     if together <= 0.0 {

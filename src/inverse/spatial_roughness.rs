@@ -100,6 +100,7 @@ pub(super) fn by_place(
                 &Disagreement {
                     levels: table.levels,
                     rows,
+                    places: near.iter().map(|&k| table.places[k as usize]).collect(),
                 },
             );
             (
@@ -233,6 +234,7 @@ mod tests {
         let table = |rows| Disagreement {
             levels: &LEVELS,
             rows,
+            places: positions.clone(),
         };
         (positions.clone(), table(both), halves.map(table))
     }

@@ -29,6 +29,8 @@ pub(super) struct Disagreement<'a> {
     pub(super) levels: &'a [f32],
     /// Per point and level.
     pub(super) rows: Vec<Row>,
+    /// Where the points lie.
+    pub(super) places: Vec<Vec3>,
 }
 
 impl<'a> Disagreement<'a> {
@@ -63,21 +65,23 @@ impl<'a> Disagreement<'a> {
         Self {
             levels: &evidence.levels,
             rows: points.par_iter().map(row).collect(),
+            places: points
+                .iter()
+                .map(|&i| evidence.points[i].position)
+                .collect(),
         }
     }
 
     /// That of the points for which `keep(k)` is true, `k` counting them.
     pub(super) fn of_points(&self, keep: impl Fn(usize) -> bool) -> Self {
-        let rows = self
-            .rows
-            .iter()
-            .enumerate()
+        let (rows, places) = (self.rows.iter().zip(&self.places).enumerate())
             .filter(|(k, _)| keep(*k))
-            .map(|(_, r)| r.clone())
-            .collect();
+            .map(|(_, (row, place))| (row.clone(), *place))
+            .unzip();
         Self {
             levels: self.levels,
             rows,
+            places,
         }
     }
 

@@ -635,8 +635,6 @@ impl<'s, 'a> Restorer<'s, 'a> {
                     && (surface.labels[i] != 0 || self.classes == 1)
             })
             .collect();
-        let (lo, hi) = mesh.bounds();
-        let diagonal = (hi - lo).length().max(f32::MIN_POSITIVE);
         let stride = useful.len().div_ceil(ROWS).max(1);
         useful
             .par_iter()
@@ -644,7 +642,7 @@ impl<'s, 'a> Restorer<'s, 'a> {
             .map(|&i| ShadingRow {
                 class: usize::from(self.class[i]),
                 weight: self.area(i),
-                position: (surface.texels.position(mesh, i) - lo) / diagonal,
+                position: surface.texels.position(mesh, i),
                 radiance: if self.clipped.bits[i] != 0 {
                     surface.fusion.peak[i]
                 } else {

@@ -1,5 +1,9 @@
 //! Robust statistics that several stages share.
 
+mod design_effect;
+
+pub use design_effect::design_effect;
+
 /// Index of the weighted median among (value, weight) pairs: the smallest value at which the
 /// weights up to it reach half of their sum. `None` for an empty list. Weights are ≥ 0; if all are
 /// 0, the smallest value is the median. NaN values count as largest.
