@@ -12,6 +12,7 @@
 use super::AlbedoEstimate;
 use super::flat_surface::FlatSurface;
 use super::palette_detail::kept_details;
+use super::palette_look::Look;
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
@@ -36,9 +37,6 @@ const LEAST_ERROR: f32 = 0.05;
 const MOST_CLEAN_ERROR: f32 = 0.15;
 /// Relative error added where no view sees a texel clean.
 const EDGE_ERROR: f32 = 0.1;
-/// Error of a colour's hue and saturation relative to that of its luminance: light errs in
-/// brightness rather than in colour.
-const CHROMA: f32 = 0.4;
 /// A class has at most this many colours, each of at least this share of its clean texels, and
 /// together this share.
 const MOST_COLOURS: usize = 6;
@@ -358,37 +356,6 @@ struct Neighbours {
     texels: f32,
     sum: Vec3,
     colours: [f32; MOST_COLOURS],
-}
-
-/// ln albedo and its standard error in luminance.
-#[derive(Clone, Copy)]
-pub(super) struct Look {
-    pub(super) log: Vec3,
-    pub(super) error: f32,
-}
-
-impl Look {
-    pub(super) const fn at(log: Vec3, error: f32) -> Self {
-        Self { log, error }
-    }
-
-    /// Squared distance to a colour in standard errors.
-    pub(super) fn distance2(&self, log: Vec3) -> f32 {
-        let d = self.log - log;
-        let bright = d.element_sum() / 3.0;
-        let hue = d - Vec3::splat(bright);
-        (bright * bright + hue.length_squared() / (CHROMA * CHROMA)) / (self.error * self.error)
-    }
-
-    /// Density of looks at this distance: Gaussian, of unit mass over (ln albedo)³.
-    pub(super) fn density(&self, distance2: f32) -> f32 {
-        let volume = (2.0 * std::f32::consts::PI).powf(1.5)
-            * 3f32.sqrt()
-            * CHROMA
-            * CHROMA
-            * self.error.powi(3);
-        (-0.5 * distance2).exp() / volume
-    }
 }
 
 /// Which of the colours, as ln albedo, a look is nearest to, if it may be it.

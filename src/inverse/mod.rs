@@ -13,6 +13,7 @@ mod group_fit;
 mod materials;
 mod mixed_pixels;
 mod palette_detail;
+mod palette_look;
 mod reflectance;
 mod robust_cg;
 mod roughness;

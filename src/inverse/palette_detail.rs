@@ -8,16 +8,16 @@
 //! Laird and Rubin 1977). What is kept of d is its posterior share of pattern: nothing of ordinary
 //! noise, all of what stands out far, in hue above all, in which light errs least.
 
-use super::albedo_palette::Look;
 use super::flat_surface::FlatSurface;
+use super::palette_look::Look;
 use crate::core::parallel::prelude::*;
 use crate::core::stats::{median, passing_weight};
 use glam::Vec3;
 use std::collections::BTreeMap;
 
 /// The level around a texel is that of 81 texels in a square of this share of the atlas, and of so
-/// many cells at least, to either side: light varies over more, patterns over less (measured: lab
-/// notes on patterns).
+/// many cells at least, to either side: light varies over more, patterns over less (measured:
+/// docs/lab/albedo.md).
 const AROUND: usize = 128;
 const LEAST_AROUND: usize = 8;
 const SAMPLES: i64 = 4;
@@ -27,8 +27,8 @@ const ENOUGH: usize = 27;
 const FLAT: i64 = 4;
 /// Noise of a class is known from so many texels.
 const FEWEST: usize = 200;
-/// Scale of a pattern over that of the noise from which it is one. Derived: of noise with tails, of
-/// Student's t with five degrees of freedom, the wider part comes out 2 to 2.5 times as wide.
+/// Scale of a pattern over that of the noise from which it is one. Measured: noise with tails gives
+/// 2.0 to 3.2 on plain paint of four scenes, pale sprigs 4.4 (docs/lab/albedo.md).
 const DISTINCT: f64 = 4.0;
 /// Rounds of expectation maximisation: the share moves by less than a percent of itself after ten.
 const ROUNDS: usize = 15;
