@@ -54,16 +54,16 @@ fn plateau(image: &RgbPlane) -> Option<[f32; 3]> {
         .filter(|p| (0..3).any(|c| p[c] >= ceiling[c]))
         .copied()
         .collect();
+    if clipped.is_empty() || clipped.len() as f32 > SHARES.1 * n as f32 {
+        return None;
+    }
     let usual = Vec3::from_array([0, 1, 2].map(|c| {
         let values = clipped.iter().map(|p| p[c]).collect();
         median(values).unwrap_or(0.0)
     }));
     let other = |p: &Vec3| (*p - usual).abs().cmpgt(usual * CLEARLY).any();
     let others = clipped.iter().filter(|p| other(p)).count();
-    let any = clipped.len();
-    let plausible =
-        any > 0 && any as f32 <= SHARES.1 * n as f32 && others as f32 >= PARTIAL * any as f32;
-    plausible.then_some(ceiling)
+    (others as f32 >= PARTIAL * clipped.len() as f32).then_some(ceiling)
 }
 
 #[cfg(test)]

@@ -118,9 +118,11 @@ pub fn fit_clipped(rows: &[ShadingRow], groups: &[LightGroup], classes: usize) -
         return problem.result(&phi, None);
     }
     let mut information = None;
-    for _ in 0..PASSES {
+    for pass in 0..PASSES {
+        if pass > 0 {
+            problem.worth = problem.worths(&problem.state(&phi));
+        }
         information = problem.descend(&mut phi);
-        problem.worth = problem.worths(&problem.state(&phi));
     }
     problem.result(&phi, information)
 }

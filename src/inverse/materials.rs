@@ -148,15 +148,10 @@ impl Materials {
                 let mut divisions = weighed(by_colour, by_room, least);
                 let rest = 1.0 - divisions.iter().map(|d| f64::from(d.0)).sum::<f64>();
                 if rest > LEAST_WEIGHT {
-                    let positions: Vec<Vec3> = points
-                        .iter()
-                        .map(|&i| evidence.points[i].position)
-                        .collect();
                     let halves =
                         [0, 1].map(|half| Disagreement::of_half(evidence, model, points, half));
                     let least = least + PLACE_GAIN - SPLIT_GAIN;
-                    let field =
-                        spatial_roughness::by_place(&whole, &positions, &table, &halves, least);
+                    let field = spatial_roughness::by_place(&whole, &table, &halves, least);
                     divisions.extend(field.map(|(field, gain)| {
                         let weight = rest * passing_weight(gain, least);
                         (weight as f32, ClassSplit::Place(field))

@@ -62,32 +62,28 @@ impl Field {
 
 /// The roughness from place to place of the class `whole`, and what share of one half of the views'
 /// disagreement it explains if it is found from the other half; `None` if that does not
-/// come near `least`. `table` and `halves` hold the disagreement at the same `positions`: of all views, and
+/// come near `least`. `table` and `halves` hold the disagreement at the same places: of all views, and
 /// of either half (zero where a half has not two views).
 pub(super) fn by_place(
     whole: &GroupFit,
-    positions: &[Vec3],
     table: &Disagreement,
     halves: &[Disagreement; 2],
     least: f64,
 ) -> Option<(Field, f64)> {
     let told = |k: usize| halves.iter().all(|h| h.rows[k].iter().any(|d| *d != 0.0));
-    let judged: Vec<Vec3> = (0..positions.len())
-        .filter(|&k| told(k))
-        .map(|k| positions[k])
-        .collect();
+    let judges = [0, 1].map(|half: usize| halves[half].of_points(told));
+    let judged = &judges[0].places;
     if judged.len() < FEWEST * AROUND {
         return None;
     }
-    let judges = [0, 1].map(|half: usize| halves[half].of_points(told));
-    let around = neighbours(&judged);
+    let around = neighbours(judged);
     let gains = STRENGTHS.map(|strength| gain(&judges, &around, strength));
     let (strength, gain) = STRENGTHS
         .into_iter()
         .zip(gains)
         .max_by(|a, b| a.1.total_cmp(&b.1))
         .filter(|(_, gain)| *gain > least_passing(least))?;
-    let around = neighbours(positions);
+    let around = neighbours(&table.places);
     let own: Vec<(f32, f32)> = around
         .par_iter()
         .map(|near| {
@@ -119,7 +115,8 @@ pub(super) fn by_place(
         .sum::<f32>()
         / own.len() as f32;
     let at_most = spread.sqrt().hypot(whole.error);
-    let spots = positions
+    let spots = table
+        .places
         .iter()
         .zip(own)
         .map(|(p, (r, error))| Spot::new(p.to_array(), (r, error.min(at_most))))
@@ -210,7 +207,7 @@ mod tests {
     fn strip(
         noise: f64,
         of: impl Fn(f32) -> f32,
-    ) -> (Vec<Vec3>, Disagreement<'static>, [Disagreement<'static>; 2]) {
+    ) -> (Disagreement<'static>, [Disagreement<'static>; 2]) {
         let mut rng = KeyedRng::new(9, 4);
         let positions: Vec<Vec3> = (0..1200)
             .map(|_| Vec3::new(4.0 * rng.next_f32(), 0.3 * rng.next_f32(), 0.0))
@@ -236,21 +233,15 @@ mod tests {
             rows,
             places: positions.clone(),
         };
-        (positions.clone(), table(both), halves.map(table))
+        (table(both), halves.map(table))
     }
 
     #[test]
     fn wear_along_a_strip_is_found_and_evenness_stays_even() {
         let worn = |x: f32| 0.2 + 0.15 * x;
-        let (positions, table, halves) = strip(0.4, worn);
-        let (field, gain) = by_place(
-            &fit(1, &table),
-            &positions,
-            &table,
-            &halves,
-            f64::NEG_INFINITY,
-        )
-        .expect("points enough");
+        let (table, halves) = strip(0.4, worn);
+        let (field, gain) =
+            by_place(&fit(1, &table), &table, &halves, f64::NEG_INFINITY).expect("points enough");
         assert!(gain > 0.15, "{gain}");
         let mut last = 0.0;
         for x in [0.3, 1.0, 2.0, 3.0, 3.7] {
@@ -263,40 +254,27 @@ mod tests {
         }
         let [low, high] = field.range();
         assert!(low < 0.3 && high > 0.7, "{low} {high}");
-        let (positions, table, halves) = strip(0.4, |_| 0.5);
-        let (field, gain) = by_place(
-            &fit(1, &table),
-            &positions,
-            &table,
-            &halves,
-            f64::NEG_INFINITY,
-        )
-        .expect("points enough");
+        let (table, halves) = strip(0.4, |_| 0.5);
+        let (field, gain) =
+            by_place(&fit(1, &table), &table, &halves, f64::NEG_INFINITY).expect("points enough");
         assert!(gain < 0.02, "{gain}");
         assert!((field.at(Vec3::X).0 - 0.5).abs() < 0.05);
     }
 
     #[test]
     fn what_one_half_of_the_views_says_and_the_other_denies_explains_nothing() {
-        let (positions, table, _) = strip(0.0, |x| 0.2 + 0.15 * x);
-        let (_, _, [one, _]) = strip(0.0, |x| 0.2 + 0.15 * x);
-        let (_, _, [_, other]) = strip(0.0, |x| 0.8 - 0.15 * x);
-        let (_, gain) = by_place(
-            &fit(1, &table),
-            &positions,
-            &table,
-            &[one, other],
-            f64::NEG_INFINITY,
-        )
-        .expect("points enough");
+        let (table, _) = strip(0.0, |x| 0.2 + 0.15 * x);
+        let (_, [one, _]) = strip(0.0, |x| 0.2 + 0.15 * x);
+        let (_, [_, other]) = strip(0.0, |x| 0.8 - 0.15 * x);
+        let (_, gain) = by_place(&fit(1, &table), &table, &[one, other], f64::NEG_INFINITY)
+            .expect("points enough");
         assert!(gain < 0.0, "{gain}");
         let few = |t: &Disagreement<'static>| t.of_points(|k| k < 300);
-        let (_, table, halves) = strip(0.0, |_| 0.5);
+        let (table, halves) = strip(0.0, |_| 0.5);
         let few_halves = [few(&halves[0]), few(&halves[1])];
         assert!(
             by_place(
                 &fit(1, &table),
-                &positions[..300],
                 &few(&table),
                 &few_halves,
                 f64::NEG_INFINITY

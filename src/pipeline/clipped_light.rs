@@ -8,7 +8,8 @@
 //! the masks are such as an unclipped camera would have left them, and all later stages are the
 //! same. Nothing happens where no pixel is clipped.
 
-use super::clipped_looks::{ClippedLooks, Restored, SECTORS, sector, where_clipped};
+use super::clipped_looks::{ClippedLooks, Restored, SECTORS, sector};
+use super::clipped_texels::ClippedTexels;
 use super::light::{first_radiance, known_lights, light_field, texture_of, trusted_radiance};
 use super::{SolveOptions, Switch};
 use crate::core::image::RgbPlane;
@@ -17,7 +18,6 @@ use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::stats::median;
 use crate::core::texture::Texels;
-use crate::gbuffer::Observation;
 use crate::inverse::{ClippedFit, LightGroup, ShadingRow, fit_clipped};
 use crate::irradiance::{IrradianceOptions, bake_irradiance};
 use crate::lights::Emitters;
@@ -86,17 +86,6 @@ pub(super) struct FoundLight {
     pub(super) emits: bool,
 }
 
-/// Texels at the ceiling.
-struct Clipped {
-    /// Channels at the ceiling, one bit each, per texel; 0 = not clipped.
-    bits: Vec<u8>,
-    /// Side of the sharpest clipped pixel's footprint, metres; infinite where none.
-    footprint: Vec<f32>,
-    /// Indicator of the clipped sky per channel, and whether there is any.
-    sky: RgbPlane,
-    has_sky: bool,
-}
-
 /// Restores the clipped light of `surface`; `None` if nothing is clipped.
 pub(super) fn restore_clipped_light(
     surface: &mut Surface,
@@ -107,7 +96,7 @@ pub(super) fn restore_clipped_light(
         return None;
     }
     progress.stage("clipped light", ROUNDS as u64, |p| {
-        let clipped = Clipped::find(surface, options);
+        let clipped = ClippedTexels::find(surface, options);
         let mut restorer = Restorer::new(surface, &clipped, options);
         let mut fit = ClippedFit::default();
         for round in 0..ROUNDS {
@@ -136,105 +125,6 @@ pub(super) fn restore_clipped_light(
     })
 }
 
-impl Clipped {
-    fn find(surface: &mut Surface, options: &SolveOptions) -> Self {
-        let lights: Vec<u16> = (surface.scene.classes.iter().filter(|c| c.is_light))
-            .map(|c| c.id)
-            .collect();
-        let (bits, footprint) = (0..surface.texels.len())
-            .into_par_iter()
-            .map_init(Vec::new, |seen, i| {
-                let is_light = lights.contains(&surface.labels[i]);
-                clipped_bits(surface, i, is_light, seen)
-            })
-            .unzip();
-        let (sky, has_sky) = clipped_sky(surface, options);
-        Self {
-            bits,
-            footprint,
-            sky,
-            has_sky,
-        }
-    }
-}
-
-/// Channels in which texel `i` is at the ceiling in most looks at it, and the footprint of the
-/// sharpest of those.
-fn clipped_bits(
-    surface: &Surface,
-    i: usize,
-    is_light: bool,
-    seen: &mut Vec<Observation>,
-) -> (u8, f32) {
-    let f = &surface.fusion;
-    if f.clean[i] || f.views[i] == 0 {
-        return (0, f32::INFINITY);
-    }
-    let t = surface.texels.point[i].triangle as usize;
-    let normal = surface.scene.mesh.face_normal(t) * surface.orientation.sign(t);
-    surface.observer().observe(
-        surface.texels.position(&surface.scene.mesh, i),
-        normal,
-        seen,
-    );
-    let (mut bits, mut at, mut below) = (0u8, 0.0f32, 0.0f32);
-    let (mut bound, mut measured) = (Vec3::ZERO, Vec3::ZERO);
-    let mut footprint = f32::INFINITY;
-    for o in seen.iter() {
-        let own = surface.ceilings[o.view as usize].as_ref().map_or(0, |c| {
-            let (x, y) = (o.pixel.x.max(0.0) as usize, o.pixel.y.max(0.0) as usize);
-            c[(x.min(c.width - 1), y.min(c.height - 1))]
-        });
-        let (held, free) = split(own, o.radiance);
-        (bound, measured) = (bound.max(held), measured.max(free));
-        let weight = 1.0 / o.footprint.max(f32::MIN_POSITIVE);
-        if own == 0 {
-            below += weight;
-        } else {
-            at += weight;
-            bits |= own;
-            footprint = footprint.min(o.footprint);
-        }
-    }
-    // another view, exposed for it, shows as much as the bounds and did not clip it
-    for c in 0..3 {
-        if measured[c] >= bound[c] {
-            bits &= !(1 << c);
-        }
-    }
-    // mixed pixels at a lamp's edge are not the lamp's radiance
-    let enough = if is_light { at > 0.0 } else { at >= below };
-    (if enough { bits } else { 0 }, footprint)
-}
-
-/// The channels of `value` that are clipped, and those that are not; zero elsewhere.
-fn split(bits: u8, value: Vec3) -> (Vec3, Vec3) {
-    let held = where_clipped(bits, value);
-    (held, value - held)
-}
-
-/// Where the sky is at the ceiling, by direction and channel.
-fn clipped_sky(surface: &mut Surface, options: &SolveOptions) -> (RgbPlane, bool) {
-    let black = || (Environment::black().map().clone(), false);
-    if options.environment == Switch::Off {
-        return black();
-    }
-    let mut kept = Vec::with_capacity(surface.views.len());
-    for (view, ceiling) in surface.views.iter_mut().zip(&surface.ceilings) {
-        let marks = match ceiling {
-            Some(c) => c.map(|b| Vec3::from_array([0, 1, 2].map(|k| f32::from((b >> k) & 1)))),
-            None => view.radiance.map(|_| Vec3::ZERO),
-        };
-        kept.push(std::mem::replace(&mut view.radiance, marks));
-    }
-    let marks = Environment::observe(&surface.views);
-    for (view, radiance) in surface.views.iter_mut().zip(kept) {
-        view.radiance = radiance;
-    }
-    let has_sky = !marks.is_black();
-    (marks.map().clone(), has_sky)
-}
-
 /// Unit direction of pixel `i` of an environment map.
 fn map_direction(map: &RgbPlane, i: usize) -> Vec3 {
     let (x, y) = ((i % map.width) as f32 + 0.5, (i / map.width) as f32 + 0.5);
@@ -249,7 +139,7 @@ fn map_direction(map: &RgbPlane, i: usize) -> Vec3 {
 
 struct Restorer<'s, 'a> {
     surface: &'s Surface<'a>,
-    clipped: &'s Clipped,
+    clipped: &'s ClippedTexels,
     options: &'s SolveOptions,
     known: Vec<bool>,
     environment: Environment,
@@ -268,7 +158,11 @@ struct Restorer<'s, 'a> {
 }
 
 impl<'s, 'a> Restorer<'s, 'a> {
-    fn new(surface: &'s Surface<'a>, clipped: &'s Clipped, options: &'s SolveOptions) -> Self {
+    fn new(
+        surface: &'s Surface<'a>,
+        clipped: &'s ClippedTexels,
+        options: &'s SolveOptions,
+    ) -> Self {
         let known = known_lights(surface, options);
         let mut ids: Vec<u16> = surface.labels.clone();
         ids.sort_unstable();

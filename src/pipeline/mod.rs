@@ -5,6 +5,7 @@ mod assemble;
 mod checkpoint;
 mod clipped_light;
 mod clipped_looks;
+mod clipped_texels;
 mod decisions;
 mod energy_balance;
 mod findings;
