@@ -143,6 +143,8 @@ pub struct Findings {
     pub stated_error: f64,
     /// Relative standard deviation of the views about what they share, exposure taken out.
     pub disagreement: f64,
+    /// Relative scatter of albedo that no cause accounts for and every texel states.
+    pub unexplained: f64,
     /// Classes whose looks disagree most.
     pub disagreement_place: String,
     /// Share of the surface that no view sees.
@@ -248,12 +250,12 @@ impl Findings {
 
     /// What concerns the whole, and adds to every texel's error.
     fn global_reasons(&self) -> Vec<Reason> {
-        let excess = (self.disagreement.powi(2) - USUAL_SPREAD.powi(2))
-            .max(0.0)
-            .sqrt();
+        // views that disagree about one surface make one paint scatter: texels state that already
+        let stated = self.unexplained.max(USUAL_SPREAD);
+        let excess = (self.disagreement.powi(2) - stated.powi(2)).max(0.0).sqrt();
         let mut reasons = vec![Reason {
             what: format!(
-                "photographs of one place disagree by {:.0} %, {:.0} % beyond the usual: poses, mesh or exposure",
+                "photographs of one place disagree by {:.0} %, {:.0} % beyond what texels state: poses, mesh or exposure",
                 100.0 * self.disagreement,
                 100.0 * excess
             ),
@@ -353,6 +355,22 @@ mod tests {
         assert_eq!(v.level, Level::Good);
         assert!((v.expected_error - 0.03).abs() < 1e-12);
         assert_eq!(fine().model_error(), 0.0);
+    }
+
+    /// Disagreement counts once: what the texels state of it is theirs.
+    #[test]
+    fn what_texels_state_of_a_disagreement_is_not_counted_again() {
+        let of = |disagreement, unexplained| {
+            let findings = Findings {
+                disagreement,
+                unexplained,
+                ..fine()
+            };
+            findings.model_error()
+        };
+        assert_eq!(of(0.1, 0.12), 0.0);
+        assert!((of(0.37, 0.2) - 0.5 * (0.37f64.powi(2) - 0.04).sqrt()).abs() < 1e-12);
+        assert!(of(0.1, 0.0) > of(0.1, 0.08));
     }
 
     #[test]

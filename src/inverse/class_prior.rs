@@ -4,9 +4,9 @@ use super::AlbedoEstimate;
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{median, weighted_median};
+use crate::core::stats::{MAD_SCALE, median, weighted_median};
 use crate::core::texture::Texels;
-use glam::{DVec3, Vec3};
+use glam::{DVec3, IVec3, Vec3};
 use std::collections::BTreeMap;
 
 /// Least relative standard deviation of the prior.
@@ -63,10 +63,7 @@ pub(super) fn class_prior(
                     variance: ANYTHING * ANYTHING,
                 };
             };
-            match near.get(&cubes.place(i)) {
-                Some(sums) => sums.beside(usual),
-                None => *usual,
-            }
+            cubes.sums_around(&near, i).beside(usual)
         })
         .collect()
 }
@@ -140,7 +137,7 @@ impl<'a> CleanTexels<'a> {
         let deviation = middle(&|a| (luminance(a) - luminance(mean)).abs()).unwrap_or(0.0);
         Expected {
             mean,
-            variance: (1.4826 * deviation)
+            variance: (MAD_SCALE * deviation)
                 .max(PRIOR_SPREAD * luminance(mean))
                 .max(1e-3)
                 .powi(2),
@@ -196,6 +193,23 @@ impl<'a> Cubes<'a> {
         )
     }
 
+    /// Sums around texel `i`: those of the eight cubes whose middles are next to it, by nearness, so
+    /// that what is expected changes smoothly.
+    fn sums_around(&self, near: &BTreeMap<Cube, Sums>, i: usize) -> Sums {
+        let at = self.texels.position(self.mesh, i) / self.edge - 0.5;
+        let within = at - at.floor();
+        let mut sums = Sums::default();
+        for corner in 0..8 {
+            let step = IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
+            let nearness = Vec3::ONE - (step.as_vec3() - within).abs();
+            let cube = (self.places[i], (at.floor().as_ivec3() + step).to_array());
+            if let Some(cube) = near.get(&cube) {
+                sums.add(cube, f64::from(nearness.element_product()));
+            }
+        }
+        sums
+    }
+
     /// The clean texels cube by cube; those far from what is usual in their class count less.
     fn sums(
         &self,
@@ -228,6 +242,13 @@ struct Sums {
 }
 
 impl Sums {
+    /// Adds `share` of others.
+    fn add(&mut self, others: &Self, share: f64) {
+        self.weight += share * others.weight;
+        self.albedo += share * others.albedo;
+        self.square += share * others.square;
+    }
+
     /// What is expected in the cube: its own mean as far as its texels outweigh what is usual.
     fn beside(&self, usual: &Expected) -> Expected {
         let total = self.weight as f32;

@@ -23,7 +23,7 @@ use glam::Vec3;
 
 /// A look that says so much of itself that the class's typical spread, which counts for as many
 /// looks, adds nothing to speak of (derived: `PRIOR_LOOKS` of `confidence`).
-const LOOKS: f32 = 2.0;
+pub(super) const LOOKS: f32 = 2.0;
 /// Albedo below which ln albedo means nothing (derived: half a step of 8-bit albedo).
 const BLACK: f32 = 2e-3;
 
@@ -53,6 +53,15 @@ pub struct Ground<'a> {
     pub rooms: &'a [u16],
 }
 
+impl Ground<'_> {
+    /// Class and room of each texel.
+    pub(super) fn places(&self) -> Vec<Place> {
+        (self.labels.iter().copied())
+            .zip(self.rooms.iter().copied())
+            .collect()
+    }
+}
+
 /// Gives texels of which only lower bounds are known, and no look at all, the albedo of their class
 /// above the bound; the texels that got one.
 pub fn settle_clipped(
@@ -68,10 +77,7 @@ pub fn settle_clipped(
         return Vec::new();
     }
     let ids: Vec<u32> = open.iter().map(|b| b.texel).collect();
-    let places: Vec<Place> = (ground.labels.iter().copied())
-        .zip(ground.rooms.iter().copied())
-        .collect();
-    let expected = class_prior(albedo, ground.texels, ground.mesh, &places, &ids);
+    let expected = class_prior(albedo, ground.texels, ground.mesh, &ground.places(), &ids);
     for (bound, expected) in open.iter().zip(expected) {
         let i = bound.texel as usize;
         let mean = expected.mean.max(Vec3::splat(BLACK));

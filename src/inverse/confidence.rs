@@ -17,7 +17,7 @@
 use super::AlbedoEstimate;
 use crate::core::image::Plane;
 use crate::core::math::luminance;
-use crate::core::stats::median;
+use crate::core::stats::{MAD_SCALE, median};
 use crate::core::texture::Texels;
 use std::collections::BTreeMap;
 
@@ -43,14 +43,23 @@ pub struct ErrorSources {
     pub reflects: Vec<bool>,
 }
 
-/// Standard error of each covered texel's albedo luminance; infinite where unobserved.
+/// How far off an albedo must be expected to be.
+#[derive(Clone, Debug, Default)]
+pub struct StatedErrors {
+    /// Standard error of each covered texel's luminance; infinite where unobserved.
+    pub error: Vec<f32>,
+    /// The relative part of it that no cause accounts for, the same for all.
+    pub unexplained: f32,
+}
+
+/// The errors of an estimate.
 #[must_use]
 pub fn albedo_error(
     albedo: &AlbedoEstimate,
     texels: &Texels,
     labels: &[u16],
     sources: &ErrorSources,
-) -> Vec<f32> {
+) -> StatedErrors {
     let estimate = Luminances::of(albedo);
     let known: Vec<f32> = (0..estimate.value.len())
         .map(|i| {
@@ -63,7 +72,7 @@ pub fn albedo_error(
         .collect();
     let plane = texels.scatter(&known, f32::NAN);
     let scatter = estimate.scatter(labels, &sources.reflects);
-    crate::core::parallel::map_chunks(estimate.value.len(), 4096, |range| {
+    let parts = crate::core::parallel::map_chunks(estimate.value.len(), 4096, |range| {
         range
             .map(|i| {
                 if !estimate.known(i) {
@@ -83,8 +92,11 @@ pub fn albedo_error(
                 (relative * value * value + place * place).sqrt()
             })
             .collect::<Vec<_>>()
-    })
-    .concat()
+    });
+    StatedErrors {
+        error: parts.concat(),
+        unexplained: scatter.unexplained,
+    }
 }
 
 /// An estimate and the luminances of its albedos, 0 to 1.
@@ -142,10 +154,9 @@ impl<'a> Luminances<'a> {
             typical.insert(label, median(spreads).unwrap_or(0.0));
             let logs: Vec<f32> = chosen.iter().map(|&i| value[i].ln()).collect();
             let centre = median(logs.clone()).unwrap_or(0.0);
-            // 1.4826 turns a median absolute deviation into a Gaussian's standard deviation
             let deviation =
                 median(logs.iter().map(|l| (l - centre).abs()).collect()).unwrap_or(0.0);
-            scatter.push((1.4826 * deviation, ids.len()));
+            scatter.push((MAD_SCALE * deviation, ids.len()));
         }
         scatter.sort_by(|a, b| a.0.total_cmp(&b.0));
         let total: usize = scatter.iter().map(|s| s.1).sum();
@@ -238,7 +249,7 @@ mod tests {
         let labels = vec![1u16; texels.len()];
         let state = |looks: f32, share: f32, e: f32| {
             let a = estimate(texels.len(), |_| 0.5, looks, share);
-            albedo_error(&a, &texels, &labels, &even(texels.len(), e, 1.0))[300]
+            albedo_error(&a, &texels, &labels, &even(texels.len(), e, 1.0)).error[300]
         };
         // disagreement of 0.01 between looks, whatever their number
         assert!(
@@ -267,8 +278,8 @@ mod tests {
             0.0,
         );
         a.error[7] = f32::INFINITY;
-        let near = albedo_error(&a, &texels, &labels, &even(texels.len(), 0.0, 1.0));
-        let far = albedo_error(&a, &texels, &labels, &even(texels.len(), 0.0, 2.0));
+        let near = albedo_error(&a, &texels, &labels, &even(texels.len(), 0.0, 1.0)).error;
+        let far = albedo_error(&a, &texels, &labels, &even(texels.len(), 0.0, 2.0)).error;
         assert!(near[7].is_infinite());
         // six of eight neighbours have the other value at a distance of one texel, none at two
         let unexplained = far[300];
@@ -294,6 +305,7 @@ mod tests {
         let labels = vec![0u16; texels.len()];
         assert!(
             albedo_error(&none, &texels, &labels, &even(texels.len(), 0.0, 1.0))
+                .error
                 .iter()
                 .all(|e| e.is_infinite())
         );

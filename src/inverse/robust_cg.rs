@@ -9,6 +9,7 @@ use super::class_prior::Expected;
 use crate::core::math::luminance;
 use crate::core::parallel;
 use crate::core::parallel::prelude::*;
+use crate::core::stats::MAD_SCALE;
 use glam::Vec3;
 
 /// Residuals of that many standard errors count a half.
@@ -111,7 +112,7 @@ impl RobustSystem {
         }
         let middle = all.len() / 2;
         let (_, m, _) = all.select_nth_unstable_by(middle, f32::total_cmp);
-        (*m * 1.4826).max(1.0)
+        (*m * MAD_SCALE).max(1.0)
     }
 
     fn weights(&self, residual: &[Vec3], misfit: f32) -> Vec<f32> {

@@ -36,7 +36,7 @@ pub struct Contradictions {
     pub deviation: Vec<f32>,
     /// Mean radiance of the looks of a contradicted texel.
     mean: Vec<Vec3>,
-    /// Median of the deviations of texels that several views see and that are not contradicted: by
+    /// Median of the standard deviations of texels that several views see and that are not contradicted: by
     /// how much views disagree where no texel states it; 0 without any.
     pub agreed: f32,
 }

@@ -9,6 +9,7 @@ use crate::core::trace::EmbreeTracer;
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::scene::Scene;
 use glam::Vec3;
+use std::collections::BTreeMap;
 
 /// Sides of the textures, texels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,7 +69,54 @@ pub struct Surface<'a> {
     pub disagreement: f32,
 }
 
+/// Texels closer than this share of the scene's diagonal are one light.
+const GAP: f32 = 0.02;
+/// Cosine to the vertical of a face that looks down.
+const DOWN: f32 = -0.7;
+
 impl Surface<'_> {
+    /// Texels of one class close to each other: the parts of `texels` that hang together, each
+    /// ascending.
+    #[must_use]
+    pub fn clusters(&self, texels: &[u32]) -> Vec<Vec<u32>> {
+        let mesh = &self.scene.mesh;
+        let (lo, hi) = mesh.bounds();
+        let step = (GAP * (hi - lo).length()).max(f32::MIN_POSITIVE);
+        let mut cells: BTreeMap<(u16, [i32; 3]), Vec<u32>> = BTreeMap::new();
+        for &i in texels {
+            let p = (self.texels.position(mesh, i as usize) - lo) / step;
+            let key = p.floor().to_array().map(|x| x as i32);
+            let class = self.labels[i as usize];
+            cells.entry((class, key)).or_default().push(i);
+        }
+        let mut out = Vec::new();
+        while let Some((first, members)) = cells.pop_first() {
+            let (mut cluster, mut open) = (members, vec![first.1]);
+            while let Some(at) = open.pop() {
+                for k in 0..27 {
+                    let near = [at[0] + k % 3 - 1, at[1] + k / 3 % 3 - 1, at[2] + k / 9 - 1];
+                    if let Some(more) = cells.remove(&(first.0, near)) {
+                        cluster.extend(more);
+                        open.push(near);
+                    }
+                }
+            }
+            cluster.sort_unstable();
+            out.push(cluster);
+        }
+        out
+    }
+
+    /// Whether most of `texels` look down: the sun does not shine on them.
+    #[must_use]
+    pub fn faces_down(&self, texels: &[u32]) -> bool {
+        let down = |i: &&u32| {
+            let t = self.texels.point[**i as usize].triangle as usize;
+            self.scene.mesh.face_normal(t).y * self.orientation.sign(t) < DOWN
+        };
+        2 * texels.iter().filter(down).count() > texels.len()
+    }
+
     /// Finds the observations of surface points.
     #[must_use]
     pub fn observer(&self) -> Observer<'_> {

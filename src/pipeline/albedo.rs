@@ -8,8 +8,8 @@ use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::switch::Switch;
 use crate::inverse::{
-    AlbedoEstimate, ErrorSources, Ground, LeastAlbedo, MixedPixelSolver, Shading, albedo_error,
-    estimate_albedo, settle_clipped,
+    AlbedoEstimate, ErrorSources, Ground, LeastAlbedo, MixedPixelSolver, Shading, StatedErrors,
+    albedo_error, estimate_albedo, settle_clipped,
 };
 use crate::observed::Surface;
 use glam::{Vec2, Vec3};
@@ -187,7 +187,11 @@ fn solve_edges(
 }
 
 /// Standard error of the albedo per covered texel, with what irradiance and geometry contribute.
-pub(super) fn albedo_errors(surface: &Surface, light: &Light, albedo: &AlbedoEstimate) -> Vec<f32> {
+pub(super) fn albedo_errors(
+    surface: &Surface,
+    light: &Light,
+    albedo: &AlbedoEstimate,
+) -> StatedErrors {
     let (texels, mesh) = (&surface.texels, &surface.scene.mesh);
     // beyond the charts of the irradiance texture nothing is known of its error
     let noise = light.texels.scatter(&light.error, 1.0);

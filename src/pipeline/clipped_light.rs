@@ -36,8 +36,6 @@ const RAYS: u32 = 48;
 const LIGHT_SAMPLES: u32 = 32;
 /// Pieces of surface that enter the fit.
 const ROWS: usize = 50_000;
-/// Clipped texels closer than this share of the diagonal are one light.
-const GAP: f32 = 0.02;
 /// Groups on surfaces at most; the weakest are joined.
 const MOST_GROUPS: usize = 24;
 /// A clipped surface this much brighter than its class would be there is a light.
@@ -46,8 +44,6 @@ const BRIGHTER: f32 = 1.6;
 /// faces down less: the sun's patches, which make up most of that, fall on nothing that does.
 const LEAST_POWER: f32 = 0.01;
 const LEAST_POWER_DOWN: f32 = 0.0005;
-/// Cosine to the vertical of a face that looks down.
-const DOWN: f32 = -0.7;
 /// Fits, with what follows from each for clipped surfaces that reflect.
 const ROUNDS: usize = 3;
 
@@ -228,7 +224,7 @@ impl<'s, 'a> Restorer<'s, 'a> {
             .into_iter()
             .partition(|&i| self.is_light_class(i as usize));
         let all = self.power(&lamps) + self.power(&others);
-        let mut lamps = self.clusters(&lamps);
+        let mut lamps = self.surface.clusters(&lamps);
         lamps.sort_by(|a, b| self.power(b).total_cmp(&self.power(a)));
         while lamps.len() > MOST_GROUPS {
             let weakest = lamps.pop().unwrap_or_default();
@@ -244,13 +240,13 @@ impl<'s, 'a> Restorer<'s, 'a> {
         let windows: Vec<u32> = (0..is_window.len() as u32)
             .filter(|&i| is_window[i as usize])
             .collect();
-        for texels in self.clusters(&windows) {
+        for texels in self.surface.clusters(&windows) {
             let group = self.window_group(texels);
             self.groups.push(group);
         }
-        let mut doubtful = self.clusters(&others);
+        let mut doubtful = self.surface.clusters(&others);
         let least = |c: &[u32]| {
-            if self.faces_down(c) {
+            if self.surface.faces_down(c) {
                 LEAST_POWER_DOWN
             } else {
                 LEAST_POWER
@@ -264,38 +260,6 @@ impl<'s, 'a> Restorer<'s, 'a> {
                 self.add_sky(s);
             }
         }
-    }
-
-    /// Texels of one class close to each other.
-    fn clusters(&self, texels: &[u32]) -> Vec<Vec<u32>> {
-        let mesh = &self.surface.scene.mesh;
-        let (lo, hi) = mesh.bounds();
-        let step = (GAP * (hi - lo).length()).max(f32::MIN_POSITIVE);
-        let mut cells: BTreeMap<(u16, [i32; 3]), Vec<u32>> = BTreeMap::new();
-        for &i in texels {
-            let p = (self.surface.texels.position(mesh, i as usize) - lo) / step;
-            let key = p.floor().to_array().map(|x| x as i32);
-            cells
-                .entry((self.class[i as usize], key))
-                .or_default()
-                .push(i);
-        }
-        let mut out = Vec::new();
-        while let Some((first, members)) = cells.pop_first() {
-            let (mut cluster, mut open) = (members, vec![first.1]);
-            while let Some(at) = open.pop() {
-                for k in 0..27 {
-                    let near = [at[0] + k % 3 - 1, at[1] + k / 3 % 3 - 1, at[2] + k / 9 - 1];
-                    if let Some(more) = cells.remove(&(first.0, near)) {
-                        cluster.extend(more);
-                        open.push(near);
-                    }
-                }
-            }
-            cluster.sort_unstable();
-            out.push(cluster);
-        }
-        out
     }
 
     /// Seen texels of windows that no class of light holds: photographs of an ordinary camera show
@@ -323,16 +287,6 @@ impl<'s, 'a> Restorer<'s, 'a> {
         group.fit.ceiling = sum / total.max(f32::MIN_POSITIVE);
         group.fit.free = [true; 3];
         group
-    }
-
-    /// Whether most of a cluster looks down.
-    fn faces_down(&self, texels: &[u32]) -> bool {
-        let down = |i: &&u32| {
-            let t = self.surface.texels.point[**i as usize].triangle as usize;
-            let sign = self.surface.orientation.sign(t);
-            self.surface.scene.mesh.face_normal(t).y * sign < DOWN
-        };
-        2 * texels.iter().filter(down).count() > texels.len()
     }
 
     fn surface_group(&self, texels: Vec<u32>, kind: usize) -> Group {
@@ -731,7 +685,7 @@ impl<'s, 'a> Restorer<'s, 'a> {
             .map(|(g, e)| FoundLight {
                 texels: g.texels.clone(),
                 log_error: *e,
-                emits: g.fit.kind != FOUND || self.faces_down(&g.texels),
+                emits: g.fit.kind != FOUND || self.surface.faces_down(&g.texels),
             })
             .collect()
     }

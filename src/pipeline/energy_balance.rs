@@ -7,11 +7,15 @@
 //! irradiance is raised, channel by channel, until they are white paint (white patch: Land &
 //! McCann 1971); what is darker is left alone. A texel that still exceeds the bound gets the mean
 //! of what it may be below it. Only display-referred photographs, which cameras compress by place,
-//! are judged so, and only where walls and ceilings at large stand at the bound. Called by `solve`
-//! after the albedo, before the missing light.
+//! are judged so, and only where walls and ceilings at large stand at the bound. What then still
+//! outshines any paint on a surface that faces down, where no sun falls, is a lamp that its camera
+//! held below the ceiling of the file. Called by `solve` after the albedo, before the missing light.
 
+use super::clipped_light::FoundLight;
 use super::light::texture_of;
 use super::missing_light::scale_irradiance;
+use super::room_levels::pool_room_levels;
+use super::unclipped_lamps::find_unclipped_lamps;
 use super::{Light, SolveOptions, Switch};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
@@ -29,7 +33,7 @@ use std::collections::BTreeMap;
 /// walls do whose irradiance is a few per cent low (measured: 28 % of staircase2, whose paint is
 /// 0.89).
 const AT_BOUND: f64 = 1.0 / 3.0;
-const BOUND: f32 = 0.95;
+pub(super) const BOUND: f32 = 0.95;
 /// Side of a part of a room seen from above, metres: parts are this far from their neighbours and
 /// three as wide. Derived: light changes over distances of the rooms' height, cut by half.
 const PART: f32 = 1.0;
@@ -38,17 +42,28 @@ const PART: f32 = 1.0;
 const BRIGHTEST: f32 = 0.3;
 /// White paint and how far paints called white scatter about it (ln). Cited: 0.75 to 0.9 is what
 /// makers state of white interior paint.
-const WHITE: f32 = 0.82;
-const WHITE_SPREAD: f32 = 0.09;
+pub(super) const WHITE: f32 = 0.82;
+pub(super) const WHITE_SPREAD: f32 = 0.09;
 /// The light may be short by this factor at most. Derived: A room whose walls reflect a share ρ
 /// sends 1/(1 − ρ) times the lamps' light about; ρ = 0.82 leaves a sixth.
-const MOST: f32 = 6.0;
+pub(super) const MOST: f32 = 6.0;
 
 /// A part of a room: its room and place seen from above.
 type Part = (u16, [i32; 2]);
 
-/// Raises the irradiance where surfaces would reflect more than white paint; returns the share of
-/// the light that was missing, `None` where nothing stands at the bound.
+/// What the energy balance adds.
+pub(super) struct Balanced {
+    /// Light that was missing.
+    pub(super) missing: MissingLight,
+    /// Standard error of each texel's albedo from the cast of its light being paint; that of its level
+    /// is the missing light's.
+    pub(super) cast_error: Vec<f32>,
+    /// Lamps that the photographs hold below their ceiling.
+    pub(super) lamps: Vec<FoundLight>,
+}
+
+/// Raises the irradiance where surfaces would reflect more than white paint; `None` where nothing
+/// stands at the bound.
 pub(super) fn balance_rooms(
     surface: &Surface,
     light: &mut Light,
@@ -56,7 +71,7 @@ pub(super) fn balance_rooms(
     rooms: &[u16],
     options: &SolveOptions,
     progress: &Progress,
-) -> Option<MissingLight> {
+) -> Option<Balanced> {
     let encoded = |v: &View| v.encoded_ceiling().is_some();
     if options.clipped_light == Switch::Off || !surface.scene.train_views().all(encoded) {
         return None;
@@ -78,15 +93,19 @@ pub(super) fn balance_rooms(
         albedo,
         &texture_of(&surface.texels, &factors),
     );
+    let expected: Vec<Vec3> = (0..factors.len())
+        .into_par_iter()
+        .map(|i| Held::below_bound(albedo, i, factors[i]).albedo)
+        .collect();
+    let moved = pool_room_levels(surface, light, albedo, &expected, rooms);
+    let lamps = find_unclipped_lamps(surface, light, albedo);
+    let mut cast_errors = vec![0.0; factors.len()];
     for (i, factor) in factors.iter().enumerate() {
         if albedo.error[i].is_finite() {
-            let raised = f32::from(u8::from(luminance(*factor) > 1.0));
-            let paint = raised * WHITE_SPREAD * luminance(albedo.value[i]);
-            let error = albedo.error[i].hypot(paint);
-            let below = albedo.value[i].to_array().map(|a| below_bound(a, error));
-            albedo.value[i] = Vec3::from(below.map(|b| b.mean));
-            let own = below.iter().map(|b| b.deviation).fold(0.0, f32::max);
-            albedo.error[i] = own.hypot(cast_error(albedo.value[i], *factor));
+            let held = Held::below_bound(albedo, i, *factor);
+            albedo.value[i] = held.albedo;
+            albedo.error[i] *= held.error_left;
+            cast_errors[i] = cast_error(held.albedo, *factor);
         }
     }
     progress.note(format!(
@@ -96,7 +115,16 @@ pub(super) fn balance_rooms(
         100.0 * missing.share / (1.0 - missing.share),
         100.0 * missing.standard_error / (1.0 - missing.share).powi(2),
     ));
-    Some(missing)
+    progress.note(format!(
+        "one paint in several rooms: their levels move by up to {:.0} %; {} lamps outshine any paint",
+        100.0 * moved.exp_m1(),
+        lamps.len()
+    ));
+    Some(Balanced {
+        lamps,
+        missing,
+        cast_error: cast_errors,
+    })
 }
 
 /// Error of the luminance of an albedo that was settled by `factor`, for the cast of the light that
@@ -109,6 +137,34 @@ pub(super) fn balance_rooms(
 fn cast_error(albedo: Vec3, factor: Vec3) -> f32 {
     let paint = albedo * factor / factor.max_element();
     (luminance(albedo) - luminance(paint)) * std::f32::consts::FRAC_1_SQRT_2
+}
+
+/// A texel's albedo as far as paint allows.
+struct Held {
+    albedo: Vec3,
+    /// What of its error is left.
+    error_left: f32,
+}
+
+impl Held {
+    /// That of texel `i`, whose light was raised by `factor`.
+    fn below_bound(albedo: &AlbedoEstimate, i: usize, factor: Vec3) -> Self {
+        let value = albedo.value[i];
+        let raised = f32::from(u8::from(luminance(factor) > 1.0));
+        let error = albedo.error[i].hypot(raised * WHITE_SPREAD * luminance(value));
+        if !error.is_finite() {
+            return Self {
+                albedo: value,
+                error_left: 1.0,
+            };
+        }
+        let below = value.to_array().map(|a| below_bound(a, error));
+        let deviation = below.iter().map(|b| b.deviation).fold(0.0, f32::max);
+        Self {
+            albedo: Vec3::from(below.map(|b| b.mean)),
+            error_left: deviation / error.max(f32::MIN_POSITIVE),
+        }
+    }
 }
 
 /// Mean and standard deviation.

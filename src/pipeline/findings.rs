@@ -3,14 +3,12 @@
 
 use super::Light;
 use crate::core::math::luminance;
-use crate::core::stats::median;
+use crate::core::stats::{MAD_SCALE, median};
 use crate::inverse::AlbedoEstimate;
 use crate::observed::Surface;
 use crate::verdict::{Findings, GUESS, Share};
 use std::collections::BTreeMap;
 
-/// What turns a median absolute deviation into a Gaussian's standard deviation. Derived.
-const GAUSSIAN: f64 = 1.4826;
 /// Classes that a finding names at most.
 const NAMED: usize = 3;
 
@@ -82,7 +80,7 @@ pub(super) fn findings(
         stated_error: shown
             .mean(known, |i| f64::from(errors[i]).min(GUESS).powi(2))
             .sqrt(),
-        disagreement: GAUSSIAN * f64::from(surface.disagreement),
+        disagreement: f64::from(MAD_SCALE * surface.disagreement),
         disagreement_place: uneven.place,
         unseen: tally.share(|_| true, |i| !seen(i)),
         seen_once: tally.share(known, |i| surface.fusion.views[i] == 1),

@@ -22,10 +22,12 @@ mod presets;
 mod published;
 mod quality;
 mod reflections;
+mod room_levels;
 mod roughness;
 mod solve;
 mod solved;
 mod time_budget;
+mod unclipped_lamps;
 
 pub use crate::core::switch::Switch;
 pub use albedo::{SolvedAlbedo, solve_albedo};

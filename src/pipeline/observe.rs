@@ -8,6 +8,7 @@ use crate::core::geometry::Camera;
 use crate::core::image::{CameraMask, Plane, RgbPlane};
 use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
+use crate::core::stats::MAD_SCALE;
 use crate::core::texture::Texels;
 use crate::core::trace::{EmbreeTracer, Hit};
 use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer, clipped_channels};
@@ -76,7 +77,8 @@ pub fn observe<'a>(
     // contradicted texels state their disagreement as their own error
     let (contradictions, disagreement) = if balanced.rough {
         let found = find_contradictions(scene, &views, &orientation, &texels, progress);
-        let agreed = found.agreed;
+        // a standard deviation there, a median one here
+        let agreed = found.agreed / MAD_SCALE;
         (found, agreed)
     } else {
         (Contradictions::default(), balanced.disagreement)

@@ -3,7 +3,7 @@
 use super::albedo::albedo_errors;
 use super::assemble::assemble;
 use super::clipped_light::{FoundLight, restore_clipped_light};
-use super::energy_balance::balance_rooms;
+use super::energy_balance::{Balanced, balance_rooms};
 use super::findings::{findings, spread_of_looks};
 use super::missing_light::add_missing_light;
 use super::painted::{Estimate, settle_palettes};
@@ -16,7 +16,8 @@ use super::{
 use crate::Result;
 use crate::core::progress::Progress;
 use crate::core::switch::Switch;
-use crate::inverse::AlbedoEstimate;
+use crate::inverse::{AlbedoEstimate, Ground, StatedErrors, settle_contradicted};
+use crate::observed::Surface;
 use crate::scene::Scene;
 use crate::verdict::MissingLight;
 
@@ -46,12 +47,17 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         progress,
     );
     let mut albedo = solved.albedo;
-    let lights = clipped_light.as_ref().map_or(&[][..], |c| &c.lights);
-    forget_lit(&mut albedo, lights);
+    let clipped = clipped_light.as_ref().map(|c| c.missing);
+    let mut lights = clipped_light.map_or_else(Vec::new, |c| c.lights);
+    forget_lit(&mut albedo, &lights);
     let rooms = roughness.texel_rooms(&surface.texels);
-    let short = progress.stage("energy balance", 0, |p| {
+    let mut short = progress.stage("energy balance", 0, |p| {
         balance_rooms(&surface, &mut light, &mut albedo, &rooms, options, p)
     });
+    if let Some(short) = &mut short {
+        forget_lit(&mut albedo, &short.lamps);
+        lights.append(&mut short.lamps);
+    }
     let mut rays = light.rays + highlights.evidence.rays + reflections.rays + solved.rays;
     if options.missing_light != Switch::Off {
         let seed = options.seed;
@@ -65,8 +71,15 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
             100.0 * added.change
         ));
     }
-    let mut errors = albedo_errors(&surface, &light, &albedo);
     let spread = spread_of_looks(&albedo);
+    settle_hidden(&surface, &mut albedo, &rooms);
+    let StatedErrors {
+        error: mut errors,
+        unexplained,
+    } = albedo_errors(&surface, &light, &albedo);
+    if let Some(short) = &short {
+        add_error(&mut errors, |i| short.cast_error[i]);
+    }
     let estimate = Estimate {
         albedo: &mut albedo,
         errors: &mut errors,
@@ -76,17 +89,38 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         settle_palettes(&surface, &mut light, estimate, options, p);
     });
     let mut findings = findings(&surface, &light, &albedo, &errors, &spread);
-    let clipped = clipped_light.as_ref().map(|c| c.missing);
-    findings.light_missing = MissingLight::both(clipped, short);
+    findings.unexplained = f64::from(unexplained);
+    findings.light_missing = MissingLight::both(clipped, short.map(|s: Balanced| s.missing));
     // what no texel knows of by itself
     let model_error = findings.model_error() as f32;
-    errors.iter_mut().for_each(|e| *e = e.hypot(model_error));
+    add_error(&mut errors, |_| model_error);
     Ok(Solved {
-        solution: assemble(&surface, &light, &roughness, &albedo, &errors, lights),
+        solution: assemble(&surface, &light, &roughness, &albedo, &errors, &lights),
         fits: roughness.materials.fits().cloned().collect(),
         rays,
         findings,
     })
+}
+
+/// Surface before which something stands that the mesh lacks takes what its class is like.
+fn settle_hidden(surface: &Surface, albedo: &mut AlbedoEstimate, rooms: &[u16]) {
+    let contradicted: Vec<u32> = (0..surface.texels.len() as u32)
+        .filter(|&i| surface.contradictions.contradicted(i as usize))
+        .collect();
+    let ground = Ground {
+        texels: &surface.texels,
+        mesh: &surface.scene.mesh,
+        labels: &surface.labels,
+        rooms,
+    };
+    settle_contradicted(&ground, &contradicted, albedo);
+}
+
+/// Adds an independent error to every texel's.
+fn add_error(errors: &mut [f32], error: impl Fn(usize) -> f32) {
+    for (i, e) in errors.iter_mut().enumerate() {
+        *e = e.hypot(error(i));
+    }
 }
 
 /// What a clipped light hides of its surface is unknown: lamps, and what the sun shines on.

@@ -4,6 +4,9 @@ mod design_effect;
 
 pub use design_effect::design_effect;
 
+/// What turns a median absolute deviation into a Gaussian's standard deviation. Derived: 1/Φ⁻¹(3/4).
+pub const MAD_SCALE: f32 = 1.4826;
+
 /// Index of the weighted median among (value, weight) pairs: the smallest value at which the
 /// weights up to it reach half of their sum. `None` for an empty list. Weights are ≥ 0; if all are
 /// 0, the smallest value is the median. NaN values count as largest.

@@ -5,6 +5,7 @@
 //! points. Points that contradict the first fit (something moved) leave before the second. Then g is
 //! made monotone (pool adjacent violators).
 
+use crate::core::stats::MAD_SCALE;
 use nalgebra::{DMatrix, DVector};
 
 /// Codes of an 8-bit photograph.
@@ -113,7 +114,7 @@ impl Response {
             return 0.0;
         }
         all.sort_by(f64::total_cmp);
-        1.4826 * all[all.len() / 2]
+        f64::from(MAD_SCALE) * all[all.len() / 2]
     }
 }
 
