@@ -148,10 +148,7 @@ impl Importer for Colmap {
             shots.push(shot);
         }
         if shots.is_empty() {
-            return Err(Error::input(
-                folder,
-                "the model holds no image with a pose",
-            ));
+            return Err(Error::input(folder, "the model holds no image with a pose"));
         }
         account.read(format!(
             "{} ({how}): {} cameras ({}), {} posed images",

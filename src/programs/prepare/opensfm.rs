@@ -83,7 +83,11 @@ impl Importer for OpenSfm {
     }
 
     fn locate(&self, path: &Path) -> Result<Located> {
-        Located::new(path, file_in(path), format!("no {FILE} here or in opensfm/"))
+        Located::new(
+            path,
+            file_in(path),
+            format!("no {FILE} here or in opensfm/"),
+        )
     }
 
     fn read(

@@ -4,7 +4,7 @@
 use super::account::Account;
 use super::capture::{Capture, Surface, Up};
 use super::importer::{Importer, Located, PrepareOptions};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use glam::DMat4;
 use std::path::{Path, PathBuf};
 
