@@ -65,7 +65,7 @@ const CASES: &[(&str, Outcome)] = &[
     ("fc50-jpeg-exif-orientation", Warned("EXIF orientation 3")),
     ("fc52-check-after-failed-images", Refused("NaN or infinite")),
     ("fc53-outward-windings", Elsewhere),
-    ("fc56-ground-plane", Warned("seen by no training view")),
+    ("fc56-ground-plane", Warned("remove ground planes")),
 ];
 
 /// What the whole program must say of the cases whose fault lies in how photographs and mesh belong

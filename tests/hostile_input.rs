@@ -518,3 +518,46 @@ fn photographs_upside_down_are_turned_and_labels_are_not() {
     let read = loaded.load_labels(&loaded.views[0]).expect("labels");
     assert_eq!(read.expect("labels").data, labels.data);
 }
+
+/// Chroma that only every other pixel has is refused by name whatever the library makes of it.
+#[test]
+fn subsampled_channels_are_refused_by_the_header() {
+    let scene = SceneDir::box_room();
+    let mut image = raw_exr(WIDTH as u32, HEIGHT as u32, |_, _| 0.5);
+    let blue = image
+        .windows(3)
+        .position(|w| w == b"B\0\x02")
+        .expect("blue");
+    image[blue + 10] = 2;
+    image[blue + 14] = 2;
+    scene.write("a.exr", &image);
+    refused(&scene, &["channels of which B are subsampled", "R, G, B"]);
+}
+
+/// A plane of kilometres takes the atlas: said, with the way out.
+#[test]
+fn a_mesh_that_is_mostly_ground_is_named() {
+    let scene = SceneDir::box_room();
+    let room = std::fs::read_to_string(scene.path("mesh.obj")).expect("mesh");
+    // without texture coordinates
+    let bare = |line: &str| match line.strip_prefix("f ") {
+        Some(corners) => {
+            let of = |c: &str| c.split('/').next().unwrap_or("").to_owned();
+            let corners: Vec<String> = corners.split(' ').map(of).collect();
+            format!("f {}\n", corners.join(" "))
+        }
+        None if line.starts_with("v ") => format!("{line}\n"),
+        None => String::new(),
+    };
+    let mut mesh: String = room.lines().map(bare).collect();
+    for (x, z) in [(-1, -1), (1, -1), (1, 1), (-1, 1)] {
+        mesh += &format!("v {} -0.2 {}\n", 5000 * x, 5000 * z);
+    }
+    mesh += "f -4 -2 -3\nf -4 -1 -2\n";
+    scene.write("mesh.obj", mesh.as_bytes());
+    let report = check(scene.folder(), &LoadOptions::default());
+    let said = report.warnings.join("\n");
+    assert!(report.is_usable(), "{report}");
+    assert!(said.contains("remove ground planes"), "{report}");
+    assert!(said.contains("texels per metre of surface"), "{report}");
+}

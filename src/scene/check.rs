@@ -647,14 +647,20 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
         ));
     }
     if s.unseen_area_share > 0.25 {
+        // (half the surface of closed bodies is turned away from any place)
+        let cure = if s.unseen_area_share > 0.5 {
+            ", and it takes that share of the atlas: remove ground planes and what lies outside the rooms from the mesh"
+        } else {
+            ""
+        };
         warnings.push(format!(
-            "{:.0} % of the surface is seen by no training view; its materials are filled in",
+            "{:.0} % of the surface is seen by no training view; its materials are filled in{cure}",
             100.0 * s.unseen_area_share
         ));
     }
     if s.mesh.texels_per_metre * COARSER < s.pixels_per_metre {
         warnings.push(format!(
-            "the atlas has {:.1} texels per metre of surface (at 2048²) where the photographs show {:.0} pixels per metre: most of it goes to surface of which they show little ({:.0} m² in all). Remove ground planes and what lies outside the rooms from the mesh",
+            "the atlas has {:.1} texels per metre of surface (at 2048²) where the photographs show {:.0} pixels per metre: most of it goes to surface of which they show little ({:.0} m² in all)",
             s.mesh.texels_per_metre, s.pixels_per_metre, s.mesh.area
         ));
     }

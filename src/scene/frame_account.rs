@@ -1,7 +1,7 @@
 //! What `check` says of each photograph: how it was understood, and what of it is left out.
 
 use super::{PixelStats, Scene, View};
-use crate::core::formats::{ImageAccount, read_photograph};
+use crate::core::formats::ImageAccount;
 use crate::core::image::Plane;
 use crate::{Error, Result};
 use glam::Vec2;
@@ -90,7 +90,7 @@ pub(super) fn account(
 
 /// Infinite pixels whose class is of kind `light`.
 fn infinite_on_lights(scene: &Scene, view: &View, labels: &Plane<u16>) -> Result<usize> {
-    let image = read_photograph(&view.image_path, view.colour_space)?.pixels;
+    let image = scene.read_image(view)?.pixels;
     let scale = Vec2::new(
         labels.width as f32 / image.width as f32,
         labels.height as f32 / image.height as f32,

@@ -235,10 +235,25 @@ fn is_nothing(value: &Value) -> bool {
     }
 }
 
+/// Other programs' words for keys, which letters alone would lead astray: COLMAP's, OpenCV's and
+/// glTF's.
+const OTHER_WORDS: [(&str, &str); 6] = [
+    ("fx", "fl_x"),
+    ("fy", "fl_y"),
+    ("width", "w"),
+    ("height", "h"),
+    ("exposure", "exposure_ev"),
+    ("xfov", "camera_angle_x"),
+];
+
 /// The known key that a misspelt one most likely means: at most a third of its letters away.
 fn nearest(name: &str, place: Place) -> Option<&'static str> {
     let plain = |s: &str| s.to_lowercase().replace(['-', ' '], "_");
     let name = plain(name);
+    let other = OTHER_WORDS.iter().find(|w| w.0 == name);
+    if let Some((_, meant)) = other.filter(|_| place != Class) {
+        return Some(meant);
+    }
     let fits = |k: &&KnownKey| {
         k.meaning == Used
             && (k.place == place || (k.place == Both && matches!(place, Scene | Frame)))

@@ -192,7 +192,8 @@ impl Scene {
         known
     }
 
-    fn read_image(&self, view: &View) -> Result<Photograph> {
+    /// The image as stored, turned the way the scene says.
+    pub(super) fn read_image(&self, view: &View) -> Result<Photograph> {
         let path = &view.image_path;
         let linear = formats::image_info(path).map(|i| i.format.is_linear());
         let image = match linear {
