@@ -33,6 +33,11 @@ const HIDDEN: f64 = 0.5;
 /// Share of light that a surface may reflect without being diffuse: a single look does not tell it
 /// from albedo. Derived: a dielectric's mean reflectance under even light (F0 0.04), 9 %.
 const GLOSS: f64 = 0.09;
+/// Mean albedo of rooms: of one 4 × 5 × 3 m whose ceiling, walls and floor reflect as EN 12464-1
+/// (2011, 4.2.2) recommends, 0.7 to 0.9, 0.5 to 0.8 and 0.2 to 0.4: its middle, and its upper end
+/// as two standard deviations above.
+const USUAL_ROOM: f64 = 0.61;
+const BRIGHTEST_ROOM: f64 = 0.74;
 /// Error where mesh and photographs do not belong together. Measured: 16 to 8 dB over the
 /// misalignments of issue 34's table; this is the milder end.
 const MISALIGNED: f64 = 0.2;
@@ -262,6 +267,14 @@ impl Findings {
             weight: self.mean_albedo * excess,
             place: self.disagreement_place.clone(),
         }];
+        reasons.push(Reason {
+            what: format!(
+                "mean albedo {:.2}, brighter than painted rooms are: light is missing from the photographs, or they are gamma-encoded (\"color_space\" in transforms.json)",
+                self.mean_albedo
+            ),
+            weight: too_bright(self.mean_albedo),
+            place: String::new(),
+        });
         // what cannot be told from nothing is nothing: two standard errors
         if let Some(m) = self
             .light_missing
@@ -296,6 +309,14 @@ impl Findings {
         reasons.extend(self.others.iter().cloned());
         reasons
     }
+}
+
+/// Expected error of a mean albedo that few rooms have: its distance from the usual one, times the
+/// chance that it is wrong, which begins at the brightest room and grows as rooms become fewer.
+fn too_bright(mean: f64) -> f64 {
+    let deviation = 0.5 * (BRIGHTEST_ROOM - USUAL_ROOM);
+    let beyond = (mean - BRIGHTEST_ROOM).max(0.0) / deviation;
+    (mean - USUAL_ROOM).max(0.0) * (1.0 - (-0.5 * beyond * beyond).exp())
 }
 
 fn root_sum_square(reasons: &[Reason]) -> f64 {
@@ -493,6 +514,26 @@ mod tests {
                 "{v}"
             );
         }
+    }
+
+    #[test]
+    fn a_room_brighter_than_paint_is_not_believed() {
+        let of = |mean_albedo| Findings {
+            mean_albedo,
+            ..fine()
+        };
+        // rooms as they are: 0.54 and 0.44 (small room, grey-white-room)
+        for usual in [0.44, 0.54, BRIGHTEST_ROOM] {
+            assert!(too_bright(usual) < 1e-9, "{usual}");
+        }
+        // the small room gamma-encoded: 0.875, in truth 0.54
+        let v = of(0.875).verdict();
+        assert_eq!(v.level, Level::Untrusted, "{v}");
+        assert!(v.reasons[0].what.contains("gamma-encoded"), "{v}");
+        // no jump anywhere
+        let steps = (0..100).map(|i| too_bright(0.01 * f64::from(i)));
+        let all: Vec<f64> = steps.collect();
+        assert!(all.windows(2).all(|w| w[1] >= w[0] && w[1] - w[0] < 0.05));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use unbake::Error;
 use unbake::core::formats;
 use unbake::core::image::Plane;
-use unbake::scene::{LdrImages, LoadOptions, Scene, check};
+use unbake::scene::{LdrImages, LoadOptions, Mirror, Scene, check};
 
 /// A change to `transforms.json` and what the refusal must say.
 type Edit = (fn(&mut Value), &'static str);
@@ -130,6 +130,69 @@ fn negative_pixels_become_black_and_are_counted() {
         .load_radiance_with_stats(&loaded.views[0])
         .expect("pixels");
     assert_eq!((stats.negative, image.data[0]), (HEIGHT, Vec3::ZERO));
+}
+
+#[test]
+fn a_scene_without_any_light_is_refused() {
+    let scene = SceneDir::box_room();
+    let black = Plane::filled(WIDTH, HEIGHT, Vec3::ZERO);
+    formats::write_rgb_float(scene.path("a.exr"), &black).expect("image");
+    let report = check(scene.folder(), &LoadOptions::default());
+    let said = report.problems.join("\n");
+    assert!(said.contains("every training image is black"), "{report}");
+    assert_eq!(report.exit_code(), 2);
+}
+
+/// Values that end at exactly 1 are clipped or made for a screen, and `color_space` says which.
+#[test]
+fn images_that_end_at_one_are_named() {
+    let scene = SceneDir::box_room();
+    let warned = || {
+        let report = check(scene.folder(), &LoadOptions::default());
+        assert!(report.is_usable(), "{report}");
+        report.warnings.join("\n").contains("end at exactly 1")
+    };
+    assert!(!warned());
+    // a lamp that falls off, cut off at 1
+    let image = |most: f32| {
+        let mut plane = Plane::filled(WIDTH, HEIGHT, Vec3::splat(0.5));
+        for (i, p) in plane.data[..40].iter_mut().enumerate() {
+            *p = (Vec3::new(1.0, 0.8, 0.5) * (40 - i) as f32 * 0.1).min(Vec3::splat(most));
+        }
+        plane
+    };
+    formats::write_rgb_float(scene.path("a.exr"), &image(1.0)).expect("image");
+    assert!(warned());
+    let report = check(scene.folder(), &LoadOptions::default());
+    let light = report.summary.and_then(|s| s.recorded_light);
+    assert_eq!(light.map(|l| (l.clipped_views, l.views)), Some((1, 1)));
+    scene.edit(|t| t["color_space"] = json!("rec709"));
+    assert!(!warned(), "the scene says that they are linear");
+    scene.edit(|t| {
+        t.as_object_mut().expect("an object").remove("color_space");
+    });
+    formats::write_rgb_float(scene.path("a.exr"), &image(1.5)).expect("image");
+    assert!(!warned(), "a ceiling elsewhere is a sensor's");
+}
+
+/// What is missing stands there under a misspelt name: said before what follows from it.
+#[test]
+fn misspelt_keys_are_named_where_something_is_missing() {
+    let scene = SceneDir::box_room();
+    scene.edit(|t| {
+        let map = t.as_object_mut().expect("an object");
+        let train = map.remove("train_filenames").expect("a split");
+        map.insert("train_filename".into(), train);
+        map.insert("somebody_elses".into(), json!(1));
+    });
+    let report = check(scene.folder(), &LoadOptions::default());
+    assert_eq!(report.exit_code(), 2);
+    assert!(
+        report.problems[0].contains("train_filename: no key known here; did you mean"),
+        "{report}"
+    );
+    let said = report.problems.join("\n");
+    assert!(!said.contains("somebody_elses"), "{report}");
 }
 
 #[test]
@@ -430,4 +493,71 @@ fn many_problems_are_shown_up_to_a_limit() {
         text.lines().count() < 15 && text.contains("more problems"),
         "{text}"
     );
+}
+
+/// Photographs that were stored upside down are turned as they are read; label images are right.
+#[test]
+fn photographs_upside_down_are_turned_and_labels_are_not() {
+    let scene = SceneDir::box_room();
+    let image = Plane {
+        width: WIDTH,
+        height: HEIGHT,
+        data: (0..WIDTH * HEIGHT)
+            .map(|i| Vec3::splat(1.0 + i as f32))
+            .collect(),
+    };
+    formats::write_rgb_float(scene.path("a.exr"), &image).expect("image");
+    let mut labels = Plane::filled(WIDTH, HEIGHT, 1u16);
+    labels.data[0] = 0;
+    formats::write_png16(scene.path("a.png"), &labels).expect("labels");
+    let mut loaded = Scene::load(scene.folder(), &LoadOptions::default()).expect("usable");
+    loaded.mirror = Mirror::UpsideDown;
+    let mut turned = loaded.load_radiance(&loaded.views[0]).expect("radiance");
+    turned.data.reverse();
+    assert_eq!(turned.data, image.data);
+    let read = loaded.load_labels(&loaded.views[0]).expect("labels");
+    assert_eq!(read.expect("labels").data, labels.data);
+}
+
+/// Chroma that only every other pixel has is refused by name whatever the library makes of it.
+#[test]
+fn subsampled_channels_are_refused_by_the_header() {
+    let scene = SceneDir::box_room();
+    let mut image = raw_exr(WIDTH as u32, HEIGHT as u32, |_, _| 0.5);
+    let blue = image
+        .windows(3)
+        .position(|w| w == b"B\0\x02")
+        .expect("blue");
+    image[blue + 10] = 2;
+    image[blue + 14] = 2;
+    scene.write("a.exr", &image);
+    refused(&scene, &["channels of which B are subsampled", "R, G, B"]);
+}
+
+/// A plane of kilometres takes the atlas: said, with the way out.
+#[test]
+fn a_mesh_that_is_mostly_ground_is_named() {
+    let scene = SceneDir::box_room();
+    let room = std::fs::read_to_string(scene.path("mesh.obj")).expect("mesh");
+    // without texture coordinates
+    let bare = |line: &str| match line.strip_prefix("f ") {
+        Some(corners) => {
+            let of = |c: &str| c.split('/').next().unwrap_or("").to_owned();
+            let corners: Vec<String> = corners.split(' ').map(of).collect();
+            format!("f {}\n", corners.join(" "))
+        }
+        None if line.starts_with("v ") => format!("{line}\n"),
+        None => String::new(),
+    };
+    let mut mesh: String = room.lines().map(bare).collect();
+    for (x, z) in [(-1, -1), (1, -1), (1, 1), (-1, 1)] {
+        mesh += &format!("v {} -0.2 {}\n", 5000 * x, 5000 * z);
+    }
+    mesh += "f -4 -2 -3\nf -4 -1 -2\n";
+    scene.write("mesh.obj", mesh.as_bytes());
+    let report = check(scene.folder(), &LoadOptions::default());
+    let said = report.warnings.join("\n");
+    assert!(report.is_usable(), "{report}");
+    assert!(said.contains("remove ground planes"), "{report}");
+    assert!(said.contains("texels per metre of surface"), "{report}");
 }

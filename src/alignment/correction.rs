@@ -25,7 +25,7 @@ pub struct Correction {
     pub focal_scale: f32,
     /// Principal points lie in the middle of the image.
     pub centred: bool,
-    /// Which pixels are mirrored.
+    /// Which pixels are mirrored or upside down.
     pub mirror: Mirror,
 }
 
@@ -87,7 +87,7 @@ impl Correction {
 
     /// The corrected camera. `origin` is the file's place of the coordinates' origin; `z_up` says
     /// that the file's poses were turned from z up on loading. Mirrored photographs are expressed
-    /// as a reflection of the camera's x axis.
+    /// as a reflection of the camera's x axis, half a turn as one about its z axis.
     #[must_use]
     pub fn camera(&self, camera: &Camera, origin: DVec3, z_up: bool) -> Camera {
         let mut rotation = camera.world_from_camera.as_dmat3();
@@ -103,9 +103,11 @@ impl Correction {
             rotation = up * stored.transpose();
         }
         rotation = self.turn * rotation * self.camera_turn;
-        if self.mirror != Mirror::None {
-            rotation *= DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0));
-        }
+        rotation *= DMat3::from_diagonal(match self.mirror {
+            Mirror::None => DVec3::ONE,
+            Mirror::Images | Mirror::All => DVec3::new(-1.0, 1.0, 1.0),
+            Mirror::UpsideDown => DVec3::new(-1.0, -1.0, 1.0),
+        });
         position = self.turn * position * self.scale + self.shift;
         Camera {
             projection: self.projection(camera),

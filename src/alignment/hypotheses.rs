@@ -213,6 +213,10 @@ pub fn pictures(panoramas: bool, labelled: bool) -> Vec<Hypothesis> {
             format!("{what} mirrored left to right, labels not"),
             mirrored(Mirror::Images),
         ));
+        out.push(Hypothesis::one(
+            format!("{what} upside down, labels not (an EXIF orientation that was not applied?)"),
+            mirrored(Mirror::UpsideDown),
+        ));
     }
     for (axis, name) in [(DVec3::X, "x"), (DVec3::Z, "z")] {
         let turn = DMat3::from_diagonal(DVec3::ONE - 2.0 * axis);

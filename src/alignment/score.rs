@@ -92,7 +92,8 @@ struct Traced {
 /// Scores all views with their cameras replaced by `cameras`.
 ///
 /// Photographs that are mirrored come as reflected cameras; with [`Mirror::Images`] class ids are
-/// looked up at the mirrored pixel, which is the one the label image shows. Only every `stride`-th
+/// looked up at the mirrored pixel, which is the one the label image shows, with
+/// [`Mirror::UpsideDown`] at the one half a turn away. Only every `stride`-th
 /// sample is used.
 #[must_use]
 pub fn score_views(
@@ -385,7 +386,11 @@ fn photo_agreement(view: &ViewEvidence, shared: &[Shared], key: u64) -> [Option<
 fn label_place(view: &ViewEvidence, p: Vec2, mirror: Mirror) -> Vec2 {
     match mirror {
         Mirror::Images => Vec2::new(view.features.width as f32 - p.x, p.y),
-        _ => p,
+        Mirror::UpsideDown => Vec2::new(
+            view.features.width as f32 - p.x,
+            view.features.height as f32 - p.y,
+        ),
+        Mirror::None | Mirror::All => p,
     }
 }
 
@@ -445,8 +450,10 @@ fn label_edge_agreement(view: &ViewEvidence, own: &Traced, mirror: Mirror) -> Op
         let s = &view.samples[k];
         for (pair, edge) in s.pairs.iter().zip(e) {
             let [a, b] = match mirror {
-                Mirror::Images => pair.ends.map(|p| view.label(label_place(view, p, mirror))),
-                _ => pair.labels,
+                Mirror::Images | Mirror::UpsideDown => {
+                    pair.ends.map(|p| view.label(label_place(view, p, mirror)))
+                }
+                Mirror::None | Mirror::All => pair.labels,
             };
             table[usize::from(a != b)][usize::from(*edge)] += 1.0;
         }

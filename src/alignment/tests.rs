@@ -196,6 +196,42 @@ fn mirrored_photographs_are_told_from_right_ones() {
     assert_eq!(a.correction.map(|c| c.mirror), Some(Mirror::All), "{a:?}");
 }
 
+/// Photographs that are stored upside down, under labels that are not.
+#[test]
+fn photographs_upside_down_are_told_from_mirrored_ones() {
+    let room = Photographed::panoramas(1.0);
+    let tracer = EmbreeTracer::new(&room.scene.mesh).expect("tracer");
+    let views: Vec<ViewEvidence> = (room.cameras.iter().zip(&room.images))
+        .map(|(camera, image)| {
+            let labels = labelled(&tracer, camera);
+            let mut image = image.clone();
+            image.data.reverse();
+            let size = EvidenceSize::COARSE;
+            ViewEvidence::new("v", camera, &image, None, Some(&labels), size)
+        })
+        .collect();
+    let a = assess_views(&room.scene, &tracer, &views);
+    assert_eq!(a.verdict, AlignmentVerdict::Misaligned, "{a:?}");
+    let found = a.correction.map(|c| c.mirror);
+    assert_eq!(found, Some(Mirror::UpsideDown), "{a:?}");
+}
+
+/// A class for each side of the boxes.
+fn labelled(tracer: &dyn Tracer, camera: &Camera) -> Plane<u16> {
+    let (w, h) = (camera.width, camera.height);
+    let rays: Vec<Ray> = (0..w * h)
+        .map(|i| Vec2::new((i % w) as f32 + 0.5, (i / w) as f32 + 0.5))
+        .map(|p| Ray::new(camera.position, camera.direction(p), f32::INFINITY))
+        .collect();
+    let mut hits = vec![Hit::miss(); rays.len()];
+    tracer.closest(&rays, &mut hits);
+    Plane {
+        width: w,
+        height: h,
+        data: hits.iter().map(|h| 1 + h.triangle as u16 / 2).collect(),
+    }
+}
+
 /// A room without a pattern says nothing: no verdict of misalignment may come of noise.
 #[test]
 fn nothing_to_see_is_no_misalignment() {

@@ -7,7 +7,7 @@ use crate::core::image::{CameraMask, Plane};
 use crate::core::texture::{Texels, fill_uncovered};
 use crate::core::trace::EmbreeTracer;
 use crate::gbuffer::{ObservedView, Observer, Orientation};
-use crate::scene::Scene;
+use crate::scene::{Scene, Shortfall};
 use glam::Vec3;
 use std::collections::BTreeMap;
 
@@ -44,6 +44,8 @@ pub struct Surface<'a> {
     /// Channels at the sensor's ceiling, a bit for each, per pixel of every view; `None` where no
     /// pixel is.
     pub ceilings: Vec<Option<Plane<u8>>>,
+    /// What of the light the photographs' files may lack.
+    pub shortfalls: Vec<Shortfall>,
     /// Side of each triangle the cameras see.
     pub orientation: Orientation,
     /// Sizes of the textures.
@@ -257,6 +259,7 @@ pub(crate) mod tests {
             tracer: EmbreeTracer::new(&scene.mesh).expect("Embree"),
             views: Vec::new(),
             ceilings: Vec::new(),
+            shortfalls: Vec::new(),
             orientation: Orientation::of_winding(triangles),
             sizes: TextureSizes {
                 albedo: side,

@@ -6,7 +6,8 @@ use crate::core::math::luminance;
 use crate::core::stats::{MAD_SCALE, median};
 use crate::inverse::AlbedoEstimate;
 use crate::observed::Surface;
-use crate::verdict::{Findings, GUESS, Share};
+use crate::scene::Shortfall;
+use crate::verdict::{Findings, GUESS, Reason, Share};
 use std::collections::BTreeMap;
 
 /// Classes that a finding names at most.
@@ -87,8 +88,42 @@ pub(super) fn findings(
         albedo_at_bound: tally.share(known, at_bound),
         unlabelled: tally.share(known, |i| surface.fusion.label[i] == 0),
         labelled,
+        others: doubts_of_files(&surface.shortfalls),
         ..Findings::default()
     }
+}
+
+/// Error of the albedo where photographs are gamma-encoded and taken as linear. Measured: 13.4 dB
+/// (`synth --rooms 1 --views 6 --width 256`, sRGB-encoded and cut off at 1, draft; 2026-11-25).
+const ENCODED: f64 = 0.21;
+
+/// What the files' values give reason to doubt, though each could be right.
+fn doubts_of_files(files: &[Shortfall]) -> Vec<Reason> {
+    let mut doubts = Vec::new();
+    let infinite: usize = files.iter().map(|s| s.infinite_on_lights).sum();
+    if infinite > 0 {
+        doubts.push(Reason {
+            what: format!(
+                "{infinite} infinite pixels on lights are left out, and with them the brightest light: save the images in single precision"
+            ),
+            // nobody knows how much: no better than a guess
+            weight: GUESS,
+            place: String::new(),
+        });
+    }
+    let ending = files.iter().filter(|s| s.ends_at_one).count();
+    if ending > 0 {
+        doubts.push(Reason {
+            what: format!(
+                "{ending} of {} photographs end at exactly 1: clipped light, or gamma-encoded pictures for screens (\"color_space\" in transforms.json says which: \"rec709\" or \"srgb\")",
+                files.len()
+            ),
+            // as likely as not
+            weight: ENCODED * (0.5 * ending as f64 / files.len() as f64).sqrt(),
+            place: String::new(),
+        });
+    }
+    doubts
 }
 
 /// Means and shares by area.

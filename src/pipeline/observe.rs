@@ -11,12 +11,12 @@ use crate::core::progress::Progress;
 use crate::core::stats::MAD_SCALE;
 use crate::core::texture::Texels;
 use crate::core::trace::{EmbreeTracer, Hit};
-use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer, clipped_channels};
+use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
 use crate::observed::{
     Contradictions, Surface, balance_views, complete_labels, find_camera_rigs, fuse_radiance,
     leave_out_clipped_sky,
 };
-use crate::scene::{Scene, View};
+use crate::scene::{Scene, Shortfall, View, all_black, clipped_channels};
 use glam::Vec3;
 use std::time::Instant;
 
@@ -30,10 +30,8 @@ pub fn observe<'a>(
     progress: &Progress,
 ) -> Result<Surface<'a>> {
     let tracer = EmbreeTracer::new(&scene.mesh)?;
-    let ReadViews {
-        mut views,
-        ceilings: clipped,
-    } = read_views(scene, &tracer, options, progress)?;
+    let read = read_views(scene, &tracer, options, progress)?;
+    let mut views = read.views;
     let (lo, hi) = scene.mesh.bounds();
     // a tenth of a millimetre in a ten-metre room, well above the rounding of positions
     let offset = (hi - lo).length() * 1e-5;
@@ -44,7 +42,7 @@ pub fn observe<'a>(
         offset,
     );
     report_orientation(&orientation, scene.mesh.triangles.len(), progress);
-    leave_out_clipped_sky(&mut views, &clipped);
+    leave_out_clipped_sky(&mut views, &read.ceilings);
     let camera_masks = mask_rigs(scene, &mut views, &orientation, options, progress);
     let balanced = balance_views(scene, &mut views, &orientation, options.exposure, progress);
     let sizes = choose_sizes(
@@ -90,7 +88,8 @@ pub fn observe<'a>(
         scene,
         tracer,
         views,
-        ceilings: clipped,
+        ceilings: read.ceilings,
+        shortfalls: read.shortfalls,
         orientation,
         sizes,
         texels,
@@ -110,6 +109,8 @@ struct ReadViews {
     views: Vec<ObservedView>,
     /// Channels at the sensor's ceiling per pixel; `None` where a view has no ceiling.
     ceilings: Vec<Option<Plane<u8>>>,
+    /// What of the light the files may lack.
+    shortfalls: Vec<Shortfall>,
 }
 
 /// Reads the training views and traces what their pixels see.
@@ -121,31 +122,49 @@ fn read_views(
 ) -> Result<ReadViews> {
     let train: Vec<&View> = scene.train_views().collect();
     let mut ceilings = Vec::with_capacity(train.len());
+    let mut shortfalls = Vec::with_capacity(train.len());
     let views = progress.stage("views", train.len() as u64, |p| {
         let read = |view: &&View| {
-            let (view, ceiling) = read_view(scene, view, tracer, options, p)?;
-            ceilings.push(ceiling);
+            let read = read_view(scene, view, tracer, options, p)?;
+            ceilings.push(read.ceiling);
+            shortfalls.push(read.shortfall);
             p.advance(1);
-            Ok(view)
+            Ok(read.view)
         };
         train.iter().map(read).collect::<Result<Vec<_>>>()
     })?;
-    Ok(ReadViews { views, ceilings })
+    let dark = |v: &ObservedView| v.radiance.data.iter().all(|p| *p == Vec3::ZERO);
+    if views.iter().all(dark) {
+        return Err(all_black(scene));
+    }
+    Ok(ReadViews {
+        views,
+        ceilings,
+        shortfalls,
+    })
 }
 
-/// One view, and its pixels at the sensor's ceiling if it has one.
+/// One view as read.
+struct ReadView {
+    view: ObservedView,
+    /// Its pixels at the sensor's ceiling, if it has one.
+    ceiling: Option<Plane<u8>>,
+    shortfall: Shortfall,
+}
+
 fn read_view(
     scene: &Scene,
     view: &View,
     tracer: &EmbreeTracer,
     options: &SolveOptions,
     progress: &Progress,
-) -> Result<(ObservedView, Option<Plane<u8>>)> {
-    let full = scene.load_radiance(view)?;
+) -> Result<ReadView> {
+    let (full, stats) = scene.load_radiance_with_stats(view)?;
     let ceiling = clipped_channels(&full, view.encoded_ceiling())
         .map(|c| blocks(&c, options.photo_reduction.max(1), |a, b| a | b));
     let radiance = reduced(full, options.photo_reduction);
     let labels = scene.load_labels(view)?;
+    let shortfall = Shortfall::of(scene, view, &stats, labels.as_ref())?;
     let valid = scene
         .load_mask(view)?
         .map(|m| all_valid(&m, options.photo_reduction));
@@ -175,7 +194,11 @@ fn read_view(
         labels,
         valid,
     };
-    Ok((observed, ceiling))
+    Ok(ReadView {
+        view: observed,
+        ceiling,
+        shortfall,
+    })
 }
 
 /// Where the views contradict each other, and a note on the places.

@@ -3,13 +3,16 @@
 
 use super::frame_account;
 use super::recorded_light::{ClippedView, RecordedLight};
-use super::{FrameAccount, LoadOptions, RoomGrid, Scene, Split, View, find_rooms};
+use super::{
+    FrameAccount, LoadOptions, RoomGrid, Scene, Split, View, clipped_channels, find_rooms,
+};
 use crate::core::geometry::Projection;
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::parallel::sum_f64;
 use crate::core::sampling::{AliasTable, KeyedRng};
+use crate::core::stats::median;
 use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
 use crate::{Error, Result};
 use glam::{Vec2, Vec3};
@@ -41,6 +44,8 @@ pub struct Summary {
     pub images: Vec<ImageKind>,
     /// Every frame whose files could be read.
     pub frames: Vec<FrameAccount>,
+    /// Views whose files could not be read: radiance and classes are those of the others.
+    pub unread_views: usize,
     /// Light that the photographs do not hold; `None` where nothing is clipped.
     pub recorded_light: Option<RecordedLight>,
     /// Geometry.
@@ -57,6 +62,9 @@ pub struct Summary {
     pub hole_share: f64,
     /// Share of the surface no training view sees.
     pub unseen_area_share: f64,
+    /// Pixels of the training images per metre of what they show, at their middle distance; 0 if
+    /// they show nothing.
+    pub pixels_per_metre: f64,
     /// Rooms on the floor plan.
     pub rooms: Vec<RoomSummary>,
     /// Rooms come from the scene's own grid rather than being found.
@@ -142,6 +150,9 @@ pub struct RoomSummary {
 
 /// Rays traced per view for coverage and class shares.
 const RAYS_PER_VIEW: usize = 20_000;
+/// Pixels per texel, along a side, from which an atlas of 2048² is too coarse. Derived: the largest
+/// atlas has 8192².
+const COARSER: f64 = 4.0;
 /// Surface points tested for being seen.
 const SURFACE_POINTS: usize = 20_000;
 /// Pixels per image that enter the radiance quantiles.
@@ -229,6 +240,7 @@ pub fn check_loaded(scene: &Scene, tracer: &dyn Tracer, report: &mut CheckReport
         images: image_kinds(scene),
         mesh: mesh_summary(scene),
         radiance: radiance_range(&findings),
+        unread_views: scene.views.len() - findings.len(),
         unseen_area_share: unseen_share(scene, tracer),
         rooms_given: scene.rooms.is_some(),
         ..Summary::default()
@@ -264,17 +276,24 @@ pub fn check_loaded(scene: &Scene, tracer: &dyn Tracer, report: &mut CheckReport
         }
     };
     summary.rooms = room_summaries(scene, grid);
+    let sizes = findings.iter().filter(|f| f.train && f.pixel_size > 0.0);
+    let size = median(sizes.map(|f| f.pixel_size).collect());
+    summary.pixels_per_metre = size.map_or(0.0, |s| 1.0 / f64::from(s));
     // nothing is concluded from images that could not be read
-    if findings.len() == scene.views.len() {
+    if summary.unread_views == 0 {
         warn(scene, &summary, &findings, &mut report.warnings);
+    }
+    let black = |f: &ViewFindings| f.luminances.iter().all(|&l| l <= 0.0);
+    if !findings.is_empty() && findings.iter().filter(|f| f.train).all(black) {
+        report.problems.push(super::all_black(scene).to_string());
     }
     report.summary = Some(summary);
 }
 
-/// What the training views that are files for screens lack of the light.
+/// What the training views lack of the light.
 fn recorded_light(scene: &Scene, findings: &[ViewFindings]) -> Option<RecordedLight> {
     let views: Vec<&ClippedView> = (findings.iter().filter(|f| f.train))
-        .filter_map(|f| f.clipped.as_ref())
+        .map(|f| &f.clipped)
         .collect();
     RecordedLight::of(&views, |id| {
         scene.class(id).map_or(String::new(), |c| c.name.clone())
@@ -294,8 +313,10 @@ struct ViewFindings {
     holes: f64,
     unlabelled_surface: f64,
     class_angle: BTreeMap<u16, f64>,
-    /// What is at the ceiling, of files for screens.
-    clipped: Option<ClippedView>,
+    /// Side of a pixel on what the view shows, median, metres; 0 if it shows nothing.
+    pixel_size: f32,
+    /// What is at the ceiling.
+    clipped: ClippedView,
     /// (triangle, class, rays).
     votes: BTreeMap<(u32, u16), u32>,
 }
@@ -329,7 +350,8 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
         holes: 0.0,
         unlabelled_surface: 0.0,
         class_angle: BTreeMap::new(),
-        clipped: None,
+        pixel_size: 0.0,
+        clipped: ClippedView::default(),
         votes: BTreeMap::new(),
     };
     // a regular lattice of rays in the image's aspect
@@ -352,6 +374,9 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
     let mut hits = vec![Hit::miss(); rays.len()];
     tracer.closest(&rays, &mut hits);
     f.clipped = clipped_view(view, &image, labels.as_ref(), (&pixels, &rays, &hits));
+    let seen = pixels.iter().zip(&hits).filter(|(_, h)| h.is_hit());
+    let sizes = seen.map(|(&p, h)| h.t * camera.pixel_solid_angle(p).sqrt());
+    f.pixel_size = median(sizes.collect()).unwrap_or(0.0);
     for (&p, hit) in pixels.iter().zip(&hits) {
         let angle = f64::from(camera.pixel_solid_angle(p));
         f.solid_angle += angle;
@@ -374,14 +399,14 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
     Ok(f)
 }
 
-/// What rays through pixels of a file for screens find at its ceiling; `None` of linear files.
+/// What rays through pixels find at the file's ceiling: nothing where it has none.
 fn clipped_view(
     view: &View,
     image: &RgbPlane,
     labels: Option<&Plane<u16>>,
     (pixels, rays, hits): (&[Vec2], &[Ray], &[Hit]),
-) -> Option<ClippedView> {
-    let ceiling = view.encoded_ceiling()?;
+) -> ClippedView {
+    let ceiling = clipped_channels(image, view.encoded_ceiling());
     let camera = &view.camera;
     let size = Vec2::new(camera.width as f32, camera.height as f32);
     let mut out = ClippedView {
@@ -392,7 +417,8 @@ fn clipped_view(
         let angle = f64::from(camera.pixel_solid_angle(p));
         out.whole += angle;
         let of_image = Vec2::new(image.width as f32, image.height as f32) / size;
-        if image.nearest(p * of_image).max_element() >= ceiling {
+        let at_ceiling = |c: &Plane<u8>| *c.nearest(p * of_image) != 0;
+        if ceiling.as_ref().is_some_and(at_ceiling) {
             let class = labels.map_or(0, |l| {
                 *l.nearest(p * Vec2::new(l.width as f32, l.height as f32) / size)
             });
@@ -400,7 +426,7 @@ fn clipped_view(
             out.add(angle, hit.is_hit().then(place), class);
         }
     }
-    Some(out)
+    out
 }
 
 fn subsampled(image: &RgbPlane) -> Vec<f32> {
@@ -621,9 +647,21 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
         ));
     }
     if s.unseen_area_share > 0.25 {
+        // (half the surface of closed bodies is turned away from any place)
+        let cure = if s.unseen_area_share > 0.5 {
+            ", and it takes that share of the atlas: remove ground planes and what lies outside the rooms from the mesh"
+        } else {
+            ""
+        };
         warnings.push(format!(
-            "{:.0} % of the surface is seen by no training view; its materials are filled in",
+            "{:.0} % of the surface is seen by no training view; its materials are filled in{cure}",
             100.0 * s.unseen_area_share
+        ));
+    }
+    if s.mesh.texels_per_metre * COARSER < s.pixels_per_metre {
+        warnings.push(format!(
+            "the atlas has {:.1} texels per metre of surface (at 2048²) where the photographs show {:.0} pixels per metre: most of it goes to surface of which they show little ({:.0} m² in all)",
+            s.mesh.texels_per_metre, s.pixels_per_metre, s.mesh.area
         ));
     }
     warn_of_labels(s, findings, warnings);

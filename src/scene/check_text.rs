@@ -88,14 +88,18 @@ fn summary(f: &mut Formatter<'_>, s: &Summary) -> Result {
     }
     mesh_rows(f, &s.mesh)?;
     let r = &s.radiance;
-    row(
-        f,
-        "radiance",
-        format!(
+    let unread = match s.unread_views {
+        0 => String::new(),
+        n => format!(" ({n} views could not be read)"),
+    };
+    let radiance = match s.frames.is_empty() {
+        true => "unknown".to_owned(),
+        false => format!(
             "min {:.3e}, median {:.3e}, 99.9 % {:.3e}, max {:.3e}",
             r.min, r.median, r.p999, r.max
         ),
-    )?;
+    };
+    row(f, "radiance", format!("{radiance}{unread}"))?;
     row(
         f,
         "geometry",
@@ -116,6 +120,9 @@ fn summary(f: &mut Formatter<'_>, s: &Summary) -> Result {
         "rooms",
         format!("{} {how}: {}", s.rooms.len(), rooms.join(", ")),
     )?;
+    if s.frames.is_empty() {
+        return row(f, "classes", s.classes.len().to_string());
+    }
     row(
         f,
         "classes",

@@ -1,7 +1,7 @@
 //! What `check` says of each photograph: how it was understood, and what of it is left out.
 
 use super::{PixelStats, Scene, View};
-use crate::core::formats::{ImageAccount, read_photograph};
+use crate::core::formats::ImageAccount;
 use crate::core::image::Plane;
 use crate::{Error, Result};
 use glam::Vec2;
@@ -20,8 +20,42 @@ pub struct FrameAccount {
     pub exposure_ev: f32,
     /// Share of the pixels that a mask, the alpha channel or `--clamp-nan` leaves out.
     pub masked_share: f64,
-    /// Infinite pixels on surfaces of kind `light`.
+    /// What of the light the file may lack.
+    #[serde(flatten)]
+    pub shortfall: Shortfall,
+}
+
+/// Light that a linear file does not hold although its values look like any others.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Shortfall {
+    /// Infinite pixels on surfaces of kind `light`; where nothing is labelled, all of them.
     pub infinite_on_lights: usize,
+    /// The values end at exactly 1, as those of pictures for screens do, and nothing says that they
+    /// are linear.
+    pub ends_at_one: bool,
+}
+
+impl Shortfall {
+    /// Of a view whose pixels were read.
+    ///
+    /// # Errors
+    /// The image cannot be read a second time.
+    pub fn of(
+        scene: &Scene,
+        view: &View,
+        stats: &PixelStats,
+        labels: Option<&Plane<u16>>,
+    ) -> Result<Self> {
+        let infinite_on_lights = match labels {
+            Some(labels) if stats.infinite > 0 => infinite_on_lights(scene, view, labels)?,
+            _ => stats.infinite,
+        };
+        let linear = !view.account.is_display_referred() && view.colour_space.is_none();
+        Ok(Self {
+            infinite_on_lights,
+            ends_at_one: linear && stats.at_one > 0,
+        })
+    }
 }
 
 /// The account of a view whose files were all read.
@@ -45,22 +79,18 @@ pub(super) fn account(
             ),
         ));
     }
-    let infinite_on_lights = match labels {
-        Some(labels) if stats.infinite > 0 => infinite_on_lights(scene, view, labels)?,
-        _ => 0,
-    };
     Ok(FrameAccount {
         stem: view.stem.clone(),
         image: view.account.clone(),
         exposure_ev: view.exposure_ev,
         masked_share: out as f64 / count as f64,
-        infinite_on_lights,
+        shortfall: Shortfall::of(scene, view, stats, labels)?,
     })
 }
 
 /// Infinite pixels whose class is of kind `light`.
 fn infinite_on_lights(scene: &Scene, view: &View, labels: &Plane<u16>) -> Result<usize> {
-    let image = read_photograph(&view.image_path, view.colour_space)?.pixels;
+    let image = scene.read_image(view)?.pixels;
     let scale = Vec2::new(
         labels.width as f32 / image.width as f32,
         labels.height as f32 / image.height as f32,
@@ -115,11 +145,22 @@ pub(super) fn warnings(frames: &[FrameAccount]) -> Vec<String> {
             100.0 * first.masked_share
         ));
     }
-    let infinite = with(&|f| f.infinite_on_lights > 0);
+    let infinite = with(&|f| f.shortfall.infinite_on_lights > 0);
     if let [first, ..] = infinite[..] {
-        let count: usize = infinite.iter().map(|f| f.infinite_on_lights).sum();
+        let count: usize = infinite
+            .iter()
+            .map(|f| f.shortfall.infinite_on_lights)
+            .sum();
         notes.push(format!(
             "{count} infinite pixels lie on classes of kind light (first: {}): the brightest light of the scene is left out; save the images in single precision",
+            first.stem
+        ));
+    }
+    let ending = with(&|f| f.shortfall.ends_at_one);
+    if let [first, ..] = ending[..] {
+        notes.push(format!(
+            "{} images end at exactly 1 (first: {}), as pictures for screens do: they are taken as linear light that is clipped there. If they are gamma-encoded, say \"color_space\": \"srgb\" in transforms.json; \"rec709\" says that they are linear",
+            ending.len(),
             first.stem
         ));
     }

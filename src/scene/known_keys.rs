@@ -151,6 +151,8 @@ fn known(name: &str, place: Place) -> Option<&'static KnownKey> {
 pub struct KeyFindings {
     /// Keys nobody knows, each with the nearest known one.
     pub warnings: Vec<String>,
+    /// Those among them that are near a known one.
+    pub misspelt: Vec<String>,
     /// Keys that would change geometry.
     pub issues: Vec<String>,
 }
@@ -187,17 +189,20 @@ pub fn examine(root: &Map<String, Value>) -> KeyFindings {
     }
     for ((name, place), (at, times)) in unknown {
         let place = [Scene, Frame, Both, Class][place];
-        found.warnings.push(warning(name, place, &at, times));
+        let near = nearest(name, place);
+        let said = warning(name, near, &at, times);
+        found.misspelt.extend(near.map(|_| said.clone()));
+        found.warnings.push(said);
     }
     found
 }
 
-fn warning(name: &str, place: Place, at: &str, times: usize) -> String {
+fn warning(name: &str, near: Option<&str>, at: &str, times: usize) -> String {
     let often = match times {
         1 => String::new(),
         n => format!(" and {} more", n - 1),
     };
-    let advice = match nearest(name, place) {
+    let advice = match near {
         Some(near) => format!("did you mean \"{near}\"?"),
         None => "it is ignored".to_owned(),
     };
@@ -230,10 +235,25 @@ fn is_nothing(value: &Value) -> bool {
     }
 }
 
+/// Other programs' words for keys, which letters alone would lead astray: COLMAP's, OpenCV's and
+/// glTF's.
+const OTHER_WORDS: [(&str, &str); 6] = [
+    ("fx", "fl_x"),
+    ("fy", "fl_y"),
+    ("width", "w"),
+    ("height", "h"),
+    ("exposure", "exposure_ev"),
+    ("xfov", "camera_angle_x"),
+];
+
 /// The known key that a misspelt one most likely means: at most a third of its letters away.
 fn nearest(name: &str, place: Place) -> Option<&'static str> {
     let plain = |s: &str| s.to_lowercase().replace(['-', ' '], "_");
     let name = plain(name);
+    let other = OTHER_WORDS.iter().find(|w| w.0 == name);
+    if let Some((_, meant)) = other.filter(|_| place != Class) {
+        return Some(meant);
+    }
     let fits = |k: &&KnownKey| {
         k.meaning == Used
             && (k.place == place || (k.place == Both && matches!(place, Scene | Frame)))

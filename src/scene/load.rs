@@ -63,12 +63,18 @@ impl Scene {
         let SceneFile { file, folder } = SceneFile::at(path.as_ref());
         let (transforms, mut issues) =
             read_transforms(&file).map_err(|e| limited(e, options.max_issues))?;
+        // what is missing may be there under a misspelt name: said first
+        let refusal = |mut issues: Vec<Error>| {
+            let misspelt = transforms.misspelt.iter();
+            issues.splice(0..0, misspelt.map(|k| Error::input(&file, k.clone())));
+            limited(issues, options.max_issues)
+        };
         let mut warnings = transforms.warnings.clone();
         let splits = splits(&transforms, &file, &mut issues, &mut warnings);
         check_stems(&transforms.frames, &file, &mut issues);
         let mesh_path = resolved(&folder, &transforms.mesh_path);
         let mesh = if transforms.mesh_path.is_empty() {
-            return Err(limited(issues, options.max_issues));
+            return Err(refusal(issues));
         } else {
             formats::read_mesh(&mesh_path)
         };
@@ -99,11 +105,11 @@ impl Scene {
             Ok(m) => m,
             Err(e) => {
                 issues.insert(0, e);
-                return Err(limited(issues, options.max_issues));
+                return Err(refusal(issues));
             }
         };
         if !issues.is_empty() {
-            return Err(limited(issues, options.max_issues));
+            return Err(refusal(issues));
         }
         let scene = Self {
             origin,
@@ -416,24 +422,19 @@ fn view(
             ));
         }
     }
-    let side_file = |path: &Option<String>,
-                     what: &str,
-                     issues: &mut Vec<Error>|
-     -> Option<PathBuf> {
-        let path = resolved(folder, path.as_ref()?);
-        match (formats::image_info(&path), &info) {
-            (Err(e), _) => issues.push(as_input(e, &path, &format!("frames[{}]", f.index))),
-            (Ok(side), Some(image)) if !same_aspect(&side, image) => issues.push(Error::input(
-                &path,
-                format!(
-                    "the {what} image is {}x{}, its photograph {}x{}; any resolution will do, but the aspect must be the same",
-                    side.width, side.height, image.width, image.height
-                ),
-            )),
-            _ => {}
-        }
-        Some(path)
-    };
+    let side_file =
+        |path: &Option<String>, what: &str, issues: &mut Vec<Error>| -> Option<PathBuf> {
+            let path = resolved(folder, path.as_ref()?);
+            match (formats::image_info(&path), &info) {
+                (Err(e), _) => issues.push(as_input(e, &path, &format!("frames[{}]", f.index))),
+                (Ok(side), Some(image)) => {
+                    let wrong = unfit(&side, image, what);
+                    issues.extend(wrong.map(|m| Error::input(&path, m)));
+                }
+                _ => {}
+            }
+            Some(path)
+        };
     let label_path = side_file(&f.label_path, "label", &mut issues);
     let mask_path = side_file(&f.mask_path, "mask", &mut issues);
     let (Some(info), Some(stem), true) = (info, stem(&f.file_path), issues.is_empty()) else {
@@ -491,6 +492,29 @@ fn level_white(views: &mut [View]) -> Vec<String> {
         "the images state different whiteLuminance: all are brought to the scale of the first"
             .into(),
     ]
+}
+
+/// By how many times a label or mask image may be finer than its photograph, in columns; smaller
+/// ones than [`HARMLESS`] pixels always may. Derived: texels are no finer than pixels of
+/// photographs, and a few kilobytes of PNG can state hundreds of megabytes.
+const FINER: usize = 8;
+const HARMLESS: usize = 1 << 24;
+
+/// Why a label or mask image cannot belong to its photograph, if so.
+fn unfit(side: &ImageInfo, image: &ImageAccount, what: &str) -> Option<String> {
+    let sizes = format!(
+        "the {what} image is {}x{}, its photograph {}x{}",
+        side.width, side.height, image.width, image.height
+    );
+    if !same_aspect(side, image) {
+        return Some(format!(
+            "{sizes}; any resolution will do, but the aspect must be the same"
+        ));
+    }
+    let oversized = side.width * side.height > HARMLESS && side.width > FINER * image.width;
+    oversized.then(|| {
+        format!("{sizes}; expected at most {FINER} times as many columns: save it smaller")
+    })
 }
 
 /// Whether two sizes show the same aspect to within one pixel of the smaller.

@@ -2,6 +2,7 @@
 
 mod check;
 mod check_text;
+mod clipping;
 mod frame_account;
 mod frame_change;
 mod input_error;
@@ -20,9 +21,10 @@ pub use check::{
     CheckReport, ClassShare, ImageKind, MeshSummary, RadianceRange, RoomSummary, Summary, check,
     check_loaded, check_scene, load_for_check,
 };
-pub use frame_account::FrameAccount;
+pub use clipping::clipped_channels;
+pub use frame_account::{FrameAccount, Shortfall};
 pub use mesh_prep::{MeshStats, atlas_overlap, prepare_mesh};
-pub use pixels::PixelStats;
+pub use pixels::{PixelStats, all_black};
 pub use recorded_light::RecordedLight;
 pub use rooms::{find_rooms, floor_plan};
 pub use staged::StagedScene;
@@ -124,7 +126,7 @@ impl Class {
     }
 }
 
-/// Which pixels are mirrored left to right, and turned back as they are read.
+/// Which pixels are mirrored left to right or upside down, and turned back as they are read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Mirror {
@@ -135,6 +137,8 @@ pub enum Mirror {
     Images,
     /// Photographs, labels and masks.
     All,
+    /// The photographs alone are turned by half a turn, as an EXIF orientation of 3 would undo.
+    UpsideDown,
 }
 
 /// What a view is used for.
@@ -206,7 +210,7 @@ pub struct Scene {
     pub mesh_stats: MeshStats,
     /// The file's world is z up: poses and mesh were turned on loading.
     pub z_up: bool,
-    /// Which pixels are mirrored in their files.
+    /// Which pixels are mirrored or upside down in their files.
     pub mirror: Mirror,
     /// What a user should know although the scene is usable.
     pub warnings: Vec<String>,

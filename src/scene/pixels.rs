@@ -19,7 +19,13 @@ pub struct PixelStats {
     pub negative: usize,
     /// Infinite pixels among those that are not finite: lamps beyond half precision, as a rule.
     pub infinite: usize,
+    /// Pixels that reach exactly 1 in an image that nowhere goes beyond; 0 if they are no plateau.
+    pub at_one: usize,
 }
+
+/// Pixels at exactly 1 that make a plateau. Derived: a lamp of 4 × 4 pixels; one highlight may end
+/// there by chance.
+const PLATEAU: usize = 16;
 
 /// Radiance that is taken for a slip: photographs in any unit lie within (measured: W/m² of the sun
 /// 2e7, starlight in candelas 1e-8), and squares of it within single precision.
@@ -50,6 +56,7 @@ impl Scene {
         let gain = view.exposure_ev.exp2();
         let mut stats = PixelStats::default();
         let (mut bad, mut brightest) = (Vec::new(), 0f32);
+        stats.at_one = at_one(&image);
         for (i, p) in image.data.iter_mut().enumerate() {
             let scaled = *p * gain;
             if !scaled.is_finite() {
@@ -185,7 +192,8 @@ impl Scene {
         known
     }
 
-    fn read_image(&self, view: &View) -> Result<Photograph> {
+    /// The image as stored, turned the way the scene says.
+    pub(super) fn read_image(&self, view: &View) -> Result<Photograph> {
         let path = &view.image_path;
         let linear = formats::image_info(path).map(|i| i.format.is_linear());
         let image = match linear {
@@ -204,6 +212,12 @@ impl Scene {
                     image.width, image.height, view.camera.width, view.camera.height
                 ),
             ));
+        }
+        if self.mirror == Mirror::UpsideDown {
+            return Ok(Photograph {
+                pixels: half_turned(photograph.pixels),
+                alpha: photograph.alpha.map(half_turned),
+            });
         }
         let mirrored = self.mirror != Mirror::None;
         Ok(Photograph {
@@ -231,6 +245,12 @@ impl Scene {
             data,
         }))
     }
+}
+
+/// The plane upside down.
+fn half_turned<T>(mut plane: Plane<T>) -> Plane<T> {
+    plane.data.reverse();
+    plane
 }
 
 /// The plane, mirrored left to right if the file is.
@@ -264,6 +284,26 @@ fn joined(mask: Option<Plane<bool>>, alpha: Option<&Plane<f32>>) -> Option<Plane
 
 /// Refuses images of which nothing can be learnt: nothing finite, nothing but negative values, or
 /// values that no photograph has.
+/// The refusal of a scene whose training images are black throughout.
+#[must_use]
+pub fn all_black(scene: &Scene) -> Error {
+    let first = scene.train_views().next();
+    let path = first.map_or(&scene.folder, |v| &v.image_path);
+    Error::input(
+        path,
+        "every training image is black: no light to reconstruct from; look at exposure_ev, or render the images again",
+    )
+}
+
+/// [`PixelStats::at_one`] of an image as stored.
+fn at_one(image: &RgbPlane) -> usize {
+    if image.data.iter().any(|p| p.max_element() > 1.0) {
+        return 0;
+    }
+    let count = image.data.iter().filter(|p| p.max_element() == 1.0).count();
+    if count < PLATEAU { 0 } else { count }
+}
+
 fn sane(path: &Path, image: &RgbPlane, stats: &PixelStats, brightest: f32) -> Result<()> {
     let count = image.data.len();
     let refuse = |m: String| Err(Error::input(path, m));

@@ -1,7 +1,7 @@
 //! The photographer's advice, first in what `check` says: whether the photographs hold the light.
 //!
-//! A file for screens ends at a ceiling, which lamps, windows and patches of sun reach; what they
-//! send beyond is not in the photographs. How much that is, `solve` estimates from the shading they
+//! A file for screens ends at a ceiling, and so does a linear one whose sensor was clipped; lamps,
+//! windows and patches of sun reach it, and what they send beyond is not in the photographs. How much that is, `solve` estimates from the shading they
 //! throw; before, it is not known, and not claimed. Views that between them show most of the clipped
 //! surface are named: brackets of those would record it (greedy set cover, Chvátal 1979).
 
@@ -65,8 +65,8 @@ impl ClippedView {
 pub struct RecordedLight {
     /// Training views with clipped pixels, and all.
     pub clipped_views: usize,
-    /// Training views that are files for screens.
-    pub display_views: usize,
+    /// All training views.
+    pub views: usize,
     /// Mean share of those views (solid angle) that is clipped.
     pub clipped_share: f64,
     /// Class that has most of it; empty if unlabelled.
@@ -78,7 +78,7 @@ pub struct RecordedLight {
 }
 
 impl RecordedLight {
-    /// Sums up the training views that are files for screens; `None` if none is clipped.
+    /// Sums up the training views; `None` if none is clipped.
     pub(super) fn of(views: &[&ClippedView], name: impl Fn(u16) -> String) -> Option<Self> {
         let clipped: Vec<&&ClippedView> = views
             .iter()
@@ -112,7 +112,7 @@ impl RecordedLight {
         let share = |v: &&&ClippedView| v.clipped / v.whole;
         Some(Self {
             clipped_views: clipped.len(),
-            display_views: views.len(),
+            views: views.len(),
             clipped_share: clipped.iter().map(share).sum::<f64>() / views.len() as f64,
             most_on: most.map_or(String::new(), |m| name(*m.0)),
             bracket,
@@ -135,7 +135,7 @@ impl RecordedLight {
              record it: brackets at ±2 EV of {} (they show {:.0} % of the clipped surface), merged by \
              `unbake prepare brackets`.",
             self.clipped_views,
-            self.display_views,
+            self.views,
             100.0 * self.clipped_share,
             self.bracket.join(", "),
             100.0 * self.bracket_share,
@@ -169,7 +169,7 @@ mod tests {
         ];
         let all: Vec<&ClippedView> = views.iter().collect();
         let found = RecordedLight::of(&all, |_| "lamp".into()).expect("clipped");
-        assert_eq!((found.clipped_views, found.display_views), (3, 4));
+        assert_eq!((found.clipped_views, found.views), (3, 4));
         assert_eq!(found.bracket, ["b", "c"]);
         assert!((found.bracket_share - 1.0).abs() < 1e-9 && found.most_on == "lamp");
         assert!((found.clipped_share - 0.06 / 12.0 / 4.0).abs() < 1e-9);

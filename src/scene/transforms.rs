@@ -119,6 +119,8 @@ pub struct Transforms {
     pub z_up: bool,
     /// `mesh_up_axis`: the same for the mesh alone; `None` if the key is absent.
     pub mesh_z_up: Option<bool>,
+    /// Keys that are misspelt, each with the one that is meant; they are among the warnings.
+    pub misspelt: Vec<String>,
     /// What a user should know of the file although it can be used.
     pub warnings: Vec<String>,
 }
@@ -202,6 +204,7 @@ pub(super) fn parse_usable(text: &str) -> Result<(Transforms, Vec<String>), Vec<
             rooms_path,
             z_up,
             mesh_z_up,
+            misspelt: keys.misspelt,
             warnings,
         },
         issues,

@@ -101,6 +101,32 @@ impl ExrPart {
         !matches!(self.kind.as_deref(), Some("deepscanline" | "deeptile"))
     }
 
+    /// Whether it holds luminance and chroma (Y, RY, BY) instead of red, green and blue.
+    #[must_use]
+    pub fn is_luminance_chroma(&self) -> bool {
+        let has = |name: &str| self.channels.iter().any(|c| c.name == name);
+        has("RY") && has("BY")
+    }
+
+    /// Why its samples cannot be taken pixel by pixel: channels that only every n-th pixel has,
+    /// which OpenImageIO reads or refuses depending on its release.
+    #[must_use]
+    pub fn sampled_apart(&self) -> Option<String> {
+        let coarse: Vec<&str> = (self.channels.iter().filter(|c| !c.full))
+            .map(|c| c.name.as_str())
+            .collect();
+        let what = match self.is_luminance_chroma() {
+            true => "luminance-chroma channels",
+            false => "channels",
+        };
+        (!coarse.is_empty()).then(|| {
+            format!(
+                "{what} of which {} are subsampled, which is not supported: save the image as R, G, B",
+                coarse.join(", ")
+            )
+        })
+    }
+
     /// How a message calls it.
     #[must_use]
     pub fn title(&self) -> String {
@@ -451,6 +477,32 @@ mod tests {
         let mut other = header(1, 3, [0, 0, 9, 9]);
         other[4] = 3;
         assert!(size(&other).is_err_and(|e| e.contains("version")));
+    }
+
+    #[test]
+    fn subsampled_channels_are_named() {
+        let of = |names: [&str; 3], every: i32| {
+            let mut list = Vec::new();
+            for (i, name) in names.into_iter().enumerate() {
+                list.extend(name.as_bytes());
+                list.extend([0, 1, 0, 0, 0, 0, 0, 0, 0]);
+                let step = if i < 2 { every } else { 1 };
+                list.extend([step.to_le_bytes(), step.to_le_bytes()].concat());
+            }
+            list.push(0);
+            ExrPart {
+                channels: channels(&list).expect("a list"),
+                ..ExrPart::default()
+            }
+        };
+        let coarse = of(["BY", "RY", "Y"], 2).sampled_apart().expect("refused");
+        assert!(
+            coarse.starts_with("luminance-chroma channels of which BY, RY are subsampled"),
+            "{coarse}"
+        );
+        let other = of(["B", "G", "R"], 2).sampled_apart().expect("refused");
+        assert!(other.starts_with("channels of which B, G are"), "{other}");
+        assert_eq!(of(["BY", "RY", "Y"], 1).sampled_apart(), None);
     }
 
     #[test]

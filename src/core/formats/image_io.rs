@@ -36,6 +36,9 @@ pub(super) fn open_part(path: &Path, format: ImageFormat, part: usize) -> Result
         for part in &parts {
             checked_size(path, part.size.0, part.size.1)?;
         }
+        if let Some(why) = parts.get(part).and_then(exr_header::ExrPart::sampled_apart) {
+            return Err(Error::input(path, why));
+        }
     }
     crate::ffi::oiio::version().map_err(Error::Native)?;
     let image = OpenImage::open(path, format.reader(), part)
@@ -62,12 +65,6 @@ pub(super) fn open_part(path: &Path, format: ImageFormat, part: usize) -> Result
 
 /// What is wrong with a file whose pixels cannot be read.
 pub(super) fn damaged(reason: &str) -> String {
-    // OpenImageIO 2.5 (Debian 13) wants subsampled Y, RY, BY in a buffer of their own
-    if reason.contains("subsampling") {
-        return format!(
-            "luminance-chroma channels that this OpenImageIO does not read ({reason}); save it as R, G, B"
-        );
-    }
     format!("damaged or cut short: {reason}; copy, render or download it again")
 }
 

@@ -196,16 +196,12 @@ fn exr_plan(path: &Path, space: Option<ColourSpace>) -> Result<(Plan, OpenImage)
         exr_header::vetted(file, bytes).map_err(|e| Error::input(path, image_io::damaged(&e)))?;
     let chosen = choose_part(&parts).map_err(|e| Error::input(path, e))?;
     let part = &parts[chosen];
-    if let Some(c) = part.channels.iter().find(|c| !c.full) {
-        return Err(Error::input(
-            path,
-            format!(
-                "channel {} is subsampled, which is not supported: save the image as R, G, B",
-                c.name
-            ),
-        ));
-    }
-    let image = image_io::open_part(path, ImageFormat::Exr, chosen)?;
+    let image = image_io::open_part(path, ImageFormat::Exr, chosen).map_err(|e| {
+        match part.sampled_apart() {
+            None if part.is_luminance_chroma() => unread_chroma(path, &e),
+            _ => e,
+        }
+    })?;
     let names: Vec<String> = (0..image.size().2 as usize)
         .map(|c| image.channel_name(c))
         .collect();
@@ -319,9 +315,24 @@ fn read_exr(path: &Path, plan: &Plan, mut image: OpenImage) -> Result<Photograph
         }
     };
     let (Channels::Rgb(three) | Channels::LuminanceChroma(three)) = plan.channels;
-    let mut pixels = image_io::read_rgb_channels(path, image, three)?;
+    let chroma = matches!(plan.channels, Channels::LuminanceChroma(_));
+    let mut pixels = image_io::read_rgb_channels(path, image, three)
+        .map_err(|e| if chroma { unread_chroma(path, &e) } else { e })?;
     plan.convert(&mut pixels);
     Ok(Photograph { pixels, alpha })
+}
+
+/// Luminance and chroma that are sampled at every pixel are read by OpenImageIO 2.4 (Debian 12),
+/// while 2.5 (Debian 13) wants a buffer for halved chroma: what the file holds is said, not that it
+/// is damaged.
+fn unread_chroma(path: &Path, library: &Error) -> Error {
+    Error::input(
+        path,
+        format!(
+            "luminance-chroma channels (Y, RY, BY) that OpenImageIO {} did not read: save the image as R, G, B ({library})",
+            super::version()
+        ),
+    )
 }
 
 /// Names that programs give to the part or layer that holds the picture itself.

@@ -8,7 +8,7 @@
 
 use super::account::Account;
 use super::capture::{Capture, Shot, Surface, Up};
-use super::importer::{Importer, PrepareOptions, is_rotation, photograph_named, stem_of};
+use super::importer::{Importer, Located, PrepareOptions, is_rotation, photograph_named, stem_of};
 use super::lens::{Distortion, Lens, Optics, Perspective};
 use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
@@ -41,30 +41,30 @@ impl Importer for AliceVision {
         "AliceVision, Meshroom: one .sfm file (cameras.sfm, sfm.sfm)"
     }
 
-    fn recognises(&self, path: &Path) -> bool {
-        file_in(path).is_some()
+    fn locate(&self, path: &Path) -> Result<Located> {
+        let expected = "no .sfm file here, or several; name the file";
+        Located::new(path, file_in(path), expected)
     }
 
     fn read(
         &self,
-        path: &Path,
+        located: &Located,
         _options: &PrepareOptions,
         account: &mut Account,
     ) -> Result<Capture> {
-        let file = file_in(path)
-            .ok_or_else(|| Error::input(path, "no .sfm file here, or several; name the file"))?;
-        let root: Value = serde_json::from_str(&read_input_text(&file)?).map_err(|e| {
+        let file = &located.start;
+        let root: Value = serde_json::from_str(&read_input_text(file)?).map_err(|e| {
             Error::input(
-                &file,
+                file,
                 format!(
                     "{e}; expected AliceVision's JSON (export .abc as .sfm with ConvertSfMFormat)"
                 ),
             )
         })?;
-        let fail = |m: String| Error::input(&file, m);
+        let fail = |m: String| Error::input(file, m);
         let intrinsics = by_id(&root, "intrinsics", "intrinsicId");
         let poses = by_id(&root, "poses", "poseId");
-        let folder = file.parent().unwrap_or(Path::new("."));
+        let folder = located.folder();
         let (mut shots, mut unposed) = (Vec::new(), 0usize);
         for (i, view) in list(&root, "views").iter().enumerate() {
             let place = |m: String| fail(format!("views[{i}]: {m}"));
@@ -313,7 +313,7 @@ mod tests {
         std::fs::write(dir.path().join("cameras.sfm"), text).expect("file");
         std::fs::write(dir.path().join("sfm.sfm"), "{}").expect("file");
         assert!(AliceVision.recognises(dir.path()));
-        AliceVision.read(
+        AliceVision.import(
             dir.path(),
             &PrepareOptions::default(),
             &mut Account::default(),

@@ -6,7 +6,7 @@
 
 use super::account::Account;
 use super::capture::{Capture, Shot, Surface, Up};
-use super::importer::{Importer, PrepareOptions, photograph_named, stem_of};
+use super::importer::{Importer, Located, PrepareOptions, photograph_named, stem_of};
 use super::lens::{Distortion, Lens};
 use super::lens::{Optics, Perspective};
 use crate::core::formats::{MOST_DATA, read_input, read_input_text};
@@ -100,22 +100,18 @@ impl Importer for Colmap {
         "COLMAP: cameras.bin and images.bin (or .txt), here or in sparse/0"
     }
 
-    fn recognises(&self, path: &Path) -> bool {
-        model_folder(path).is_some()
+    fn locate(&self, path: &Path) -> Result<Located> {
+        let expected = "no cameras.bin (or .txt) with images.bin (or .txt), here or in sparse/0; give the folder of a COLMAP model";
+        Located::new(path, model_folder(path), expected)
     }
 
     fn read(
         &self,
-        path: &Path,
+        located: &Located,
         _options: &PrepareOptions,
         account: &mut Account,
     ) -> Result<Capture> {
-        let folder = model_folder(path).ok_or_else(|| {
-            Error::input(
-                path,
-                "no cameras.bin (or .txt) with images.bin (or .txt), here or in sparse/0; give the folder of a COLMAP model",
-            )
-        })?;
+        let folder = &located.start;
         let (cameras, images, how) = if folder.join("cameras.bin").is_file() {
             (
                 binary_cameras(&folder.join("cameras.bin"))?,
@@ -133,15 +129,15 @@ impl Importer for Colmap {
         for image in &images {
             let Some(camera) = cameras.get(&image.camera) else {
                 return Err(Error::input(
-                    &folder,
+                    folder,
                     format!(
                         "image {} names camera {}, which cameras does not hold; export the model again",
                         image.name, image.camera
                     ),
                 ));
             };
-            let optics = optics(camera).map_err(|m| Error::input(&folder, m))?;
-            let file = find_image(path, &folder, &image.name)?;
+            let optics = optics(camera).map_err(|m| Error::input(folder, m))?;
+            let file = find_image(&located.named, folder, &image.name)?;
             let mut shot = Shot::new(
                 stem_of(&image.name),
                 file,
@@ -152,10 +148,7 @@ impl Importer for Colmap {
             shots.push(shot);
         }
         if shots.is_empty() {
-            return Err(Error::input(
-                &folder,
-                "the model holds no image with a pose",
-            ));
+            return Err(Error::input(folder, "the model holds no image with a pose"));
         }
         account.read(format!(
             "{} ({how}): {} cameras ({}), {} posed images",

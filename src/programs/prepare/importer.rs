@@ -76,15 +76,69 @@ pub trait Importer: Sync {
     /// What lies in such a folder, for the message that lists all sources.
     fn looks_like(&self) -> &'static str;
 
-    /// Whether `path` (a folder or a file) is of this kind: a look at names and first bytes only.
-    fn recognises(&self, path: &Path) -> bool;
+    /// Where reading begins in `path` (a folder or a file): a look at names and first bytes only.
+    ///
+    /// # Errors
+    /// [`Error::Input`] with what was expected there.
+    fn locate(&self, path: &Path) -> Result<Located>;
 
-    /// Reads the capture.
+    /// Whether `path` is of this kind.
+    fn recognises(&self, path: &Path) -> bool {
+        self.locate(path).is_ok()
+    }
+
+    /// Reads what [`Self::locate`] found.
     ///
     /// # Errors
     /// [`Error::Input`] naming the file, the place in it and the way out.
-    fn read(&self, path: &Path, options: &PrepareOptions, account: &mut Account)
-    -> Result<Capture>;
+    fn read(
+        &self,
+        located: &Located,
+        options: &PrepareOptions,
+        account: &mut Account,
+    ) -> Result<Capture>;
+
+    /// Locates the capture in `path` and reads it.
+    ///
+    /// # Errors
+    /// As [`Self::locate`] and [`Self::read`].
+    fn import(
+        &self,
+        path: &Path,
+        options: &PrepareOptions,
+        account: &mut Account,
+    ) -> Result<Capture> {
+        self.read(&self.locate(path)?, options, account)
+    }
+}
+
+/// A capture that was found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Located {
+    /// The folder or file as the user named it.
+    pub named: PathBuf,
+    /// The file or folder that reading begins with.
+    pub start: PathBuf,
+}
+
+impl Located {
+    /// What was found at `named`, or the refusal that says what was `expected` there.
+    pub(super) fn new(
+        named: &Path,
+        start: Option<PathBuf>,
+        expected: impl Into<String>,
+    ) -> Result<Self> {
+        let start = start.ok_or_else(|| Error::input(named, expected.into()))?;
+        Ok(Self {
+            named: named.to_path_buf(),
+            start,
+        })
+    }
+
+    /// The folder of the file that reading begins with.
+    pub(super) fn folder(&self) -> &Path {
+        self.start.parent().unwrap_or(Path::new("."))
+    }
 }
 
 impl PrepareOptions {

@@ -7,7 +7,7 @@
 
 use super::account::Account;
 use super::capture::{Capture, Shot, Surface, Up};
-use super::importer::{Importer, PrepareOptions, photograph_named, stem_of};
+use super::importer::{Importer, Located, PrepareOptions, photograph_named, stem_of};
 use super::lens::{Distortion, Lens, Optics};
 use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
@@ -50,29 +50,25 @@ impl Importer for Metashape {
         "Metashape: one .xml of exported cameras with the photographs"
     }
 
-    fn recognises(&self, path: &Path) -> bool {
-        file_in(path).is_some()
+    fn locate(&self, path: &Path) -> Result<Located> {
+        let expected = "no .xml of Metashape's cameras here, or several; name the file";
+        Located::new(path, file_in(path), expected)
     }
 
     fn read(
         &self,
-        path: &Path,
+        located: &Located,
         _options: &PrepareOptions,
         account: &mut Account,
     ) -> Result<Capture> {
-        let file = file_in(path).ok_or_else(|| {
-            Error::input(
-                path,
-                "no .xml of Metashape's cameras here, or several; name the file",
-            )
-        })?;
-        let fail = |m: String| Error::input(&file, m);
-        let text = read_input_text(&file)?;
+        let file = &located.start;
+        let fail = |m: String| Error::input(file, m);
+        let text = read_input_text(file)?;
         let document = Document::parse(&text)
             .map_err(|e| fail(format!("{e}; expected the XML of exported cameras")))?;
         let chunk = document.descendants().find(|n| n.has_tag_name("chunk"));
         let chunk = chunk.ok_or_else(|| fail("no chunk; export the cameras again".into()))?;
-        let folder = file.parent().unwrap_or(Path::new("."));
+        let folder = located.folder();
         let chunk = Chunk {
             folder,
             sensors: by_id(chunk, "sensors", "sensor"),
@@ -347,7 +343,7 @@ mod tests {
         }
         std::fs::write(dir.path().join("cameras.xml"), text).expect("file");
         let mut account = Account::default();
-        let capture = Metashape.read(dir.path(), &PrepareOptions::default(), &mut account);
+        let capture = Metashape.import(dir.path(), &PrepareOptions::default(), &mut account);
         (capture, account)
     }
 

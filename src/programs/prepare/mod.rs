@@ -36,7 +36,7 @@ mod zind;
 pub use account::Account;
 pub use capture::{Capture, Depth, LabelledMesh, Mask, RoomIds, RoomOutline, Shot, Surface, Up};
 pub use floor_plan::{ROOMS, write_floor_plan};
-pub use importer::{Importer, PrepareOptions, Prepared};
+pub use importer::{Importer, Located, PrepareOptions, Prepared};
 pub use lens::{Distortion, Lens, Optics, Perspective};
 pub use write::write_scene;
 
@@ -84,7 +84,7 @@ pub fn prepare(
     };
     let mut account = Account::default();
     let mut capture = progress.stage("reading the capture", 1, |_| {
-        importer.read(path, options, &mut account)
+        importer.import(path, options, &mut account)
     })?;
     orient::orient(&mut capture, options, &mut account);
     let written = write_scene(capture, out, options, &mut account, progress)?;

@@ -8,7 +8,7 @@
 
 use super::account::Account;
 use super::capture::{Capture, Depth, Mask, Shot, Surface, Up};
-use super::importer::{Importer, PrepareOptions};
+use super::importer::{Importer, Located, PrepareOptions};
 use super::lens::{Distortion, Lens};
 use super::lens::{Optics, Perspective};
 use crate::core::formats::read_input_text;
@@ -108,27 +108,33 @@ impl Importer for Nerfstudio {
         "nerfstudio: transforms.json with the images it names"
     }
 
-    fn recognises(&self, path: &Path) -> bool {
-        path.join(FILE).is_file() || path.file_name().is_some_and(|n| n == FILE)
-    }
-
-    fn read(
-        &self,
-        path: &Path,
-        _options: &PrepareOptions,
-        account: &mut Account,
-    ) -> Result<Capture> {
+    fn locate(&self, path: &Path) -> Result<Located> {
+        // a file of another name is taken where the source is named
         let file = match path.is_dir() {
             true => path.join(FILE),
             false => path.to_path_buf(),
         };
-        let folder = file.parent().unwrap_or(Path::new(".")).to_path_buf();
-        let text = read_input_text(&file)?;
+        let expected = format!("no {FILE} here; give its folder or the file");
+        Located::new(path, Some(file).filter(|f| f.is_file()), expected)
+    }
+
+    fn recognises(&self, path: &Path) -> bool {
+        self.locate(path).is_ok_and(|l| l.start.ends_with(FILE))
+    }
+
+    fn read(
+        &self,
+        located: &Located,
+        _options: &PrepareOptions,
+        account: &mut Account,
+    ) -> Result<Capture> {
+        let (file, folder) = (&located.start, located.folder());
+        let text = read_input_text(file)?;
         let root: Value = serde_json::from_str(&text)
-            .map_err(|e| Error::input(&file, format!("{e}; expected nerfstudio's JSON")))?;
+            .map_err(|e| Error::input(file, format!("{e}; expected nerfstudio's JSON")))?;
         let no_frames = || {
             Error::input(
-                &file,
+                file,
                 "frames: missing or empty; expected a list of posed images",
             )
         };
@@ -138,15 +144,15 @@ impl Importer for Nerfstudio {
             .and_then(Value::as_array)
             .filter(|f| !f.is_empty())
             .ok_or_else(no_frames)?;
-        let undo = undo_applied(root).map_err(|m| Error::input(&file, m))?;
+        let undo = undo_applied(root).map_err(|m| Error::input(file, m))?;
         let mut shots = Vec::new();
         for (i, frame) in frames.iter().enumerate() {
-            let fail = |m: String| Error::input(&file, format!("frames[{i}]: {m}"));
+            let fail = |m: String| Error::input(file, format!("frames[{i}]: {m}"));
             let frame = frame
                 .as_object()
                 .ok_or_else(|| fail("expected an object".into()))?;
             let keys = Keys { file: root, frame };
-            let mut shot = shot(&keys, &folder).map_err(fail)?;
+            let mut shot = shot(&keys, folder).map_err(fail)?;
             shot.world_from_camera = undo.of(shot.world_from_camera);
             shots.push(shot);
         }

@@ -8,7 +8,7 @@
 use super::account::Account;
 use super::capture::{Capture, Shot, Surface, Up};
 use super::colmap::gl_world_from_camera;
-use super::importer::{Importer, PrepareOptions, photograph_named, stem_of};
+use super::importer::{Importer, Located, PrepareOptions, photograph_named, stem_of};
 use super::lens::{Distortion, Lens, Optics, Perspective};
 use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
@@ -82,29 +82,31 @@ impl Importer for OpenSfm {
         "OpenSfM: reconstruction.json with images/ beside it (also OpenDroneMap's project)"
     }
 
-    fn recognises(&self, path: &Path) -> bool {
-        file_in(path).is_some()
+    fn locate(&self, path: &Path) -> Result<Located> {
+        Located::new(
+            path,
+            file_in(path),
+            format!("no {FILE} here or in opensfm/"),
+        )
     }
 
     fn read(
         &self,
-        path: &Path,
+        located: &Located,
         _options: &PrepareOptions,
         account: &mut Account,
     ) -> Result<Capture> {
-        let file = file_in(path)
-            .ok_or_else(|| Error::input(path, format!("no {FILE} here or in opensfm/")))?;
-        let folder = file.parent().unwrap_or(Path::new("."));
-        let all: Vec<Reconstruction> = serde_json::from_str(&read_input_text(&file)?)
-            .map_err(|e| Error::input(&file, format!("{e}; expected OpenSfM's JSON")))?;
+        let (file, folder) = (&located.start, located.folder());
+        let all: Vec<Reconstruction> = serde_json::from_str(&read_input_text(file)?)
+            .map_err(|e| Error::input(file, format!("{e}; expected OpenSfM's JSON")))?;
         let largest = all.iter().max_by_key(|r| r.shots.len());
         let largest = largest.filter(|r| !r.shots.is_empty()).ok_or_else(|| {
             Error::input(
-                &file,
+                file,
                 "holds no posed photograph; run `opensfm reconstruct` again",
             )
         })?;
-        let fail = |name: &str, m: &str| Error::input(&file, format!("shots.{name}: {m}"));
+        let fail = |name: &str, m: &str| Error::input(file, format!("shots.{name}: {m}"));
         let mut shots = Vec::new();
         for (name, shot) in &largest.shots {
             let camera = largest.cameras.get(&shot.camera);
@@ -251,7 +253,7 @@ mod tests {
         assert!(OpenSfm.recognises(dir.path()));
         let mut account = Account::default();
         let capture = OpenSfm
-            .read(dir.path(), &PrepareOptions::default(), &mut account)
+            .import(dir.path(), &PrepareOptions::default(), &mut account)
             .expect("reads");
         let [a, p] = capture.shots.as_slice() else {
             panic!("two shots")
@@ -288,7 +290,7 @@ mod tests {
         let refused = |text: &str| {
             std::fs::write(dir.path().join(FILE), text).expect("file");
             OpenSfm
-                .read(
+                .import(
                     dir.path(),
                     &PrepareOptions::default(),
                     &mut Account::default(),

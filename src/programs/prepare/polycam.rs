@@ -7,7 +7,7 @@
 
 use super::account::Account;
 use super::capture::{Capture, Depth, Shot, Surface, Up};
-use super::importer::{Importer, PrepareOptions, is_rotation};
+use super::importer::{Importer, Located, PrepareOptions, is_rotation};
 use super::lens::{Optics, Perspective};
 use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
@@ -37,24 +37,22 @@ impl Importer for Polycam {
         "Polycam: a raw bundle with keyframes/cameras and keyframes/images"
     }
 
-    fn recognises(&self, path: &Path) -> bool {
-        keyframes(path).is_some()
+    fn locate(&self, path: &Path) -> Result<Located> {
+        let expected =
+            "no keyframes/cameras with keyframes/images; export \"Raw data\" from Polycam";
+        Located::new(path, cameras_in(path), expected)
     }
 
     fn read(
         &self,
-        path: &Path,
+        located: &Located,
         _options: &PrepareOptions,
         account: &mut Account,
     ) -> Result<Capture> {
-        let [cameras, images] = keyframes(path).ok_or_else(|| {
-            Error::input(
-                path,
-                "no keyframes/cameras with keyframes/images; export \"Raw data\" from Polycam",
-            )
-        })?;
-        let mut files: Vec<PathBuf> = std::fs::read_dir(&cameras)
-            .map_err(|e| Error::input(&cameras, format!("cannot be listed: {e}")))?
+        let (path, cameras) = (&located.named, &located.start);
+        let images = images_of(cameras);
+        let mut files: Vec<PathBuf> = std::fs::read_dir(cameras)
+            .map_err(|e| Error::input(cameras, format!("cannot be listed: {e}")))?
             .flatten()
             .map(|e| e.path())
             .filter(|p| p.extension().is_some_and(|e| e == "json"))
@@ -88,7 +86,7 @@ impl Importer for Polycam {
         }
         if shots.is_empty() {
             return Err(Error::input(
-                &cameras,
+                cameras,
                 "holds no camera with an image; export the bundle again",
             ));
         }
@@ -119,13 +117,19 @@ impl Importer for Polycam {
     }
 }
 
-/// The folders of cameras and images.
-fn keyframes(path: &Path) -> Option<[PathBuf; 2]> {
+/// The folder of cameras that has its images beside it.
+fn cameras_in(path: &Path) -> Option<PathBuf> {
     let folder = path.join("keyframes");
-    let pairs = KEYFRAMES.map(|pair| pair.map(|name| folder.join(name)));
-    pairs
+    let cameras = KEYFRAMES.map(|[cameras, _]| folder.join(cameras));
+    cameras
         .into_iter()
-        .find(|pair| pair.iter().all(|p| p.is_dir()))
+        .find(|c| c.is_dir() && images_of(c).is_dir())
+}
+
+/// The folder of the images that belong to a folder of cameras.
+fn images_of(cameras: &Path) -> PathBuf {
+    let pair = KEYFRAMES.iter().find(|[name, _]| cameras.ends_with(name));
+    cameras.with_file_name(pair.unwrap_or(&KEYFRAMES[1])[1])
 }
 
 fn shot(camera: &Value, stem: String, image: PathBuf) -> std::result::Result<Shot, String> {
@@ -194,7 +198,7 @@ mod tests {
         assert!(Polycam.recognises(dir.path()));
         let mut account = Account::default();
         let capture = Polycam
-            .read(dir.path(), &PrepareOptions::default(), &mut account)
+            .import(dir.path(), &PrepareOptions::default(), &mut account)
             .expect("reads");
         let [shot] = capture.shots.as_slice() else {
             panic!("one shot with an image")
@@ -212,7 +216,7 @@ mod tests {
 
         let damaged = camera.replace("\"t_00\": 0", "\"t_00\": 3");
         std::fs::write(at("keyframes/corrected_cameras/12.json"), damaged).expect("file");
-        let e = Polycam.read(dir.path(), &PrepareOptions::default(), &mut account);
+        let e = Polycam.import(dir.path(), &PrepareOptions::default(), &mut account);
         assert!(
             e.expect_err("no rotation")
                 .to_string()

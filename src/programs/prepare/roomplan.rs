@@ -6,7 +6,7 @@
 
 use super::account::Account;
 use super::capture::{Capture, LabelledMesh, Surface, Up};
-use super::importer::{Importer, PrepareOptions};
+use super::importer::{Importer, Located, PrepareOptions};
 use super::usd_layer::{Prim, Value};
 use super::{usda, usdc};
 use crate::core::formats::read_input;
@@ -35,26 +35,22 @@ impl Importer for RoomPlan {
         "RoomPlan: a .usdz (or .usda, .usdc) of walls, doors, windows and furniture"
     }
 
-    fn recognises(&self, path: &Path) -> bool {
-        usd_file(path).is_some()
+    fn locate(&self, path: &Path) -> Result<Located> {
+        let expected = "no .usdz, .usda or .usdc here, or several; name the file";
+        Located::new(path, usd_file(path), expected)
     }
 
     fn read(
         &self,
-        path: &Path,
+        located: &Located,
         _options: &PrepareOptions,
         account: &mut Account,
     ) -> Result<Capture> {
-        let file = usd_file(path).ok_or_else(|| {
-            Error::input(
-                path,
-                "no .usdz, .usda or .usdc here, or several; name the file",
-            )
-        })?;
-        let stage = Stage::open(&file)?;
+        let file = &located.start;
+        let stage = Stage::open(file)?;
         let mut builder = Builder {
             stage: &stage,
-            file: &file,
+            file,
             mesh: LabelledMesh::default(),
             classes: BTreeMap::new(),
             skipped: BTreeMap::new(),
@@ -72,7 +68,7 @@ impl Importer for RoomPlan {
         }
         if builder.mesh.mesh.triangles.is_empty() {
             return Err(Error::input(
-                &file,
+                file,
                 "holds no Mesh and no Cube; export the room again",
             ));
         }
@@ -452,7 +448,7 @@ mod tests {
         .expect("file");
         let mut account = Account::default();
         let capture = RoomPlan
-            .read(&at("Room.usda"), &PrepareOptions::default(), &mut account)
+            .import(&at("Room.usda"), &PrepareOptions::default(), &mut account)
             .expect("read");
         assert_eq!(capture.classes[0].name, "wall");
         let Some(Surface::Built(m)) = capture.surface else {
@@ -476,7 +472,7 @@ mod tests {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/files/usd");
         let mut account = Account::default();
         let capture = RoomPlan
-            .read(
+            .import(
                 &folder.join(format!("room.{form}")),
                 &PrepareOptions::default(),
                 &mut account,

@@ -3,8 +3,8 @@
 
 use super::account::Account;
 use super::capture::{Capture, Surface, Up};
-use super::importer::{Importer, PrepareOptions};
-use crate::error::{Error, Result};
+use super::importer::{Importer, Located, PrepareOptions};
+use crate::error::Result;
 use glam::DMat4;
 use std::path::{Path, PathBuf};
 
@@ -23,30 +23,26 @@ impl Importer for Scan {
         "a mesh alone: one .glb, .gltf, .obj or .ply"
     }
 
-    fn recognises(&self, path: &Path) -> bool {
-        meshes(path).len() == 1
+    fn locate(&self, path: &Path) -> Result<Located> {
+        let mut found = meshes(path);
+        let expected = format!(
+            "{} meshes here, expected one; name the file itself",
+            found.len()
+        );
+        let only = found.pop().filter(|_| found.is_empty());
+        Located::new(path, only, expected)
     }
 
     fn read(
         &self,
-        path: &Path,
+        located: &Located,
         _options: &PrepareOptions,
         account: &mut Account,
     ) -> Result<Capture> {
-        let found = meshes(path);
-        let [mesh] = found.as_slice() else {
-            return Err(Error::input(
-                path,
-                format!(
-                    "{} meshes here, expected one; name the file itself",
-                    found.len()
-                ),
-            ));
-        };
         account.ignored("materials and colours of the mesh");
         Ok(Capture {
             surface: Some(Surface::File {
-                path: mesh.clone(),
+                path: located.start.clone(),
                 world_from_file: DMat4::IDENTITY,
             }),
             up: Up::Y,

@@ -8,7 +8,7 @@
 use super::account::Account;
 use super::capture::RoomIds;
 use super::capture::{Capture, Mask, Shot, Surface, Up};
-use super::importer::{Importer, PrepareOptions};
+use super::importer::{Importer, Located, PrepareOptions};
 use super::lens::Optics;
 use crate::core::formats;
 use crate::error::{Error, Result};
@@ -32,22 +32,18 @@ impl Importer for TexIr {
         "TexIR's release: vrproc/ with info/, hdr/, derived/, hdr_texture/"
     }
 
-    fn recognises(&self, path: &Path) -> bool {
-        root(path).is_some()
+    fn locate(&self, path: &Path) -> Result<Located> {
+        let expected = "no vrproc/info/aligned.txt; give the folder that holds vrproc";
+        Located::new(path, root(path), expected)
     }
 
     fn read(
         &self,
-        path: &Path,
+        located: &Located,
         _options: &PrepareOptions,
         account: &mut Account,
     ) -> Result<Capture> {
-        let root = root(path).ok_or_else(|| {
-            Error::input(
-                path,
-                "no vrproc/info/aligned.txt; give the folder that holds vrproc",
-            )
-        })?;
+        let root = &located.start;
         let facts = read_facts(&root.join("info/classes.json"));
         let ev = facts.get("exposure_power").and_then(Value::as_f64);
         let mut shots = Vec::new();
@@ -59,7 +55,7 @@ impl Importer for TexIr {
                 let ids = read_ids(&root.join("info").join(ids))?;
                 let poses = read_poses(&root.join("info").join(poses), ids.len())?;
                 for (id, pose) in ids.iter().zip(poses) {
-                    let mut shot = view(&root, id, pose);
+                    let mut shot = view(root, id, pose);
                     shot.exposure_ev = Some(ev.unwrap_or(EXPOSURE_EV));
                     shot.held_out = Some(held_out);
                     shots.push(shot);
@@ -86,7 +82,7 @@ impl Importer for TexIr {
                 world_from_file: DMat4::IDENTITY,
             }),
             classes: classes(&facts),
-            room_grid: room_grid(&root, account)?,
+            room_grid: room_grid(root, account)?,
             up: Up::Unknown,
             ..Capture::default()
         })

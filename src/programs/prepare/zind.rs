@@ -9,7 +9,7 @@
 
 use super::account::Account;
 use super::capture::{Capture, LabelledMesh, RoomOutline, Shot, Surface, Up};
-use super::importer::{Importer, PrepareOptions};
+use super::importer::{Importer, Located, PrepareOptions};
 use super::lens::Optics;
 use super::plan::{Opening, Shell, ShellClasses, extrude};
 use crate::core::formats::read_input_text;
@@ -153,24 +153,19 @@ impl Importer for Zind {
         "Zillow Indoor Dataset: a tour with zind_data.json and panos/"
     }
 
-    fn recognises(&self, path: &Path) -> bool {
-        tour(path).is_some()
+    fn locate(&self, path: &Path) -> Result<Located> {
+        let expected =
+            format!("no {FILE} here or in a folder of sample_tour/; give the folder of one tour");
+        Located::new(path, tour(path), expected)
     }
 
     fn read(
         &self,
-        path: &Path,
+        located: &Located,
         options: &PrepareOptions,
         account: &mut Account,
     ) -> Result<Capture> {
-        let folder = tour(path).ok_or_else(|| {
-            Error::input(
-                path,
-                format!(
-                    "no {FILE} here or in a folder of sample_tour/; give the folder of one tour"
-                ),
-            )
-        })?;
+        let folder = &located.start;
         let file = folder.join(FILE);
         let text = read_input_text(&file)?;
         let data: Data = serde_json::from_str(&text).map_err(|e| {
@@ -197,7 +192,7 @@ impl Importer for Zind {
                 ));
             }
         };
-        read_floor(floor, metres, &folder, &file, account)
+        read_floor(floor, metres, folder, &file, account)
     }
 }
 
