@@ -196,6 +196,10 @@ pub enum Verb {
         /// Cameras and destination.
         #[command(flatten)]
         places: FrameSource,
+        /// Write a glTF file per lighting of a TOML file instead, each with a baked lightmap, one
+        /// without light, and manifest.json with what was changed in each.
+        #[arg(long, value_name = "FILE", conflicts_with = "cameras")]
+        lightings: Option<PathBuf>,
         /// What to write.
         #[command(flatten)]
         options: ExportVerb,
