@@ -155,6 +155,7 @@ pub enum Verb {
     },
     /// Novel views of a reconstruction: panoramas or pinhole frames from cameras, views of a scene
     /// or along a smooth path.
+    #[command(mut_arg("views", |a| a.alias("split")))]
     Render {
         /// Output folder of `unbake solve`.
         #[arg(required_unless_present = "print_config", value_name = "OUT")]
@@ -209,6 +210,7 @@ pub enum Verb {
     },
     /// Pictures of a reconstruction under changed light: lamps off, scaled, coloured, moved or
     /// added, another environment.
+    #[command(mut_arg("views", |a| a.alias("split")))]
     Relight {
         /// Output folder of `unbake solve`.
         #[arg(required_unless_present = "print_config", value_name = "OUT")]

@@ -42,7 +42,7 @@ impl FrameSource {
             }
             (None, Some(scene)) => {
                 let scene = read_solved_scene(scene, out, context)?;
-                cameras_of_scene(&scene, options.split.split(), solution.origin)
+                cameras_of_scene(&scene, options.views.split(), solution.origin)
             }
             (None, None) => {
                 context.progress.note(

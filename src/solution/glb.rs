@@ -36,6 +36,9 @@ pub struct GlbOptions {
     pub parts: Vec<MeshPart>,
     /// Surfaces that only shine and that the solution's mesh does not have.
     pub luminous: Vec<LuminousPart>,
+    /// Textures that need not be encoded again: those of [`material_textures`] with the same
+    /// options.
+    pub encoded: Vec<NamedImage>,
 }
 
 /// A texture, encoded.
@@ -56,6 +59,7 @@ impl Default for GlbOptions {
             webp: false,
             parts: Vec::new(),
             luminous: Vec::new(),
+            encoded: Vec::new(),
         }
     }
 }
@@ -224,6 +228,21 @@ fn materials(pictures: &Pictures, options: &GlbOptions) -> Vec<Value> {
     std::iter::once(material(pictures)).chain(shining).collect()
 }
 
+/// The textures that do not depend on light, for [`GlbOptions::encoded`] of many files.
+///
+/// # Errors
+/// A texture cannot be encoded.
+pub fn material_textures(solution: &Solution, options: &GlbOptions) -> Result<Vec<NamedImage>> {
+    let named = |name: &'static str, bytes: Vec<u8>| NamedImage { name, bytes };
+    Ok(vec![
+        named("BaseColor", base_colour(&solution.albedo, options)?),
+        named(
+            "ORM",
+            occlusion_roughness_metallic(&solution.roughness, options)?,
+        ),
+    ])
+}
+
 /// The textures of `scene.glb` as PNG files: `BaseColor` (sRGB), `ORM` (occlusion, roughness, metal)
 /// and, where the scene emits, `Emissive` (sRGB, as a share of its maximum).
 ///
@@ -241,10 +260,14 @@ pub fn png_textures(solution: &Solution, max_texture: usize) -> Result<Vec<Named
 fn encode_pictures(solution: &Solution, options: &GlbOptions) -> Result<Pictures> {
     let strength = peak(&solution.emission);
     let (base, (orm, emissive)) = crate::core::parallel::join(
-        || base_colour(&solution.albedo, options),
+        || known("BaseColor", options).unwrap_or_else(|| base_colour(&solution.albedo, options)),
         || {
             crate::core::parallel::join(
-                || occlusion_roughness_metallic(&solution.roughness, options),
+                || {
+                    known("ORM", options).unwrap_or_else(|| {
+                        occlusion_roughness_metallic(&solution.roughness, options)
+                    })
+                },
                 || {
                     strength
                         .map(|s| light_map(&solution.emission, s, options))
@@ -266,6 +289,12 @@ fn encode_pictures(solution: &Solution, options: &GlbOptions) -> Result<Pictures
         strength,
         lightmap,
     })
+}
+
+/// A texture that is encoded already.
+fn known(name: &str, options: &GlbOptions) -> Option<Result<Vec<u8>>> {
+    let image = options.encoded.iter().find(|i| i.name == name);
+    image.map(|i| Ok(i.bytes.clone()))
 }
 
 fn material(pictures: &Pictures) -> Value {

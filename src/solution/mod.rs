@@ -13,7 +13,7 @@ mod store;
 
 pub use aside::AsideFolder;
 pub use generation::check_generation;
-pub use glb::{GlbOptions, NamedImage, png_textures, scene_glb};
+pub use glb::{GlbOptions, NamedImage, material_textures, png_textures, scene_glb};
 pub use glb_lights::{LuminousPart, PunctualLight, SpotCone};
 pub use lamps::{LIGHTS, Lamp, LampKind, find_lamps, lamp_gap, triangle_emission};
 pub use lock::OutputLock;

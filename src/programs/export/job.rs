@@ -52,7 +52,7 @@ pub struct ExportOptions {
     #[arg(long)]
     pub textures: bool,
     /// With --lightings, side of the lightmaps in texels; 0 = as the irradiance texture, at most
-    /// 1024.
+    /// 512.
     #[arg(long, value_name = "TEXELS", default_value_t = Self::default().lightmap_size)]
     pub lightmap_size: usize,
     /// With --lightings, paths traced per texel of a lightmap and light that is baked.
@@ -179,7 +179,7 @@ fn write_glb(
         lightmap: options.lightmap,
         webp: options.webp,
         parts: parts.to_vec(),
-        luminous: Vec::new(),
+        ..GlbOptions::default()
     };
     let mut files = Vec::new();
     let mut save = |name: String, bytes: &[u8]| {

@@ -10,7 +10,7 @@ use super::lightings::NamedLighting;
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::progress::Progress;
 use crate::core::trace::EmbreeTracer;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::render::{
     EditableScene, LightmapSampling, LightmapTexels, PathTracer, PathTracerOptions,
 };
@@ -90,7 +90,13 @@ pub(super) fn relit<'a>(
     solution: &'a Solution,
 ) -> Result<EditableScene<'a>> {
     let mut world = EditableScene::new(solution);
-    lighting.lighting.apply(&mut world, &solution.lamps)?;
+    lighting
+        .lighting
+        .apply(&mut world, &solution.lamps)
+        .map_err(|e| match e {
+            Error::Usage(m) => Error::Usage(format!("lighting {:?}: {m}", lighting.name)),
+            other => other,
+        })?;
     Ok(world)
 }
 
@@ -145,6 +151,8 @@ pub(super) struct LightMix<'a> {
     quality: LightmapQuality,
     /// Per lighting.
     pub factors: Vec<Factors>,
+    /// Whether something emits that is no lamp of the list: no lighting changes it.
+    rest_emits: bool,
     /// The lights and the irradiance of each alone; empty if every lighting is baked by itself.
     baked: Vec<(Light, RgbPlane)>,
 }
@@ -170,11 +178,12 @@ impl<'a> LightMix<'a> {
             texels: LightmapTexels::new(&solution.mesh, quality.side),
             quality,
             factors,
+            rest_emits: false,
             baked: Vec::new(),
         };
+        out.rest_emits = !out.emitting_beyond_lamps().is_empty();
         let mixed: Vec<&Factors> = out.factors.iter().filter(|f| !f.own_geometry).collect();
-        let rest_emits = !out.emitting_beyond_lamps().is_empty();
-        let lights = lights(&mixed, solution.lamps.len(), rest_emits);
+        let lights = lights(&mixed, solution.lamps.len(), out.rest_emits);
         if lights.len() < mixed.len() {
             for light in lights {
                 let irradiance = out.bake(&out.alone(&light)?, progress)?;
@@ -194,6 +203,13 @@ impl<'a> LightMix<'a> {
         !(self.factors[k].own_geometry || self.baked.is_empty())
     }
 
+    /// Whether lighting `k` leaves no light at all.
+    fn is_dark(&self, k: usize) -> bool {
+        let f = &self.factors[k];
+        let mut all = f.lamps.iter().chain([&f.environment]);
+        !(self.rest_emits || f.own_geometry) && all.all(|f| *f == Vec3::ZERO)
+    }
+
     /// Irradiance under lighting `k`.
     ///
     /// # Errors
@@ -201,6 +217,9 @@ impl<'a> LightMix<'a> {
     pub fn lightmap(&self, k: usize, progress: &Progress) -> Result<RgbPlane> {
         let side = self.quality.side;
         let mut sum = Plane::filled(side, side, Vec3::ZERO);
+        if self.is_dark(k) {
+            return Ok(sum);
+        }
         if !self.is_mixed(k) {
             return self.bake(&relit(&self.lightings[k], self.solution)?, progress);
         }
@@ -268,7 +287,7 @@ impl<'a> LightMix<'a> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::core::geometry::Mesh;
     use crate::core::math::luminance;
@@ -279,7 +298,7 @@ mod tests {
     use std::f32::consts::PI;
 
     /// A floor of 4 m with two lamps of 0.4 m above it that face down, grey, under a sky.
-    pub(crate) fn two_lamps() -> Solution {
+    pub(in crate::programs::export) fn two_lamps() -> Solution {
         let mut solution = small_solution();
         let mut mesh = Mesh::default();
         // size, height, centre along x, place in the atlas, facing up

@@ -3,7 +3,7 @@
 use crate::render::{PointLight, Shape};
 use crate::solution::{Lamp, PunctualLight, Solution, SpotCone};
 use glam::{DVec3, Vec3};
-use std::f32::consts::{PI, TAU};
+use std::f32::consts::TAU;
 
 /// A point light per lamp that sends out as much light.
 #[must_use]
@@ -82,6 +82,7 @@ fn mean_intensity(light: &PointLight) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::f32::consts::PI;
 
     /// A spot with a hard edge at 60° fills a quarter of the sphere.
     #[test]

@@ -13,7 +13,8 @@ use crate::core::texture::{Texels, fill_uncovered};
 use crate::error::{Error, Result};
 use crate::render::{EditableScene, Lighting, SurfaceModel};
 use crate::solution::{
-    AsideFolder, GlbOptions, Lamp, LuminousPart, PunctualLight, Solution, lamp_gap, scene_glb,
+    AsideFolder, GlbOptions, Lamp, LuminousPart, NamedImage, PunctualLight, Solution, lamp_gap,
+    material_textures, scene_glb,
 };
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -23,10 +24,10 @@ use std::path::Path;
 const MANIFEST: &str = "manifest.json";
 /// The file without light.
 const UNLIT: &str = "unlit.glb";
-/// Largest side of a lightmap that is chosen where none is given: light is smooth, and a file holds
-/// one beside its other textures (measured: a bake of 1024² texels takes as long as a draft of the
-/// reconstruction).
-const LARGEST: usize = 1024;
+/// Largest side of a lightmap that is chosen where none is given (measured 2026-11-26, a synthetic
+/// room: a bake of 256² texels at 64 paths takes 27 s of processor time, and four times that of the
+/// double side; light is smooth).
+const LARGEST: usize = 512;
 
 /// `manifest.json` of an export of lightings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -95,6 +96,8 @@ struct Workshop<'a> {
     mix: LightMix<'a>,
     emission: EmissionMap,
     surface: Texels,
+    /// Textures of the materials, the same in every file.
+    encoded: Vec<NamedImage>,
 }
 
 /// Writes the lightings into `folder`, all or nothing; returns the file names.
@@ -125,6 +128,7 @@ pub fn export_lightings(
         options,
         emission: EmissionMap::of(solution),
         surface: Texels::rasterize(&solution.mesh, quality.side, quality.side),
+        encoded: material_textures(solution, &packing(options))?,
         mix,
     };
     let aside = AsideFolder::new(folder)?;
@@ -157,6 +161,15 @@ pub fn export_lightings(
     Ok(files)
 }
 
+/// How textures are stored.
+fn packing(options: &ExportOptions) -> GlbOptions {
+    GlbOptions {
+        max_texture: options.max_texture,
+        webp: options.webp,
+        ..GlbOptions::default()
+    }
+}
+
 fn save(folder: &Path, name: &str, bytes: &[u8]) -> Result<()> {
     let path = folder.join(name);
     std::fs::write(&path, bytes).map_err(|e| Error::io(&path, e))
@@ -164,10 +177,14 @@ fn save(folder: &Path, name: &str, bytes: &[u8]) -> Result<()> {
 
 impl Workshop<'_> {
     fn glb(&self, solution: &Solution, more: GlbOptions) -> Result<Vec<u8>> {
+        let GlbOptions {
+            max_texture, webp, ..
+        } = packing(self.options);
         let options = GlbOptions {
-            max_texture: self.options.max_texture,
-            webp: self.options.webp,
+            max_texture,
+            webp,
             parts: objects(solution, self.options.split, self.exported.classes),
+            encoded: self.encoded.clone(),
             ..more
         };
         scene_glb(solution, &options)
@@ -349,5 +366,174 @@ impl EmissionMap {
             }
         }
         out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::programs::export::light_mix::tests::two_lamps;
+    use serde_json::Value;
+    use std::f32::consts::PI;
+
+    const LIGHTINGS: &str = "[[lighting]]\nname = \"as it is\"\n\
+        [[lighting]]\nname = \"dark\"\n[[lighting.lamp]]\noff = true\n[lighting.environment]\noff = true\n\
+        [[lighting]]\nname = \"warm\"\n[[lighting.lamp]]\ngroup = 1\nscale = 0.5\ncolour = [1, 0.5, 0]\n\
+        [[random]]\nname = \"r\"\ncount = 3\non = 0.5\n";
+
+    /// Writes lightings of a solution; returns their manifest.
+    fn written(folder: &Path, solution: &Solution, text: &str, lights: bool) -> VariantList {
+        let path = folder.join("lightings.toml");
+        std::fs::write(&path, text).expect("writes");
+        let list = Lightings::read(&path, &solution.lamps, 4).expect("valid");
+        let exported = Exported {
+            solution,
+            classes: &[],
+            cameras: &[],
+        };
+        let options = ExportOptions {
+            lightmap_size: 32,
+            lightmap_paths: 16,
+            lights,
+            ..ExportOptions::default()
+        };
+        let to = folder.join("out");
+        let files = export_lightings(&to, &exported, &list, &options, &Progress::silent());
+        let files = files.expect("writes");
+        assert!(files.iter().all(|f| to.join(f).is_file()), "{files:?}");
+        let manifest = std::fs::read(to.join(MANIFEST)).expect("is there");
+        serde_json::from_slice(&manifest).expect("a list")
+    }
+
+    fn root(folder: &Path, file: &str) -> Value {
+        let bytes = std::fs::read(folder.join("out").join(file)).expect("is there");
+        gltf::Gltf::from_slice(&bytes).expect("valid");
+        let glb = gltf::binary::Glb::from_slice(&bytes).expect("container");
+        serde_json::from_slice(&glb.json).expect("JSON")
+    }
+
+    #[test]
+    fn every_lighting_has_its_files_and_its_values() {
+        let folder = tempfile::tempdir().expect("temp");
+        let solution = two_lamps();
+        let list = written(folder.path(), &solution, LIGHTINGS, false);
+        let names: Vec<&str> = list.variants.iter().map(|v| v.name.as_str()).collect();
+        assert_eq!(
+            names,
+            ["as it is", "dark", "warm", "r_0000", "r_0001", "r_0002"]
+        );
+        assert_eq!((list.seed, list.lightmap.side), (4, 32));
+        assert!(list.lightmap.shared_bakes > 0 && list.variants.iter().all(|v| v.mixed));
+        let [own, dark, warm] = &list.variants[..3] else {
+            panic!("three")
+        };
+        assert_eq!(dark.environment, None);
+        assert_eq!(own.environment.as_deref(), Some("as it is_environment.exr"));
+        assert_eq!(dark.mean_irradiance, [0.0; 3]);
+        assert!(own.mean_irradiance[0] > warm.mean_irradiance[0]);
+        assert_eq!(warm.lamps[0].factor, [0.5, 0.25, 0.0]);
+        assert_eq!(warm.lamps[1].factor, [1.0; 3]);
+        let power = solution.lamps[0].power;
+        let expected = Vec3::from_array(power) * Vec3::new(0.5, 0.25, 0.0);
+        assert_eq!(Vec3::from_array(warm.lamps[0].power), expected);
+
+        // all share the materials
+        let bytes = |file: &str| std::fs::read(folder.path().join("out").join(file)).expect("read");
+        let options = ExportOptions::default();
+        for image in material_textures(&solution, &packing(&options)).expect("encodes") {
+            for file in [UNLIT, "dark.glb", "warm.glb"] {
+                let file = bytes(file);
+                assert!(file.windows(image.bytes.len()).any(|w| w == image.bytes));
+            }
+        }
+        let texture = |file: &str, key: &str| {
+            let m = &root(folder.path(), file)["materials"][0];
+            (
+                m.get("emissiveTexture").is_some(),
+                m["extras"][key]["intensity"].as_f64(),
+            )
+        };
+        assert_eq!(texture(UNLIT, "lightmapTexture"), (false, None));
+        assert_eq!(texture("dark.glb", "lightmapTexture"), (false, None));
+        let (shines, intensity) = texture("as it is.glb", "lightmapTexture");
+        assert!(shines && intensity.is_some_and(|i| i > f64::from(own.mean_irradiance[0])));
+    }
+
+    #[test]
+    fn only_the_lamps_that_a_lighting_names_change_their_emission() {
+        let solution = two_lamps();
+        let mut world = EditableScene::new(&solution);
+        let map = EmissionMap::of(&solution);
+        assert_eq!(map.changed(&solution.emission, &world), solution.emission);
+        let lamp = &solution.lamps[0];
+        world.scale_emission(&lamp.triangles, Vec3::new(0.5, 0.0, 2.0));
+        let changed = map.changed(&solution.emission, &world);
+        let own = |p: &RgbPlane, l: &Lamp| {
+            *p.nearest(
+                solution.mesh.uv(l.triangles[0] as usize, 0.3, 0.3) * glam::Vec2::new(3.0, 1.0),
+            )
+        };
+        let before = own(&solution.emission, lamp);
+        assert_eq!(own(&changed, lamp), before * Vec3::new(0.5, 0.0, 2.0));
+        let other = &solution.lamps[1];
+        assert_eq!(own(&changed, other), own(&solution.emission, other));
+    }
+
+    /// A lamp that is added is in the file as what it is: its surface, or its intensity.
+    #[test]
+    fn added_lamps_are_written_with_their_light() {
+        let folder = tempfile::tempdir().expect("temp");
+        let solution = two_lamps();
+        let at = (solution.origin + DVec3::new(0.0, 1.0, 0.5)).to_array();
+        let text = format!(
+            "[[lighting]]\nname = \"a\"\n[[lighting.lamp]]\noff = true\n\
+             [[lighting.add]]\nkind = \"quad\"\nposition = {at:?}\ndirection = [0, -1, 0]\nsize = [0.4, 0.2]\nradiance = [8, 4, 2]\n\
+             [[lighting.add]]\nkind = \"spot\"\nposition = {at:?}\ndirection = [0, -1, 0]\nangle = 30\nblend = 0.5\nintensity = [3, 3, 3]\n"
+        );
+        let list = written(folder.path(), &solution, &text, true);
+        assert!(!list.variants[0].mixed && list.variants[0].mean_irradiance[0] > 0.0);
+        let root = root(folder.path(), "a.glb");
+        let material = &root["materials"][1];
+        let strength = &material["extensions"]["KHR_materials_emissive_strength"];
+        assert_eq!(strength["emissiveStrength"], 8.0);
+        assert_eq!(
+            material["emissiveFactor"],
+            serde_json::json!([1.0, 0.5, 0.25])
+        );
+        let bounds = |b: &str| -> Vec<f64> {
+            let mesh = &root["meshes"][1]["primitives"][0]["attributes"]["POSITION"];
+            let accessor = &root["accessors"][mesh.as_u64().expect("an accessor") as usize];
+            let list = accessor[b].as_array().expect("bounds");
+            list.iter().filter_map(Value::as_f64).collect()
+        };
+        let (low, high) = (bounds("min"), bounds("max"));
+        assert!((high[1] - 1.0).abs() < 1e-6 && (low[1] - 1.0).abs() < 1e-6);
+        assert!(((high[0] - low[0]) * (high[2] - low[2]) - 0.08).abs() < 1e-6);
+        let lights = root["extensions"]["KHR_lights_punctual"]["lights"].as_array();
+        let lights = lights.expect("lights");
+        // the solution's lamps are off and are no lights
+        let names: Vec<&str> = lights.iter().filter_map(|l| l["name"].as_str()).collect();
+        assert_eq!(names, ["added lamp 1", "added light 1"]);
+        let intensity = lights[0]["intensity"].as_f64().expect("a number");
+        // π · L · area over the whole sphere
+        let expected = f64::from(PI) * 8.0 * 0.08 / (4.0 * f64::from(PI));
+        assert!((intensity - expected).abs() < 1e-5, "{intensity}");
+        assert_eq!(
+            (lights[1]["type"].as_str(), lights[1]["intensity"].as_f64()),
+            (Some("spot"), Some(3.0))
+        );
+    }
+
+    #[test]
+    fn a_lighting_that_cannot_be_applied_is_named() {
+        let solution = two_lamps();
+        let lighting = NamedLighting {
+            name: "evening".into(),
+            lighting: toml::from_str("[[lamp]]\ngroup = 9\noff = true\n").expect("valid"),
+            random: false,
+        };
+        let e = relit(&lighting, &solution).err().expect("no lamp 9");
+        let said = e.to_string();
+        assert!(e.exit_code() == 2 && said.contains("evening") && said.contains("--list-lamps"));
     }
 }
