@@ -389,6 +389,8 @@ mod tests {
         assert_eq!(of(3, 5)[9].lighting.lamps, of(3, 5)[9].lighting.lamps);
         assert_ne!(of(3, 5)[9].lighting.lamps, of(3, 6)[9].lighting.lamps);
         assert_eq!(of(3, 5)[9].lighting.lamps, of(4, 5)[9].lighting.lamps[..3]);
+        let lamps = &of(3, 5)[9].lighting.lamps;
+        assert_ne!(lamps[0].scale, lamps[1].scale, "each lamp for itself");
         let own = read(&format!("seed = 6\n{RANDOM}"), 3, 5).expect("valid");
         assert_eq!((own.seed, own.list.len()), (6, 400));
         assert_eq!(own.list[9].lighting.lamps, of(3, 6)[9].lighting.lamps);
