@@ -183,7 +183,7 @@ impl Lighting {
                     None => {
                         let n = groups.len();
                         return Err(Error::Usage(format!(
-                            "lamp {id} does not exist: there are {n}; see --list-lamps"
+                            "lamp {id} does not exist: there are {n}; `unbake relight OUT --list-lamps` lists them"
                         )));
                     }
                 },
