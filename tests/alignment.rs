@@ -128,7 +128,7 @@ fn cameras_of_a_corrected_scene_are_corrected() {
     solve.extend(sizes);
     run(&solve);
     run(&[
-        "export", &out, "--scene", &scene, "--split", "train", "--format", "glb", "--to", &to,
+        "export", &out, "--scene", &scene, "--views", "train", "--format", "glb", "--to", &to,
     ]);
     let exported = matrices(&Path::new(&to).join("cameras.json"));
     assert!(exported.len() >= 6 && exported.len() <= right.len());

@@ -82,6 +82,7 @@ const TABLE: &[(&str, &[&str])] = &[
         "render",
         &[
             "scene",
+            "irradiance",
             "radiance",
             "lights",
             "specular",

@@ -74,6 +74,50 @@ fn all_list_the_same(scene: &Path) {
     let expected: Vec<String> = ids.iter().map(|id| format!("lamp {id}")).collect();
     assert_eq!(points, expected, "the exported point lights");
 
+    let to = dir.path().join("usd");
+    let usd = to.to_str().expect("UTF-8");
+    unbake(&[
+        "export", out, "-o", usd, "--format", "usd", "--lights", "--split", "objects", "--quiet",
+    ]);
+    let usd = std::fs::read_to_string(to.join("scene.usda")).expect("scene.usda");
+    let prims: Vec<u64> = usd
+        .lines()
+        .filter(|l| {
+            ["def RectLight", "def DiskLight", "def SphereLight"]
+                .iter()
+                .any(|d| l.contains(d))
+        })
+        .filter_map(|l| l.trim_end_matches('"').rsplit('_').next()?.parse().ok())
+        .collect();
+    assert_eq!(prims, ids, "the lights of USD");
+    assert!(
+        usd.contains("string name = \"wall"),
+        "objects have their class's name"
+    );
+
+    let to = dir.path().join("lit");
+    let lit = to.to_str().expect("UTF-8");
+    let file = dir.path().join("lightings.toml");
+    std::fs::write(
+        &file,
+        "[[lighting]]\nname = \"off\"\n[[lighting.lamp]]\noff = true\n",
+    )
+    .expect("writes");
+    let file = file.to_str().expect("UTF-8");
+    let small = ["--lightmap-size", "32", "--lightmap-paths", "8", "--quiet"];
+    unbake(&[&["export", out, "-o", lit, "--lightings", file], &small[..]].concat());
+    let bytes = std::fs::read(to.join("manifest.json")).expect("manifest.json");
+    let manifest: Value = serde_json::from_slice(&bytes).expect("JSON");
+    let variant = &manifest["variants"][0];
+    let listed = variant["lamps"].as_array().expect("lamps");
+    assert!(
+        listed
+            .iter()
+            .all(|l| l["factor"] == serde_json::json!([0.0, 0.0, 0.0]))
+    );
+    let listed: Vec<u64> = listed.iter().filter_map(|l| l["id"].as_u64()).collect();
+    assert_eq!(listed, ids, "the lit variants");
+
     let page = Content::new(solution, None, None)
         .expect("content")
         .description();

@@ -111,5 +111,6 @@ albedo_only()
 shoot(scene, "blender_albedo")
 scene = fresh()
 bpy.ops.wm.usd_import(filepath=str(folder / "scene.usda"))
+scene.world = None  # the dome is no base colour
 albedo_only()
 shoot(scene, "blender_usd_albedo")

@@ -36,7 +36,7 @@ with tempfile.TemporaryDirectory(dir=truth.parent) as work:
     v, u = np.meshgrid((np.arange(h) + 0.5) / h, (np.arange(w) + 0.5) / w, indexing="ij")
     copy(work / "uv", ["albedo.exr"])
     mi.Bitmap(np.stack([u, v, np.ones_like(u)], 2).astype(np.float32)).write(str(work / "uv/albedo.exr"))
-    subprocess.run([unbake, "render", work / "uv", "--scene", scene, "--split", "all", "--show", "albedo", "--exposure", "0",
+    subprocess.run([unbake, "render", work / "uv", "--scene", scene, "--views", "all", "--show", "albedo", "--exposure", "0",
                     "--to", work / "frames", "--quiet"], check=True, stdout=subprocess.DEVNULL)
     copy(truth, ["albedo.exr", "roughness.exr"])
     for name, channels in [("albedo", 3), ("roughness", 1)]:

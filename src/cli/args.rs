@@ -155,6 +155,7 @@ pub enum Verb {
     },
     /// Novel views of a reconstruction: panoramas or pinhole frames from cameras, views of a scene
     /// or along a smooth path.
+    #[command(mut_arg("views", |a| a.alias("split")))]
     Render {
         /// Output folder of `unbake solve`.
         #[arg(required_unless_present = "print_config", value_name = "OUT")]
@@ -196,6 +197,10 @@ pub enum Verb {
         /// Cameras and destination.
         #[command(flatten)]
         places: FrameSource,
+        /// Write a glTF file per lighting of a TOML file instead, each with a baked lightmap, one
+        /// without light, and manifest.json with what was changed in each.
+        #[arg(long, value_name = "FILE", conflicts_with = "cameras")]
+        lightings: Option<PathBuf>,
         /// What to write.
         #[command(flatten)]
         options: ExportVerb,
@@ -205,6 +210,7 @@ pub enum Verb {
     },
     /// Pictures of a reconstruction under changed light: lamps off, scaled, coloured, moved or
     /// added, another environment.
+    #[command(mut_arg("views", |a| a.alias("split")))]
     Relight {
         /// Output folder of `unbake solve`.
         #[arg(required_unless_present = "print_config", value_name = "OUT")]

@@ -21,8 +21,8 @@ pub struct FrameSource {
     /// Scene whose views to render, or to take a path's cameras from.
     #[arg(long, value_name = "SCENE", conflicts_with = "cameras")]
     pub scene: Option<PathBuf>,
-    /// Folder for the frames [default: a folder in OUT named after the verb].
-    #[arg(long, value_name = "FOLDER")]
+    /// Folder for the files [default: a folder in OUT named after the verb].
+    #[arg(long, short = 'o', visible_alias = "out", value_name = "FOLDER")]
     pub to: Option<PathBuf>,
 }
 
@@ -42,7 +42,7 @@ impl FrameSource {
             }
             (None, Some(scene)) => {
                 let scene = read_solved_scene(scene, out, context)?;
-                cameras_of_scene(&scene, options.split.split(), solution.origin)
+                cameras_of_scene(&scene, options.views.split(), solution.origin)
             }
             (None, None) => {
                 context.progress.note(

@@ -72,21 +72,35 @@ impl Lighting {
         })?;
         let mut out: Self = toml::from_str(&text)
             .map_err(|e| Error::input(path, format!("is no lighting file: {e}")))?;
-        let luminaires = out.add.iter_mut().filter_map(|a| {
+        out.resolve(path.parent().unwrap_or(Path::new(".")));
+        out.check().map_err(|m| Error::input(path, m))?;
+        Ok(out)
+    }
+
+    /// Files it names: measured luminaires and the panorama.
+    pub fn files(&mut self) -> impl Iterator<Item = &mut PathBuf> {
+        let luminaires = self.add.iter_mut().filter_map(|a| {
             if let Added::Ies { file, .. } = a {
                 Some(file)
             } else {
                 None
             }
         });
-        for file in luminaires.chain(&mut out.environment.file) {
-            *file = path.parent().unwrap_or(Path::new(".")).join(&file);
-        }
-        out.check().map_err(|m| Error::input(path, m))?;
-        Ok(out)
+        luminaires.chain(&mut self.environment.file)
     }
 
-    fn check(&self) -> std::result::Result<(), String> {
+    /// Takes the paths in it to be relative to a folder.
+    pub fn resolve(&mut self, folder: &Path) {
+        for file in self.files() {
+            *file = folder.join(&file);
+        }
+    }
+
+    /// Whether all that is given is light.
+    ///
+    /// # Errors
+    /// What is out of range, in words that name its key.
+    pub fn check(&self) -> std::result::Result<(), String> {
         let light = |values: &[f32], what: &str| {
             let fine = values.iter().all(|v| v.is_finite() && *v >= 0.0);
             if fine {
@@ -169,7 +183,7 @@ impl Lighting {
                     None => {
                         let n = groups.len();
                         return Err(Error::Usage(format!(
-                            "lamp {id} does not exist: there are {n}; see --list-lamps"
+                            "lamp {id} does not exist: there are {n}; `unbake relight OUT --list-lamps` lists them"
                         )));
                     }
                 },

@@ -10,6 +10,7 @@ mod edges;
 mod hybrid;
 mod ies;
 mod lighting_change;
+mod lightmap_bake;
 mod options;
 pub mod path_tracer;
 mod point_light;
@@ -22,6 +23,7 @@ pub use cameras::{FileCameras, NamedCamera, cameras_of_scene, read_cameras, smoo
 pub use hybrid::{HybridOptions, HybridRenderer, RenderedView, ViewRenderer};
 pub use ies::IesProfile;
 pub use lighting_change::{EnvironmentChange, LampChange, Lighting, daylight, mean_luminance};
+pub use lightmap_bake::{LightmapSampling, LightmapTexels};
 pub use options::{FrameOptions, RenderOptions, Renderer, Show, Video, Views};
 pub use path_tracer::{
     Adaptive, BlackEnvironment, Environment, Frame, IndirectCache, IrradiancePoint, KnownLight,

@@ -95,7 +95,8 @@ pub struct FrameOptions {
     pub fov: f32,
     /// Which of the scene's views, where --scene gives the cameras.
     #[arg(long, value_enum, default_value = "test")]
-    pub split: Views,
+    #[serde(alias = "split")]
+    pub views: Views,
     /// Frames of a smooth path through the given cameras, in their order; 0 renders the cameras
     /// themselves.
     #[arg(long, value_name = "FRAMES", default_value_t = Self::default().path)]
@@ -120,7 +121,7 @@ impl Default for FrameOptions {
             width: 0,
             height: 0,
             fov: 0.0,
-            split: Views::Test,
+            views: Views::Test,
             path: 0,
             exposure: Exposure::Auto,
             video: Video::None,

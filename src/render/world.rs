@@ -150,6 +150,30 @@ impl<'a> EditableScene<'a> {
         self.mean[t]
     }
 
+    /// Factor on what a triangle of the solution emits; 0 where it does not.
+    #[must_use]
+    pub fn emission_factor(&self, t: usize) -> Vec3 {
+        self.gain[t]
+    }
+
+    /// Factor on the light from outside.
+    #[must_use]
+    pub fn environment_factor(&self) -> Vec3 {
+        self.environment_gain
+    }
+
+    /// The panorama of the light from outside, before its factor.
+    #[must_use]
+    pub fn environment_map(&self) -> &RgbPlane {
+        self.environment.map()
+    }
+
+    /// Triangles that the solution does not have: moved lamps, then added ones.
+    #[must_use]
+    pub fn beyond_solution(&self) -> std::ops::Range<usize> {
+        self.solution.mesh.triangles.len()..self.mesh.triangles.len()
+    }
+
     /// Multiplies what some triangles emit.
     pub fn scale_emission(&mut self, triangles: &[u32], factor: Vec3) {
         for &t in triangles {
@@ -329,11 +353,8 @@ impl SurfaceModel for EditableScene<'_> {
         if triangle >= self.textured {
             return 0;
         }
-        let labels = &self.solution.labels;
-        *labels.nearest(
-            self.mesh.uv(triangle, 1.0 / 3.0, 1.0 / 3.0)
-                * Vec2::new(labels.width as f32, labels.height as f32),
-        )
+        let middle = self.mesh.uv(triangle, 1.0 / 3.0, 1.0 / 3.0);
+        self.solution.class_at(middle)
     }
 
     fn reflectance(&self) -> Reflectance {

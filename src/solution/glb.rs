@@ -4,9 +4,11 @@
 //! 255, G = roughness, B = 0) and, where the scene emits, an emissive texture normalised by its
 //! maximum, which `KHR_materials_emissive_strength` carries. Geometry is stored bit-exactly; the
 //! scene's origin is the node's translation and, in f64, its extras, so that a solution can be
-//! loaded back from this file without loss.
+//! loaded back from this file without loss. An export may divide the mesh into objects: they are
+//! nodes below the scene's, share its material, and are stored relative to where they stand.
 
-use super::Solution;
+use super::glb_lights::{LuminousPart, PunctualLight, add_lights};
+use super::{MeshPart, Solution};
 use crate::core::brdf::Reflectance;
 use crate::core::formats::{
     GlbWriter, MOST_DATA, encode_rgb8, encode_webp8, read_input, srgb8_from_linear,
@@ -30,19 +32,22 @@ pub struct GlbOptions {
     pub lightmap: bool,
     /// Textures as lossless WebP (`EXT_texture_webp`, required) instead of PNG.
     pub webp: bool,
+    /// Objects, a node each; empty = all triangles in one node, stored to the bit.
+    pub parts: Vec<MeshPart>,
+    /// Surfaces that only shine and that the solution's mesh does not have.
+    pub luminous: Vec<LuminousPart>,
+    /// Textures that need not be encoded again: those of [`material_textures`] with the same
+    /// options.
+    pub encoded: Vec<NamedImage>,
 }
 
-/// A point light of `KHR_lights_punctual`.
+/// A texture, encoded.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PunctualLight {
-    /// Name.
-    pub name: String,
-    /// Colour, largest channel 1.
-    pub colour: [f64; 3],
-    /// Radiant intensity per steradian in the images' units.
-    pub intensity: f64,
-    /// Place in file coordinates.
-    pub position: [f64; 3],
+pub struct NamedImage {
+    /// What engines call it: `BaseColor`, `ORM`, `Emissive`, `Lightmap`.
+    pub name: &'static str,
+    /// The bytes of a PNG or WebP file.
+    pub bytes: Vec<u8>,
 }
 
 impl Default for GlbOptions {
@@ -52,6 +57,9 @@ impl Default for GlbOptions {
             lights: Vec::new(),
             lightmap: false,
             webp: false,
+            parts: Vec::new(),
+            luminous: Vec::new(),
+            encoded: Vec::new(),
         }
     }
 }
@@ -74,8 +82,8 @@ const CLAMP_TO_EDGE: u32 = 33071;
 
 /// The textures of a file, encoded.
 struct Pictures {
-    /// Name and bytes, in the order of their numbers.
-    images: Vec<(&'static str, Vec<u8>)>,
+    /// In the order of their numbers.
+    images: Vec<NamedImage>,
     /// What the emissive texture is to be multiplied by, if the scene emits; its number is 2.
     strength: Option<f32>,
     /// What the lightmap is to be multiplied by, if there is one; it comes last.
@@ -104,14 +112,17 @@ pub(super) fn marked_glb(
     }
     let pictures = encode_pictures(solution, options)?;
     let mut glb = GlbWriter::default();
-    let indices = glb.triangles(&mesh.triangles);
-    let position = glb.positions(&mesh.positions, mesh.bounds());
-    let normals: Vec<Vec3> = mesh.normals.iter().map(|n| valid_normal(*n)).collect();
-    let normal = glb.vectors(&normals);
-    let uv = glb.uvs(&mesh.uvs);
-    let mut attributes = json!({"POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv});
-    if pictures.lightmap.is_some() {
-        attributes["TEXCOORD_1"] = json!(uv);
+    let whole = [MeshPart::whole("scene", mesh)];
+    let parts = match options.parts.as_slice() {
+        [] => whole.as_slice(),
+        parts => parts,
+    };
+    let mut meshes: Vec<Value> = parts
+        .iter()
+        .map(|part| mesh_entry(&mut glb, part, mesh, &pictures))
+        .collect();
+    for (material, part) in (1..).zip(&options.luminous) {
+        meshes.push(luminous_entry(&mut glb, part, material));
     }
     let mime = if options.webp {
         "image/webp"
@@ -121,9 +132,7 @@ pub(super) fn marked_glb(
     let images: Vec<Value> = pictures
         .images
         .iter()
-        .map(
-            |(name, bytes)| json!({"name": name, "mimeType": mime, "bufferView": glb.image(bytes)}),
-        )
+        .map(|i| json!({"name": i.name, "mimeType": mime, "bufferView": glb.image(&i.bytes)}))
         .collect();
     let textures: Vec<Value> = (0..images.len())
         .map(|i| match options.webp {
@@ -135,10 +144,8 @@ pub(super) fn marked_glb(
         "asset": {"version": "2.0", "generator": concat!("unbake ", env!("CARGO_PKG_VERSION"))},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [node(solution.origin, solution.reflectance, generation)],
-        "meshes": [{"name": "scene", "primitives": [
-            {"attributes": attributes, "indices": indices, "material": 0},
-        ]}],
+        "nodes": nodes(solution, options, generation),
+        "meshes": meshes,
         "images": images,
         "textures": textures,
         "samplers": [{
@@ -147,21 +154,120 @@ pub(super) fn marked_glb(
             "wrapS": CLAMP_TO_EDGE,
             "wrapT": CLAMP_TO_EDGE,
         }],
-        "materials": [material(&pictures)],
+        "materials": materials(&pictures, options),
     });
     add_lights(&mut root, &options.lights);
     name_extensions(&mut root, &pictures, options);
     glb.finish(root)
 }
 
+/// Stores the geometry of a part; returns its mesh, of one primitive.
+fn mesh_entry(glb: &mut GlbWriter, part: &MeshPart, whole: &Mesh, pictures: &Pictures) -> Value {
+    // a part that is all there is keeps its vertices' order, unused ones included
+    let own;
+    let mesh = if part.pivot == Vec3::ZERO && part.triangles.len() == whole.triangles.len() {
+        whole
+    } else {
+        own = part.mesh(whole);
+        &own
+    };
+    let indices = glb.triangles(&mesh.triangles);
+    let position = glb.positions(&mesh.positions, mesh.bounds());
+    let normals: Vec<Vec3> = mesh.normals.iter().map(|n| valid_normal(*n)).collect();
+    let normal = glb.vectors(&normals);
+    let uv = glb.uvs(&mesh.uvs);
+    let mut attributes = json!({"POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv});
+    if pictures.lightmap.is_some() {
+        attributes["TEXCOORD_1"] = json!(uv);
+    }
+    json!({"name": part.name, "primitives": [
+        {"attributes": attributes, "indices": indices, "material": 0},
+    ]})
+}
+
+/// Stores the geometry of a surface that only shines; returns its mesh.
+fn luminous_entry(glb: &mut GlbWriter, part: &LuminousPart, material: usize) -> Value {
+    let mesh = &part.mesh;
+    let indices = glb.triangles(&mesh.triangles);
+    let position = glb.positions(&mesh.positions, mesh.bounds());
+    let normals: Vec<Vec3> = mesh.normals.iter().map(|n| valid_normal(*n)).collect();
+    let normal = glb.vectors(&normals);
+    json!({"name": part.name, "primitives": [
+        {"attributes": {"POSITION": position, "NORMAL": normal}, "indices": indices, "material": material},
+    ]})
+}
+
+/// The scene's node, which has the mesh or, of several objects, a node for each below it; surfaces
+/// that only shine follow there.
+fn nodes(solution: &Solution, options: &GlbOptions, generation: &str) -> Value {
+    let mut scene = node(solution.origin, solution.reflectance, generation);
+    let mut below: Vec<Value> = Vec::new();
+    for part in &options.parts {
+        let at = part.pivot.as_dvec3().to_array();
+        below.push(json!({"name": part.name, "mesh": below.len(), "translation": at}));
+    }
+    let mut mesh = below.len();
+    if options.parts.is_empty() {
+        scene["mesh"] = json!(0);
+        mesh = 1;
+    }
+    for part in &options.luminous {
+        below.push(json!({"name": part.name, "mesh": mesh}));
+        mesh += 1;
+    }
+    if !below.is_empty() {
+        scene["children"] = json!((1..=below.len()).collect::<Vec<usize>>());
+    }
+    below.insert(0, scene);
+    json!(below)
+}
+
+/// The material that all surfaces share, and one for each that only shines.
+fn materials(pictures: &Pictures, options: &GlbOptions) -> Vec<Value> {
+    let shining = options.luminous.iter().map(LuminousPart::material);
+    std::iter::once(material(pictures)).chain(shining).collect()
+}
+
+/// The textures that do not depend on light, for [`GlbOptions::encoded`] of many files.
+///
+/// # Errors
+/// A texture cannot be encoded.
+pub fn material_textures(solution: &Solution, options: &GlbOptions) -> Result<Vec<NamedImage>> {
+    let named = |name: &'static str, bytes: Vec<u8>| NamedImage { name, bytes };
+    Ok(vec![
+        named("BaseColor", base_colour(&solution.albedo, options)?),
+        named(
+            "ORM",
+            occlusion_roughness_metallic(&solution.roughness, options)?,
+        ),
+    ])
+}
+
+/// The textures of `scene.glb` as PNG files: `BaseColor` (sRGB), `ORM` (occlusion, roughness, metal)
+/// and, where the scene emits, `Emissive` (sRGB, as a share of its maximum).
+///
+/// # Errors
+/// A texture cannot be encoded.
+pub fn png_textures(solution: &Solution, max_texture: usize) -> Result<Vec<NamedImage>> {
+    let options = GlbOptions {
+        max_texture,
+        ..GlbOptions::default()
+    };
+    Ok(encode_pictures(solution, &options)?.images)
+}
+
 /// Encodes the textures side by side.
 fn encode_pictures(solution: &Solution, options: &GlbOptions) -> Result<Pictures> {
     let strength = peak(&solution.emission);
     let (base, (orm, emissive)) = crate::core::parallel::join(
-        || base_colour(&solution.albedo, options),
+        || known("BaseColor", options).unwrap_or_else(|| base_colour(&solution.albedo, options)),
         || {
             crate::core::parallel::join(
-                || occlusion_roughness_metallic(&solution.roughness, options),
+                || {
+                    known("ORM", options).unwrap_or_else(|| {
+                        occlusion_roughness_metallic(&solution.roughness, options)
+                    })
+                },
                 || {
                     strength
                         .map(|s| light_map(&solution.emission, s, options))
@@ -170,20 +276,25 @@ fn encode_pictures(solution: &Solution, options: &GlbOptions) -> Result<Pictures
             )
         },
     );
-    let mut images = vec![
-        ("base colour", base?),
-        ("occlusion roughness metallic", orm?),
-    ];
-    images.extend(emissive?.map(|e| ("emissive", e)));
+    let named = |name: &'static str, bytes: Vec<u8>| NamedImage { name, bytes };
+    let mut images = vec![named("BaseColor", base?), named("ORM", orm?)];
+    images.extend(emissive?.map(|e| named("Emissive", e)));
     let lightmap = peak(&solution.irradiance).filter(|_| options.lightmap);
     if let Some(peak) = lightmap {
-        images.push(("lightmap", light_map(&solution.irradiance, peak, options)?));
+        let bytes = light_map(&solution.irradiance, peak, options)?;
+        images.push(named("Lightmap", bytes));
     }
     Ok(Pictures {
         images,
         strength,
         lightmap,
     })
+}
+
+/// A texture that is encoded already.
+fn known(name: &str, options: &GlbOptions) -> Option<Result<Vec<u8>>> {
+    let image = options.encoded.iter().find(|i| i.name == name);
+    image.map(|i| Ok(i.bytes.clone()))
 }
 
 fn material(pictures: &Pictures) -> Value {
@@ -214,41 +325,10 @@ fn material(pictures: &Pictures) -> Value {
     material
 }
 
-/// A node per lamp beside the scene's.
-fn add_lights(root: &mut Value, lights: &[PunctualLight]) {
-    if lights.is_empty() {
-        return;
-    }
-    let kinds: Vec<Value> = lights
-        .iter()
-        .map(|l| {
-            json!({
-                "type": "point",
-                "name": l.name,
-                "color": l.colour,
-                "intensity": l.intensity,
-            })
-        })
-        .collect();
-    let lamps = lights.iter().enumerate().map(|(i, l)| {
-        json!({
-            "name": l.name,
-            "translation": l.position,
-            "extensions": {"KHR_lights_punctual": {"light": i}},
-        })
-    });
-    let nodes: Vec<Value> = std::iter::once(root["nodes"][0].clone())
-        .chain(lamps)
-        .collect();
-    root["scenes"][0]["nodes"] = json!((0..nodes.len()).collect::<Vec<usize>>());
-    root["nodes"] = json!(nodes);
-    root["extensions"] = json!({"KHR_lights_punctual": {"lights": kinds}});
-}
-
 fn name_extensions(root: &mut Value, pictures: &Pictures, options: &GlbOptions) {
     let used: Vec<&str> = [
         (
-            pictures.strength.is_some(),
+            pictures.strength.is_some() || !options.luminous.is_empty(),
             "KHR_materials_emissive_strength",
         ),
         (!options.lights.is_empty(), "KHR_lights_punctual"),
@@ -266,7 +346,7 @@ fn name_extensions(root: &mut Value, pictures: &Pictures, options: &GlbOptions) 
 }
 
 fn node(origin: DVec3, reflectance: Reflectance, generation: &str) -> Value {
-    let mut node = json!({"name": "scene", "mesh": 0, "extras": {"origin": origin.to_array(), "reflectance": reflectance}});
+    let mut node = json!({"name": "scene", "extras": {"origin": origin.to_array(), "reflectance": reflectance}});
     if !generation.is_empty() {
         node["extras"]["generation"] = json!(generation);
     }
@@ -358,10 +438,11 @@ pub(super) fn read_glb(path: &Path) -> Result<GlbContent> {
         .blob
         .as_deref()
         .ok_or_else(|| foreign("has no binary chunk"))?;
-    let node = gltf
-        .nodes()
-        .find(|n| n.mesh().is_some())
-        .ok_or_else(|| foreign("has no mesh"))?;
+    let mut with_mesh = gltf.nodes().filter(|n| n.mesh().is_some());
+    let node = with_mesh.next().ok_or_else(|| foreign("has no mesh"))?;
+    if with_mesh.next().is_some() {
+        return Err(foreign("has several meshes, as exports with objects have"));
+    }
     let primitive = node
         .mesh()
         .and_then(|m| m.primitives().next())
@@ -549,6 +630,7 @@ mod tests {
             colour: [1.0, 0.5, 0.2],
             intensity: 3.0,
             position: [1.0, 2.0, 3.0],
+            cone: None,
         };
         let options = GlbOptions {
             webp: true,

@@ -5,15 +5,19 @@ mod aside;
 mod camera_masks;
 mod generation;
 mod glb;
+mod glb_lights;
 mod lamps;
 mod lock;
+mod mesh_part;
 mod store;
 
 pub use aside::AsideFolder;
 pub use generation::check_generation;
-pub use glb::{GlbOptions, PunctualLight, scene_glb};
+pub use glb::{GlbOptions, NamedImage, material_textures, png_textures, scene_glb};
+pub use glb_lights::{LuminousPart, PunctualLight, SpotCone};
 pub use lamps::{LIGHTS, Lamp, LampKind, find_lamps, lamp_gap, triangle_emission};
 pub use lock::OutputLock;
+pub use mesh_part::MeshPart;
 pub use store::{FILES, SaveOptions};
 
 use crate::core::brdf::Reflectance;
@@ -62,6 +66,15 @@ pub struct Solution {
     /// What the photographs' cameras carry along, one mask per kind and size of image; those
     /// without any are left out.
     pub camera_masks: Vec<CameraMask>,
+}
+
+impl Solution {
+    /// The class at a place of the atlas; 0 = unlabelled.
+    #[must_use]
+    pub fn class_at(&self, uv: Vec2) -> u16 {
+        let size = Vec2::new(self.labels.width as f32, self.labels.height as f32);
+        *self.labels.nearest(uv * size)
+    }
 }
 
 #[cfg(test)]

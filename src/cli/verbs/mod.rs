@@ -41,7 +41,12 @@ pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
             *clear,
             context,
         ),
-        Verb::Export { out, places, .. } => export::export(required(out)?, places, context),
+        Verb::Export {
+            out,
+            places,
+            lightings,
+            ..
+        } => export::export(required(out)?, places, lightings.as_deref(), context),
         Verb::Relight {
             out,
             places,

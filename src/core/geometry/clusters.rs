@@ -12,18 +12,7 @@ const WELD: f32 = 2e-3;
 /// their first triangle.
 #[must_use]
 pub fn clusters(mesh: &Mesh, triangles: &[u32], gap: f32) -> Vec<Vec<u32>> {
-    let mut touching = Sets::new(triangles.len());
-    let mut at: BTreeMap<[i64; 3], usize> = BTreeMap::new();
-    for (k, &t) in triangles.iter().enumerate() {
-        for p in mesh.corners(t as usize) {
-            let key = (p / (WELD * gap).max(f32::MIN_POSITIVE))
-                .round()
-                .to_array()
-                .map(|x| x as i64);
-            touching.join(k, *at.entry(key).or_insert(k));
-        }
-    }
-    let parts = touching.members();
+    let parts = welded(mesh, triangles, WELD * gap);
     let boxes: Vec<(Vec3, Vec3)> = parts
         .iter()
         .map(|part| {
@@ -61,6 +50,32 @@ pub fn clusters(mesh: &Mesh, triangles: &[u32], gap: f32) -> Vec<Vec<u32>> {
         members.into_iter().map(|k| triangles[k]).collect()
     };
     near.members().into_iter().map(whole).collect()
+}
+
+/// Groups of `triangles` that share a corner, corners at most about `weld` apart being one. Each
+/// group lists its triangles in the order given; groups are in the order of their first triangle.
+#[must_use]
+pub fn touching(mesh: &Mesh, triangles: &[u32], weld: f32) -> Vec<Vec<u32>> {
+    welded(mesh, triangles, weld)
+        .into_iter()
+        .map(|group| group.into_iter().map(|k| triangles[k]).collect())
+        .collect()
+}
+
+/// [`touching`], as places in the list `triangles`.
+fn welded(mesh: &Mesh, triangles: &[u32], weld: f32) -> Vec<Vec<usize>> {
+    let mut touching = Sets::new(triangles.len());
+    let mut at: BTreeMap<[i64; 3], usize> = BTreeMap::new();
+    for (k, &t) in triangles.iter().enumerate() {
+        for p in mesh.corners(t as usize) {
+            let key = (p / weld.max(f32::MIN_POSITIVE))
+                .round()
+                .to_array()
+                .map(|x| x as i64);
+            touching.join(k, *at.entry(key).or_insert(k));
+        }
+    }
+    touching.members()
 }
 
 /// For every triangle the number of its piece: what vertices hold together, texture seams and sharp
@@ -153,6 +168,11 @@ mod tests {
         );
         assert_eq!(clusters(&mesh, &[3, 1], 0.05), [vec![3], vec![1]]);
         assert!(clusters(&mesh, &[], 0.05).is_empty());
+        // boxes that lie close do not touch
+        assert_eq!(
+            touching(&mesh, &[3, 0, 2, 1], 1e-4),
+            [vec![3], vec![0, 2], vec![1]]
+        );
     }
 
     #[test]

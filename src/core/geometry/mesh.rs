@@ -102,6 +102,28 @@ impl Mesh {
             .unwrap_or((Vec3::ZERO, Vec3::ZERO))
     }
 
+    /// Some triangles, in the order given, with only the vertices they use, in the order of their
+    /// first use.
+    #[must_use]
+    pub fn part(&self, triangles: &[u32]) -> Self {
+        let mut new_index = vec![u32::MAX; self.positions.len()];
+        let mut out = Self::default();
+        for &t in triangles {
+            let corners = self.triangles[t as usize].map(|i| {
+                let i = i as usize;
+                if new_index[i] == u32::MAX {
+                    new_index[i] = out.positions.len() as u32;
+                    out.positions.push(self.positions[i]);
+                    out.normals.push(self.normals[i]);
+                    out.uvs.push(self.uvs[i]);
+                }
+                new_index[i]
+            });
+            out.triangles.push(corners);
+        }
+        out
+    }
+
     /// Replaces the vertex normals by area-weighted means of the adjacent faces.
     pub fn compute_normals(&mut self) {
         let mut normals = vec![Vec3::ZERO; self.positions.len()];

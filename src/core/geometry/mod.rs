@@ -6,6 +6,6 @@ mod mesh;
 mod shells;
 
 pub use camera::{Camera, Lens, Projection};
-pub use clusters::{clusters, pieces};
+pub use clusters::{clusters, pieces, touching};
 pub use mesh::Mesh;
 pub use shells::{Neighbour, Shells};

@@ -1,10 +1,11 @@
 //! `unbake export`: a solution in the formats of other programs.
 
-use super::{punctual_lights, write_mitsuba, write_usd};
+use super::objects::{ClassName, Split, objects};
+use super::{UsdOptions, punctual_lights, write_mitsuba, write_usd};
 use crate::core::geometry::{Camera, Projection};
 use crate::error::{Error, Result};
 use crate::render::NamedCamera;
-use crate::solution::{AsideFolder, GlbOptions, Solution, scene_glb};
+use crate::solution::{AsideFolder, GlbOptions, MeshPart, Solution, png_textures, scene_glb};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -33,14 +34,30 @@ pub struct ExportOptions {
     /// Largest side of an embedded glTF texture, texels.
     #[arg(long, value_name = "TEXELS", default_value_t = Self::default().max_texture)]
     pub max_texture: usize,
-    /// Add the lamps to the glTF file as KHR_lights_punctual, for engines that do not light by
-    /// emissive surfaces.
-    #[arg(long)]
-    pub punctual_lights: bool,
+    /// Add the lamps as lights beside their emissive surfaces, for engines that do not light by
+    /// these: KHR_lights_punctual in glTF, rectangles, disks and spheres of UsdLux in USD.
+    #[arg(long, alias = "punctual-lights")]
+    #[serde(alias = "punctual-lights")]
+    pub lights: bool,
     /// Add the irradiance to the glTF file as a lightmap on the second texture set (named in the
     /// material's extras).
     #[arg(long)]
     pub lightmap: bool,
+    /// Divide the surfaces of the glTF and USD files into objects that stand for themselves, named
+    /// by class: an object per class, or per connected piece of a class ("chair", "chair 2").
+    #[arg(long, value_enum, default_value_t = Self::default().split)]
+    pub split: Split,
+    /// Write the glTF file's textures beside it too, as 8-bit PNG: scene_BaseColor.png,
+    /// scene_ORM.png (occlusion, roughness, metal), scene_Emissive.png.
+    #[arg(long)]
+    pub textures: bool,
+    /// With --lightings, side of the lightmaps in texels; 0 = as the irradiance texture, at most
+    /// 512.
+    #[arg(long, value_name = "TEXELS", default_value_t = Self::default().lightmap_size)]
+    pub lightmap_size: usize,
+    /// With --lightings, paths traced per texel of a lightmap and light that is baked.
+    #[arg(long, value_name = "N", default_value_t = Self::default().lightmap_paths)]
+    pub lightmap_paths: u32,
     /// Store the glTF file's textures as lossless WebP (EXT_texture_webp) instead of PNG.
     #[arg(long)]
     pub webp: bool,
@@ -55,12 +72,52 @@ impl Default for ExportOptions {
         Self {
             format: vec![Format::Glb, Format::Usd, Format::Mitsuba],
             max_texture: 4096,
-            punctual_lights: false,
+            lights: false,
             lightmap: false,
+            split: Split::None,
+            textures: false,
+            lightmap_size: 0,
+            lightmap_paths: 64,
             webp: false,
             mitsuba_diffuse: false,
         }
     }
+}
+
+/// Largest side of a lightmap, texels: that of the largest textures that graphics cards commonly
+/// take (cited: WebGPU and Direct3D 11 grant 8192 and 16384).
+const LARGEST_LIGHTMAP: usize = 16_384;
+
+impl ExportOptions {
+    /// Whether the numbers make sense.
+    ///
+    /// # Errors
+    /// One is out of range.
+    pub(super) fn check(&self) -> Result<()> {
+        if self.max_texture == 0 {
+            return Err(Error::Usage("--max-texture must be at least 1".into()));
+        }
+        if self.lightmap_size > LARGEST_LIGHTMAP {
+            return Err(Error::Usage(format!(
+                "--lightmap-size {}: expected at most {LARGEST_LIGHTMAP} texels",
+                self.lightmap_size
+            )));
+        }
+        if self.lightmap_paths == 0 {
+            return Err(Error::Usage("--lightmap-paths must be at least 1".into()));
+        }
+        Ok(())
+    }
+}
+
+/// What is exported.
+pub struct Exported<'a> {
+    /// The reconstruction.
+    pub solution: &'a Solution,
+    /// Names of its classes, as far as they are known.
+    pub classes: &'a [ClassName],
+    /// Cameras that go with it.
+    pub cameras: &'a [NamedCamera],
 }
 
 /// Writes the wanted formats and `cameras.json` into `folder`, all or nothing; returns the file
@@ -70,41 +127,30 @@ impl Default for ExportOptions {
 /// A file cannot be written.
 pub fn export(
     folder: &Path,
-    solution: &Solution,
-    cameras: &[NamedCamera],
+    exported: &Exported<'_>,
     options: &ExportOptions,
 ) -> Result<Vec<String>> {
-    if options.max_texture == 0 {
-        return Err(Error::Usage("--max-texture must be at least 1".into()));
-    }
+    options.check()?;
+    let Exported {
+        solution, cameras, ..
+    } = *exported;
+    let parts = objects(solution, options.split, exported.classes);
     let aside = AsideFolder::new(folder)?;
     let mut files = Vec::new();
     for format in &options.format {
-        match format {
-            Format::Glb => {
-                let glb = GlbOptions {
-                    max_texture: options.max_texture,
-                    lights: if options.punctual_lights {
-                        punctual_lights(solution)
-                    } else {
-                        Vec::new()
-                    },
-                    lightmap: options.lightmap,
-                    webp: options.webp,
+        files.extend(match format {
+            Format::Glb => write_glb(aside.path(), solution, &parts, options)?,
+            Format::Usd => {
+                let usd = UsdOptions {
+                    parts: &parts,
+                    lights: options.lights,
                 };
-                let path = aside.path().join("scene.glb");
-                std::fs::write(&path, scene_glb(solution, &glb)?)
-                    .map_err(|e| Error::io(&path, e))?;
-                files.push("scene.glb".to_owned());
+                write_usd(aside.path(), solution, usd)?
             }
-            Format::Usd => files.extend(write_usd(aside.path(), solution)?),
-            Format::Mitsuba => files.extend(write_mitsuba(
-                aside.path(),
-                solution,
-                cameras,
-                options.mitsuba_diffuse,
-            )?),
-        }
+            Format::Mitsuba => {
+                write_mitsuba(aside.path(), solution, cameras, options.mitsuba_diffuse)?
+            }
+        });
     }
     let path = aside.path().join("cameras.json");
     let text = format!("{:#}\n", camera_file(cameras, solution.origin));
@@ -113,6 +159,40 @@ pub fn export(
     files.sort();
     files.dedup();
     aside.publish(folder, &files)?;
+    Ok(files)
+}
+
+/// Writes `scene.glb` and, where wanted, its textures; returns the names of the files.
+fn write_glb(
+    folder: &Path,
+    solution: &Solution,
+    parts: &[MeshPart],
+    options: &ExportOptions,
+) -> Result<Vec<String>> {
+    let glb = GlbOptions {
+        max_texture: options.max_texture,
+        lights: if options.lights {
+            punctual_lights(solution)
+        } else {
+            Vec::new()
+        },
+        lightmap: options.lightmap,
+        webp: options.webp,
+        parts: parts.to_vec(),
+        ..GlbOptions::default()
+    };
+    let mut files = Vec::new();
+    let mut save = |name: String, bytes: &[u8]| {
+        let path = folder.join(&name);
+        files.push(name);
+        std::fs::write(&path, bytes).map_err(|e| Error::io(&path, e))
+    };
+    save("scene.glb".into(), &scene_glb(solution, &glb)?)?;
+    if options.textures {
+        for image in png_textures(solution, options.max_texture)? {
+            save(format!("scene_{}.png", image.name), &image.bytes)?;
+        }
+    }
     Ok(files)
 }
 
@@ -183,14 +263,25 @@ mod tests {
         let tracer = EmbreeTracer::new(&solution.mesh).expect("embree");
         let cameras = viewpoints(&solution.mesh, &tracer, 2, 64, 48);
         assert!(!cameras.is_empty());
-        let files = export(
-            folder.path(),
-            &solution,
-            &cameras,
-            &ExportOptions::default(),
-        )
-        .expect("exports");
-        for name in ["scene.glb", "scene.usda", "mitsuba.xml", "cameras.json"] {
+        let exported = Exported {
+            solution: &solution,
+            classes: &[],
+            cameras: &cameras,
+        };
+        let options = ExportOptions {
+            textures: true,
+            ..ExportOptions::default()
+        };
+        let files = export(folder.path(), &exported, &options).expect("exports");
+        for name in [
+            "scene.glb",
+            "scene.usda",
+            "mitsuba.xml",
+            "cameras.json",
+            "scene_BaseColor.png",
+            "scene_ORM.png",
+            "scene_Emissive.png",
+        ] {
             assert!(
                 files.iter().any(|f| f == name) && folder.path().join(name).is_file(),
                 "{name}"

@@ -87,8 +87,8 @@ fn write_shapes(
 ) -> Result<String> {
     let world = EditableScene::new(solution);
     let mesh = &solution.mesh;
-    let (lamps, rest): (Vec<usize>, Vec<usize>) =
-        (0..mesh.triangles.len()).partition(|&t| world.emits(t));
+    let (lamps, rest): (Vec<u32>, Vec<u32>) =
+        (0..mesh.triangles.len() as u32).partition(|&t| world.emits(t as usize));
     let mut shapes = String::new();
     for (name, triangles) in [("surfaces", &rest), ("lamps", &lamps)] {
         if triangles.is_empty() {
@@ -199,36 +199,26 @@ fn sensor(name: &str, camera: &Camera) -> Result<String> {
 }
 
 /// Binary PLY of some triangles with only the vertices they use.
-fn ply_bytes(mesh: &Mesh, triangles: &[usize]) -> Vec<u8> {
-    let mut new_index = vec![u32::MAX; mesh.positions.len()];
-    let mut vertices: Vec<usize> = Vec::new();
-    let mut faces: Vec<u8> = Vec::with_capacity(triangles.len() * 13);
-    for &t in triangles {
-        faces.push(3);
-        for i in mesh.triangles[t] {
-            let slot = &mut new_index[i as usize];
-            if *slot == u32::MAX {
-                *slot = vertices.len() as u32;
-                vertices.push(i as usize);
-            }
-            faces.extend(slot.to_le_bytes());
-        }
-    }
+fn ply_bytes(mesh: &Mesh, triangles: &[u32]) -> Vec<u8> {
+    let mesh = mesh.part(triangles);
     let mut out = format!(
         "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
          property float nx\nproperty float ny\nproperty float nz\nproperty float u\nproperty float v\n\
          element face {}\nproperty list uchar int vertex_indices\nend_header\n",
-        vertices.len(),
-        triangles.len()
+        mesh.positions.len(),
+        mesh.triangles.len()
     )
     .into_bytes();
-    for i in vertices {
+    for i in 0..mesh.positions.len() {
         let (p, n, uv) = (mesh.positions[i], mesh.normals[i], mesh.uvs[i]);
         for x in [p.x, p.y, p.z, n.x, n.y, n.z, uv.x, uv.y] {
             out.extend(x.to_le_bytes());
         }
     }
-    out.extend(faces);
+    for corners in &mesh.triangles {
+        out.push(3);
+        corners.iter().for_each(|i| out.extend(i.to_le_bytes()));
+    }
     out
 }
 

@@ -1,13 +1,23 @@
 //! Files that other programs open.
 
+mod area_light;
 mod frames;
 mod job;
+mod light_mix;
+mod lightings;
 mod mitsuba;
+mod objects;
 mod punctual;
 mod usd;
+mod usd_lights;
+mod variants;
 
+pub use area_light::{AreaLight, LightShape, area_lights};
 pub use frames::FrameWriter;
-pub use job::{ExportOptions, Format, camera_file, export};
+pub use job::{ExportOptions, Exported, Format, camera_file, export};
+pub use lightings::{Lightings, NamedLighting};
 pub use mitsuba::write_mitsuba;
+pub use objects::{ClassName, Split, objects};
 pub use punctual::punctual_lights;
-pub use usd::write_usd;
+pub use usd::{UsdOptions, write_usd};
+pub use variants::{LightmapRecord, Variant, VariantLamp, VariantList, export_lightings};

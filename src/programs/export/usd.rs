@@ -1,20 +1,40 @@
 //! `scene.usda`: the reconstruction as text USD with `UsdPreviewSurface` and PNG textures beside
-//! it.
+//! it. Every object is a mesh with a translation of its own below the scene's.
 
-use crate::core::formats::{encode_grey8, encode_rgb8, srgb8_from_linear};
+use super::area_light::area_lights;
+use super::objects::unlike;
+use super::usd_lights::{dome_prim, lamp_prim};
+use crate::core::formats::{encode_grey8, encode_rgb8, srgb8_from_linear, write_rgb_float};
 use crate::core::geometry::Mesh;
 use crate::core::image::Plane;
 use crate::error::{Error, Result};
-use crate::solution::Solution;
+use crate::solution::{MeshPart, Solution};
 use glam::Vec3;
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::Path;
+
+/// Choices of the USD export.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct UsdOptions<'a> {
+    /// Objects, a mesh each; empty = all surfaces are one.
+    pub parts: &'a [MeshPart],
+    /// Lamps as lights of UsdLux, for renderers that do not light by emissive surfaces.
+    pub lights: bool,
+}
+
+/// Name of the panorama around the scene.
+const ENVIRONMENT: &str = "usd_environment.exr";
 
 /// Writes `scene.usda` and its textures into `folder`; returns the names of the files.
 ///
 /// # Errors
 /// A file cannot be written.
-pub fn write_usd(folder: &Path, solution: &Solution) -> Result<Vec<String>> {
+pub fn write_usd(
+    folder: &Path,
+    solution: &Solution,
+    options: UsdOptions<'_>,
+) -> Result<Vec<String>> {
     let peak = solution
         .emission
         .data
@@ -48,12 +68,20 @@ pub fn write_usd(folder: &Path, solution: &Solution) -> Result<Vec<String>> {
         save("usd_emission.png", &rgb(&solution.emission, 1.0 / peak)?)?;
         files.push("usd_emission.png");
     }
-    save("scene.usda", text(solution, peak).as_bytes())?;
+    if is_lit_from_outside(solution) {
+        write_rgb_float(folder.join(ENVIRONMENT), &solution.environment)?;
+        files.push(ENVIRONMENT);
+    }
+    save("scene.usda", text(solution, peak, options).as_bytes())?;
     Ok(files.into_iter().map(str::to_owned).collect())
 }
 
-/// The text of the file: a mesh and its material.
-fn text(solution: &Solution, peak: f32) -> String {
+fn is_lit_from_outside(solution: &Solution) -> bool {
+    solution.environment.data.iter().any(|c| *c != Vec3::ZERO)
+}
+
+/// The text of the file: meshes, lights and the material.
+fn text(solution: &Solution, peak: f32, options: UsdOptions<'_>) -> String {
     let o = solution.origin;
     let mut s = String::from(
         "#usda 1.0\n(\n    defaultPrim = \"scene\"\n    metersPerUnit = 1\n    upAxis = \"Y\"\n)\n\ndef Xform \"scene\"\n{\n",
@@ -64,15 +92,70 @@ fn text(solution: &Solution, peak: f32) -> String {
         o.x, o.y, o.z
     );
     s.push_str("    uniform token[] xformOpOrder = [\"xformOp:translate\"]\n\n");
-    mesh_prim(&mut s, &solution.mesh);
+    let parts = options.parts;
+    let lights = if options.lights {
+        area_lights(solution)
+    } else {
+        Vec::new()
+    };
+    let mut taken: BTreeSet<String> = lights.iter().map(|l| identifier(&l.name)).collect();
+    taken.extend(["material", "environment"].map(str::to_owned));
+    if parts.is_empty() {
+        mesh_prim(
+            &mut s,
+            &MeshPart::whole("surfaces", &solution.mesh),
+            &solution.mesh,
+            "surfaces",
+        );
+    }
+    for part in parts {
+        let prim = unlike(&identifier(&part.name), '_', &mut taken);
+        mesh_prim(&mut s, part, &part.mesh(&solution.mesh), &prim);
+    }
+    lights.iter().for_each(|light| lamp_prim(&mut s, light));
+    if is_lit_from_outside(solution) {
+        dome_prim(&mut s, ENVIRONMENT);
+    }
     material_prim(&mut s, peak);
     s.push_str("}\n");
     s
 }
 
-/// The mesh, bound to the material.
-fn mesh_prim(s: &mut String, mesh: &Mesh) {
-    s.push_str("    def Mesh \"surfaces\" (\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n    )\n    {\n");
+/// A name as USD has them: letters, digits and underscores, no digit first.
+fn identifier(name: &str) -> String {
+    let word: String = name
+        .chars()
+        .map(|c| if c.is_ascii_alphanumeric() { c } else { '_' })
+        .collect();
+    if word.starts_with(|c: char| c.is_ascii_digit()) {
+        format!("_{word}")
+    } else {
+        word
+    }
+}
+
+/// A text in quotes.
+fn quoted(text: &str) -> String {
+    let plain = |c: char| if c.is_control() { ' ' } else { c };
+    let text: String = text.chars().map(plain).collect();
+    format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\""))
+}
+
+/// The mesh of a part, relative to its pivot, bound to the material.
+fn mesh_prim(s: &mut String, part: &MeshPart, mesh: &Mesh, prim: &str) {
+    let _ = writeln!(
+        s,
+        "    def Mesh \"{prim}\" (\n        customData = {{\n            string name = {}\n        }}\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n    )\n    {{",
+        quoted(&part.name)
+    );
+    if part.pivot != Vec3::ZERO {
+        let p = part.pivot;
+        let _ = writeln!(
+            s,
+            "        double3 xformOp:translate = ({}, {}, {})\n        uniform token[] xformOpOrder = [\"xformOp:translate\"]",
+            p.x, p.y, p.z
+        );
+    }
     s.push_str("        uniform bool doubleSided = 1\n        uniform token subdivisionScheme = \"none\"\n");
     let (lo, hi) = mesh.bounds();
     let _ = writeln!(
@@ -190,10 +273,41 @@ mod tests {
     use crate::solution::tests::small_solution;
 
     #[test]
+    fn objects_stand_at_their_pivots_under_names_of_their_own() {
+        let solution = small_solution();
+        let part =
+            |name: &str, t: u32| MeshPart::standing(name.to_owned(), &solution.mesh, vec![t]);
+        let parts = [part("table \"a\"", 0), part("table_a_", 1), part("2nd", 1)];
+        let options = UsdOptions {
+            parts: &parts,
+            lights: false,
+        };
+        let text = text(&solution, 0.0, options);
+        assert_eq!(text.matches('{').count(), text.matches('}').count());
+        for expected in [
+            "def Mesh \"table__a_\"",
+            "string name = \"table \\\"a\\\"\"",
+            "def Mesh \"table_a_\"",
+            "def Mesh \"_2nd\"",
+        ] {
+            assert!(text.contains(expected), "{expected}: {text}");
+        }
+        let lines = |key: &str| text.lines().filter(|l| l.contains(key)).collect::<Vec<_>>();
+        assert!(text.contains("def DomeLight") && text.contains(ENVIRONMENT));
+        // the scene's and three of its parts'
+        assert_eq!(lines("xformOp:translate =").len(), 4);
+        // each triangle has three corners and stands on its lower side
+        for (points, extent) in lines("points =").iter().zip(lines("extent =")) {
+            assert_eq!(points.matches('(').count(), 3);
+            assert!(extent.contains("[(-1, 0, "), "{extent}");
+        }
+    }
+
+    #[test]
     fn every_vertex_and_texture_is_there_and_braces_close() {
         let folder = tempfile::tempdir().expect("temp");
         let solution = small_solution();
-        let files = write_usd(folder.path(), &solution).expect("writes");
+        let files = write_usd(folder.path(), &solution, UsdOptions::default()).expect("writes");
         assert!(files.iter().all(|f| folder.path().join(f).is_file()));
         let text = std::fs::read_to_string(folder.path().join("scene.usda")).expect("reads");
         assert_eq!(text.matches('{').count(), text.matches('}').count());

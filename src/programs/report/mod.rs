@@ -9,8 +9,8 @@ mod record;
 pub use jpeg::{Picture, encode_jpeg};
 pub use pictures::{Captioned, Photographer, ViewPictures, report_camera, spread};
 pub use record::{
-    InputFile, Machine, Recorder, RunRecord, SceneSummary, StageRecord, Versions, cpu_seconds,
-    hash_inputs, machine, peak_bytes,
+    InputFile, Machine, Recorder, RunRecord, SceneSummary, StageRecord, Versions, class_names,
+    cpu_seconds, hash_inputs, machine, peak_bytes,
 };
 
 use crate::core::formats::atomic_write;

@@ -4,7 +4,8 @@ use crate::alignment::Alignment;
 use crate::core::formats::atomic_write;
 use crate::core::progress::{Decision, Observer};
 use crate::error::{Error, Result};
-use crate::scene::{Scene, Split};
+use crate::programs::export::ClassName;
+use crate::scene::{Class, Scene, Split};
 use crate::verdict::Findings;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -78,6 +79,8 @@ pub struct SceneSummary {
     pub triangles: usize,
     /// Semantic classes.
     pub classes: usize,
+    /// Their names: what `export --split` calls objects.
+    pub class_names: Vec<ClassName>,
 }
 
 /// A run from its command to its result.
@@ -143,8 +146,19 @@ impl SceneSummary {
                 .map_or([0, 0], |v| [v.camera.width, v.camera.height]),
             triangles: scene.mesh.triangles.len(),
             classes: scene.classes.len(),
+            class_names: class_names(scene),
         }
     }
+}
+
+/// Names of a scene's classes.
+#[must_use]
+pub fn class_names(scene: &Scene) -> Vec<ClassName> {
+    let name = |c: &Class| ClassName {
+        id: c.id,
+        name: c.name.clone(),
+    };
+    scene.classes.iter().map(name).collect()
 }
 
 impl RunRecord {

@@ -1,7 +1,7 @@
 //! Irradiance at texels of the apartment: the diffuse light that all of its photographs show.
 //!
 //! What a wall receives does not depend on who looks at it. It is sampled once per texel by the
-//! path tracer, filtered over the surface ([`SurfaceFilter`]), and shown by every view: less noise
+//! path tracer, filtered over the surface ([`LightmapTexels`]), and shown by every view: less noise
 //! from fewer paths than sampling and filtering each picture, and no view contradicts another.
 //! (Filtered by themselves, pictures disagreed by 2 % about surfaces whose roughness changes them
 //! by 0.5 %.) Texels are about as large as pixels seen from the middle of a room, so shadows stay
@@ -10,11 +10,9 @@
 use super::atlas::Atlas;
 use super::model::buried;
 use crate::core::geometry::Mesh;
-use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::image::{RgbPlane, Wrap};
 use crate::core::progress::Progress;
-use crate::core::texture::{Texels, fill_uncovered};
-use crate::irradiance::{Irradiance, SUB_ESTIMATES, SurfaceFilter, Surfel};
-use crate::render::{IndirectCache, IrradiancePoint, PathTracer};
+use crate::render::{IndirectCache, LightmapSampling, LightmapTexels, PathTracer};
 use glam::Vec3;
 use std::f32::consts::TAU;
 
@@ -75,76 +73,17 @@ impl<'a> Lightmap<'a> {
     ) -> Self {
         let (mesh, tracer) = (renderer.mesh(), renderer.tracer());
         let LightmapQuality { side, effort } = quality;
-        let texels = Texels::rasterize(mesh, side, side);
-        let points: Vec<IrradiancePoint> = (0..texels.len())
-            .map(|i| receiver(mesh, &texels, i))
-            .collect();
+        let texels = LightmapTexels::new(mesh, side);
         // what lies under and inside of things must not darken the border of what can be seen
-        let hidden = buried(&points, tracer);
-        let open: Vec<usize> = (0..points.len()).filter(|&i| !hidden[i]).collect();
-        let points: Vec<IrradiancePoint> = open.iter().map(|&i| points[i]).collect();
-        let samples = (SAMPLES * effort).round().max(2.0) as u32;
-        let parts: Vec<[Vec3; SUB_ESTIMATES]> = progress.stage(
-            "baking diffuse light",
-            (SUB_ESTIMATES * points.len()) as u64,
-            |p| {
-                let part = |k: usize| {
-                    renderer.irradiance_with(&points, samples, 0x11a + k as u64, Some(cache), p)
-                };
-                let parts: [Vec<Vec3>; SUB_ESTIMATES] = std::array::from_fn(part);
-                (0..points.len())
-                    .map(|i| std::array::from_fn(|k| parts[k][i]))
-                    .collect()
-            },
-        );
-        let value = progress.stage("filtering diffuse light", 1, |_| {
-            let size = |i: usize| {
-                texels
-                    .texel_area(mesh, texels.point[i].triangle as usize)
-                    .sqrt()
-            };
-            let patch = |(p, &i): (&IrradiancePoint, &usize)| Surfel {
-                position: p.position,
-                normal: p.normal,
-                size: size(i),
-            };
-            let patches: Vec<Surfel> = points.iter().zip(&open).map(patch).collect();
-            let value = parts
-                .iter()
-                .map(|p| p.iter().sum::<Vec3>() / SUB_ESTIMATES as f32)
-                .collect();
-            let baked = Irradiance {
-                value,
-                error: vec![0.0; parts.len()],
-                parts,
-                rays: 0,
-            };
-            SurfaceFilter::new(&patches, tracer)
-                .parting_at(PARTING)
-                .filter(&baked, |_| 1.0)
-                .value
-        });
-        let mut plane = Plane::filled(side, side, Vec3::ZERO);
-        let mut covered = Plane::filled(side, side, false);
-        for (&i, value) in open.iter().zip(value) {
-            let cell = texels.cell[i] as usize;
-            (plane.data[cell], covered.data[cell]) = (value, true);
-        }
-        Self {
-            mesh,
-            plane: fill_uncovered(&plane, &covered),
-        }
-    }
-}
-
-fn receiver(mesh: &Mesh, texels: &Texels, i: usize) -> IrradiancePoint {
-    let triangle = texels.point[i].triangle as usize;
-    let (u, v) = texels.ray_point(i);
-    let normal = mesh.shading_normal(triangle, u, v);
-    IrradiancePoint {
-        position: mesh.position(triangle, u, v),
-        face_normal: mesh.face_normal(triangle),
-        normal,
+        let hidden = buried(texels.points(), tracer);
+        let sampling = LightmapSampling {
+            paths_per_part: (SAMPLES * effort).round().max(2.0) as u32,
+            parting: Some(PARTING),
+        };
+        let plane = texels
+            .without(&hidden)
+            .bake(renderer, Some(cache), sampling, progress);
+        Self { mesh, plane }
     }
 }
 
@@ -156,6 +95,7 @@ mod tests {
     };
     use super::*;
     use crate::core::geometry::{Camera, Projection};
+    use crate::core::image::Plane;
     use crate::core::math::luminance;
     use crate::core::trace::EmbreeTracer;
     use crate::render::{Environment, KnownLight, PathTracerOptions};

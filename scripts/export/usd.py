@@ -1,0 +1,65 @@
+"""Opens scene.usda with Pixar's library and compares it with lights.json: every lamp once, with its power by the definitions of UsdLux;
+as many triangles as scene.glb; the dome where light comes from outside. Usage: usd.py OUT FOLDER"""
+import json, math, struct, sys
+from pathlib import Path
+from pxr import Gf, Usd, UsdGeom, UsdLux
+
+out, folder = Path(sys.argv[1]), Path(sys.argv[2])
+failed = []
+
+
+def triangles_of_glb(path):
+    data = path.read_bytes()
+    length = struct.unpack_from("<I", data, 12)[0]
+    root = json.loads(data[20:20 + length])
+    uses = [p["indices"] for n in root["nodes"] if "mesh" in n for p in root["meshes"][n["mesh"]]["primitives"]]
+    return sum(root["accessors"][i]["count"] // 3 for i in uses)
+
+
+stage = Usd.Stage.Open(str(folder / "scene.usda"))
+meshes = [UsdGeom.Mesh(p) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh)]
+count = sum(len(m.GetFaceVertexCountsAttr().Get()) for m in meshes)
+if count != triangles_of_glb(folder / "scene.glb"):
+    failed.append(f"{count} triangles in scene.usda, {triangles_of_glb(folder / 'scene.glb')} in scene.glb")
+for m in meshes:
+    low, high = m.GetExtentAttr().Get()
+    points = m.GetPointsAttr().Get()
+    box = Gf.Range3f()
+    for p in points:
+        box.UnionWith(p)
+    if Gf.IsClose(box.GetMin(), low, 1e-5) is False or Gf.IsClose(box.GetMax(), high, 1e-5) is False:
+        failed.append(f"{m.GetPath()}: its extent is not that of its points")
+
+lamps = {l["id"]: l for l in json.loads((out / "lights.json").read_text())["lights"] if l["kind"] != "portal"}
+seen = set()
+for prim in stage.Traverse():
+    if not prim.HasAPI(UsdLux.LightAPI) or prim.IsA(UsdLux.DomeLight):
+        continue
+    light = UsdLux.LightAPI(prim)
+    lamp = lamps[int(prim.GetName().split("_")[-1])]
+    seen.add(lamp["id"])
+    if prim.IsA(UsdLux.RectLight):
+        r = UsdLux.RectLight(prim)
+        area = r.GetWidthAttr().Get() * r.GetHeightAttr().Get()
+    elif prim.IsA(UsdLux.DiskLight):
+        area = math.pi * UsdLux.DiskLight(prim).GetRadiusAttr().Get() ** 2
+    else:
+        area = 4 * math.pi * UsdLux.SphereLight(prim).GetRadiusAttr().Get() ** 2
+    assert not light.GetNormalizeAttr().Get() and light.GetExposureAttr().Get() == 0
+    power = [math.pi * area * light.GetIntensityAttr().Get() * c for c in light.GetColorAttr().Get()]
+    wrong = max(abs(a - b) / max(b, 1e-20) for a, b in zip(power, lamp["power"]) if b > 0)
+    to_world = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+    off = (to_world.ExtractTranslation() - Gf.Vec3d(*lamp["centre"])).GetLength()
+    print(f"{prim.GetName():12} {prim.GetTypeName():12} area {area:8.4f} m2, power off by {wrong:.1e}, {off:.3f} m from its lamp's centre")
+    if wrong > 1e-4:
+        failed.append(f"{prim.GetName()}: power {power}, lights.json has {lamp['power']}")
+dark = {i for i, l in lamps.items() if max(l["power"]) <= 0}
+if seen | dark != set(lamps):
+    failed.append(f"lamps without a light: {sorted(set(lamps) - seen - dark)}")
+domes = [p for p in stage.Traverse() if p.IsA(UsdLux.DomeLight)]
+if len(domes) != (folder / "usd_environment.exr").exists():
+    failed.append("the dome is there without its panorama, or missing")
+print(f"{len(meshes)} meshes, {count} triangles, {len(seen)} lights, {len(domes)} dome")
+for f in failed:
+    print("FAILED:", f)
+sys.exit(bool(failed))

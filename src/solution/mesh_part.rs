@@ -1,0 +1,55 @@
+//! A part of a solution's mesh that a file of another program keeps as an object of its own: a node
+//! of `scene.glb`, a prim of `scene.usda`. `programs/export/objects.rs` decides which there are.
+
+use crate::core::geometry::Mesh;
+use glam::Vec3;
+
+/// Triangles that move together.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeshPart {
+    /// Name, unlike that of any other part.
+    pub name: String,
+    /// Where it stands, relative to the solution's origin, metres: its vertices are stored relative
+    /// to it.
+    pub pivot: Vec3,
+    /// Its triangles in the solution's mesh.
+    pub triangles: Vec<u32>,
+}
+
+impl MeshPart {
+    /// All of a mesh as one part that stands at its origin.
+    #[must_use]
+    pub fn whole(name: &str, mesh: &Mesh) -> Self {
+        Self {
+            name: name.to_owned(),
+            pivot: Vec3::ZERO,
+            triangles: (0..mesh.triangles.len() as u32).collect(),
+        }
+    }
+
+    /// Some triangles of a mesh, standing at the middle of the lower side of their bounding box
+    /// (y is up): where a thing is put down and turned.
+    #[must_use]
+    pub fn standing(name: String, mesh: &Mesh, triangles: Vec<u32>) -> Self {
+        let corners = triangles.iter().flat_map(|&t| mesh.corners(t as usize));
+        let (low, high) = corners.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |b, p| {
+            (b.0.min(p), b.1.max(p))
+        });
+        let middle = 0.5 * (low + high);
+        Self {
+            name,
+            pivot: Vec3::new(middle.x, low.y, middle.z),
+            triangles,
+        }
+    }
+
+    /// Its geometry, relative to its pivot; to the bit as it is where the pivot is 0.
+    #[must_use]
+    pub fn mesh(&self, whole: &Mesh) -> Mesh {
+        let mut mesh = whole.part(&self.triangles);
+        if self.pivot != Vec3::ZERO {
+            mesh.positions.iter_mut().for_each(|p| *p -= self.pivot);
+        }
+        mesh
+    }
+}
