@@ -247,7 +247,7 @@ impl Findings {
                         percent(self.unlabelled.share)
                     )
                 } else {
-                    "no view has labels: all surfaces share one roughness".into()
+                    "no view has labels: surfaces are told apart by shape and look alone".into()
                 },
             ),
         ]

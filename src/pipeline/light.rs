@@ -5,6 +5,7 @@
 //! irradiance); the full bake then uses both.
 
 use super::decisions::{choose_environment, report_emission};
+use super::segments::{LightSoFar, find_segments};
 use super::time_budget::{samples_for, split_samples};
 use super::{SolveOptions, Switch};
 use crate::core::geometry::{Mesh, Shells, clusters};
@@ -37,6 +38,8 @@ const MIXTURE_LIMIT: f32 = 1.5;
 
 /// The reconstructed light of a scene.
 pub struct Light {
+    /// The segment of each texel in the place of its class, where no photograph has labels.
+    pub segments: Option<Vec<u16>>,
     /// Radiance along rays.
     pub field: LightField,
     /// Emitters to sample.
@@ -68,9 +71,15 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let coarse = coarse_light(surface, &known, environment.clone(), options, progress);
     let emissive = emissive_by(surface, &coarse.irradiance, &known, options);
     report_emission(&emissive, &known, options, progress);
+    let so_far = LightSoFar {
+        irradiance: &coarse.irradiance,
+        emissive: &emissive,
+    };
+    let segments = find_segments(surface, so_far, options, progress);
+    let labels = segments.as_ref().unwrap_or(&surface.labels);
 
     // surfaces nobody sees send out their class's albedo times their irradiance
-    let predicted = complete_radiance(surface, &coarse.irradiance, &emissive);
+    let predicted = complete_radiance(surface, labels, so_far);
     let radiance = filled_radiance(surface, &predicted, &vec![true; predicted.len()]);
     let (field, emitters) = light_field(
         surface,
@@ -95,6 +104,7 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     });
     let irradiance = texture_of(&texels, &baked.value);
     Light {
+        segments,
         field,
         emitters,
         emissive,
@@ -627,7 +637,11 @@ fn median_light(mut values: Vec<Vec3>) -> Vec3 {
 
 /// Radiance of every texel: as observed; the median albedo of its class times its irradiance where
 /// nobody sees it; and where only pixels at edges see it, no more than a little above that.
-fn complete_radiance(surface: &Surface, irradiance: &RgbPlane, emissive: &[bool]) -> Vec<Vec3> {
+fn complete_radiance(surface: &Surface, labels: &[u16], light: LightSoFar<'_>) -> Vec<Vec3> {
+    let LightSoFar {
+        irradiance,
+        emissive,
+    } = light;
     let trusted = trusted_radiance(surface, emissive);
     let mut samples: BTreeMap<u16, [Vec<f32>; 3]> = BTreeMap::new();
     let stride = (surface.texels.len() / 400_000).max(1);
@@ -635,7 +649,7 @@ fn complete_radiance(surface: &Surface, irradiance: &RgbPlane, emissive: &[bool]
         if surface.fusion.clean[i] && !lit(surface, emissive, i) {
             let e = surface.texels.lookup(&surface.scene.mesh, irradiance, i);
             let a = surface.fusion.radiance[i] * PI / e.max(Vec3::splat(1e-12));
-            let s = samples.entry(surface.labels[i]).or_default();
+            let s = samples.entry(labels[i]).or_default();
             for c in 0..3 {
                 s[c].push(a[c].min(1.0));
             }
@@ -655,10 +669,7 @@ fn complete_radiance(surface: &Surface, irradiance: &RgbPlane, emissive: &[bool]
             if surface.fusion.clean[i] || lit(surface, emissive, i) {
                 return trusted[i];
             }
-            let a = albedo
-                .get(&surface.labels[i])
-                .copied()
-                .unwrap_or(Vec3::splat(0.5));
+            let a = albedo.get(&labels[i]).copied().unwrap_or(Vec3::splat(0.5));
             let expected =
                 a * surface.texels.lookup(&surface.scene.mesh, irradiance, i) * FRAC_1_PI;
             let seen = surface.fusion.radiance[i];
@@ -724,7 +735,11 @@ mod tests {
             .iter()
             .map(|w| if *w == 5 { 1 } else { 1 + *w as u16 })
             .collect();
-        let filled = complete_radiance(&surface, &irradiance, &[false; 12]);
+        let light = LightSoFar {
+            irradiance: &irradiance,
+            emissive: &[false; 12],
+        };
+        let filled = complete_radiance(&surface, &surface.labels, light);
         let near = |a: Vec3, b: Vec3| (a - b).abs().max_element() <= 1e-4 * b.max_element();
         let mut checked = [0; 6];
         for (i, &w) in walls.iter().enumerate() {
@@ -750,7 +765,11 @@ mod tests {
         // without any clean look at a class: half of what it receives
         surface.fusion.clean.fill(false);
         surface.fusion.views.fill(0);
-        let filled = complete_radiance(&surface, &irradiance, &[false; 12]);
+        let light = LightSoFar {
+            irradiance: &irradiance,
+            emissive: &[false; 12],
+        };
+        let filled = complete_radiance(&surface, &surface.labels, light);
         assert!(filled.iter().zip(&white).all(|(l, w)| near(*l, 0.5 * *w)));
     }
 

@@ -24,6 +24,7 @@ mod quality;
 mod reflections;
 mod room_levels;
 mod roughness;
+mod segments;
 mod solve;
 mod solved;
 mod time_budget;

@@ -82,6 +82,8 @@ pub struct SolveOptions {
     /// Radiance of lights beyond the sensor's ceiling from the shading they throw; nothing happens
     /// where no pixel is clipped.
     pub clipped_light: Switch,
+    /// Whether surface is told apart by shape and look where no photograph has labels.
+    pub segments: Switch,
     /// Whether classes take the colours they are painted in: `Auto` = where they have no texture.
     pub painted: Switch,
     /// Whether exposure and white balance of the views are solved for and taken out.

@@ -40,6 +40,7 @@ impl SolveOptions {
             edges: Switch::Auto,
             missing_light: Switch::Auto,
             clipped_light: Switch::Auto,
+            segments: Switch::Auto,
             painted: Switch::Auto,
             exposure: Switch::Auto,
             emission: Switch::Auto,
@@ -183,6 +184,10 @@ pub struct SolveRequest {
     /// throws: auto = where pixels are clipped, off = take the ceiling for the light
     #[arg(long, value_name = "WHEN", default_value_t, value_enum)]
     pub clipped_light: Switch,
+    /// Tell surface apart by shape and look: auto = where no photograph has labels, off = take all
+    /// that has no label for one class
+    #[arg(long, value_name = "WHEN", default_value_t, value_enum)]
+    pub segments: Switch,
     /// Give classes the few colours they are painted in: auto = where flat surface shows no
     /// texture, on = whatever it shows, off = every texel has what its own pixels show.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
@@ -280,6 +285,7 @@ impl SolveRequest {
             edges: self.edges,
             missing_light: self.missing_light,
             clipped_light: self.clipped_light,
+            segments: self.segments,
             painted: self.painted,
             exposure: self.exposure,
             emission: self.emission,

@@ -33,6 +33,9 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     let mut surface = observe(scene, options, progress)?;
     let clipped_light = restore_clipped_light(&mut surface, options, progress);
     let mut light = reconstruct_light(&surface, options, progress);
+    if let Some(segments) = light.segments.take() {
+        surface.labels = segments;
+    }
     let highlights = gather_highlights(&surface, &light, options, progress);
     let roughness = fit_roughness(&surface, &light, &highlights.evidence, options, progress);
     let reflections =

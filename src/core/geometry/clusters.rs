@@ -95,6 +95,30 @@ pub fn pieces(mesh: &Mesh) -> Vec<u32> {
     mesh.triangles.iter().map(&mut piece).collect()
 }
 
+/// For every triangle the number of its smooth patch: what edges hold together across which the face
+/// turns by less than `cosine` says, whichever way its triangles are wound. Patches are numbered from
+/// 0 in the order of their first triangles.
+#[must_use]
+pub fn smooth_patches(mesh: &Mesh, cosine: f32) -> Vec<u32> {
+    let mut patches = Sets::new(mesh.triangles.len());
+    let mut at: BTreeMap<[u32; 2], usize> = BTreeMap::new();
+    for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
+        for (from, to) in [(a, b), (b, c), (c, a)] {
+            let other = *at.entry([from.min(to), from.max(to)]).or_insert(t);
+            if mesh.face_normal(t).dot(mesh.face_normal(other)).abs() > cosine {
+                patches.join(t, other);
+            }
+        }
+    }
+    let mut number = BTreeMap::new();
+    (0..mesh.triangles.len())
+        .map(|t| {
+            let next = number.len() as u32;
+            *number.entry(patches.root(t)).or_insert(next)
+        })
+        .collect()
+}
+
 /// Disjoint sets of numbers; the root of a set is its smallest member.
 struct Sets(Vec<usize>);
 
@@ -130,6 +154,33 @@ impl Sets {
 mod tests {
     use super::*;
     use glam::Vec2;
+
+    /// A ridge of four triangles: two fall to one side, two to the other, one of them wound the other
+    /// way; a fifth lies apart.
+    #[test]
+    fn a_sharp_edge_divides_patches_and_winding_does_not() {
+        let heights = |steep: f32| {
+            [
+                Vec3::new(-1.0, -steep, 0.0),
+                Vec3::new(-1.0, -steep, 1.0),
+                Vec3::ZERO,
+                Vec3::Z,
+                Vec3::new(1.0, -steep, 0.0),
+                Vec3::new(1.0, -steep, 1.0),
+                Vec3::X * 5.0,
+                Vec3::X * 6.0,
+                Vec3::new(5.0, 0.0, 1.0),
+            ]
+        };
+        let mesh = |steep| Mesh {
+            positions: heights(steep).to_vec(),
+            normals: vec![Vec3::Y; 9],
+            uvs: vec![Vec2::ZERO; 9],
+            triangles: vec![[0, 1, 2], [2, 1, 3], [4, 2, 3], [4, 3, 5], [6, 8, 7]],
+        };
+        assert_eq!(smooth_patches(&mesh(1.0), 0.87), [0, 0, 1, 1, 2]);
+        assert_eq!(smooth_patches(&mesh(0.1), 0.87), [0, 0, 0, 0, 1]);
+    }
 
     /// Unit right triangles at the given places.
     fn triangles_at(places: &[Vec3]) -> Mesh {
