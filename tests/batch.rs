@@ -364,6 +364,9 @@ fn an_unusable_list_is_2_and_says_why() {
         let (code, text) = run(batch(&at("good"), &out, &[]));
         assert_eq!(code, Some(2), "{}: {text}", out.display());
     }
+    file("json", b"scene/transforms.json\n");
+    let (code, text) = run(batch(&at("json"), &at("scene"), &[]));
+    assert!(code == Some(2) && !at("scene/.batch").exists(), "{text}");
     let (code, text) = run(batch(room(), &at("out"), &[]));
     assert!(code == Some(2) && text.contains("itself a scene"), "{text}");
 }

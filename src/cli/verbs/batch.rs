@@ -53,15 +53,11 @@ pub(crate) fn batch(
     out: &Path,
     context: &Context,
 ) -> Result<u8> {
-    let file: &[_] = match list.is_dir() {
-        true => &[],
-        false => &[list.to_path_buf()],
-    };
-    keep_inputs(out, list, file)?;
+    keep_input(out, list)?;
     let items = read_list(list, out)?;
     let index = chosen(index, items.len())?;
     for item in &items {
-        keep_inputs(out, &item.scene, &[])?;
+        keep_input(out, &item.scene)?;
     }
     let configs = configs_of(list, &items, context)?;
     let board = Board::open(out)?;
@@ -84,6 +80,12 @@ pub(crate) fn batch(
         ))),
         _ => say(&table, out, context).map(|()| exit_code(&table, index)),
     }
+}
+
+/// Refuses an output folder that is `input`, or holds it if it is a file.
+fn keep_input(out: &Path, input: &Path) -> Result<()> {
+    let file = input.is_file().then(|| input.to_path_buf());
+    keep_inputs(out, input, file.as_slice())
 }
 
 /// 1 if the scene of this process failed, or any where it did not have one of its own.
