@@ -53,6 +53,7 @@ const TABLE: &[(&str, &[&str])] = &[
         "export",
         &["scene", "evaluate", "render", "solution", "vocabulary"],
     ),
+    ("batch", &["report", "solution", "vocabulary"]),
     ("evaluate", &["render", "scene", "solution", "vocabulary"]),
     (
         "edit",

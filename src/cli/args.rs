@@ -2,7 +2,7 @@
 
 use super::config::Config;
 use super::frames::FrameSource;
-use super::verb_args::ExportVerb;
+use super::verb_args::{BatchIndex, ExportVerb};
 use crate::alignment::AlignmentOptions;
 use crate::pipeline::SolveRequest;
 use crate::programs::evaluate::EvalOptions;
@@ -125,6 +125,36 @@ pub enum Verb {
         #[command(flatten)]
         options: SolveRequest,
         /// How the scene is read.
+        #[command(flatten)]
+        load: LoadOptions,
+        /// What is done about poses that do not fit.
+        #[command(flatten)]
+        align: AlignmentOptions,
+    },
+    /// Reconstruct many scenes: run it as often as you like, on as many machines as share the
+    /// folder; each scene is solved once, and what was stopped goes on.
+    Batch {
+        /// Text file with a scene folder a line, relative to the file, and flags of `solve` after
+        /// it; or a folder whose sub-folders are scenes.
+        #[arg(required_unless_present = "print_config", value_name = "LIST")]
+        list: Option<PathBuf>,
+        /// Folder for the results, one sub-folder a scene, and batch.json and batch.md; created if
+        /// need be.
+        #[arg(
+            long,
+            short,
+            required_unless_present = "print_config",
+            value_name = "DIR"
+        )]
+        out: Option<PathBuf>,
+        /// Solve only the scene of this index, from 0, or all [default: what
+        /// SLURM_ARRAY_TASK_ID or AWS_BATCH_JOB_ARRAY_INDEX say, else all].
+        #[arg(long, value_name = "N|all")]
+        index: Option<BatchIndex>,
+        /// Options of every scene's reconstruction; flags in LIST override them.
+        #[command(flatten)]
+        options: SolveRequest,
+        /// How the scenes are read.
         #[command(flatten)]
         load: LoadOptions,
         /// What is done about poses that do not fit.
@@ -286,6 +316,15 @@ impl Cli {
                 (config.scene, config.alignment) = (load.clone(), align.clone());
             }
             Some(Verb::Solve {
+                options,
+                load,
+                align,
+                ..
+            }) => {
+                (config.solve, config.scene) = (options.clone(), load.clone());
+                config.alignment = align.clone();
+            }
+            Some(Verb::Batch {
                 options,
                 load,
                 align,

@@ -183,7 +183,7 @@ pub fn tables_of(verb: &str) -> &'static [&'static str] {
         "synth" => &["synth"],
         "prepare" => &["prepare"],
         "check" => &["scene", "alignment"],
-        "solve" => &["solve", "scene", "alignment"],
+        "solve" | "batch" => &["solve", "scene", "alignment"],
         "eval" => &["eval", "scene"],
         "render" => &["render", "scene"],
         "edit" => &["scene"],

@@ -1,10 +1,11 @@
 //! What every verb works with: configuration, progress, the record of the run, and where results go.
 
 use super::config::Config;
-use crate::core::progress::Progress;
+use super::progress::{Bars, LogLines, Tee};
+use crate::core::progress::{Observer, Progress};
 use crate::error::{Error, Result, printable_lines};
 use crate::programs::report::Recorder;
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::sync::Arc;
 
 /// What a verb works with besides its own arguments.
@@ -20,6 +21,27 @@ pub struct Context {
 }
 
 impl Context {
+    /// A run that begins now, watched by `others` besides its own recorder and the terminal.
+    #[must_use]
+    pub fn new(config: Config, command: Vec<String>, others: Vec<Arc<dyn Observer>>) -> Self {
+        let recorder = Arc::new(Recorder::new(crate::core::trace::rays_traced));
+        let mut observers: Vec<Arc<dyn Observer>> = vec![recorder.clone()];
+        observers.extend(others);
+        if !config.quiet {
+            observers.push(if std::io::stderr().is_terminal() {
+                Arc::new(Bars::new())
+            } else {
+                Arc::new(LogLines::new())
+            });
+        }
+        Self {
+            config,
+            progress: Progress::new(Arc::new(Tee(observers))),
+            recorder,
+            command,
+        }
+    }
+
     /// The seed of a verb that has none of its own.
     #[must_use]
     pub fn seed(&self) -> u64 {

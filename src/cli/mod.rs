@@ -25,12 +25,11 @@ pub use frames::FrameSource;
 pub use progress::{Bars, LogLines, Tee};
 pub use verb_args::BenchVerb;
 
-use crate::core::progress::{Observer, Progress};
+use crate::core::progress::Observer;
 use crate::error::{Error, Result, printable_lines};
-use crate::programs::report::Recorder;
 use clap::{CommandFactory, FromArgMatches};
 use std::ffi::OsString;
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -100,24 +99,11 @@ fn dispatch(cli: &Cli, matches: &clap::ArgMatches, command: Vec<String>) -> Resu
         Some(file) => tape::start(file, config.threads)?,
         None => start_threads(config.threads)?,
     }
-    let recorder = Arc::new(Recorder::new(crate::core::trace::rays_traced));
-    let mut observers: Vec<Arc<dyn Observer>> = vec![recorder.clone()];
+    let mut observers: Vec<Arc<dyn Observer>> = Vec::new();
     if tape.is_some() {
         observers.push(Arc::new(tape::StageMarks::default()));
     }
-    if !config.quiet {
-        observers.push(if std::io::stderr().is_terminal() {
-            Arc::new(Bars::new())
-        } else {
-            Arc::new(LogLines::new())
-        });
-    }
-    let context = Context {
-        config,
-        progress: Progress::new(Arc::new(Tee(observers))),
-        recorder,
-        command,
-    };
+    let context = Context::new(config, command, observers);
     let code = verbs::run(verb, &context)?;
     tape.map_or(Ok(()), tape::write)?;
     Ok(code)

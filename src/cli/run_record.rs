@@ -5,14 +5,11 @@ use crate::error::{Error, Result};
 use crate::programs::report::{InputFile, RunRecord, SceneSummary, Versions};
 use crate::scene::Scene;
 use serde_json::json;
+use std::sync::OnceLock;
 
 /// A hash of everything the result depends on: inputs, options, seed and this very program.
 pub(super) fn run_key(inputs: &[InputFile], context: &Context) -> Result<String> {
-    let program = std::env::current_exe()
-        .and_then(std::fs::read)
-        .map_err(|e| Error::Failed(format!("reading this program: {e}")))?;
-    let mut hash = blake3::Hasher::new();
-    let program = hash.update_rayon(&program).finalize().to_hex().to_string();
+    let program = program_hash()?;
     let all = json!([
         inputs,
         options_of(context)?,
@@ -23,6 +20,20 @@ pub(super) fn run_key(inputs: &[InputFile], context: &Context) -> Result<String>
     Ok(blake3::hash(all.to_string().as_bytes())
         .to_hex()
         .to_string())
+}
+
+/// A hash of this very program, computed once.
+fn program_hash() -> Result<&'static str> {
+    static HASH: OnceLock<String> = OnceLock::new();
+    if let Some(hash) = HASH.get() {
+        return Ok(hash);
+    }
+    let program = std::env::current_exe()
+        .and_then(std::fs::read)
+        .map_err(|e| Error::Failed(format!("reading this program: {e}")))?;
+    let mut hash = blake3::Hasher::new();
+    let hash = hash.update_rayon(&program).finalize().to_hex().to_string();
+    Ok(HASH.get_or_init(|| hash))
 }
 
 /// The options as asked for and in effect.

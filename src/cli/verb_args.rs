@@ -9,6 +9,7 @@ use crate::render::FrameOptions;
 use clap::{Args, Subcommand};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+use std::str::FromStr;
 
 /// Options of `unbake export`: the formats, and the cameras that go with them.
 #[derive(clap::Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -20,6 +21,29 @@ pub struct ExportVerb {
     /// Cameras.
     #[command(flatten)]
     pub frames: FrameOptions,
+}
+
+/// Which scenes of a batch are solved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BatchIndex {
+    /// Whatever is left to do.
+    All,
+    /// One, by its place in the list from 0.
+    One(usize),
+}
+
+impl FromStr for BatchIndex {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.trim() {
+            "all" => Ok(Self::All),
+            number => number
+                .parse()
+                .map(Self::One)
+                .map_err(|_| format!("{number:?} is no index; expected a number from 0, or `all`")),
+        }
+    }
 }
 
 /// The measurements.

@@ -16,6 +16,7 @@ use super::light::texture_of;
 use super::missing_light::scale_irradiance;
 use super::room_levels::pool_room_levels;
 use super::unclipped_lamps::find_unclipped_lamps;
+use super::white_paint::{MOST, WHITE, WHITE_SPREAD};
 use super::{Light, SolveOptions, Switch};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
@@ -40,14 +41,6 @@ const PART: f32 = 1.0;
 /// Share of a part's surface that its brightest surfaces have. Derived: walls and ceiling are two
 /// thirds to five sixths of a room; half of the lesser.
 const BRIGHTEST: f32 = 0.3;
-/// White paint and how far paints called white scatter about it (ln). Cited: 0.75 to 0.9 is what
-/// makers state of white interior paint.
-pub(super) const WHITE: f32 = 0.82;
-pub(super) const WHITE_SPREAD: f32 = 0.09;
-/// The light may be short by this factor at most. Derived: A room whose walls reflect a share ρ
-/// sends 1/(1 − ρ) times the lamps' light about; ρ = 0.82 leaves a sixth.
-pub(super) const MOST: f32 = 6.0;
-
 /// A part of a room: its room and place seen from above.
 type Part = (u16, [i32; 2]);
 

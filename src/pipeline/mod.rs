@@ -29,6 +29,7 @@ mod solve;
 mod solved;
 mod time_budget;
 mod unclipped_lamps;
+mod white_paint;
 
 pub use crate::core::switch::Switch;
 pub use albedo::{SolvedAlbedo, solve_albedo};

@@ -10,9 +10,9 @@
 //! the energy balance.
 
 use super::Light;
-use super::energy_balance::{WHITE, WHITE_SPREAD};
 use super::light::texture_of;
 use super::missing_light::scale_irradiance;
+use super::white_paint::{WHITE, WHITE_SPREAD};
 use crate::core::parallel::prelude::*;
 use crate::core::stats::{MAD_SCALE, weighted_median};
 use crate::inverse::AlbedoEstimate;

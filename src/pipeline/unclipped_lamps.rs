@@ -7,8 +7,8 @@
 
 use super::Light;
 use super::clipped_light::FoundLight;
-use super::energy_balance::MOST;
 use super::room_levels::light_error;
+use super::white_paint::MOST;
 use crate::core::math::luminance;
 use crate::core::texture::Texels;
 use crate::inverse::AlbedoEstimate;

@@ -3,6 +3,9 @@
 //! Two runs into one folder would interleave their renames file by file, and one would remove what
 //! the other keeps for resuming. Whoever holds the lock also clears what killed runs left behind:
 //! hidden `.writing-*` folders and `.name.*.part` files.
+//!
+//! Pieces of work that several processes share (`unbake batch`) have a lock file each, opened for
+//! writing: over NFS the lock then is the server's and counts between machines.
 
 use crate::error::{Error, Result};
 use std::fs::{File, TryLockError};
@@ -41,6 +44,59 @@ impl OutputLock {
         }
         Ok(Self { _held: held })
     }
+}
+
+/// The right to a piece of work that several processes share; given up when dropped, or when the
+/// process dies.
+#[derive(Debug)]
+pub struct WorkLock {
+    _held: File,
+}
+
+/// What became of asking for a piece of work.
+#[derive(Debug)]
+pub enum Claim {
+    /// It is ours as long as this lives.
+    Ours(WorkLock),
+    /// Another process has it.
+    Theirs,
+    /// The file system has no locks: nobody can tell.
+    NoLocks,
+}
+
+impl WorkLock {
+    /// Asks for the lock of `file`, which is made if need be, and stays; does not wait.
+    ///
+    /// # Errors
+    /// The file cannot be made or opened.
+    pub fn claim(file: &Path) -> Result<Claim> {
+        let open = open_lock(file)?;
+        Ok(match open.try_lock() {
+            Ok(()) => Claim::Ours(Self { _held: open }),
+            Err(TryLockError::WouldBlock) => Claim::Theirs,
+            Err(TryLockError::Error(_)) => Claim::NoLocks,
+        })
+    }
+
+    /// Waits for the lock of `file`; `None` where the file system has no locks.
+    ///
+    /// # Errors
+    /// The file cannot be made or opened.
+    pub fn wait(file: &Path) -> Result<Option<Self>> {
+        let open = open_lock(file)?;
+        Ok(open.lock().is_ok().then_some(Self { _held: open }))
+    }
+
+    /// Removes what killed runs left in a folder that this lock is for.
+    pub fn clear(&self, folder: &Path) {
+        clear(folder);
+    }
+}
+
+fn open_lock(file: &Path) -> Result<File> {
+    let mut options = File::options();
+    options.write(true).create(true).truncate(false);
+    options.open(file).map_err(|e| Error::io(file, e))
 }
 
 /// Creates a folder and those above it, with words for what may be in the way.
@@ -118,6 +174,20 @@ mod tests {
         );
         drop(held);
         OutputLock::acquire(&out, &[]).expect("free again");
+    }
+
+    #[test]
+    fn a_piece_of_work_has_one_owner() {
+        let dir = tempfile::tempdir().expect("temp");
+        let file = dir.path().join("lock");
+        let Claim::Ours(ours) = WorkLock::claim(&file).expect("made") else {
+            panic!("free");
+        };
+        assert!(matches!(WorkLock::claim(&file), Ok(Claim::Theirs)));
+        drop(ours);
+        assert!(matches!(WorkLock::claim(&file), Ok(Claim::Ours(_))));
+        assert!(WorkLock::wait(&file).expect("opens").is_some());
+        assert!(WorkLock::claim(&dir.path().join("none/lock")).is_err());
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The verbs, a file each: each reads its input, calls the library and prints the result.
 
+mod batch;
 pub(super) mod bench;
 mod check;
 mod edit;
@@ -27,6 +28,9 @@ pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
         Verb::Prepare { what, out, .. } => prepare::run(what, out.as_deref(), context),
         Verb::Check { scene, .. } => return check::check_scene(required(scene)?, context),
         Verb::Solve { scene, out, .. } => solve::solve(required(scene)?, required(out)?, context),
+        Verb::Batch {
+            list, out, index, ..
+        } => return batch::batch(required(list)?, *index, required(out)?, context),
         Verb::Render { out, places, .. } => render::render(required(out)?, places, context),
         Verb::Edit {
             out,

@@ -7,16 +7,35 @@ use crate::cli::inputs::read_scene;
 use crate::cli::run_record::{record, run_key};
 use crate::error::{Error, Result};
 use crate::pipeline::{Checkpoints, reconstruct};
-use crate::programs::report::{Reported, hash_inputs, write_report};
+use crate::programs::report::{Reported, RunRecord, hash_inputs, write_report};
 use crate::render::{HybridOptions, HybridRenderer};
 use crate::scene::Scene;
 use crate::solution::{AsideFolder, OutputLock, SaveOptions, Solution};
-use crate::verdict::{AlignmentVerdict, Findings};
+use crate::verdict::{AlignmentVerdict, Findings, Verdict};
 use serde_json::json;
 use std::path::Path;
 use std::time::Duration;
 
+/// A run that wrote its result.
+pub(super) struct SolvedRun {
+    /// What `manifest.json` says.
+    pub record: RunRecord,
+    /// What to think of it.
+    pub verdict: Verdict,
+    /// Sizes, time and verdict for people.
+    text: String,
+}
+
 pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
+    let run = solve_into(scene_path, out, context)?;
+    context.result(
+        &run.text,
+        &json!({"out": out, "run": run.record, "verdict": run.verdict}),
+    )
+}
+
+/// Solves a scene, writes the result and prints nothing.
+pub(super) fn solve_into(scene_path: &Path, out: &Path, context: &Context) -> Result<SolvedRun> {
     keep_inputs(out, scene_path, &[])?;
     let (mut scene, alignment) = aligned_scene(scene_path, context)?;
     keep_inputs(out, &scene.folder, &scene.input_files())?;
@@ -81,10 +100,11 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
         s.lamps.len(),
         out.join("report.html").display()
     );
-    context.result(
-        &text,
-        &json!({"out": out, "run": record, "verdict": verdict}),
-    )
+    Ok(SolvedRun {
+        record,
+        verdict,
+        text,
+    })
 }
 
 /// Adds what the alignment says to the findings and, if the scene was forced through although

@@ -10,7 +10,7 @@ pub use jpeg::{Picture, encode_jpeg};
 pub use pictures::{Captioned, Photographer, ViewPictures, report_camera, spread};
 pub use record::{
     InputFile, Machine, Recorder, RunRecord, SceneSummary, StageRecord, Versions, class_names,
-    cpu_seconds, hash_inputs, machine, peak_bytes,
+    cpu_seconds, hash_inputs, machine, peak_bytes, restart_peak,
 };
 
 use crate::core::formats::atomic_write;

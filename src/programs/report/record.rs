@@ -233,6 +233,7 @@ pub fn hash_inputs(scene: &Scene) -> Result<Vec<InputFile>> {
 pub struct Recorder {
     start: Instant,
     cpu_start: f64,
+    rays_start: u64,
     rays: fn() -> u64,
     state: Mutex<State>,
 }
@@ -252,6 +253,7 @@ impl Recorder {
         Self {
             start: Instant::now(),
             cpu_start: cpu_seconds(),
+            rays_start: rays(),
             rays,
             state: Mutex::default(),
         }
@@ -278,7 +280,7 @@ impl Recorder {
             wall_seconds: self.start.elapsed().as_secs_f64(),
             cpu_seconds: cpu_seconds() - self.cpu_start,
             peak_bytes: peak_bytes(),
-            rays: (self.rays)(),
+            rays: (self.rays)().saturating_sub(self.rays_start),
             machine: machine(),
             ..RunRecord::default()
         }
@@ -343,6 +345,13 @@ pub fn cpu_seconds() -> f64 {
 #[must_use]
 pub fn peak_bytes() -> u64 {
     kibibytes("/proc/self/status", "VmHWM:").unwrap_or(0)
+}
+
+/// Lets [`peak_bytes`] count from now on, for a process that does one run after another; where the
+/// kernel does not allow it, the peak stays that of the whole process.
+pub fn restart_peak() {
+    // proc(5): 5 resets the peak resident set size to the current one
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
 }
 
 fn kibibytes(path: &str, key: &str) -> Option<u64> {
