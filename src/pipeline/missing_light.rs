@@ -408,6 +408,7 @@ mod tests {
         );
         let emitters = Emitters::new(mesh, &field, &surface.tracer, &[]);
         let mut light = Light {
+            segments: None,
             field,
             emitters,
             emissive: vec![false; mesh.triangles.len()],
