@@ -28,7 +28,7 @@ const SMOOTH: f32 = 0.866;
 /// of its scatter. Measured on grey-white-room, aws-house and `synth` without labels (docs/lab/segments.md).
 const LUMINANCE: f32 = 0.12;
 const HUE: f32 = 0.05;
-const SCATTER: f32 = 0.7;
+const SCATTER: f32 = 0.5;
 /// Scatter that noise and light leave on paint (relative): less is not told apart.
 const LEAST_SCATTER: f32 = 0.03;
 /// Standard errors beyond which two looks are of two materials. Derived: 1.1 % of a look's four
