@@ -34,13 +34,14 @@ use std::collections::BTreeMap;
 /// walls do whose irradiance is a few per cent low (measured: 28 % of staircase2, whose paint is
 /// 0.89).
 const AT_BOUND: f64 = 1.0 / 3.0;
-pub(super) const BOUND: f32 = 0.95;
+const BOUND: f32 = 0.95;
 /// Side of a part of a room seen from above, metres: parts are this far from their neighbours and
 /// three as wide. Derived: light changes over distances of the rooms' height, cut by half.
 const PART: f32 = 1.0;
 /// Share of a part's surface that its brightest surfaces have. Derived: walls and ceiling are two
 /// thirds to five sixths of a room; half of the lesser.
 const BRIGHTEST: f32 = 0.3;
+
 /// A part of a room: its room and place seen from above.
 type Part = (u16, [i32; 2]);
 

@@ -40,6 +40,9 @@ const ENOUGH: usize = 12;
 const SAMPLES: usize = 4_000;
 /// Rounds of DP-means at most; it ends when nothing changes.
 const ROUNDS: usize = 30;
+/// Cells along the scene's diagonal in which a patch without a look finds its neighbour. Derived: a
+/// few centimetres in a room, several edges of furniture.
+const CELLS: f32 = 100.0;
 /// Albedo below which ln albedo means nothing. Derived: half a step of 8-bit albedo.
 const BLACK: f32 = 2e-3;
 
@@ -77,7 +80,11 @@ pub(super) fn find_segments(
     let list: Vec<Look> = order.iter().map(|p| looks[p]).collect();
     let segments = dp_means(&list);
     let known: BTreeMap<u32, u16> = (order.into_iter())
-        .zip(segments.iter().map(|s| *s as u16 + 1))
+        .zip(
+            segments
+                .iter()
+                .map(|s| u16::try_from(s + 1).unwrap_or(u16::MAX)),
+        )
         .collect();
     let mut of_patch = known.clone();
     adopt_unknown(surface, &patch, &mut of_patch);
@@ -219,10 +226,6 @@ fn adopt_unknown(surface: &Surface, patch: &[u32], of_patch: &mut BTreeMap<u32, 
         }
     }
 }
-
-/// Cells along the scene's diagonal in which a patch without a look finds its neighbour. Derived: a
-/// few centimetres in a room, several edges of furniture.
-const CELLS: f32 = 100.0;
 
 #[cfg(test)]
 mod tests {

@@ -2,7 +2,7 @@
 
 use super::Mesh;
 use glam::Vec3;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 /// Vertices closer than this share of the gap are one.
 const WELD: f32 = 2e-3;
@@ -101,7 +101,7 @@ pub fn pieces(mesh: &Mesh) -> Vec<u32> {
 #[must_use]
 pub fn smooth_patches(mesh: &Mesh, cosine: f32) -> Vec<u32> {
     let mut patches = Sets::new(mesh.triangles.len());
-    let mut at: BTreeMap<[u32; 2], usize> = BTreeMap::new();
+    let mut at: HashMap<[u32; 2], usize> = HashMap::new();
     for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
         for (from, to) in [(a, b), (b, c), (c, a)] {
             let other = *at.entry([from.min(to), from.max(to)]).or_insert(t);
