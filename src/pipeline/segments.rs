@@ -17,6 +17,7 @@ use crate::core::progress::Progress;
 use crate::core::stats::{MAD_SCALE, median};
 use crate::core::texture::SurfacePoint;
 use crate::observed::Surface;
+use crate::verdict::Reason;
 use glam::{Vec3, Vec4};
 use std::collections::BTreeMap;
 use std::f32::consts::PI;
@@ -26,11 +27,18 @@ use std::f32::consts::PI;
 const SMOOTH: f32 = 0.866;
 /// Standard errors of a patch's look: of ln luminance (light as baked), of its hues, of the logarithm
 /// of its scatter. Measured on grey-white-room, aws-house and `synth` without labels (docs/lab/segments.md).
-const LUMINANCE: f32 = 0.12;
+const LUMINANCE: f32 = 0.06;
 const HUE: f32 = 0.05;
 const SCATTER: f32 = 0.5;
 /// Scatter that noise and light leave on paint (relative): less is not told apart.
 const LEAST_SCATTER: f32 = 0.03;
+/// Error of an albedo, relative, that two materials taken for one must be expected to make. Derived:
+/// they differ by up to [`APART`] times [`LUMINANCE`], by a third of it either way for even odds
+/// (uniform distribution, 2/√12).
+const TAKEN_FOR_ONE: f32 = 0.29 * APART * LUMINANCE;
+/// Error of an albedo, relative, by the light of rooms without labels: what nobody sees sends out is
+/// guessed from segments. Measured: walls and panels of grey-white-room and `synth` (docs/lab/segments.md).
+const LIGHT: f32 = 0.12;
 /// Standard errors beyond which two looks are of two materials. Derived: 1.1 % of a look's four
 /// normal numbers lie farther off (χ²₄).
 const APART: f32 = 3.6;
@@ -96,6 +104,15 @@ pub(super) fn find_segments(
     let label = |p: &SurfacePoint| of_patch.get(&patch[p.triangle as usize]).copied();
     let labels = surface.texels.point.iter().map(|p| label(p).unwrap_or(0));
     Some(labels.collect())
+}
+
+/// The reason that segments are against a result whose mean albedo is `mean_albedo`.
+pub(super) fn doubt_of_segments(mean_albedo: f64) -> Reason {
+    Reason {
+        what: "without labels two materials that look alike may be taken for one, and what unseen surface reflects is less known".into(),
+        weight: f64::from(TAKEN_FOR_ONE.hypot(LIGHT)) * mean_albedo,
+        place: String::new(),
+    }
 }
 
 /// The look of every patch that enough clean texels show.

@@ -8,6 +8,7 @@ use super::findings::{findings, spread_of_looks};
 use super::missing_light::add_missing_light;
 use super::painted::{Estimate, settle_palettes};
 use super::published::reconstruct_as_published;
+use super::segments::doubt_of_segments;
 use super::solved::Solved;
 use super::{
     SolveOptions, fit_roughness, gather_highlights, observe, reconstruct_light, solve_albedo,
@@ -33,6 +34,7 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     let mut surface = observe(scene, options, progress)?;
     let clipped_light = restore_clipped_light(&mut surface, options, progress);
     let mut light = reconstruct_light(&surface, options, progress);
+    let segmented = light.segments.is_some();
     if let Some(segments) = light.segments.take() {
         surface.labels = segments;
     }
@@ -93,6 +95,10 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     });
     let mut findings = findings(&surface, &light, &albedo, &errors, &spread);
     findings.unexplained = f64::from(unexplained);
+    if segmented {
+        let doubt = doubt_of_segments(findings.mean_albedo);
+        findings.others.push(doubt);
+    }
     findings.light_missing = MissingLight::both(clipped, short.map(|s: Balanced| s.missing));
     // what no texel knows of by itself
     let model_error = findings.model_error() as f32;
