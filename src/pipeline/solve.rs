@@ -11,13 +11,13 @@ use super::published::reconstruct_as_published;
 use super::segments::doubt_of_segments;
 use super::solved::Solved;
 use super::{
-    SolveOptions, fit_roughness, gather_highlights, observe, reconstruct_light, solve_albedo,
-    trace_reflections,
+    Light, SolveOptions, fit_roughness, gather_highlights, observe, reconstruct_light,
+    solve_albedo, trace_reflections,
 };
 use crate::Result;
 use crate::core::progress::Progress;
 use crate::core::switch::Switch;
-use crate::inverse::{AlbedoEstimate, Ground, StatedErrors, settle_contradicted};
+use crate::inverse::{AlbedoEstimate, Ground, StatedErrors, TexelReflectance, settle_contradicted};
 use crate::observed::Surface;
 use crate::scene::Scene;
 use crate::verdict::MissingLight;
@@ -64,18 +64,14 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         lights.append(&mut short.lamps);
     }
     let mut rays = light.rays + highlights.evidence.rays + reflections.rays + solved.rays;
-    if options.missing_light != Switch::Off {
-        let seed = options.seed;
-        let added = progress.stage("missing light", 0, |p| {
-            add_missing_light(&surface, &mut light, &mut albedo, reflectance, seed, p)
-        });
-        rays += added.rays;
-        progress.note(format!(
-            "light that no camera looks along (specular reflections, far sides) changes the \
-             irradiance by {:+.1} % on average",
-            100.0 * added.change
-        ));
-    }
+    rays += unseen_light(
+        &surface,
+        &mut light,
+        &mut albedo,
+        reflectance,
+        options,
+        progress,
+    );
     let spread = spread_of_looks(&albedo);
     settle_hidden(&surface, &mut albedo, &rooms);
     let StatedErrors {
@@ -109,6 +105,29 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         rays,
         findings,
     })
+}
+
+/// Adds light that no camera looks along, unless the options say no; the rays traced.
+fn unseen_light(
+    surface: &Surface,
+    light: &mut Light,
+    albedo: &mut AlbedoEstimate,
+    reflectance: &TexelReflectance,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> u64 {
+    if options.missing_light == Switch::Off {
+        return 0;
+    }
+    let added = progress.stage("missing light", 0, |p| {
+        add_missing_light(surface, light, albedo, reflectance, options.seed, p)
+    });
+    progress.note(format!(
+        "light that no camera looks along (specular reflections, far sides) changes the \
+         irradiance by {:+.1} % on average",
+        100.0 * added.change
+    ));
+    added.rays
 }
 
 /// Surface before which something stands that the mesh lacks takes what its class is like.
