@@ -315,21 +315,20 @@ impl Cli {
             Some(Verb::Check { load, align, .. }) => {
                 (config.scene, config.alignment) = (load.clone(), align.clone());
             }
-            Some(Verb::Solve {
-                options,
-                load,
-                align,
-                ..
-            }) => {
-                (config.solve, config.scene) = (options.clone(), load.clone());
-                config.alignment = align.clone();
-            }
-            Some(Verb::Batch {
-                options,
-                load,
-                align,
-                ..
-            }) => {
+            Some(
+                Verb::Solve {
+                    options,
+                    load,
+                    align,
+                    ..
+                }
+                | Verb::Batch {
+                    options,
+                    load,
+                    align,
+                    ..
+                },
+            ) => {
                 (config.solve, config.scene) = (options.clone(), load.clone());
                 config.alignment = align.clone();
             }

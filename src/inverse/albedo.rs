@@ -12,6 +12,9 @@ use crate::gbuffer::{Observation, Observer, Orientation};
 use glam::Vec3;
 use std::f32::consts::PI;
 
+/// Albedo below which ln albedo means nothing. Derived: half a step of 8-bit albedo.
+pub const BLACK: f32 = 2e-3;
+
 /// Albedo per covered texel.
 #[derive(Clone, Debug, Default)]
 pub struct AlbedoEstimate {

@@ -9,10 +9,10 @@
 //! posterior mean: its own value and the colours around it, each weighed by its precision. A texel
 //! that is none of the colours keeps its value, and so does every class with texture.
 
-use super::AlbedoEstimate;
 use super::flat_surface::FlatSurface;
 use super::palette_detail::kept_details;
 use super::palette_look::Look;
+use super::{AlbedoEstimate, BLACK};
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
@@ -57,8 +57,6 @@ const CUBE: f32 = 32.0;
 const ENOUGH_NEAR: f32 = 50.0;
 /// Share of the error that all texels of a colour have in common.
 const COMMON: f32 = 0.5;
-/// Albedo below which ln albedo means nothing.
-const BLACK: f32 = 2e-3;
 
 /// The paint of one class.
 #[derive(Clone, Debug, PartialEq)]
@@ -212,10 +210,7 @@ impl PaletteFit<'_> {
 
     /// Room and cube of a texel.
     fn cube(&self, i: usize) -> Cube {
-        let side = self
-            .texels
-            .texel_area(self.mesh, self.texels.point[i].triangle as usize)
-            .sqrt();
+        let side = self.texels.area(self.mesh, i).sqrt();
         // texels of about the same size share cubes
         let side = CUBE * side.max(f32::MIN_POSITIVE).log2().round().exp2();
         let cube = (self.texels.position(self.mesh, i) / side).floor();

@@ -170,11 +170,7 @@ impl<'a> Cubes<'a> {
             .ids
             .iter()
             .step_by(clean.ids.len() / 4096 + 1)
-            .map(|&i| {
-                texels
-                    .texel_area(mesh, texels.point[i].triangle as usize)
-                    .sqrt()
-            })
+            .map(|&i| texels.area(mesh, i).sqrt())
             .collect();
         let usual_side = median(sides).unwrap_or(1.0);
         Self {

@@ -13,8 +13,8 @@
 //! brightness. Called by the pipeline's stage "albedo", before the mixed pixels, to which these
 //! texels are known.
 
-use super::AlbedoEstimate;
 use super::class_prior::{Place, class_prior};
+use super::{AlbedoEstimate, BLACK};
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::stats::inverse_mills;
@@ -24,8 +24,6 @@ use glam::Vec3;
 /// A look that says so much of itself that the class's typical spread, which counts for as many
 /// looks, adds nothing to speak of (derived: `PRIOR_LOOKS` of `confidence`).
 pub(super) const LOOKS: f32 = 2.0;
-/// Albedo below which ln albedo means nothing (derived: half a step of 8-bit albedo).
-const BLACK: f32 = 2e-3;
 
 /// The least that a texel sends out.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -17,6 +17,9 @@ use super::clipped_albedo::{Ground, LOOKS};
 /// Gives the texels `ids`, whose looks contradict each other, the mean of what they show and of what
 /// their class is like nearby, each by its certainty. They are no evidence for classes any more.
 pub fn settle_contradicted(ground: &Ground<'_>, ids: &[u32], albedo: &mut AlbedoEstimate) {
+    if ids.is_empty() {
+        return; // the prior of the whole atlas is not gathered for nothing
+    }
     for &i in ids {
         albedo.clean[i as usize] = false;
     }

@@ -22,7 +22,7 @@ mod spatial_roughness;
 mod unseen;
 mod view_residual;
 
-pub use albedo::{AlbedoEstimate, Shading, estimate_albedo};
+pub use albedo::{AlbedoEstimate, BLACK, Shading, estimate_albedo};
 pub use albedo_palette::{ClassPalette, PaletteFit};
 pub use clipped_albedo::{Ground, LeastAlbedo, settle_clipped};
 pub use clipped_fit::{ClippedFit, LightGroup, ShadingRow, fit_clipped};

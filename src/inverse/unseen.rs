@@ -95,10 +95,8 @@ impl Unseen<'_> {
     /// The median side of a texel, times [`CELL`].
     fn cell_side(&self) -> f32 {
         let stride = self.texels.len() / 4096 + 1;
-        let sides = (0..self.texels.len()).step_by(stride).map(|i| {
-            let t = self.texels.point[i].triangle as usize;
-            self.texels.texel_area(self.mesh, t).sqrt()
-        });
+        let side = |i| self.texels.area(self.mesh, i).sqrt();
+        let sides = (0..self.texels.len()).step_by(stride).map(side);
         let side = median(sides.collect()).unwrap_or(1.0);
         CELL * side.max(f32::MIN_POSITIVE)
     }

@@ -828,15 +828,7 @@ mod tests {
                 })
             })
             .collect();
-        let value = parts
-            .iter()
-            .map(|p| p.iter().sum::<Vec3>() / SUB_ESTIMATES as f32)
-            .collect();
-        let baked = Irradiance {
-            value,
-            parts,
-            ..Irradiance::default()
-        };
+        let baked = Irradiance::of_parts(parts);
         let filtered = SurfaceFilter::new(&patches, &BruteForce::new(&Mesh::default()))
             .filter(&baked, samples);
         let fine: Vec<usize> = (0..patches.len()).filter(|&i| many(i)).collect();

@@ -103,7 +103,7 @@ impl Contradictions {
     pub fn share(&self, mesh: &Mesh, texels: &Texels) -> f32 {
         let (mut part, mut all) = (0.0f64, 0.0f64);
         for i in 0..self.deviation.len() {
-            let a = f64::from(area(mesh, texels, i));
+            let a = f64::from(texels.area(mesh, i));
             all += a;
             part += if self.contradicted(i) { a } else { 0.0 };
         }
@@ -116,7 +116,7 @@ impl Contradictions {
     pub fn places(&self, mesh: &Mesh, texels: &Texels, origin: DVec3) -> Vec<MissingGeometry> {
         let mut cells: BTreeMap<[i32; 3], (Vec3, f32)> = BTreeMap::new();
         for i in (0..self.deviation.len()).filter(|i| self.contradicted(*i)) {
-            let (p, area) = (texels.position(mesh, i), area(mesh, texels, i));
+            let (p, area) = (texels.position(mesh, i), texels.area(mesh, i));
             let cell = (p / CELL).floor().as_ivec3().to_array();
             let sum = cells.entry(cell).or_default();
             *sum = (sum.0 + p * area, sum.1 + area);
@@ -145,11 +145,6 @@ impl Contradictions {
         }
         places
     }
-}
-
-/// World area of texel i, m².
-fn area(mesh: &Mesh, texels: &Texels, i: usize) -> f32 {
-    texels.texel_area(mesh, texels.point[i].triangle as usize)
 }
 
 /// What some looks at a texel say against each other.

@@ -67,7 +67,7 @@ pub struct Surface<'a> {
     /// Distance by which rays start above a surface, metres.
     pub offset: f32,
     /// By how much the views disagree about what they share, where texels do not state it as
-    /// contradicted: the median deviation of ln radiance.
+    /// contradicted: the standard deviation of ln radiance, robustly.
     pub disagreement: f32,
 }
 
@@ -77,6 +77,12 @@ const GAP: f32 = 0.02;
 const DOWN: f32 = -0.7;
 
 impl Surface<'_> {
+    /// Whether any photograph has labels.
+    #[must_use]
+    pub fn is_labelled(&self) -> bool {
+        self.views.iter().any(|v| v.labels.is_some())
+    }
+
     /// Texels of one class close to each other: the parts of `texels` that hang together, each
     /// ascending.
     #[must_use]

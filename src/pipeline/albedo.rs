@@ -197,9 +197,7 @@ pub(super) fn albedo_errors(
     let noise = light.texels.scatter(&light.error, 1.0);
     let irradiance_error = |i: usize| light_error(surface, &noise, i);
     let footprint = |i: usize| {
-        let side = texels
-            .texel_area(mesh, texels.point[i].triangle as usize)
-            .sqrt();
+        let side = texels.area(mesh, i).sqrt();
         albedo.footprint[i] / side.max(f32::MIN_POSITIVE)
     };
     let reflects = |i: usize| !light.emissive[texels.point[i].triangle as usize];

@@ -202,8 +202,7 @@ impl<'s, 'a> Restorer<'s, 'a> {
     }
 
     fn area(&self, i: usize) -> f32 {
-        let t = self.surface.texels.point[i].triangle as usize;
-        self.surface.texels.texel_area(&self.surface.scene.mesh, t)
+        self.surface.texels.area(&self.surface.scene.mesh, i)
     }
 
     /// Power of texels at their ceiling, up to a constant.

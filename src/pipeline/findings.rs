@@ -3,7 +3,7 @@
 
 use super::Light;
 use crate::core::math::luminance;
-use crate::core::stats::{MAD_SCALE, median};
+use crate::core::stats::median;
 use crate::inverse::AlbedoEstimate;
 use crate::observed::Surface;
 use crate::scene::Shortfall;
@@ -40,10 +40,7 @@ pub(super) fn findings(
 ) -> Findings {
     let texels = &surface.texels;
     let area: Vec<f64> = (0..texels.len())
-        .map(|i| {
-            let t = texels.point[i].triangle as usize;
-            f64::from(texels.texel_area(&surface.scene.mesh, t))
-        })
+        .map(|i| f64::from(texels.area(&surface.scene.mesh, i)))
         .collect();
     let emits = |i: usize| light.emissive[texels.point[i].triangle as usize];
     let seen = |i: usize| surface.fusion.views[i] > 0;
@@ -66,7 +63,7 @@ pub(super) fn findings(
         let v = albedo.value[i];
         v.max_element() >= 1.0 || v.min_element() <= 0.0
     };
-    let labelled = surface.views.iter().any(|v| v.labels.is_some());
+    let labelled = surface.is_labelled();
     let told = |i: usize| !spread[i].is_nan() && !emits(i);
     let middle = median(
         (0..spread.len())
@@ -81,7 +78,7 @@ pub(super) fn findings(
         stated_error: shown
             .mean(known, |i| f64::from(errors[i]).min(GUESS).powi(2))
             .sqrt(),
-        disagreement: f64::from(MAD_SCALE * surface.disagreement),
+        disagreement: f64::from(surface.disagreement),
         disagreement_place: uneven.place,
         unseen: tally.share(|_| true, |i| !seen(i)),
         seen_once: tally.share(known, |i| surface.fusion.views[i] == 1),

@@ -278,9 +278,7 @@ pub fn patches(surface: &Surface, texels: &Texels) -> Vec<Surfel> {
         Surfel {
             position,
             normal,
-            size: texels
-                .texel_area(mesh, texels.point[i].triangle as usize)
-                .sqrt(),
+            size: texels.area(mesh, i).sqrt(),
         }
     };
     (0..texels.len()).into_par_iter().map(patch).collect()

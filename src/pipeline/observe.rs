@@ -75,11 +75,10 @@ pub fn observe<'a>(
     // contradicted texels state their disagreement as their own error
     let (contradictions, disagreement) = if balanced.rough {
         let found = find_contradictions(scene, &views, &orientation, &texels, progress);
-        // a standard deviation there, a median one here
-        let agreed = found.agreed / MAD_SCALE;
+        let agreed = found.agreed;
         (found, agreed)
     } else {
-        (Contradictions::default(), balanced.disagreement)
+        (Contradictions::default(), MAD_SCALE * balanced.disagreement)
     };
     contradictions.settle(&mut fusion.radiance);
     let labels = complete_labels(&scene.mesh, &texels, &fusion);

@@ -14,8 +14,8 @@ use super::light::texture_of;
 use super::missing_light::scale_irradiance;
 use super::white_paint::{WHITE, WHITE_SPREAD};
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{MAD_SCALE, weighted_median};
-use crate::inverse::AlbedoEstimate;
+use crate::core::stats::weighted_median;
+use crate::inverse::{AlbedoEstimate, BLACK};
 use crate::observed::Surface;
 use crate::verdict::GUESS;
 use glam::Vec3;
@@ -26,8 +26,6 @@ const OWN_PAINT: f32 = GUESS as f32 / (0.5 * WHITE);
 /// Rounds of the expectation maximisation. Derived: its steps shrink by half or more where two
 /// groups lie apart, 2⁻³⁰ is below rounding.
 const ROUNDS: usize = 30;
-/// Albedo below which ln albedo means nothing. Derived: half a step of 8-bit albedo.
-const BLACK: f32 = 2e-3;
 /// Texels of a class in a room that tell its level at most.
 const SAMPLES: usize = 20_000;
 
@@ -78,7 +76,7 @@ pub(super) fn pool_room_levels(
 /// Relative error to which the light of a room is known: how far white paints scatter, and what
 /// photographs of one place differ by.
 pub(super) fn light_error(surface: &Surface) -> f32 {
-    WHITE_SPREAD.hypot(MAD_SCALE * surface.disagreement)
+    WHITE_SPREAD.hypot(surface.disagreement)
 }
 
 /// The level of every class in each room that shows it, by class.
@@ -98,7 +96,7 @@ fn levels(
     }
     let mut found: BTreeMap<u16, BTreeMap<u16, Level>> = BTreeMap::new();
     for ((class, room), ids) in members {
-        let area = |i: usize| texels.texel_area(mesh, texels.point[i].triangle as usize);
+        let area = |i: usize| texels.area(mesh, i);
         let some = ids.iter().step_by(ids.len() / SAMPLES + 1).copied();
         let some: Vec<(Vec3, f32)> = some.map(|i| (expected[i], area(i))).collect();
         let middle = |c: usize| {

@@ -9,13 +9,14 @@
 //! the stage of the light between its coarse bake and its fine one, which needs them where nobody looks.
 
 use super::{SolveOptions, Switch};
-use crate::core::geometry::smooth_patches;
+use crate::core::geometry::{numbered, smooth_patches};
 use crate::core::image::RgbPlane;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::stats::{MAD_SCALE, median};
 use crate::core::texture::SurfacePoint;
+use crate::inverse::BLACK;
 use crate::observed::Surface;
 use crate::verdict::Reason;
 use glam::{Vec3, Vec4};
@@ -51,8 +52,6 @@ const ROUNDS: usize = 30;
 /// Cells along the scene's diagonal in which a patch without a look finds its neighbour. Derived: a
 /// few centimetres in a room, several edges of furniture.
 const CELLS: f32 = 100.0;
-/// Albedo below which ln albedo means nothing. Derived: half a step of 8-bit albedo.
-const BLACK: f32 = 2e-3;
 
 /// The look of a patch, in standard errors, and its area.
 #[derive(Clone, Copy, Debug)]
@@ -78,8 +77,7 @@ pub(super) fn find_segments(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Option<Vec<u16>> {
-    let labelled = surface.views.iter().any(|v| v.labels.is_some());
-    if labelled || options.segments == Switch::Off {
+    if surface.is_labelled() || options.segments == Switch::Off {
         return None;
     }
     let patch = smooth_patches(&surface.scene.mesh, SMOOTH);
@@ -87,18 +85,14 @@ pub(super) fn find_segments(
     let order: Vec<u32> = looks.keys().copied().collect();
     let list: Vec<Look> = order.iter().map(|p| looks[p]).collect();
     let segments = dp_means(&list);
-    let known: BTreeMap<u32, u16> = (order.into_iter())
-        .zip(
-            segments
-                .iter()
-                .map(|s| u16::try_from(s + 1).unwrap_or(u16::MAX)),
-        )
+    let number = |s: &u32| u16::try_from(s + 1).unwrap_or(u16::MAX);
+    let mut of_patch: BTreeMap<u32, u16> = (order.into_iter())
+        .zip(segments.iter().map(number))
         .collect();
-    let mut of_patch = known.clone();
     adopt_unknown(surface, &patch, &mut of_patch);
     progress.note(format!(
         "no labels: {} patches of the mesh have {} looks, which take the place of classes",
-        known.len(),
+        segments.len(),
         segments.iter().max().map_or(0, |m| m + 1)
     ));
     let label = |p: &SurfacePoint| of_patch.get(&patch[p.triangle as usize]).copied();
@@ -136,7 +130,7 @@ fn looks(surface: &Surface, light: LightSoFar<'_>, patch: &[u32]) -> BTreeMap<u3
             };
             let some = ids.iter().step_by(ids.len() / SAMPLES + 1);
             let values: Vec<Vec3> = some.filter_map(|&i| reflected(i)).collect();
-            let area = |i: &usize| texels.texel_area(mesh, texels.point[*i].triangle as usize);
+            let area = |i: &usize| texels.area(mesh, *i);
             (values.len() >= ENOUGH).then(|| (*p, Look::of(&values, ids.iter().map(area).sum())))
         })
         .collect();
@@ -162,7 +156,7 @@ impl Look {
 }
 
 /// The segment of every look: DP-means from the largest on.
-fn dp_means(looks: &[Look]) -> Vec<usize> {
+fn dp_means(looks: &[Look]) -> Vec<u32> {
     let mut order: Vec<usize> = (0..looks.len()).collect();
     order.sort_by(|&a, &b| looks[b].area.total_cmp(&looks[a].area));
     let mut centres: Vec<Vec4> = Vec::new();
@@ -194,18 +188,7 @@ fn dp_means(looks: &[Look]) -> Vec<usize> {
             break;
         }
     }
-    compact(of)
-}
-
-/// Numbers without gaps, in the order of their first use.
-fn compact(of: Vec<usize>) -> Vec<usize> {
-    let mut number = BTreeMap::new();
-    of.into_iter()
-        .map(|c| {
-            let next = number.len();
-            *number.entry(c).or_insert(next)
-        })
-        .collect()
+    numbered(of)
 }
 
 /// Patches without a look take the segment of the patch nearest to them that has one: an edge's is

@@ -36,7 +36,7 @@ pub(super) fn find_unclipped_lamps(
             && luminance(albedo.value[i]) > brightest
     };
     let bright: Vec<u32> = (0..albedo.value.len() as u32).filter(outshines).collect();
-    let area = |i: usize| (surface.texels).texel_area(&surface.scene.mesh, triangle(i));
+    let area = |i: usize| surface.texels.area(&surface.scene.mesh, i);
     let pixels = |i: &u32| area(*i as usize) / albedo.footprint[*i as usize].powi(2);
     let sent = |i: &u32| area(*i as usize) * luminance(surface.fusion.radiance[*i as usize]);
     let mut patches = patches(&surface.texels, &bright);

@@ -118,26 +118,14 @@ impl<'a> LightmapTexels<'a> {
         sampling: LightmapSampling,
         renderer: &PathTracer<'_>,
     ) -> Vec<Vec3> {
-        let size = |i: usize| {
-            let triangle = self.texels.point[i].triangle as usize;
-            self.texels.texel_area(self.mesh, triangle).sqrt()
-        };
+        let size = |i: usize| self.texels.area(self.mesh, i).sqrt();
         let patch = |(p, &i): (&IrradiancePoint, &usize)| Surfel {
             position: p.position,
             normal: p.normal,
             size: size(i),
         };
         let patches: Vec<Surfel> = points.iter().zip(&self.open).map(patch).collect();
-        let value = parts
-            .iter()
-            .map(|p| p.iter().sum::<Vec3>() / SUB_ESTIMATES as f32)
-            .collect();
-        let baked = Irradiance {
-            value,
-            error: vec![0.0; parts.len()],
-            parts,
-            rays: 0,
-        };
+        let baked = Irradiance::of_parts(parts);
         let filter = SurfaceFilter::new(&patches, renderer.tracer());
         let filter = match sampling.parting {
             Some(different) => filter.parting_at(different),

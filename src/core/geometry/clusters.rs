@@ -87,12 +87,8 @@ pub fn pieces(mesh: &Mesh) -> Vec<u32> {
         of_vertex.join(*a as usize, *b as usize);
         of_vertex.join(*a as usize, *c as usize);
     }
-    let mut number = BTreeMap::new();
-    let mut piece = |t: &[u32; 3]| {
-        let next = number.len() as u32;
-        *number.entry(of_vertex.root(t[0] as usize)).or_insert(next)
-    };
-    mesh.triangles.iter().map(&mut piece).collect()
+    let roots = mesh.triangles.iter().map(|t| of_vertex.root(t[0] as usize));
+    numbered(roots)
 }
 
 /// For every triangle the number of its smooth patch: what edges hold together across which the face
@@ -110,11 +106,16 @@ pub fn smooth_patches(mesh: &Mesh, cosine: f32) -> Vec<u32> {
             }
         }
     }
+    numbered((0..mesh.triangles.len()).map(|t| patches.root(t)))
+}
+
+/// Numbers from 0 in the place of keys, in the order of their first use.
+pub fn numbered(keys: impl IntoIterator<Item = usize>) -> Vec<u32> {
     let mut number = BTreeMap::new();
-    (0..mesh.triangles.len())
-        .map(|t| {
+    keys.into_iter()
+        .map(|key| {
             let next = number.len() as u32;
-            *number.entry(patches.root(t)).or_insert(next)
+            *number.entry(key).or_insert(next)
         })
         .collect()
 }

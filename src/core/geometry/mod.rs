@@ -6,6 +6,6 @@ mod mesh;
 mod shells;
 
 pub use camera::{Camera, Lens, Projection};
-pub use clusters::{clusters, pieces, smooth_patches, touching};
+pub use clusters::{clusters, numbered, pieces, smooth_patches, touching};
 pub use mesh::Mesh;
 pub use shells::{Neighbour, Shells};

@@ -146,6 +146,12 @@ impl Texels {
         plane
     }
 
+    /// World area of covered texel `i`, m².
+    #[must_use]
+    pub fn area(&self, mesh: &Mesh, i: usize) -> f32 {
+        self.texel_area(mesh, self.point[i].triangle as usize)
+    }
+
     /// World area that one texel of triangle `t` covers, m².
     #[must_use]
     pub fn texel_area(&self, mesh: &Mesh, t: usize) -> f32 {

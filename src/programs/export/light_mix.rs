@@ -143,6 +143,16 @@ fn lights(factors: &[&Factors], lamps: usize, rest_emits: bool) -> Vec<Light> {
     lamps.chain(outside).collect()
 }
 
+/// Triangles that emit and belong to no lamp of the list.
+fn emitting_beyond_lamps(solution: &Solution) -> Vec<u32> {
+    let world = EditableScene::new(solution);
+    let of_lamps = solution.lamps.iter().flat_map(|l| &l.triangles);
+    let of_lamps: BTreeSet<u32> = of_lamps.copied().collect();
+    (0..solution.mesh.triangles.len() as u32)
+        .filter(|t| world.emits(*t as usize) && !of_lamps.contains(t))
+        .collect()
+}
+
 /// Lightmaps of a list of lightings.
 pub(super) struct LightMix<'a> {
     solution: &'a Solution,
@@ -151,8 +161,8 @@ pub(super) struct LightMix<'a> {
     quality: LightmapQuality,
     /// Per lighting.
     pub factors: Vec<Factors>,
-    /// Whether something emits that is no lamp of the list: no lighting changes it.
-    rest_emits: bool,
+    /// Triangles that emit and belong to no lamp of the list: no lighting changes them.
+    rest: Vec<u32>,
     /// The lights and the irradiance of each alone; empty if every lighting is baked by itself.
     baked: Vec<(Light, RgbPlane)>,
 }
@@ -173,17 +183,16 @@ impl<'a> LightMix<'a> {
             .map(|l| Factors::of(l, solution))
             .collect::<Result<Vec<_>>>()?;
         let mut out = Self {
+            rest: emitting_beyond_lamps(solution),
             solution,
             lightings,
             texels: LightmapTexels::new(&solution.mesh, quality.side),
             quality,
             factors,
-            rest_emits: false,
             baked: Vec::new(),
         };
-        out.rest_emits = !out.emitting_beyond_lamps().is_empty();
         let mixed: Vec<&Factors> = out.factors.iter().filter(|f| !f.own_geometry).collect();
-        let lights = lights(&mixed, solution.lamps.len(), out.rest_emits);
+        let lights = lights(&mixed, solution.lamps.len(), !out.rest.is_empty());
         if lights.len() < mixed.len() {
             for light in lights {
                 let irradiance = out.bake(&out.alone(&light)?, progress)?;
@@ -207,7 +216,7 @@ impl<'a> LightMix<'a> {
     fn is_dark(&self, k: usize) -> bool {
         let f = &self.factors[k];
         let mut all = f.lamps.iter().chain([&f.environment]);
-        !(self.rest_emits || f.own_geometry) && all.all(|f| *f == Vec3::ZERO)
+        self.rest.is_empty() && !f.own_geometry && all.all(|f| *f == Vec3::ZERO)
     }
 
     /// Irradiance under lighting `k`.
@@ -233,16 +242,6 @@ impl<'a> LightMix<'a> {
         Ok(sum)
     }
 
-    /// Triangles that emit and belong to no lamp of the list.
-    fn emitting_beyond_lamps(&self) -> Vec<u32> {
-        let world = EditableScene::new(self.solution);
-        let of_lamps = self.solution.lamps.iter().flat_map(|l| &l.triangles);
-        let of_lamps: BTreeSet<u32> = of_lamps.copied().collect();
-        (0..self.solution.mesh.triangles.len() as u32)
-            .filter(|t| world.emits(*t as usize) && !of_lamps.contains(t))
-            .collect()
-    }
-
     /// The solution with one light alone, at factor 1.
     fn alone(&self, light: &Light) -> Result<EditableScene<'a>> {
         let mut world = EditableScene::new(self.solution);
@@ -256,7 +255,7 @@ impl<'a> LightMix<'a> {
             }
         }
         if !lit.contains(&self.solution.lamps.len()) {
-            world.scale_emission(&self.emitting_beyond_lamps(), Vec3::ZERO);
+            world.scale_emission(&self.rest, Vec3::ZERO);
         }
         match light {
             Light::Lamps(_) => world.scale_environment(Vec3::ZERO),

@@ -277,8 +277,8 @@ impl Workshop<'_> {
     fn mean(&self, lightmap: &RgbPlane) -> Vec3 {
         let mesh = &self.exported.solution.mesh;
         let (mut sum, mut total) = (DVec3::ZERO, 0.0f64);
-        for (p, &cell) in self.surface.point.iter().zip(&self.surface.cell) {
-            let area = f64::from(self.surface.texel_area(mesh, p.triangle as usize));
+        for (i, &cell) in self.surface.cell.iter().enumerate() {
+            let area = f64::from(self.surface.area(mesh, i));
             sum += lightmap.data[cell as usize].as_dvec3() * area;
             total += area;
         }

@@ -170,7 +170,7 @@ pub fn shares(solution: &Solution, lamps: &[Slider], tracer: &dyn Tracer) -> Sha
     let mut total = vec![0.0f64; n];
     let mut share = vec![vec![0.0f32; texels.len()]; n];
     for i in 0..texels.len() {
-        let area = f64::from(texels.texel_area(mesh, texels.point[i].triangle as usize));
+        let area = f64::from(texels.area(mesh, i));
         let c = texels.cell[i] as usize;
         let uv = Vec2::new((c % width) as f32 + 0.5, (c / width) as f32 + 0.5)
             / Vec2::new(width as f32, height as f32);
