@@ -315,15 +315,16 @@ fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) ->
     }
 }
 
-/// Mean radiance per triangle of clean pixels that see it from the side away from its orientation;
-/// zero without any. A pixel at an edge mixes in what lies behind: blinds before a bright sky would
+/// Mean radiance per triangle of pixels among clean ones that see it from the side away from its
+/// orientation; zero without any. A pixel at an edge mixes in what lies behind, and one beside it
+/// still does where lens or renderer blur by more than a pixel: blinds before a bright sky would
 /// shine with it. Of what is seen so only, the missing light predicts what it reflects.
 fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientation) -> Vec<Vec3> {
     let row = |v: &ObservedView, y: usize| {
         let b = &v.buffer;
         let behind = |x: usize| {
             let t = b.triangle[(x, y)];
-            if t == Hit::MISS || !v.clean[(x, y)] {
+            if t == Hit::MISS || !among_clean(&v.clean, x, y) {
                 return None;
             }
             let d = b
@@ -352,6 +353,13 @@ fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientatio
         .zip(&count)
         .map(|(s, c)| if *c > 0 { *s / *c as f32 } else { Vec3::ZERO })
         .collect()
+}
+
+/// Whether a pixel and all beside it are clean.
+fn among_clean(clean: &Plane<bool>, x: usize, y: usize) -> bool {
+    let rows = y.saturating_sub(1)..(y + 2).min(clean.height);
+    rows.flat_map(|y| (x.saturating_sub(1)..(x + 2).min(clean.width)).map(move |x| (x, y)))
+        .all(|at| clean[at])
 }
 
 #[cfg(test)]
