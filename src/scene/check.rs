@@ -4,7 +4,8 @@
 use super::frame_account;
 use super::recorded_light::{ClippedView, RecordedLight};
 use super::{
-    FrameAccount, LoadOptions, RoomGrid, Scene, Split, View, clipped_channels, find_rooms,
+    FrameAccount, LoadOptions, MeshClasses, RoomGrid, Scene, Split, View, clipped_channels,
+    find_rooms,
 };
 use crate::core::geometry::Projection;
 use crate::core::image::{Plane, RgbPlane};
@@ -54,6 +55,8 @@ pub struct Summary {
     pub radiance: RadianceRange,
     /// Classes with their shares.
     pub classes: Vec<ClassShare>,
+    /// What of the mesh the classes are named after, where no photograph has labels.
+    pub mesh_classes: Option<&'static str>,
     /// Share of the labelled images' pixels (by solid angle) without a class.
     pub unlabelled_share: f64,
     /// Share of the labelled images (by solid angle) that shows geometry without a class.
@@ -243,6 +246,7 @@ pub fn check_loaded(scene: &Scene, tracer: &dyn Tracer, report: &mut CheckReport
         unread_views: scene.views.len() - findings.len(),
         unseen_area_share: unseen_share(scene, tracer),
         rooms_given: scene.rooms.is_some(),
+        mesh_classes: scene.mesh_classes.as_ref().map(MeshClasses::source),
         ..Summary::default()
     };
     summary.recorded_light = recorded_light(scene, &findings);
@@ -337,23 +341,6 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
         return Err(Error::Inputs(errors));
     };
     let camera = &view.camera;
-    let account = frame_account::account(scene, view, (&stats, mask.as_ref(), labels.as_ref()))?;
-    let mut f = ViewFindings {
-        account,
-        stem: view.stem.clone(),
-        train: view.split == Split::Train,
-        labelled: labels.is_some(),
-        luminances: subsampled(&image),
-        negative: stats.negative,
-        not_finite: stats.not_finite,
-        solid_angle: 0.0,
-        holes: 0.0,
-        unlabelled_surface: 0.0,
-        class_angle: BTreeMap::new(),
-        pixel_size: 0.0,
-        clipped: ClippedView::default(),
-        votes: BTreeMap::new(),
-    };
     // a regular lattice of rays in the image's aspect
     let rows = ((RAYS_PER_VIEW * camera.height / camera.width) as f32)
         .sqrt()
@@ -373,6 +360,31 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
         .collect();
     let mut hits = vec![Hit::miss(); rays.len()];
     tracer.closest(&rays, &mut hits);
+    let of_mesh = |m: &MeshClasses| {
+        m.of_hits(&Plane {
+            width: columns,
+            height: rows,
+            data: hits.iter().map(|h| h.triangle).collect(),
+        })
+    };
+    let labels = labels.or_else(|| scene.mesh_classes.as_ref().map(of_mesh));
+    let account = frame_account::account(scene, view, (&stats, mask.as_ref(), labels.as_ref()))?;
+    let mut f = ViewFindings {
+        account,
+        stem: view.stem.clone(),
+        train: view.split == Split::Train,
+        labelled: labels.is_some(),
+        luminances: subsampled(&image),
+        negative: stats.negative,
+        not_finite: stats.not_finite,
+        solid_angle: 0.0,
+        holes: 0.0,
+        unlabelled_surface: 0.0,
+        class_angle: BTreeMap::new(),
+        pixel_size: 0.0,
+        clipped: ClippedView::default(),
+        votes: BTreeMap::new(),
+    };
     f.clipped = clipped_view(view, &image, labels.as_ref(), (&pixels, &rays, &hits));
     let seen = pixels.iter().zip(&hits).filter(|(_, h)| h.is_hit());
     let sizes = seen.map(|(&p, h)| h.t * camera.pixel_solid_angle(p).sqrt());
@@ -699,7 +711,7 @@ fn warn_of_labels(s: &Summary, findings: &[ViewFindings], warnings: &mut Vec<Str
     let labelled = findings.iter().filter(|f| f.labelled).count();
     if labelled == 0 {
         warnings.push(
-            "no label images: all surfaces count as one class, and roughness is found less well"
+            "no label images: surface is told apart by shape and look (solve --segments), and roughness is found less well"
                 .into(),
         );
     } else if labelled < findings.len() {

@@ -1,6 +1,7 @@
 //! Loading a scene folder: every problem of every file is collected before anything is refused.
 
 use super::input_error::{as_input, limited};
+use super::mesh_classes::{Named, mesh_classes};
 use super::mesh_prep::prepare_mesh;
 use super::transforms::{Frame, Model, Transforms, parse_usable, y_up_from_z_up};
 use super::{Class, LdrImages, LoadOptions, Mirror, Scene, Split, View, rooms};
@@ -78,11 +79,13 @@ impl Scene {
         } else {
             formats::read_mesh(&mesh_path)
         };
-        let mesh = mesh.and_then(|raw| {
+        let mut names = Vec::new();
+        let mesh = mesh.and_then(|mut raw| {
+            names = std::mem::take(&mut raw.names);
             let z_up = mesh_is_z_up(&transforms, &raw, &mut warnings);
             prepare_mesh(raw, &mesh_path, z_up, options)
         });
-        let origin = mesh.as_ref().map_or(DVec3::ZERO, |m| m.1);
+        let origin = mesh.as_ref().map_or(DVec3::ZERO, |m| m.origin);
         let checked: Vec<_> = transforms
             .frames
             .par_iter()
@@ -92,16 +95,24 @@ impl Scene {
         let mut views = usable(checked, &mut issues);
         warnings.extend(level_white(&mut views));
         let classes_declared = transforms.classes.is_some();
-        let classes = match transforms.classes {
-            Some(c) => c,
-            None => derived_classes(&views, &mut issues),
+        let named = match &mesh {
+            Ok(mesh) if views.iter().all(|v| v.label_path.is_none()) => {
+                let named = Named::prepared(mesh, &names);
+                mesh_classes(&named, transforms.classes.as_deref(), options.mesh_classes)
+            }
+            _ => None,
+        };
+        let (classes, mesh_classes) = match (named, transforms.classes) {
+            (Some(found), _) => (found.classes, Some(found.mesh)),
+            (None, Some(declared)) => (declared, None),
+            (None, None) => (derived_classes(&views, &mut issues), None),
         };
         let rooms = transforms.rooms_path.as_ref().and_then(|p| {
             rooms::read_rooms(&resolved(&folder, p), origin)
                 .map_err(|e| issues.push(e))
                 .ok()
         });
-        let (mesh, origin, mesh_stats) = match mesh {
+        let mesh = match mesh {
             Ok(m) => m,
             Err(e) => {
                 issues.insert(0, e);
@@ -113,12 +124,13 @@ impl Scene {
         }
         let scene = Self {
             origin,
-            mesh,
+            mesh: mesh.mesh,
             classes,
             views,
             rooms,
             classes_declared,
-            mesh_stats,
+            mesh_classes,
+            mesh_stats: mesh.stats,
             z_up: transforms.z_up,
             mirror: Mirror::None,
             warnings,
@@ -153,10 +165,16 @@ impl Scene {
     }
 
     /// Adds what a user should know about geometry and cameras although the scene is usable.
-    fn with_mesh_warnings(mut self, mesh_path: &Path) -> Self {
+    pub(super) fn with_mesh_warnings(mut self, mesh_path: &Path) -> Self {
         let s = &self.mesh_stats;
         let name = mesh_path.display();
         let mut notes = Vec::new();
+        notes.extend(self.mesh_classes.as_ref().map(|m| {
+            format!(
+                "{name}: no label images, so its {}; --mesh-classes off leaves them out",
+                m.account(&self.classes)
+            )
+        }));
         if s.degenerate > 0 {
             notes.push(format!(
                 "{name}: {} of {} triangles have no area and are left out",
