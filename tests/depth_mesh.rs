@@ -143,7 +143,7 @@ fn check(truth: &Scene, fused: &Scene, within: f32) {
         100.0 * coverage.missed
     );
     assert!(accuracy.median < within, "{}", accuracy.median);
-    assert!(accuracy.missed < 0.03, "{}", accuracy.missed);
+    assert!(accuracy.missed < 0.05, "{}", accuracy.missed);
     assert!(coverage.missed < 0.1, "{}", coverage.missed);
 }
 
@@ -161,7 +161,7 @@ fn the_surface_of_exact_depth_is_the_room() {
     let (fused, notes) = prepared(&capture, &dir.path().join("fused"));
     println!("{notes:?}");
     assert!(notes.iter().any(|n| n.contains("depth images")));
-    check(&truth, &fused, 0.006);
+    check(&truth, &fused, 0.009);
     // decimated: far fewer triangles than the voxels give
     assert!(fused.mesh.triangles.len() < 400_000);
 }
@@ -189,7 +189,7 @@ fn noise_of_a_sensor_averages_out() {
         name
     });
     let (fused, _) = prepared(&capture, &dir.path().join("fused"));
-    check(&truth, &fused, 0.015);
+    check(&truth, &fused, 0.02);
 }
 
 /// Depth that says nothing is refused with a way out.

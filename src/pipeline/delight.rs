@@ -7,8 +7,9 @@
 //! for what even light makes of it. Called by `unbake delight`.
 
 use super::albedo::settle_bounds;
+use super::doubt::Doubt;
 use super::segments::doubt_of_segments;
-use super::settle::{Doubt, Estimated, settle};
+use super::settle::{Estimated, settle};
 use super::solved::Solved;
 use super::{Fit, Light, Roughness, SolveOptions, fit_roughness, reconstruct_light};
 use crate::Result;

@@ -8,6 +8,7 @@ mod clipped_looks;
 mod clipped_texels;
 mod decisions;
 mod delight;
+mod doubt;
 mod energy_balance;
 mod findings;
 mod highlights;

@@ -13,8 +13,8 @@ use crate::core::texture::{SurfacePoint, Texels};
 use crate::core::trace::{EmbreeTracer, Hit};
 use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
 use crate::observed::{
-    Contradictions, Surface, balance_views, complete_labels, find_camera_rigs, fuse_radiance,
-    leave_out_clipped_sky,
+    Contradictions, Fusion, Surface, balance_views, complete_labels, find_camera_rigs,
+    fuse_radiance, leave_out_clipped_sky,
 };
 use crate::scene::{MeshClasses, Scene, Shortfall, View, all_black, clipped_channels};
 use glam::Vec3;
@@ -81,13 +81,7 @@ pub fn observe<'a>(
         (Contradictions::default(), MAD_SCALE * balanced.disagreement)
     };
     contradictions.settle(&mut fusion.radiance);
-    let labels = match &scene.mesh_classes {
-        Some(of) => {
-            let class = |p: &SurfacePoint| of.of_triangle[p.triangle as usize];
-            texels.point.iter().map(class).collect()
-        }
-        None => complete_labels(&scene.mesh, &texels, &fusion),
-    };
+    let labels = texel_labels(scene, &texels, &fusion);
     let back = back_radiance(scene, &views, &orientation);
     Ok(Surface {
         scene,
@@ -109,6 +103,15 @@ pub fn observe<'a>(
         offset,
         disagreement,
     })
+}
+
+/// The class of every texel: the mesh's own, or what the views vote for.
+fn texel_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> {
+    let Some(of) = &scene.mesh_classes else {
+        return complete_labels(&scene.mesh, texels, fusion);
+    };
+    let class = |p: &SurfacePoint| of.of_triangle[p.triangle as usize];
+    texels.point.iter().map(class).collect()
 }
 
 /// The training views as read, before anything is taken out of them.

@@ -8,7 +8,7 @@
 //! then take the place of classes: roughness is fitted to them, paint is found on them. Called by
 //! the stage of the light between its coarse bake and its fine one, which needs them where nobody looks.
 
-use super::settle::Doubt;
+use super::doubt::Doubt;
 use super::{SolveOptions, Switch};
 use crate::core::geometry::{numbered, smooth_patches};
 use crate::core::image::RgbPlane;

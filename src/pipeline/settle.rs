@@ -5,6 +5,7 @@
 use super::albedo::albedo_errors;
 use super::assemble::assemble;
 use super::clipped_light::{ClippedLights, FoundLight};
+use super::doubt::Doubt;
 use super::energy_balance::{Balanced, balance_rooms};
 use super::findings::{findings, spread_of_looks};
 use super::missing_light::add_missing_light;
@@ -15,7 +16,7 @@ use crate::core::progress::Progress;
 use crate::core::switch::Switch;
 use crate::inverse::{AlbedoEstimate, Ground, StatedErrors, TexelReflectance, settle_contradicted};
 use crate::observed::Surface;
-use crate::verdict::{MissingLight, Reason};
+use crate::verdict::MissingLight;
 
 /// What is estimated before it is settled what it all amounts to.
 pub(super) struct Estimated<'a> {
@@ -27,25 +28,6 @@ pub(super) struct Estimated<'a> {
     pub(super) doubts: Vec<Doubt>,
     /// Rays traced so far.
     pub(super) rays: u64,
-}
-
-/// Something that makes every albedo less sure.
-pub(super) struct Doubt {
-    /// What, in a sentence.
-    pub(super) what: String,
-    /// Standard error of the albedo, relative.
-    pub(super) relative: f64,
-}
-
-impl Doubt {
-    /// As a reason against a result of this mean albedo.
-    fn reason(self, mean_albedo: f64) -> Reason {
-        Reason {
-            what: self.what,
-            weight: self.relative * mean_albedo,
-            place: String::new(),
-        }
-    }
 }
 
 /// Light and albedo are balanced, completed and painted; then errors and textures follow.

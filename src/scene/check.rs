@@ -7,7 +7,7 @@ use super::{
     FrameAccount, LoadOptions, MeshClasses, RoomGrid, Scene, Split, View, clipped_channels,
     find_rooms,
 };
-use crate::core::geometry::Projection;
+use crate::core::geometry::{Camera, Projection};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
@@ -325,6 +325,39 @@ struct ViewFindings {
     votes: BTreeMap<(u32, u16), u32>,
 }
 
+/// A regular lattice of rays in an image's aspect.
+struct Lattice {
+    columns: usize,
+    rows: usize,
+    /// Places in the image, row by row.
+    pixels: Vec<Vec2>,
+    rays: Vec<Ray>,
+}
+
+impl Lattice {
+    fn of(camera: &Camera) -> Self {
+        let rows = ((RAYS_PER_VIEW * camera.height / camera.width) as f32)
+            .sqrt()
+            .ceil()
+            .max(1.0) as usize;
+        let columns = RAYS_PER_VIEW.div_ceil(rows);
+        let pixels: Vec<Vec2> = (0..rows * columns)
+            .map(|i| {
+                Vec2::new((i % columns) as f32 + 0.5, (i / columns) as f32 + 0.5)
+                    / Vec2::new(columns as f32, rows as f32)
+            })
+            .map(|p| p * Vec2::new(camera.width as f32, camera.height as f32))
+            .collect();
+        let ray = |&p: &Vec2| Ray::new(camera.position, camera.direction(p), f32::INFINITY);
+        Self {
+            columns,
+            rows,
+            rays: pixels.iter().map(ray).collect(),
+            pixels,
+        }
+    }
+}
+
 fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindings> {
     let radiance = scene.load_radiance_with_stats(view);
     let labels = scene.load_labels(view);
@@ -341,23 +374,12 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
         return Err(Error::Inputs(errors));
     };
     let camera = &view.camera;
-    // a regular lattice of rays in the image's aspect
-    let rows = ((RAYS_PER_VIEW * camera.height / camera.width) as f32)
-        .sqrt()
-        .ceil()
-        .max(1.0) as usize;
-    let columns = RAYS_PER_VIEW.div_ceil(rows);
-    let pixels: Vec<Vec2> = (0..rows * columns)
-        .map(|i| {
-            Vec2::new((i % columns) as f32 + 0.5, (i / columns) as f32 + 0.5)
-                / Vec2::new(columns as f32, rows as f32)
-        })
-        .map(|p| p * Vec2::new(camera.width as f32, camera.height as f32))
-        .collect();
-    let rays: Vec<Ray> = pixels
-        .iter()
-        .map(|&p| Ray::new(camera.position, camera.direction(p), f32::INFINITY))
-        .collect();
+    let Lattice {
+        columns,
+        rows,
+        pixels,
+        rays,
+    } = Lattice::of(camera);
     let mut hits = vec![Hit::miss(); rays.len()];
     tracer.closest(&rays, &mut hits);
     let of_mesh = |m: &MeshClasses| {

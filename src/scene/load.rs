@@ -4,10 +4,11 @@ use super::input_error::{as_input, limited};
 use super::mesh_classes::{Named, mesh_classes};
 use super::mesh_prep::prepare_mesh;
 use super::transforms::{Frame, Model, Transforms, parse_usable, y_up_from_z_up};
-use super::{Class, LdrImages, LoadOptions, Mirror, Scene, Split, View, rooms};
+use super::{Class, LdrImages, LoadOptions, MeshClasses, Mirror, Scene, Split, View, rooms};
 use crate::core::formats::{self, ImageAccount, ImageInfo};
 use crate::core::geometry::Camera;
 use crate::core::parallel::prelude::*;
+use crate::core::switch::Switch;
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
@@ -74,13 +75,11 @@ impl Scene {
         let splits = splits(&transforms, &file, &mut issues, &mut warnings);
         check_stems(&transforms.frames, &file, &mut issues);
         let mesh_path = resolved(&folder, &transforms.mesh_path);
-        let mesh = if transforms.mesh_path.is_empty() {
+        if transforms.mesh_path.is_empty() {
             return Err(refusal(issues));
-        } else {
-            formats::read_mesh(&mesh_path)
-        };
+        }
         let mut names = Vec::new();
-        let mesh = mesh.and_then(|mut raw| {
+        let mesh = formats::read_mesh(&mesh_path).and_then(|mut raw| {
             names = std::mem::take(&mut raw.names);
             let z_up = mesh_is_z_up(&transforms, &raw, &mut warnings);
             prepare_mesh(raw, &mesh_path, z_up, options)
@@ -95,18 +94,12 @@ impl Scene {
         let mut views = usable(checked, &mut issues);
         warnings.extend(level_white(&mut views));
         let classes_declared = transforms.classes.is_some();
-        let named = match &mesh {
-            Ok(mesh) if views.iter().all(|v| v.label_path.is_none()) => {
-                let named = Named::prepared(mesh, &names);
-                mesh_classes(&named, transforms.classes.as_deref(), options.mesh_classes)
-            }
-            _ => None,
-        };
-        let (classes, mesh_classes) = match (named, transforms.classes) {
-            (Some(found), _) => (found.classes, Some(found.mesh)),
-            (None, Some(declared)) => (declared, None),
-            (None, None) => (derived_classes(&views, &mut issues), None),
-        };
+        let unlabelled = views.iter().all(|v| v.label_path.is_none());
+        let named = mesh.as_ref().ok().filter(|_| unlabelled);
+        let named = named.map(|mesh| Named::prepared(mesh, &names));
+        let declared = transforms.classes;
+        let classes = SceneClasses::of(named, declared, options.mesh_classes)
+            .unwrap_or_else(|| SceneClasses::derived(&views, &mut issues));
         let rooms = transforms.rooms_path.as_ref().and_then(|p| {
             rooms::read_rooms(&resolved(&folder, p), origin)
                 .map_err(|e| issues.push(e))
@@ -125,11 +118,11 @@ impl Scene {
         let scene = Self {
             origin,
             mesh: mesh.mesh,
-            classes,
+            classes: classes.list,
             views,
             rooms,
             classes_declared,
-            mesh_classes,
+            mesh_classes: classes.of_mesh,
             mesh_stats: mesh.stats,
             z_up: transforms.z_up,
             mirror: Mirror::None,
@@ -547,7 +540,40 @@ fn same_aspect(a: &ImageInfo, b: &ImageAccount) -> bool {
     (expected - ah).abs() <= 0.5 + 1e-9 || (ah * bw / bh - aw).abs() <= 0.5 + 1e-9
 }
 
-/// Classes of a scene that declares none: every id in the label images.
+/// A scene's classes.
+struct SceneClasses {
+    list: Vec<Class>,
+    /// Those that the mesh has by itself.
+    of_mesh: Option<MeshClasses>,
+}
+
+impl SceneClasses {
+    /// Those that the mesh names, if it may be asked, with those that are declared; `None` where
+    /// there are neither.
+    fn of(named: Option<Named<'_>>, declared: Option<Vec<Class>>, switch: Switch) -> Option<Self> {
+        let by_name = named.and_then(|n| mesh_classes(&n, declared.as_deref(), switch));
+        match by_name {
+            Some(found) => Some(Self {
+                list: found.classes,
+                of_mesh: Some(found.mesh),
+            }),
+            None => declared.map(|list| Self {
+                list,
+                of_mesh: None,
+            }),
+        }
+    }
+
+    /// Those of a scene that declares none: every id in the label images.
+    fn derived(views: &[View], issues: &mut Vec<Error>) -> Self {
+        Self {
+            list: derived_classes(views, issues),
+            of_mesh: None,
+        }
+    }
+}
+
+/// Every id in the label images, as classes.
 fn derived_classes(views: &[View], issues: &mut Vec<Error>) -> Vec<Class> {
     let found: Vec<Result<BTreeSet<u16>>> = views
         .par_iter()

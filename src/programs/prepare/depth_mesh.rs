@@ -32,6 +32,10 @@ const FINEST: f32 = 700.0;
 const ASKED: usize = 20_000;
 /// Pieces of fewer triangles before decimation are noise. Derived: a disc of five voxels' radius.
 const SMALLEST: usize = 150;
+/// Error of the decimated surface, in pixels of the photographs. Derived: a quarter of a pixel moves no
+/// texel by more than the photographs' own registration; and in voxels, below the noise of depth.
+const UNSEEN_ERROR: f32 = 0.25;
+const NOISE: f32 = 0.1;
 /// Cosine below which depth is too uncertain to count. Derived: 80°, where a pixel's footprint is
 /// six times as long as it is wide.
 const GRAZING: f32 = 0.17;
@@ -84,7 +88,7 @@ pub fn mesh_of_depth(
         surface_net(&known, |p| voxels.get(&p.to_array()).copied())
     });
     let fused = net.triangles.len();
-    let error = grid.resolved.max(0.25 * grid.voxel);
+    let error = (UNSEEN_ERROR * grid.resolved).max(NOISE * grid.voxel);
     let mesh = progress.stage("decimation", 1, |_| decimated(&net, &grid, error));
     account.converted(format!(
         "no mesh: surface from {} depth images, voxels of {:.1} cm, {} triangles, decimated to {} at {:.0} mm; it ends where no depth was seen",

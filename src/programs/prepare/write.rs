@@ -54,10 +54,8 @@ pub fn write_scene(
         None => mesh_of_depth(&capture.shots, account, progress)?.map(SceneMesh::Decoded),
         given => given,
     };
-    let (mesh_name, triangles) = match &mesh {
-        Some(mesh) => write_mesh(&folder, mesh)?,
-        None => (None, 0),
-    };
+    let written = mesh.as_ref().map(|mesh| write_mesh(&folder, mesh));
+    let (mesh_name, triangles) = written.unwrap_or(Ok((None, 0)))?;
     let source = match &mesh {
         Some(SceneMesh::Decoded(m)) if m.classes.iter().any(|&c| c > 0) => {
             Some(LabelSource::new(m)?)
