@@ -608,6 +608,81 @@ fn without_labels_and_with_one_class() {
     );
 }
 
+/// A scene whose label images are taken away and whose mesh has a material per class instead ends
+/// near the labelled result.
+#[test]
+fn materials_of_the_mesh_take_the_place_of_label_images() {
+    let labelled = load();
+    let reference = solve(&labelled).solution;
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let text = std::fs::read_to_string(apartment().join("transforms.json")).expect("scene");
+    let mut json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    for frame in json["frames"].as_array_mut().expect("frames") {
+        let frame = frame.as_object_mut().expect("frame");
+        frame.remove("label_path");
+    }
+    json.as_object_mut().expect("scene").remove("classes");
+    json["mesh_path"] = "mesh.obj".into();
+    std::fs::write(
+        dir.path().join("mesh.obj"),
+        by_material(&labelled, &reference),
+    )
+    .expect("mesh");
+    std::fs::write(dir.path().join("transforms.json"), json.to_string()).expect("scene");
+    for name in ["images", "rooms.png", "rooms.json"] {
+        std::os::unix::fs::symlink(apartment().join(name), dir.path().join(name)).expect("link");
+    }
+    let scene = Scene::load(dir.path(), &LoadOptions::default()).expect("usable");
+    assert!(
+        scene.warnings.iter().any(|w| w.contains("materials as")),
+        "{:?}",
+        scene.warnings
+    );
+    let lamps: Vec<&str> = (scene.classes.iter().filter(|c| c.is_light))
+        .map(|c| c.name.as_str())
+        .collect();
+    assert_eq!(lamps, ["lamp"], "known by its name");
+    let named = solve(&scene).solution;
+    let (median, _) = albedo_difference(&reference, &named);
+    println!("median difference of the albedo: {median:.4}");
+    assert!(median < 0.01, "{median}");
+    let off = LoadOptions {
+        mesh_classes: unbake::pipeline::Switch::Off,
+        ..LoadOptions::default()
+    };
+    let without = Scene::load(dir.path(), &off).expect("usable");
+    assert!(without.mesh_classes.is_none() && without.classes.is_empty());
+}
+
+/// The scene's mesh as OBJ, each triangle with the class as its material that most of its texels have.
+fn by_material(scene: &Scene, solved: &Solution) -> String {
+    let mesh = &scene.mesh;
+    let mut text = String::new();
+    for ((p, n), t) in mesh.positions.iter().zip(&mesh.normals).zip(&mesh.uvs) {
+        let p = p.as_dvec3() + scene.origin;
+        writeln!(
+            text,
+            "v {} {} {}\nvn {} {} {}\nvt {} {}",
+            p.x,
+            p.y,
+            p.z,
+            n.x,
+            n.y,
+            n.z,
+            t.x,
+            1.0 - t.y
+        )
+        .expect("text");
+    }
+    for (t, corners) in mesh.triangles.iter().enumerate() {
+        let id = solved.class_at(mesh.uv(t, 1.0 / 3.0, 1.0 / 3.0));
+        let name = scene.class(id).map_or("unknown", |c| c.name.as_str());
+        let [a, b, c] = corners.map(|i| i + 1);
+        writeln!(text, "usemtl {name}\nf {a}/{a}/{a} {b}/{b}/{b} {c}/{c}/{c}").expect("text");
+    }
+    text
+}
+
 #[test]
 fn black_photographs_are_refused() {
     let mut scene = load();

@@ -5,16 +5,18 @@ use super::time_budget::Workload;
 use super::{Quality, SolveOptions, Switch};
 use crate::core::brdf::Reflectance;
 use crate::core::geometry::Mesh;
+use crate::core::image::RgbPlane;
 use crate::core::progress::Progress;
 use crate::core::sampling::{Discrete, KeyedRng};
 use crate::core::trace::{Hit, Tracer};
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::highlight::Evidence;
 use crate::inverse::{ClassPalette, Materials, choose_model, fit_groups};
-use crate::observed::TextureSizes;
+use crate::observed::{Surface, TextureSizes};
 use crate::radiance::Environment;
 use crate::scene::{RoomGrid, Scene};
 use crate::specular::WIDE;
+use glam::Vec3;
 use std::collections::BTreeSet;
 use std::time::Instant;
 
@@ -265,7 +267,7 @@ fn required_resolution(
 
 /// The environment that the views see past all geometry, unless it is black or forbidden.
 pub(super) fn choose_environment(
-    views: &[ObservedView],
+    surface: &Surface,
     options: &SolveOptions,
     progress: &Progress,
 ) -> Environment {
@@ -274,7 +276,16 @@ pub(super) fn choose_environment(
         progress.decide(what, "none", "--environment off", true);
         return Environment::black();
     }
-    let environment = Environment::observe(views);
+    if surface.ambient != Vec3::ZERO {
+        progress.decide(
+            what,
+            "the surface's mean radiance",
+            "nobody looked through the holes of the scan: behind them lies more of the room",
+            false,
+        );
+        return Environment::from_map(RgbPlane::filled(2, 1, surface.ambient));
+    }
+    let environment = Environment::observe(&surface.views);
     if environment.is_black() {
         progress.decide(
             what,

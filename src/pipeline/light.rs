@@ -66,7 +66,7 @@ const BORDER: f32 = 0.25;
 #[must_use]
 pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &Progress) -> Light {
     let mesh = &surface.scene.mesh;
-    let environment = choose_environment(&surface.views, options, progress);
+    let environment = choose_environment(surface, options, progress);
     let known = adopt_subtexel_triangles(mesh, &surface.texels, known_lights(surface, options));
     let coarse = coarse_light(surface, &known, environment.clone(), options, progress);
     let emissive = emissive_by(surface, &coarse.irradiance, &known, options);

@@ -8,7 +8,8 @@
 use super::gltf_compressed::{DracoPrimitive, PackedView, Unpacked};
 use super::gltf_numbers::{component, component_size};
 use super::gltf_texture::{Material, UvSource};
-use super::raw_mesh::{Part, RawMesh};
+use super::raw_mesh::{NameKind, Part, RawMesh};
+use super::surface_look::{Look, TextureSource, beside};
 use super::{MOST_DATA, read_input};
 use crate::{Error, Result};
 use base64::engine::Engine;
@@ -40,7 +41,23 @@ struct Document {
     #[serde(default)]
     materials: Vec<Material>,
     #[serde(default)]
+    textures: Vec<TextureEntry>,
+    #[serde(default)]
+    images: Vec<ImageEntry>,
+    #[serde(default)]
     extensions_required: Vec<String>,
+}
+
+#[derive(Deserialize)]
+struct TextureEntry {
+    source: Option<usize>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct ImageEntry {
+    uri: Option<String>,
+    buffer_view: Option<usize>,
 }
 
 #[derive(Deserialize)]
@@ -51,6 +68,7 @@ struct SceneRoot {
 
 #[derive(Deserialize)]
 struct Node {
+    name: Option<String>,
     #[serde(default)]
     extensions: NodeExtensions,
     #[serde(default)]
@@ -71,6 +89,7 @@ struct NodeExtensions {
 
 #[derive(Deserialize)]
 struct MeshEntry {
+    name: Option<String>,
     #[serde(default)]
     primitives: Vec<Primitive>,
 }
@@ -175,16 +194,7 @@ const MAX_ELEMENTS: u64 = 1 << 27;
 /// If the file is damaged, asks for more bytes than there are, or holds no triangles.
 pub fn mesh_from_gltf(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     let fail = |m: String| Error::input(path, m);
-    let (json, blob) = if bytes.starts_with(b"glTF") {
-        split_glb(bytes).map_err(fail)?
-    } else {
-        (bytes, None)
-    };
-    let document: Document = serde_json::from_slice(json).map_err(|e| {
-        fail(format!(
-            "the glTF JSON is malformed: {e}; export the mesh again"
-        ))
-    })?;
+    let (document, blob) = document_of(bytes).map_err(fail)?;
     if let Some(e) = document
         .extensions_required
         .iter()
@@ -219,6 +229,48 @@ pub fn mesh_from_gltf(bytes: &[u8], path: &Path) -> Result<RawMesh> {
         ));
     }
     RawMesh::from_parts(parts, path)
+}
+
+/// The document, and the binary chunk of a `.glb`.
+fn document_of(bytes: &[u8]) -> Reading<(Document, Option<&[u8]>)> {
+    let (json, blob) = match bytes.starts_with(b"glTF") {
+        true => split_glb(bytes)?,
+        false => (bytes, None),
+    };
+    let document = serde_json::from_slice(json)
+        .map_err(|e| format!("the glTF JSON is malformed: {e}; export the mesh again"))?;
+    Ok((document, blob))
+}
+
+/// The bytes of image `index` of a glTF file: a PNG or JPEG within or beside it.
+///
+/// # Errors
+/// If there is no such image, or its data are missing.
+pub fn image_bytes(bytes: &[u8], path: &Path, index: usize) -> Result<Vec<u8>> {
+    let fail = |m: String| Error::input(path, format!("image {index}: {m}; export the mesh again"));
+    let (document, blob) = document_of(bytes).map_err(fail)?;
+    let image = document.images.get(index);
+    let image = image.ok_or_else(|| fail("it does not exist".into()))?;
+    if let Some(data) = image.uri.as_ref().and_then(|u| u.strip_prefix("data:")) {
+        let encoded = data.split_once(";base64,").map_or("", |d| d.1);
+        return decode_base64(encoded).ok_or_else(|| fail("damaged base64".into()));
+    }
+    if let Some(uri) = &image.uri {
+        let file = beside(path, &decode_percent(uri));
+        let file = file.ok_or_else(|| fail(format!("it lies at {uri}, not beside the mesh")))?;
+        return read_input(&file, MOST_DATA);
+    }
+    let view = image.buffer_view.and_then(|v| document.buffer_views.get(v));
+    let view = view.ok_or_else(|| fail("it has no data".into()))?;
+    let buffer = document.buffers.get(view.buffer);
+    let buffer = buffer.ok_or_else(|| fail("its buffer does not exist".into()))?;
+    let buffer = load_buffer(view.buffer, buffer, blob, path)?;
+    let from = usize::try_from(view.byte_offset).unwrap_or(usize::MAX);
+    let length = usize::try_from(view.byte_length).unwrap_or(usize::MAX);
+    let inside = buffer.get(from..from.saturating_add(length));
+    inside
+        .map(<[u8]>::to_vec)
+        .ok_or_else(|| fail("its data lie beyond the end of the file".into()))
 }
 
 /// The JSON and binary chunks of a `.glb`.
@@ -367,6 +419,13 @@ struct Source<'a> {
     draco: Option<Rc<Unpacked>>,
 }
 
+/// A mesh where a node of the scene puts it.
+struct Instance {
+    mesh: usize,
+    node: usize,
+    world: DMat4,
+}
+
 type Reading<T> = std::result::Result<T, String>;
 
 impl Reader<'_> {
@@ -412,21 +471,38 @@ impl Reader<'_> {
     fn parts(&self) -> Reading<Vec<Part>> {
         let instances = self.instances()?;
         let mut asked = 0;
-        for (m, _) in &instances {
-            for primitive in &self.mesh(*m)?.primitives {
+        for instance in &instances {
+            for primitive in &self.mesh(instance.mesh)?.primitives {
                 self.count(primitive, &mut asked)?;
             }
         }
         let mut parts = Vec::new();
-        for (m, world) in &instances {
-            for (p, primitive) in self.mesh(*m)?.primitives.iter().enumerate() {
+        for instance in &instances {
+            let m = instance.mesh;
+            for (p, primitive) in self.mesh(m)?.primitives.iter().enumerate() {
                 let part = self
-                    .part(primitive, world)
+                    .part(primitive, &instance.world)
                     .map_err(|e| format!("mesh {m}, primitive {p}: {e}"))?;
-                parts.extend(part);
+                parts.extend(part.map(|part| Part {
+                    names: self.names(instance, primitive),
+                    look: self.look(primitive),
+                    ..part
+                }));
             }
         }
         Ok(parts)
+    }
+
+    /// What the file calls a primitive's triangles: by its material, and by its node or mesh.
+    fn names(&self, instance: &Instance, primitive: &Primitive) -> Vec<(NameKind, String)> {
+        let material = primitive.material;
+        let material = material.and_then(|m| self.document.materials.get(m)?.name.clone());
+        let node = self.document.nodes.get(instance.node);
+        let mesh = self.document.meshes.get(instance.mesh);
+        let object = (node.and_then(|n| n.name.clone())).or(mesh.and_then(|m| m.name.clone()));
+        let material = material.map(|name| (NameKind::Material, name));
+        let object = object.map(|name| (NameKind::Object, name));
+        material.into_iter().chain(object).collect()
     }
 
     fn mesh(&self, m: usize) -> Reading<&MeshEntry> {
@@ -435,7 +511,7 @@ impl Reader<'_> {
     }
 
     /// Meshes of the default scene with their world transforms, in the order of the hierarchy.
-    fn instances(&self) -> Reading<Vec<(usize, DMat4)>> {
+    fn instances(&self) -> Reading<Vec<Instance>> {
         let d = self.document;
         let roots: Vec<usize> = match d.scenes.get(d.scene.unwrap_or(0)) {
             Some(scene) => scene.nodes.clone(),
@@ -471,7 +547,11 @@ impl Reader<'_> {
                 .ok_or_else(|| format!("node {index} does not exist; export the mesh again"))?;
             let world = parent * local_transform(node);
             stack.extend(node.children.iter().rev().map(|&c| (c, world, depth + 1)));
-            found.extend(node.mesh.map(|m| (m, world)));
+            found.extend(node.mesh.map(|mesh| Instance {
+                mesh,
+                node: index,
+                world,
+            }));
         }
         Ok(found)
     }
@@ -515,6 +595,9 @@ impl Reader<'_> {
             }
             _ => None,
         };
+        // (geometry is usable without)
+        let colours = self.colours(&source).ok().flatten();
+        let colours = colours.filter(|c| c.len() == positions.len());
         let uvs = self.uvs(&source)?;
         if let Some(uvs) = &uvs {
             of_length("texture coordinates", uvs.len())?;
@@ -535,6 +618,9 @@ impl Reader<'_> {
             normals,
             uvs,
             triangles,
+            names: Vec::new(),
+            colours,
+            look: None,
         }))
     }
 
@@ -596,6 +682,36 @@ impl Reader<'_> {
         let name = if has { named.as_str() } else { "TEXCOORD_0" };
         let read = self.vectors::<2>(from, name)?;
         Ok(read.map(|uv| uv.into_iter().map(|uv| source.sampled_at(uv)).collect()))
+    }
+
+    /// Linear colours of the vertices; alpha is left out.
+    fn colours(&self, from: &Source<'_>) -> Reading<Option<Vec<Vec3>>> {
+        let accessor = from.primitive.attributes.get("COLOR_0");
+        let Some(accessor) = accessor.and_then(|a| self.document.accessors.get(*a)) else {
+            return Ok(None);
+        };
+        let linear = |c: [f64; 3]| DVec3::from_array(c).as_vec3();
+        if accessor.shape == "VEC4" {
+            let read = self.vectors::<4>(from, "COLOR_0")?;
+            return Ok(read.map(|c| {
+                c.into_iter()
+                    .map(|[r, g, b, _]| linear([r, g, b]))
+                    .collect()
+            }));
+        }
+        let read = self.vectors::<3>(from, "COLOR_0")?;
+        Ok(read.map(|c| c.into_iter().map(linear).collect()))
+    }
+
+    /// What a primitive is painted with: its material's base colour.
+    fn look(&self, primitive: &Primitive) -> Option<Look> {
+        let d = self.document;
+        let material = d.materials.get(primitive.material?)?;
+        let texture = material.texture().and_then(|t| d.textures.get(t)?.source);
+        Some(Look {
+            factor: material.factor(),
+            texture: texture.map(TextureSource::Embedded),
+        })
     }
 
     /// The bytes of a buffer view, unpacked if they are packed.
@@ -674,7 +790,7 @@ impl Reader<'_> {
     /// accessor says so.
     fn floats<const N: usize>(&self, index: usize) -> Reading<Vec<[f64; N]>> {
         let a = self.accessor(index)?;
-        let expected = if N == 3 { "VEC3" } else { "VEC2" };
+        let expected = format!("VEC{N}");
         if a.shape != expected {
             return Err(format!(
                 "accessor {index} is {}, expected {expected}; export the mesh again",

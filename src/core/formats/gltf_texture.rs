@@ -1,13 +1,14 @@
-//! Where a glTF material samples its base colour: which set of texture coordinates, moved by
-//! `KHR_texture_transform`. Called by `gltf`.
+//! A glTF material's name and colour, and where it samples its base colour: which set of texture coordinates,
+//! moved by `KHR_texture_transform`. Called by `gltf`.
 
-use glam::Vec2;
+use glam::{Vec2, Vec3};
 use serde::Deserialize;
 
-/// A material, as far as texture coordinates go.
+/// A material, as far as its name and texture coordinates go.
 #[derive(Default, Deserialize)]
 #[serde(default, rename_all = "camelCase")]
 pub(super) struct Material {
+    pub name: Option<String>,
     pbr_metallic_roughness: Textures,
 }
 
@@ -15,11 +16,14 @@ pub(super) struct Material {
 #[serde(default, rename_all = "camelCase")]
 struct Textures {
     base_color_texture: TextureInfo,
+    base_color_factor: Option<[f32; 4]>,
 }
 
 #[derive(Default, Deserialize)]
 #[serde(default, rename_all = "camelCase")]
 struct TextureInfo {
+    /// Absent in materials without a picture.
+    index: Option<usize>,
     tex_coord: u32,
     extensions: Extensions,
 }
@@ -74,6 +78,20 @@ impl Default for UvSource {
 }
 
 impl Material {
+    /// The texture of the base colour.
+    pub(super) fn texture(&self) -> Option<usize> {
+        self.pbr_metallic_roughness.base_color_texture.index
+    }
+
+    /// What the base colour's texture is multiplied with, linear RGB.
+    pub(super) fn factor(&self) -> Vec3 {
+        let [r, g, b, _] = self
+            .pbr_metallic_roughness
+            .base_color_factor
+            .unwrap_or([1.0; 4]);
+        Vec3::new(r, g, b)
+    }
+
     /// The texture coordinates of the base colour.
     pub(super) fn uv_source(&self) -> UvSource {
         let info = &self.pbr_metallic_roughness.base_color_texture;

@@ -23,6 +23,8 @@ mod polygon;
 mod probe;
 mod raw_mesh;
 mod read_mesh;
+mod read_texture;
+mod surface_look;
 mod text;
 mod whole;
 
@@ -40,8 +42,10 @@ pub use photograph::{ImageAccount, Photograph, image_account, read_photograph};
 pub use picture::{encode_grey8, encode_rgb8, encode_webp8, srgb8_from_linear};
 pub use png_io::{read_labels, read_ldr, read_mask, write_png_rgb8, write_png8, write_png16};
 pub use probe::{generation_mark, image_info};
-pub use raw_mesh::RawMesh;
+pub use raw_mesh::{NameKind, RawMesh, SurfaceNames};
 pub use read_mesh::read_mesh;
+pub use read_texture::{Texture, read_texture};
+pub use surface_look::{Look, TextureSource};
 pub use text::grouped;
 pub use whole::{Aside, atomic_write, sync};
 
