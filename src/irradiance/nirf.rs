@@ -8,9 +8,7 @@
 //! E).
 
 use super::{Bake, Estimator, IrradianceOptions, Receiver, bake_irradiance};
-use crate::core::network::{
-    Activation, Adam, BLOCK, Mlp, Shape, encode, encoded_size, sum_gradient,
-};
+use crate::core::network::{Activation, Adam, BLOCK, Mlp, Shape, encode, encoded_size};
 use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
 use crate::core::sampling::{Discrete, KeyedRng, square_to_triangle};
@@ -27,6 +25,7 @@ const OCTAVES: usize = 10;
 const LEAK: f32 = 0.01;
 /// Distance of training points from the surface, metres.
 const HEIGHT: f32 = 0.01;
+
 /// Options of the training; the defaults are the paper's.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NirfOptions {
@@ -148,9 +147,8 @@ impl Nirf {
         });
         let loss = off.iter().map(|d| f64::from(d.abs())).sum::<f64>() / f64::from(count);
         let sign = |d: f32| if d == 0.0 { 0.0 } else { d.signum() / count };
-        let slopes = sum_gradient(self.network.parameters().len(), 1, |_, gradient| {
-            self.network.backward(&trace, off.map(sign), gradient);
-        });
+        let mut slopes = vec![0.0; self.network.parameters().len()];
+        self.network.backward(&trace, off.map(sign), &mut slopes);
         (loss, slopes)
     }
 }

@@ -6,26 +6,53 @@
 //! Not reproduced, since they are faults of a rasteriser and not of the method: positions read off
 //! a panorama (W4), faces sampled at their edges (W9), the depth buffer's precision (W10).
 
+//!
+//! Beside it the systems that the paper compares with, under the same light: each is a
+//! [`strategy::Strategy`] of its own (`invrender`, `nvdiffrec`, `neilf`), and NeILF's own light a
+//! [`strategy::Lighting`] (`incident_light`).
+
+mod descent;
+mod hybrid;
+mod incident_light;
+mod invrender;
 mod learned_texture;
 mod lobe;
+mod neilf;
+mod nvdiffrec;
 mod options;
 mod pixels;
+mod place;
 mod reflection;
 mod stages;
+mod strategy;
 mod tbl;
 
-pub use options::{Correction, PublishedOptions, PublishedStage, PublishedValues};
-pub use stages::{Learned, Sides};
+pub use options::{
+    Correction, PublishedOptions, PublishedStage, PublishedStrategy, PublishedValues,
+};
+pub use stages::Sides;
 pub use tbl::one_view_per_texel;
 
+use crate::core::brdf::Material;
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::progress::Progress;
+use crate::core::sampling::hash_u64;
+use crate::core::texture::{Texels, fill_uncovered};
 use crate::observed::Surface;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
+use descent::descend;
+use glam::Vec3;
+use hybrid::Hybrid;
+use incident_light::IncidentLight;
+use invrender::InvRender;
 use learned_texture::MipTexture;
-use pixels::{PixelGrid, training_pixels};
+use neilf::Neilf;
+use nvdiffrec::NvDiffRec;
+use pixels::{Pixel, PixelGrid, training_pixels};
+use place::Place;
 use reflection::{Reflector, virtual_highlights};
 use stages::{Training, optimise};
+use strategy::{Compared, Lighting, Loss, Moment, Strategy, Visit};
 
 /// Median luminance to which the published scenes are exposed: ln(1 + x) of the losses depends on
 /// it (derived: method §7.1 multiplies by 2⁵, which brings its rooms near this).
@@ -47,14 +74,24 @@ pub struct PublishedInput<'a> {
     pub seed: u64,
 }
 
-/// Learns albedo and roughness textures from what the views show.
+/// What was learned, on the atlas.
+pub struct LearnedMaterials {
+    /// Albedo, linear RGB.
+    pub albedo: RgbPlane,
+    /// Roughness R.
+    pub roughness: Plane<f32>,
+    /// Rays traced.
+    pub rays: u64,
+}
+
+/// Learns materials from what the views show.
 #[must_use]
 pub fn learn(
     input: &PublishedInput,
     options: &PublishedOptions,
     sides: Sides,
     progress: &Progress,
-) -> Learned {
+) -> LearnedMaterials {
     let surface = input.surface;
     let median = tbl::median_luminance(surface);
     // a power of two, as the published exposures are
@@ -62,15 +99,8 @@ pub fn learn(
     let mut views = progress.stage("training pixels", 1, |_| {
         training_pixels(surface, input.rooms)
     });
-    let highlights = progress.stage("virtual highlights", views.len() as u64, |p| {
-        all_highlights(input, &views, median, p)
-    });
-    let lit: usize = highlights.iter().flatten().filter(|l| **l).count();
-    let all: usize = views.iter().map(|v| v.pixels.len()).sum();
-    progress.note(format!(
-        "{:.2} % of the training pixels are virtual highlights",
-        100.0 * lit as f64 / all.max(1) as f64
-    ));
+    let texir = options.strategy == PublishedStrategy::Texir;
+    let highlights = texir.then(|| all_highlights(input, &views, median, progress));
     for pixel in views.iter_mut().flat_map(|v| &mut v.pixels) {
         pixel.radiance *= exposure;
     }
@@ -79,9 +109,7 @@ pub fn learn(
         input.irradiance.width,
         texels.iter().map(|e| (*e * exposure).to_array()).collect(),
     );
-    let training = Training {
-        views: &views,
-        highlights: &highlights,
+    let hybrid = Hybrid {
         irradiance: &irradiance,
         reflector: Reflector {
             tracer: &surface.tracer,
@@ -89,11 +117,134 @@ pub fn learn(
             corrected: options.corrects(Correction::W1),
         },
         exposure,
+        independent: options.corrects(Correction::W2),
+        loss: Loss::Absolute,
+    };
+    let Some(highlights) = highlights else {
+        views.iter_mut().for_each(PixelGrid::find_contrasts);
+        return learn_compared(input, options, &views, hybrid, sides, progress);
+    };
+    let training = Training {
+        views: &views,
+        highlights: &highlights,
+        hybrid,
         ceilings: &classes_named(surface, "ceiling"),
         options,
         seed: input.seed,
     };
-    optimise(&training, sides, progress)
+    let learned = optimise(&training, sides, progress);
+    LearnedMaterials {
+        albedo: learned.albedo.plane(|a| Vec3::from(*a)),
+        roughness: learned.roughness.plane(|r| r[0]),
+        rays: learned.rays,
+    }
+}
+
+/// Trains a compared system and reads its materials off at the texels of the albedo's size.
+fn learn_compared(
+    input: &PublishedInput,
+    options: &PublishedOptions,
+    views: &[PixelGrid],
+    hybrid: Hybrid<'_>,
+    sides: Sides,
+    progress: &Progress,
+) -> LearnedMaterials {
+    let (lo, hi) = input.surface.scene.mesh.bounds();
+    let (place, handicapped) = (Place::of_box(lo, hi), options.handicapped);
+    let seed = hash_u64(input.seed, 0x9ee5);
+    let mut hybrid = Hybrid {
+        // the comparison's NVDIFFREC squares (method §8)
+        loss: if handicapped && options.strategy == PublishedStrategy::Nvdiffrec {
+            Loss::Squared
+        } else {
+            Loss::Absolute
+        },
+        ..hybrid
+    };
+    let mut own;
+    let light: &mut dyn Lighting = if options.strategy == PublishedStrategy::NeilfStar {
+        own = IncidentLight::new(place, Loss::Absolute, handicapped, hash_u64(seed, 1));
+        &mut own
+    } else {
+        &mut hybrid
+    };
+    let mut strategy: Box<dyn Strategy> = match options.strategy {
+        PublishedStrategy::Invrender => Box::new(InvRender::new(place, handicapped, seed)),
+        PublishedStrategy::Nvdiffrec => Box::new(NvDiffRec::new(place, handicapped, seed)),
+        _ => Box::new(Neilf::new(place, handicapped, seed)),
+    };
+    let mut compared = Compared {
+        views,
+        strategy: strategy.as_mut(),
+        light,
+        visit: visit(options),
+        now: Moment::default(),
+        rays: 0,
+    };
+    let steps = u64::from(options.epochs) * views.len() as u64;
+    let key = |epoch| hash_u64(seed, hash_u64(2, u64::from(epoch)));
+    progress.stage("materials", steps, |p| {
+        descend(&mut compared, options.epochs, views.len(), key, p);
+    });
+    let rays = compared.rays;
+    progress.stage("materials at texels", 1, |_| {
+        read_off(strategy.as_mut(), input.surface, sides.albedo, rays)
+    })
+}
+
+/// What a visit looks at: batches of some pixels, or, in the paper's comparison, a whole view.
+fn visit(options: &PublishedOptions) -> Visit {
+    /// Pixels of a step: InvRender's own; fewer than NeILF's 8,192, for more steps in as much time
+    /// (derived: a step costs in proportion).
+    const BATCH: usize = 1024;
+    Visit {
+        pixels: options.visit_pixels,
+        batch: if options.handicapped {
+            options.visit_pixels
+        } else {
+            BATCH
+        },
+    }
+}
+
+/// Materials of the texels of an atlas of `side`².
+fn read_off(
+    strategy: &mut dyn Strategy,
+    surface: &Surface,
+    side: usize,
+    rays: u64,
+) -> LearnedMaterials {
+    let texels = Texels::rasterize(&surface.scene.mesh, side, side);
+    let points: Vec<Pixel> = (0..texels.len())
+        .map(|i| texel_pixel(surface, &texels, i))
+        .collect();
+    let materials = strategy.materials(&points);
+    let covered = texels.scatter(&vec![true; texels.len()], false);
+    let albedo: Vec<Vec3> = materials.iter().map(|m: &Material| m.albedo).collect();
+    let roughness: Vec<f32> = materials.iter().map(|m| m.roughness).collect();
+    LearnedMaterials {
+        albedo: fill_uncovered(&texels.scatter(&albedo, Vec3::ZERO), &covered),
+        roughness: fill_uncovered(&texels.scatter(&roughness, 0.0), &covered),
+        rays,
+    }
+}
+
+/// A texel's place on the surface, as a pixel that shows nothing.
+fn texel_pixel(surface: &Surface, texels: &Texels, i: usize) -> Pixel {
+    let (mesh, point) = (&surface.scene.mesh, texels.point[i]);
+    let (normal, _) = surface.normals(point.triangle as usize, point.u, point.v);
+    Pixel {
+        position: texels.position(mesh, i),
+        normal,
+        to_camera: normal,
+        uv: mesh.uv(point.triangle as usize, point.u, point.v),
+        footprint: 0.0,
+        radiance: Vec3::ZERO,
+        contrast: 0.0,
+        class: 0,
+        room: 0,
+        cell: 0,
+    }
 }
 
 /// Which pixels of every view are virtual highlights.
@@ -116,12 +267,22 @@ fn all_highlights(
         corrected: false,
     };
     let eroded = classes_named(surface, "floor");
-    let of = |grid: &PixelGrid| {
-        let found = virtual_highlights(mirror, grid, &eroded);
-        progress.advance(1);
-        found
-    };
-    views.iter().map(of).collect()
+    let highlights: Vec<Vec<bool>> =
+        progress.stage("virtual highlights", views.len() as u64, |p| {
+            let of = |grid: &PixelGrid| {
+                let found = virtual_highlights(mirror, grid, &eroded);
+                p.advance(1);
+                found
+            };
+            views.iter().map(of).collect()
+        });
+    let lit: usize = highlights.iter().flatten().filter(|l| **l).count();
+    let all: usize = views.iter().map(|v| v.pixels.len()).sum();
+    progress.note(format!(
+        "{:.2} % of the training pixels are virtual highlights",
+        100.0 * lit as f64 / all.max(1) as f64
+    ));
+    highlights
 }
 
 /// Classes whose name contains a word.

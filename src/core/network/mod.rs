@@ -22,26 +22,42 @@ pub const BLOCK: usize = 128;
 /// Parts of a batch with a gradient of their own: more would be larger than the batch.
 const PARTS: usize = 16;
 
+/// What [`sum_gradient`] gathers.
+pub struct Summed<T> {
+    /// Sum over all samples.
+    pub gradient: Vec<f32>,
+    /// What the blocks answered, in their order.
+    pub values: Vec<T>,
+}
+
 /// Sums the gradient of `parameters` numbers over `samples`: `add` sees blocks of at most
 /// [`BLOCK`] samples.
 #[must_use]
-pub fn sum_gradient(
+pub fn sum_gradient<T: Send>(
     parameters: usize,
     samples: usize,
-    add: impl Fn(Range<usize>, &mut [f32]) + Sync + Send,
-) -> Vec<f32> {
+    add: impl Fn(Range<usize>, &mut [f32]) -> Vec<T> + Sync + Send,
+) -> Summed<T> {
     let part = samples.div_ceil(PARTS).max(BLOCK);
     let parts = map_chunks(samples, part, |range| {
-        let mut gradient = vec![0.0; parameters];
+        let mut of_part = Summed {
+            gradient: vec![0.0; parameters],
+            values: Vec::new(),
+        };
         for start in range.clone().step_by(BLOCK) {
-            add(start..(start + BLOCK).min(range.end), &mut gradient);
+            let block = start..(start + BLOCK).min(range.end);
+            of_part.values.extend(add(block, &mut of_part.gradient));
         }
-        gradient
+        of_part
     });
-    let mut parts = parts.into_iter();
-    let mut sum = parts.next().unwrap_or_else(|| vec![0.0; parameters]);
+    let mut sum = Summed {
+        gradient: vec![0.0; parameters],
+        values: Vec::with_capacity(samples),
+    };
     for part in parts {
-        sum.iter_mut().zip(&part).for_each(|(s, g)| *s += g);
+        let pairs = sum.gradient.iter_mut().zip(&part.gradient);
+        pairs.for_each(|(s, g)| *s += g);
+        sum.values.extend(part.values);
     }
     sum
 }
