@@ -34,7 +34,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ),
     (
         "published",
-        &["gbuffer", "observed", "radiance", "vocabulary"],
+        &["gbuffer", "observed", "radiance", "lights", "vocabulary"],
     ),
     ("alignment", &["scene", "gbuffer", "vocabulary"]),
     (

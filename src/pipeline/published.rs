@@ -78,7 +78,9 @@ pub(super) fn reconstruct_as_published(
         albedo: learned.albedo,
         roughness: learned.roughness,
         // the published method knows no emission: lamps are albedo above 1
-        emission: Plane::filled(sides.albedo, sides.albedo, Vec3::ZERO),
+        emission: learned
+            .emission
+            .unwrap_or_else(|| Plane::filled(sides.albedo, sides.albedo, Vec3::ZERO)),
         confidence: Plane::filled(sides.albedo, sides.albedo, Vec2::splat(UNKNOWN)),
         irradiance_error: Some(texels.scatter(&baked.error, 0.0)),
         camera_masks: surface.camera_masks.clone(),

@@ -249,6 +249,24 @@ impl<const C: usize> LearnedTexture<C> {
         self.texture.rebuild();
     }
 
+    /// Adds to a texel at full resolution.
+    #[cfg(test)]
+    pub fn nudge(&mut self, i: usize, by: f32) {
+        let texel = &mut self.texture.levels[0].texels[i];
+        *texel = texel.map(|t| t + by);
+    }
+
+    /// The gradient at full resolution of the texels that are `chosen`, channel by channel.
+    #[cfg(test)]
+    pub fn gradient_where(&mut self, chosen: impl Fn(usize) -> bool) -> Vec<f32> {
+        self.gather();
+        let chosen = self.gradient[0]
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| chosen(*i));
+        chosen.flat_map(|(_, g)| *g).collect()
+    }
+
     /// The learned values as a plane.
     #[must_use]
     pub fn plane<T: Clone>(&self, value: impl Fn(&[f32; C]) -> T) -> Plane<T> {

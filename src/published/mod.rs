@@ -9,7 +9,8 @@
 //!
 //! Beside it the systems that the paper compares with, under the same light: each is a
 //! [`strategy::Strategy`] of its own (`invrender`, `nvdiffrec`, `neilf`), and NeILF's own light a
-//! [`strategy::Lighting`] (`incident_light`).
+//! [`strategy::Lighting`] (`incident_light`); texture-space differentiable path tracing (`tsdr`)
+//! needs no light texture but that of lamps.
 
 mod descent;
 mod hybrid;
@@ -20,12 +21,14 @@ mod lobe;
 mod neilf;
 mod nvdiffrec;
 mod options;
+mod paths;
 mod pixels;
 mod place;
 mod reflection;
 mod stages;
 mod strategy;
 mod tbl;
+mod tsdr;
 
 pub use options::{
     Correction, PublishedOptions, PublishedStage, PublishedStrategy, PublishedValues,
@@ -38,6 +41,7 @@ use crate::core::image::{Plane, RgbPlane};
 use crate::core::progress::Progress;
 use crate::core::sampling::hash_u64;
 use crate::core::texture::{Texels, fill_uncovered};
+use crate::lights::Emitters;
 use crate::observed::Surface;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use descent::descend;
@@ -48,15 +52,21 @@ use invrender::InvRender;
 use learned_texture::MipTexture;
 use neilf::Neilf;
 use nvdiffrec::NvDiffRec;
+use paths::PathScene;
 use pixels::{Pixel, PixelGrid, training_pixels};
 use place::Place;
 use reflection::{Reflector, virtual_highlights};
 use stages::{Training, optimise};
 use strategy::{Compared, Lighting, Loss, Moment, Strategy, Visit};
+use tsdr::Tsdr;
 
 /// Median luminance to which the published scenes are exposed: ln(1 + x) of the losses depends on
 /// it (derived: method §7.1 multiplies by 2⁵, which brings its rooms near this).
 const MEDIAN: f32 = 0.5;
+
+/// Every so many texels tell the light sampler what they see of lamps: a few thousand of a draft's
+/// do (derived: it learns by cells of a metre).
+const PROBE_STEP: usize = 16;
 
 /// What the published method starts from.
 pub struct PublishedInput<'a> {
@@ -80,6 +90,8 @@ pub struct LearnedMaterials {
     pub albedo: RgbPlane,
     /// Roughness R.
     pub roughness: Plane<f32>,
+    /// Emitted radiance, where it is learned.
+    pub emission: Option<RgbPlane>,
     /// Rays traced.
     pub rays: u64,
 }
@@ -96,6 +108,9 @@ pub fn learn(
     let median = tbl::median_luminance(surface);
     // a power of two, as the published exposures are
     let exposure = (MEDIAN / median).log2().round().exp2();
+    if options.strategy == PublishedStrategy::Tsdr {
+        return learn_by_paths(input, options, [median, exposure], sides, progress);
+    }
     let mut views = progress.stage("training pixels", 1, |_| {
         training_pixels(surface, input.rooms)
     });
@@ -136,6 +151,7 @@ pub fn learn(
     LearnedMaterials {
         albedo: learned.albedo.plane(|a| Vec3::from(*a)),
         roughness: learned.roughness.plane(|r| r[0]),
+        emission: None,
         rays: learned.rays,
     }
 }
@@ -192,6 +208,81 @@ fn learn_compared(
     })
 }
 
+/// Differentiable path tracing from the lamps of the light texture.
+fn learn_by_paths(
+    input: &PublishedInput,
+    options: &PublishedOptions,
+    [median, exposure]: [f32; 2],
+    sides: Sides,
+    progress: &Progress,
+) -> LearnedMaterials {
+    let (surface, mesh) = (input.surface, &input.surface.scene.mesh);
+    let lit = tbl::lights_only(input.tbl, median);
+    let mut shining = vec![false; mesh.triangles.len()];
+    let texels = &surface.texels;
+    for i in (0..texels.len()).filter(|&i| texels.interior[i]) {
+        let light = lit.data[texels.cell[i] as usize];
+        shining[texels.point[i].triangle as usize] |= light != Vec3::ZERO;
+    }
+    let emissive: Vec<bool> = texels
+        .point
+        .iter()
+        .map(|p| shining[p.triangle as usize])
+        .collect();
+    let lamps = LightField::new(
+        mesh,
+        &surface.orientation,
+        SurfaceRadiance {
+            radiance: lit.map(|l| *l * exposure),
+            emissive: texels.scatter(&emissive, false),
+            emissive_triangles: &shining,
+            back: Vec::new(),
+        },
+        Environment::black(),
+    );
+    let probes: Vec<(Vec3, Vec3)> = (0..texels.len())
+        .step_by(PROBE_STEP)
+        .map(|i| {
+            let point = texels.point[i];
+            let (_, face) = surface.normals(point.triangle as usize, point.u, point.v);
+            (texels.position(mesh, i), face)
+        })
+        .collect();
+    let scene = PathScene {
+        mesh,
+        orientation: &surface.orientation,
+        tracer: &surface.tracer,
+        lamps: &lamps,
+        emitters: &Emitters::new(mesh, &lamps, &surface.tracer, &probes),
+        offset: surface.offset,
+    };
+    let mut tsdr = Tsdr::new(surface, scene, exposure, options.visit_pixels, sides);
+    let (epochs, views) = (options.epochs, surface.views.len());
+    let key = |epoch| hash_u64(input.seed, hash_u64(0x75d, u64::from(epoch)));
+    let steps = u64::from(epochs) * views as u64;
+    progress.stage("differentiable paths", steps, |p| {
+        descend(&mut tsdr, epochs, views, key, p);
+    });
+    let gain = tsdr.textures.gain.plane(|g| Vec3::from(*g));
+    let own = Texels::rasterize(mesh, gain.width, gain.height);
+    let emitted: Vec<Vec3> = (0..own.len())
+        .map(|i| {
+            let (p, t) = (own.point[i], own.point[i].triangle as usize);
+            if shining[t] {
+                gain.data[own.cell[i] as usize] * lamps.emitted(t, p.u, p.v) / exposure
+            } else {
+                Vec3::ZERO
+            }
+        })
+        .collect();
+    LearnedMaterials {
+        albedo: tsdr.textures.albedo.plane(|a| Vec3::from(*a)),
+        roughness: tsdr.textures.roughness.plane(|r| r[0]),
+        emission: Some(own.scatter(&emitted, Vec3::ZERO)),
+        rays: tsdr.rays(),
+    }
+}
+
 /// What a visit looks at: batches of some pixels, or, in the paper's comparison, a whole view.
 fn visit(options: &PublishedOptions) -> Visit {
     /// Pixels of a step: InvRender's own; fewer than NeILF's 8,192, for more steps in as much time
@@ -225,6 +316,7 @@ fn read_off(
     LearnedMaterials {
         albedo: fill_uncovered(&texels.scatter(&albedo, Vec3::ZERO), &covered),
         roughness: fill_uncovered(&texels.scatter(&roughness, 0.0), &covered),
+        emission: None,
         rays,
     }
 }

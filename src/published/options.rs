@@ -95,6 +95,8 @@ pub enum PublishedStrategy {
     Neilf,
     /// NeILF with its own light, learned instead of traced.
     NeilfStar,
+    /// Texture-space differentiable path tracing.
+    Tsdr,
 }
 
 impl PublishedStrategy {
@@ -107,6 +109,8 @@ impl PublishedStrategy {
             },
             Self::Invrender | Self::Nvdiffrec => 101,
             Self::Neilf | Self::NeilfStar => 51,
+            // no number is at hand: TexIR's three stages
+            Self::Tsdr => 120,
         }
     }
 }
@@ -170,9 +174,11 @@ impl PublishedOptions {
             return Some("--visit-pixels 0: must be at least 1".to_owned());
         }
         let texir = self.strategy == PublishedStrategy::Texir;
-        if texir && self.handicapped {
+        if (texir || self.strategy == PublishedStrategy::Tsdr) && self.handicapped {
             return Some(
-                "--handicapped is for compared systems: name one, as --strategy neilf".to_owned(),
+                "--handicapped is for systems that the paper's authors ran: --strategy invrender, \
+                 nvdiffrec, neilf or neilf-star"
+                    .to_owned(),
             );
         }
         let stages = self.stages != PublishedStage::ALL;
