@@ -222,6 +222,10 @@ pub struct SolveRequest {
     /// Run a compared system with the faults of the paper's comparison (docs/method.md, 7.2).
     #[arg(long)]
     pub handicapped: bool,
+    /// Set ceilings and lamps to the values that the paper gives them on synthetic scenes before it
+    /// scores.
+    #[arg(long)]
+    pub post_process: bool,
     /// Pixels that a compared system looks at in each visit of a view [default: 8192].
     #[arg(long, value_name = "N")]
     pub visit_pixels: Option<usize>,
@@ -248,6 +252,7 @@ impl SolveRequest {
         PublishedOptions {
             strategy,
             handicapped: self.handicapped,
+            post_process: self.post_process,
             visit_pixels: self.visit_pixels.unwrap_or(values.visit_pixels),
             epochs: self.epochs.unwrap_or(values.epochs),
             corrections: self.correct.clone(),

@@ -18,10 +18,10 @@ use std::f32::consts::{FRAC_1_PI, TAU};
 use std::ops::Range;
 
 /// Octaves of the direction's encoding, and the layer before which the position enters (cited:
-/// method §8).
+/// method §7.2).
 const OCTAVES: usize = 6;
 const JOIN: usize = 4;
-/// Directions of a pixel: the authors', and the comparison's (cited: method §8).
+/// Directions of a pixel: the authors', and the comparison's (cited: method §7.2).
 const DIRECTIONS: [usize; 2] = [128, 32];
 /// Directions that run through the network together.
 const COLUMNS: usize = 1024;
@@ -233,7 +233,7 @@ mod tests {
 
     #[test]
     fn slopes_by_light_and_materials_are_those_of_the_loss() {
-        let (points, _) = test_points(12);
+        let (points, _) = test_points(12, 1.0);
         let mut made = materials(12);
         let mut light = IncidentLight::new(Place::of_points(&points), Loss::Squared, true, 5);
         let key = hash_u64(3, 0x11f);

@@ -15,7 +15,7 @@ use crate::core::sampling::{KeyedRng, hash_u64};
 use glam::Vec3;
 use nalgebra::DMatrix;
 
-/// Octaves of the encoding, numbers of a code (cited: method §8, as are all constants here).
+/// Octaves of the encoding, numbers of a code (cited: method §7.2, as are all constants here).
 const OCTAVES: usize = 10;
 const CODE: usize = 32;
 /// ρ, the mean that the parts of a code are drawn to.
@@ -175,8 +175,9 @@ mod tests {
 
     #[test]
     fn slopes_are_those_of_materials_and_regularisers() {
-        let (points, slopes) = test_points(40);
-        for handicapped in [false, true] {
+        // with the fit to photographs, and the regularisers alone
+        for (handicapped, fit) in [(false, 1.0), (true, 1.0), (false, 0.0), (true, 0.0)] {
+            let (points, slopes) = test_points(40, fit);
             let mut peer = InvRender::new(Place::of_points(&points), handicapped, 3);
             let key = 9;
             let objective = |peer: &mut InvRender| -> f64 {

@@ -45,7 +45,7 @@ use crate::lights::Emitters;
 use crate::observed::Surface;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use descent::descend;
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use hybrid::Hybrid;
 use incident_light::IncidentLight;
 use invrender::InvRender;
@@ -57,6 +57,7 @@ use pixels::{Pixel, PixelGrid, training_pixels};
 use place::Place;
 use reflection::{Reflector, virtual_highlights};
 use stages::{Training, optimise};
+use std::collections::BTreeMap;
 use strategy::{Compared, Lighting, Loss, Moment, Strategy, Visit};
 use tsdr::Tsdr;
 
@@ -96,9 +97,59 @@ pub struct LearnedMaterials {
     pub rays: u64,
 }
 
+/// What the paper makes of surfaces on synthetic scenes before it scores (cited: method §7.1).
+const CEILING: Material = Material {
+    albedo: Vec3::splat(0.9),
+    roughness: 0.8,
+};
+const LAMP: Material = Material {
+    albedo: Vec3::splat(0.8),
+    roughness: 1.0,
+};
+
 /// Learns materials from what the views show.
 #[must_use]
 pub fn learn(
+    input: &PublishedInput,
+    options: &PublishedOptions,
+    sides: Sides,
+    progress: &Progress,
+) -> LearnedMaterials {
+    let mut learned = learn_unprocessed(input, options, sides, progress);
+    if options.post_process {
+        let surface = input.surface;
+        let lamps = surface.scene.classes.iter().filter(|c| c.is_light);
+        let mut set = BTreeMap::new();
+        set.extend(lamps.map(|c| (c.id, LAMP)));
+        set.extend(
+            classes_named(surface, "ceiling")
+                .iter()
+                .map(|c| (*c, CEILING)),
+        );
+        let labels = surface.texels.scatter(&surface.labels, 0);
+        let set_at = |i: usize, side: usize| {
+            let texel = Vec2::new((i % side) as f32 + 0.5, (i / side) as f32 + 0.5);
+            let label = labels.nearest(texel * (labels.width as f32 / side as f32));
+            set.get(label).copied()
+        };
+        set_materials(&mut learned, set_at);
+    }
+    learned
+}
+
+/// Sets texels to materials, where `at(texel, side of the texture)` has one.
+fn set_materials(learned: &mut LearnedMaterials, at: impl Fn(usize, usize) -> Option<Material>) {
+    let side = learned.albedo.width;
+    for (i, albedo) in learned.albedo.data.iter_mut().enumerate() {
+        *albedo = at(i, side).map_or(*albedo, |m| m.albedo);
+    }
+    let side = learned.roughness.width;
+    for (i, roughness) in learned.roughness.data.iter_mut().enumerate() {
+        *roughness = at(i, side).map_or(*roughness, |m| m.roughness);
+    }
+}
+
+fn learn_unprocessed(
     input: &PublishedInput,
     options: &PublishedOptions,
     sides: Sides,
@@ -169,7 +220,7 @@ fn learn_compared(
     let (place, handicapped) = (Place::of_box(lo, hi), options.handicapped);
     let seed = hash_u64(input.seed, 0x9ee5);
     let mut hybrid = Hybrid {
-        // the comparison's NVDIFFREC squares (method §8)
+        // the comparison's NVDIFFREC squares (method §7.2)
         loss: if handicapped && options.strategy == PublishedStrategy::Nvdiffrec {
             Loss::Squared
         } else {
@@ -384,4 +435,26 @@ fn classes_named(surface: &Surface, word: &str) -> Vec<u16> {
         .filter(|c| c.name.to_lowercase().contains(word))
         .map(|c| c.id)
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn materials_are_set_where_there_are_some_on_textures_of_any_size() {
+        let mut learned = LearnedMaterials {
+            albedo: Plane::filled(2, 2, Vec3::splat(0.1)),
+            roughness: Plane::filled(4, 4, 0.1),
+            emission: None,
+            rays: 0,
+        };
+        // the lower half is ceiling
+        set_materials(&mut learned, |i, side| {
+            (i / side >= side / 2).then_some(CEILING)
+        });
+        let albedo: Vec<f32> = learned.albedo.data.iter().map(|a| a.x).collect();
+        assert_eq!(albedo, [0.1, 0.1, 0.9, 0.9]);
+        assert_eq!(learned.roughness.data[7..9], [0.1, 0.8]);
+    }
 }

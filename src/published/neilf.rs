@@ -18,7 +18,7 @@ use glam::Vec3;
 use nalgebra::DMatrix;
 use std::f32::consts::{FRAC_PI_2, TAU};
 
-/// Octaves of the encoding, and the layer before which it enters again (cited: method §8).
+/// Octaves of the encoding, and the layer before which it enters again (cited: method §7.2).
 const OCTAVES: usize = 6;
 const JOIN: usize = 4;
 /// Frequency of the sines (cited: Sitzmann et al. 2020, Sec. 3.2).
@@ -26,12 +26,12 @@ pub(super) const OMEGA: f32 = 30.0;
 /// R = 0.01 + 0.99 s: [0, 1] as published, and no mirror that rays could not sample.
 const ROUGHNESS: [f32; 2] = [0.01, 0.99];
 /// Weights of the Lambertian prior, own (its release's, there for metals) and in the comparison;
-/// and of smoothness (cited: method §8).
+/// and of smoothness (cited: method §7.2).
 const LAMBERTIAN: [f32; 2] = [5e-3, 5e-4];
 const SMOOTHNESS: f32 = 5e-4;
 /// Step of ∇R, of the scene's half size: 1 cm in a room of 10 m (derived).
 const STEP: f32 = 2e-3;
-/// Step of Adam, and its factor from the comparison's epoch on (cited: method §8, 0.2 twice).
+/// Step of Adam, and its factor from the comparison's epoch on (cited: method §7.2, 0.2 twice).
 const RATE: f32 = 2e-3;
 const DROP: f32 = 0.04;
 const DROP_EPOCH: u32 = 20;
@@ -171,8 +171,9 @@ mod tests {
 
     #[test]
     fn slopes_are_those_of_materials_and_regularisers() {
-        let (points, slopes) = test_points(30);
-        for handicapped in [false, true] {
+        // with the fit to photographs, and the regularisers alone
+        for (handicapped, fit) in [(false, 1.0), (true, 1.0), (false, 0.0), (true, 0.0)] {
+            let (points, slopes) = test_points(30, fit);
             let mut peer = Neilf::new(Place::of_points(&points), handicapped, 3);
             let key = 4;
             let objective = |peer: &mut Neilf| -> f64 {

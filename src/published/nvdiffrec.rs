@@ -13,18 +13,18 @@ use glam::Vec3;
 use nalgebra::DMatrix;
 use std::ops::Range;
 
-/// The grid: levels, cells along the axes of the coarsest and finest, entries (cited: method §8).
+/// The grid: levels, cells along the axes of the coarsest and finest, entries (cited: method §7.2).
 const LEVELS: usize = 16;
 const CELLS: [u32; 2] = [16, 4096];
 const ENTRIES: usize = 1 << 19;
-/// R = 0.01 + 0.99 s (cited: method §8).
+/// R = 0.01 + 0.99 s (cited: method §7.2).
 const ROUGHNESS: [f32; 2] = [0.01, 0.99];
-/// Weight of smoothness, deviation of ξ in metres (cited: method §8).
+/// Weight of smoothness, deviation of ξ in metres (cited: method §7.2).
 const SMOOTHNESS: f32 = 0.03;
 const JITTER: f32 = 0.01;
-/// Steps until smoothness counts in full: the authors' trainer, and the comparison (method §8).
+/// Steps until smoothness counts in full: the authors' trainer, and the comparison (method §7.2).
 const FADE: [f32; 2] = [500.0, 100.0];
-/// Step of Adam; it grows over so many steps and then decays by a factor each (cited: method §8).
+/// Step of Adam; it grows over so many steps and then decays by a factor each (cited: method §7.2).
 const RATE: f32 = 1e-2;
 const WARM_UP: f32 = 100.0;
 const DECAY_EXPONENT: f32 = -2e-4;
@@ -212,7 +212,14 @@ mod tests {
 
     #[test]
     fn slopes_are_those_of_materials_and_smoothness() {
-        let (points, slopes) = test_points(40);
+        // with the fit to photographs, and smoothness alone
+        for fit in [1.0, 0.0] {
+            check_slopes(fit);
+        }
+    }
+
+    fn check_slopes(fit: f32) {
+        let (points, slopes) = test_points(40, fit);
         let mut peer = NvDiffRec::new(Place::of_points(&points), false, 3);
         // features as large as training makes them
         for f in peer.grid.parameters_mut() {

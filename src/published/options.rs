@@ -100,7 +100,7 @@ pub enum PublishedStrategy {
 }
 
 impl PublishedStrategy {
-    /// Epochs of the comparison (cited: method §8; TexIR's are those of its values).
+    /// Epochs of the comparison (cited: method §7.2; TexIR's are those of its values).
     fn epochs(self, values: PublishedValues) -> u32 {
         match self {
             Self::Texir => match values {
@@ -125,6 +125,8 @@ pub struct PublishedOptions {
     pub strategy: PublishedStrategy,
     /// Whether a compared system has the faults that TexIR's authors gave it (method §7.2).
     pub handicapped: bool,
+    /// Whether ceilings and lamps are set to the values of supplement, Sec. C.1.
+    pub post_process: bool,
     /// Epochs, of each of the three stages where there are stages.
     pub epochs: u32,
     /// Pixels that a compared system looks at in each visit of a view.
@@ -135,7 +137,7 @@ pub struct PublishedOptions {
     pub stages: Vec<PublishedStage>,
 }
 
-/// Pixels of a visit. Derived: 8,192 are a step of NeILF's authors (method §8).
+/// Pixels of a visit. Derived: 8,192 are a step of NeILF's authors (method §7.2).
 const VISIT_PIXELS: usize = 8192;
 /// Most epochs of a stage that may be asked for.
 const MOST_EPOCHS: u32 = 10_000;
@@ -148,6 +150,7 @@ impl PublishedOptions {
             values,
             strategy,
             handicapped: false,
+            post_process: false,
             epochs: strategy.epochs(values),
             visit_pixels: VISIT_PIXELS,
             corrections: Vec::new(),

@@ -11,6 +11,7 @@ use super::learned_texture::{LearnedTexture, Taps};
 use crate::core::brdf::{Material, specular_d_roughness};
 use crate::core::geometry::Mesh;
 use crate::core::sampling::{KeyedRng, hash_u64};
+use crate::core::texture::SurfacePoint;
 use crate::core::trace::{Hit, Ray, Tracer};
 use crate::gbuffer::Orientation;
 use crate::lights::{Emitters, LightModel, LightSampler};
@@ -52,12 +53,8 @@ pub struct Textures {
 /// A surface point as a camera sees it.
 #[derive(Clone, Copy, Debug)]
 pub struct Look {
-    /// Triangle and barycentrics.
-    pub triangle: u32,
-    /// Of corner 1.
-    pub u: f32,
-    /// Of corner 2.
-    pub v: f32,
+    /// Where.
+    pub place: SurfacePoint,
     /// Unit direction to the camera.
     pub to_camera: Vec3,
     /// What the photograph shows, in the units of the losses.
@@ -221,13 +218,19 @@ impl Path {
 /// A path that grows: where it stands.
 struct Tip {
     path: usize,
-    triangle: u32,
-    u: f32,
-    v: f32,
+    place: SurfacePoint,
     /// Unit direction to where it came from.
     view: Vec3,
     /// Share of the vertex's own light that counts.
     shine: f32,
+}
+
+/// A ray to a lamp.
+struct LampRay {
+    ray: Ray,
+    place: SurfacePoint,
+    /// Density per steradian.
+    pdf: f32,
 }
 
 /// A place on a path from which rays go out.
@@ -263,9 +266,7 @@ impl PathScene<'_> {
                 let look = &looks[path / samples];
                 Tip {
                     path,
-                    triangle: look.triangle,
-                    u: look.u,
-                    v: look.v,
+                    place: look.place,
                     view: look.to_camera,
                     shine: 1.0,
                 }
@@ -284,7 +285,8 @@ impl PathScene<'_> {
         let (mut shadows, mut shaded) = (Vec::new(), Vec::new());
         let mut choice = LightSampler::default();
         for tip in tips {
-            let (t, u, v) = (tip.triangle as usize, tip.u, tip.v);
+            let SurfacePoint { triangle, u, v } = tip.place;
+            let t = triangle as usize;
             let sign = self.orientation.sign(t);
             let normal = self.mesh.shading_normal(t, u, v) * sign;
             let face_normal = self.mesh.face_normal(t) * sign;
@@ -292,7 +294,7 @@ impl PathScene<'_> {
             let mut vertex = Vertex {
                 albedo: textures.albedo.texture().taps(uv, 0.0),
                 roughness: textures.roughness.texture().taps(uv, 0.0),
-                shine: self.shine(tip.triangle, [u, v], tip.shine, textures),
+                shine: self.shine(&tip.place, tip.shine, textures),
                 lamp: None,
                 next: None,
             };
@@ -302,12 +304,12 @@ impl PathScene<'_> {
             let mut random = || rng.next_f32();
             let picked = [random(), random()];
             let lamp = self.lamp(position, normal, picked, &mut choice);
-            if let Some((ray, place, pdf)) = lamp {
+            if let Some(LampRay { ray, place, pdf }) = lamp {
                 let direction = Vec3::from(ray.direction);
                 let other = material.pdf(normal, tip.view, direction);
                 let share = pdf * pdf / (pdf * pdf + other * other);
                 let scatter = Scatter::new([normal, tip.view, direction], pdf);
-                let shine = self.shine(place.0, [place.1, place.2], share, textures);
+                let shine = self.shine(&place, share, textures);
                 vertex.lamp = scatter.zip(shine);
                 if vertex.lamp.is_some() {
                     shadows.push(ray);
@@ -341,14 +343,14 @@ impl PathScene<'_> {
             .collect()
     }
 
-    /// A shadow ray to a point on a lamp: its triangle and barycentrics, and the density.
+    /// A shadow ray to a drawn point on a lamp.
     fn lamp(
         &self,
         from: Vec3,
         normal: Vec3,
         picked: [f32; 2],
         choice: &mut LightSampler,
-    ) -> Option<(Ray, (u32, f32, f32), f32)> {
+    ) -> Option<LampRay> {
         /// Shadow rays end this much before the lamp, as a share of their length.
         const SHORT: f32 = 1e-3;
         if self.emitters.is_empty() {
@@ -363,18 +365,17 @@ impl PathScene<'_> {
             .emitters
             .sample_point(self.mesh, model, choice, from, picked)?;
         let ray = Ray::new(from, point.direction, point.distance * (1.0 - SHORT));
-        Some((ray, point.place?, point.pdf))
+        let (triangle, u, v) = point.place?;
+        Some(LampRay {
+            ray,
+            place: SurfacePoint { triangle, u, v },
+            pdf: point.pdf,
+        })
     }
 
     /// A share of the light that a place sends out; `None` where it is no lamp.
-    fn shine(
-        &self,
-        triangle: u32,
-        [u, v]: [f32; 2],
-        share: f32,
-        textures: &Textures,
-    ) -> Option<Shine> {
-        let t = triangle as usize;
+    fn shine(&self, place: &SurfacePoint, share: f32, textures: &Textures) -> Option<Shine> {
+        let (t, u, v) = (place.triangle as usize, place.u, place.v);
         self.lamps.is_emissive(t).then(|| Shine {
             radiance: self.lamps.emitted(t, u, v) * share,
             gain: textures.gain.texture().taps(self.mesh.uv(t, u, v), 0.0),
@@ -400,9 +401,11 @@ impl PathScene<'_> {
         };
         front.then(|| Tip {
             path: from.path,
-            triangle: hit.triangle,
-            u: hit.u,
-            v: hit.v,
+            place: SurfacePoint {
+                triangle: hit.triangle,
+                u: hit.u,
+                v: hit.v,
+            },
             view: -direction,
             shine,
         })
@@ -454,7 +457,7 @@ mod tests {
         }
     }
 
-    struct Box {
+    struct Room {
         mesh: Mesh,
         orientation: Orientation,
         tracer: BruteForce,
@@ -462,7 +465,7 @@ mod tests {
         emitters: Emitters,
     }
 
-    impl Box {
+    impl Room {
         /// Of which the first `shining` triangles are lamps of radiance 2.
         fn new(shining: usize) -> Self {
             let mesh = cube();
@@ -511,9 +514,11 @@ mod tests {
                     let (u, v) = (0.1 + 0.3 * rng.next_f32(), 0.1 + 0.3 * rng.next_f32());
                     let p = self.mesh.position(i % 12, u, v);
                     Look {
-                        triangle: (i % 12) as u32,
-                        u,
-                        v,
+                        place: SurfacePoint {
+                            triangle: (i % 12) as u32,
+                            u,
+                            v,
+                        },
                         to_camera: (Vec3::splat(0.5) - p).normalize(),
                         radiance: Vec3::ZERO,
                     }
@@ -526,7 +531,7 @@ mod tests {
     /// reflects from 3 % (below F₀, by masking) to 12 % besides.
     #[test]
     fn a_furnace_is_as_bright_as_its_walls_make_it() {
-        let room = Box::new(12);
+        let room = Room::new(12);
         let textures = textures(0.3, 0.6);
         let paths = room.scene().trace(&room.looks(240), 32, &textures, 5, 0);
         let sum: f64 = paths
@@ -542,7 +547,7 @@ mod tests {
 
     #[test]
     fn lamps_are_counted_once_however_they_are_met() {
-        let room = Box::new(2);
+        let room = Room::new(2);
         let textures = textures(0.5, 0.4);
         let mean = |emitters: &Emitters| {
             let scene = PathScene {
@@ -556,7 +561,7 @@ mod tests {
                 .sum();
             sum / paths.len() as f64
         };
-        let none = Box::new(0).emitters;
+        let none = Room::new(0).emitters;
         let (both, reflection) = (mean(&room.emitters), mean(&none));
         assert!(
             (both / reflection - 1.0).abs() < 0.02,
@@ -566,7 +571,7 @@ mod tests {
 
     #[test]
     fn the_adjoint_is_the_derivative_of_the_same_paths() {
-        let room = Box::new(2);
+        let room = Room::new(2);
         let mut textures = textures(0.5, 0.4);
         let looks = room.looks(48);
         let paths = room.scene().trace(&looks, 4, &textures, 9, 0);

@@ -66,9 +66,10 @@ pub fn normal(rng: &mut KeyedRng) -> f32 {
     radius * (TAU * rng.next_f32()).cos()
 }
 
-/// Points in a box and slopes of some objective there, for gradient checks.
+/// Points in a box and slopes of some objective there, `fit` times as large as those of a mean, for
+/// gradient checks.
 #[cfg(test)]
-pub fn test_points(n: usize) -> (Vec<Pixel>, Vec<super::strategy::MaterialSlope>) {
+pub fn test_points(n: usize, fit: f32) -> (Vec<Pixel>, Vec<super::strategy::MaterialSlope>) {
     let mut rng = KeyedRng::new(11, 4);
     let mut random = move || Vec3::from_array(std::array::from_fn(|_| 2.0 * rng.next_f32() - 1.0));
     (0..n)
@@ -87,8 +88,8 @@ pub fn test_points(n: usize) -> (Vec<Pixel>, Vec<super::strategy::MaterialSlope>
                 cell: 0,
             };
             let slope = super::strategy::MaterialSlope {
-                by_albedo: random() / n as f32,
-                by_roughness: random().x / n as f32,
+                by_albedo: fit / n as f32 * random(),
+                by_roughness: fit / n as f32 * random().x,
             };
             (pixel, slope)
         })

@@ -93,9 +93,7 @@ impl<'a> Tsdr<'a> {
                 let observed = &seen[rng.below(seen.len())];
                 let camera = &observer.views[observed.view as usize].buffer.camera;
                 Some(Look {
-                    triangle: point.triangle,
-                    u: point.u,
-                    v: point.v,
+                    place: point,
                     to_camera: (camera.position - position).normalize(),
                     radiance: observed.radiance * self.exposure,
                 })
