@@ -13,9 +13,10 @@ use unbake::core::image::Plane;
 use unbake::core::progress::Progress;
 use unbake::irradiance::Estimator;
 use unbake::pipeline::{
-    Checkpoints, SolveOptions, Solved, observe, reconstruct, reconstruct_light,
+    Checkpoints, Fit, SolveOptions, Solved, observe, reconstruct, reconstruct_light,
 };
 use unbake::programs::synth::{SynthOptions, generate};
+use unbake::published::{PublishedOptions, PublishedStrategy, PublishedValues};
 use unbake::scene::{LoadOptions, Scene, Split};
 use unbake::solution::{SaveOptions, Solution};
 
@@ -280,6 +281,54 @@ fn bits_do_not_depend_on_the_number_of_threads() {
     assert_eq!(a.confidence, b.confidence);
     assert_eq!((&a.labels, &a.rooms), (&b.labels, &b.rooms));
     assert_eq!(a.mesh, b.mesh);
+}
+
+/// The systems that the paper compares with: whole solutions that learn, with the same bits on any
+/// number of threads.
+#[test]
+fn compared_systems_are_whole_solutions_with_the_same_bits_on_any_threads() {
+    let scene = load();
+    for strategy in [
+        PublishedStrategy::Invrender,
+        PublishedStrategy::Nvdiffrec,
+        PublishedStrategy::Neilf,
+        PublishedStrategy::NeilfStar,
+        PublishedStrategy::Tsdr,
+    ] {
+        let method = PublishedOptions {
+            epochs: 2,
+            visit_pixels: 300,
+            post_process: true,
+            ..PublishedOptions::new(strategy, PublishedValues::Text)
+        };
+        let options = SolveOptions {
+            albedo_size: 64,
+            roughness_size: 64,
+            irradiance_size: 64,
+            irradiance_rays: 32,
+            fit: Fit::default(),
+            published: Some(method),
+            ..SolveOptions::default()
+        };
+        let on = |threads| {
+            on_threads(threads, || {
+                reconstruct(&scene, &options, &Progress::silent())
+                    .expect("reconstructs")
+                    .solution
+            })
+        };
+        let (a, b) = (on(1), on(3));
+        sane(&a);
+        let values: std::collections::BTreeSet<u32> =
+            a.roughness.data.iter().map(|r| r.to_bits()).collect();
+        assert!(values.len() > 50, "{strategy:?} learned nothing");
+        assert!(a.albedo.data.contains(&Vec3::splat(0.9)), "the ceiling");
+        assert_eq!(a.albedo, b.albedo, "{strategy:?}");
+        assert_eq!(a.roughness, b.roughness, "{strategy:?}");
+        assert_eq!(a.emission, b.emission, "{strategy:?}");
+        let shines = a.emission.data.iter().any(|e| *e != Vec3::ZERO);
+        assert_eq!(shines, strategy == PublishedStrategy::Tsdr);
+    }
 }
 
 /// The paper's estimators and its field stand in for the default's light, less exactly.

@@ -5,11 +5,13 @@ pub mod colour;
 mod dual;
 mod frame;
 mod real;
+mod sine;
 
 pub use angle::atan2;
 pub use dual::Dual;
 pub use frame::Frame;
 pub use real::Real;
+pub use sine::fast_sin_cos;
 
 use glam::Vec3;
 
