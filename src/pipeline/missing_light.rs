@@ -368,11 +368,12 @@ mod tests {
     const SIDE: usize = 384;
     const ALBEDO: f32 = 0.6;
 
-    /// One side of the box: the radiance of its first pass, and whether its material is known,
-    /// which it then is.
+    /// One side of the box: the radiance of its first pass, whether its material is known, which it
+    /// then is, and whether views see it.
     struct Wall {
         radiance: f32,
         known: bool,
+        seen: bool,
         albedo: f32,
         roughness: f32,
     }
@@ -389,7 +390,9 @@ mod tests {
     /// The second pass in a box that its first pass found to receive π everywhere.
     fn second_pass(model: Reflectance, wall: impl Fn(usize) -> Wall + Sync) -> Vec<After> {
         let scene = box_scene();
-        let surface = unseen(&scene, SIDE);
+        let mut surface = unseen(&scene, SIDE);
+        let sides = surface.texels.point.iter().map(|p| p.triangle as usize / 2);
+        surface.fusion.views = sides.map(|w| u8::from(wall(w).seen)).collect();
         let (mesh, n) = (&scene.mesh, surface.texels.len());
         let number = |i: usize| surface.texels.point[i].triangle as usize / 2;
         let radiance = texture_of(
@@ -431,7 +434,7 @@ mod tests {
                 .collect(),
             looks: vec![1.0; n],
             specular_share: vec![0.0; n],
-            clean: vec![true; n],
+            clean: (0..n).map(|i| wall(number(i)).seen).collect(),
             footprint: vec![0.01; n],
         };
         let roughness = (0..n).map(|i| wall(number(i)).roughness).collect();
@@ -464,6 +467,7 @@ mod tests {
         let wall = |w: usize| Wall {
             radiance,
             known: known(w),
+            seen: true,
             albedo: ALBEDO,
             roughness: 0.8,
         };
@@ -499,6 +503,33 @@ mod tests {
                     "radiance {radiance}, {p}: albedo {albedo}"
                 );
             }
+        }
+    }
+
+    /// A ceiling that nobody saw, black to the first pass, sends what its class reflects of the light
+    /// that it receives.
+    #[test]
+    fn unseen_surface_sends_what_its_class_reflects() {
+        let wall = |w: usize| Wall {
+            radiance: if w == 1 { 0.0 } else { ALBEDO },
+            known: w != 1,
+            seen: w != 1,
+            albedo: ALBEDO,
+            roughness: 0.8,
+        };
+        let lobes = crate::specular::DirectionalAlbedo::new(Reflectance::Paper);
+        let specular = lobes.mean_response(0.8);
+        for After {
+            gain, place, wall, ..
+        } in second_pass(Reflectance::Paper, wall)
+        {
+            // of what the ceiling sends the floor gets a share by its form factor, at most a half
+            let least = 1.0 + specular + if wall == 0 { 0.05 * ALBEDO } else { 0.0 };
+            let most = 1.0 + specular + if wall == 1 { 2e-3 } else { ALBEDO };
+            assert!(
+                gain > least - 2e-3 && gain < most,
+                "{place}, side {wall}: {gain} within {least} and {most}"
+            );
         }
     }
 
@@ -557,6 +588,7 @@ mod tests {
         let texels = second_pass(Reflectance::Paper, |w| Wall {
             radiance: if w == 2 { RADIANCE } else { 0.0 },
             known: w == 1,
+            seen: true,
             albedo: 0.0,
             roughness: crate::core::brdf::MIN_ROUGHNESS,
         });
