@@ -138,9 +138,8 @@ impl Strategy for InvRender {
             });
             let mut by_output = smooth.clone();
             for (column, i) in by_output.as_mut_slice().chunks_mut(4).zip(range) {
-                for k in 0..3 {
-                    column[k] += slopes[i].by_albedo[k];
-                }
+                let by_albedo = slopes[i].by_albedo.to_array();
+                column.iter_mut().zip(by_albedo).for_each(|(c, s)| *c += s);
                 column[3] += ROUGHNESS[1] * slopes[i].by_roughness;
             }
             let mut by_code: DMatrix<f32> = self.decoder.backward(&decoded, by_output, of_decoder);
