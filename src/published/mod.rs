@@ -8,8 +8,8 @@
 
 //!
 //! Beside it the systems that the paper compares with, under the same light: each is a
-//! [`strategy::Strategy`] of its own (`invrender`, `nvdiffrec`, `neilf`), and NeILF's own light a
-//! [`strategy::Lighting`] (`incident_light`); texture-space differentiable path tracing (`tsdr`)
+//! `strategy::Strategy` of its own (`invrender`, `nvdiffrec`, `neilf`), and NeILF's own light a
+//! `strategy::Lighting` (`incident_light`); texture-space differentiable path tracing (`tsdr`)
 //! needs no light texture but that of lamps.
 
 mod descent;
