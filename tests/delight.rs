@@ -1,38 +1,20 @@
 //! A scan without photographs: the radiance of a synthetic room laid on its mesh as a texture, and
 //! what `delight` makes of it beside the truth.
 
+mod common;
+
+use common::apartment::{SIDE, small_textures, write_apartment};
 use glam::Vec3;
 use std::path::Path;
 use unbake::core::formats;
 use unbake::core::image::RgbPlane;
 use unbake::core::progress::Progress;
-use unbake::pipeline::{SolveOptions, Solved, delight, reconstruct};
-use unbake::programs::synth::{SynthOptions, generate};
+use unbake::pipeline::{Solved, delight, reconstruct};
 use unbake::scene::{LoadOptions, Scan, ScanOptions, Scene};
 use unbake::verdict::Level;
 
-const SIDE: usize = 256;
-
-fn options() -> SolveOptions {
-    SolveOptions {
-        albedo_size: SIDE,
-        roughness_size: SIDE,
-        irradiance_size: 128,
-        ..SolveOptions::default()
-    }
-}
-
 fn room(folder: &Path) -> Scene {
-    let options = SynthOptions {
-        rooms: 1,
-        views: 6,
-        test_views: 1,
-        width: 192,
-        spp: 6,
-        texture: SIDE,
-        ..SynthOptions::default()
-    };
-    generate(&options, folder, &Progress::silent()).expect("generates");
+    write_apartment(folder);
     Scene::load(folder, &LoadOptions::default()).expect("usable")
 }
 
@@ -42,7 +24,7 @@ fn delighted(mesh: &Path, texture: &Path) -> Solved {
         up: None,
     };
     let scan = Scan::load(mesh, &scan, &LoadOptions::default()).expect("usable");
-    delight(&scan, &options(), &Progress::silent()).expect("light taken out")
+    delight(&scan, &small_textures(), &Progress::silent()).expect("light taken out")
 }
 
 /// Median error of the albedo over the texels that photographs see, and the share of them within two
@@ -73,7 +55,7 @@ fn albedo_comes_out_of_the_radiance_texture_and_is_less_sure_than_from_photograp
     let dir = tempfile::tempdir().expect("folder");
     let folder = dir.path().join("scene");
     let scene = room(&folder);
-    let solved = reconstruct(&scene, &options(), &Progress::silent()).expect("solved");
+    let solved = reconstruct(&scene, &small_textures(), &Progress::silent()).expect("solved");
     let truth = formats::read_rgb(folder.join("gt/albedo_texture.exr")).expect("truth");
     let (linear, mesh) = (dir.path().join("radiance.exr"), folder.join("mesh.glb"));
     formats::write_rgb_half(&linear, &solved.solution.radiance).expect("texture");

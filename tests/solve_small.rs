@@ -2,6 +2,7 @@
 
 mod common;
 
+use common::apartment::{SIDE, small_textures, write_apartment};
 use glam::{DVec3, Vec3};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -15,12 +16,9 @@ use unbake::irradiance::Estimator;
 use unbake::pipeline::{
     Checkpoints, Fit, SolveOptions, Solved, observe, reconstruct, reconstruct_light,
 };
-use unbake::programs::synth::{SynthOptions, generate};
 use unbake::published::{PublishedOptions, PublishedStrategy, PublishedValues};
 use unbake::scene::{LoadOptions, Scene, Split};
 use unbake::solution::{SaveOptions, Solution};
-
-const SIDE: usize = 256;
 
 /// The apartment, made once per run of this file's tests.
 fn apartment() -> &'static Path {
@@ -29,16 +27,7 @@ fn apartment() -> &'static Path {
         .get_or_init(|| {
             let dir = tempfile::tempdir().expect("temporary folder");
             let folder = dir.path().join("scene");
-            let options = SynthOptions {
-                rooms: 1,
-                views: 6,
-                test_views: 1,
-                width: 192,
-                spp: 6,
-                texture: SIDE,
-                ..SynthOptions::default()
-            };
-            generate(&options, &folder, &Progress::silent()).expect("generates");
+            write_apartment(&folder);
             (dir, folder)
         })
         .1
@@ -48,18 +37,9 @@ fn load() -> Scene {
     Scene::load(apartment(), &LoadOptions::default()).expect("usable")
 }
 
-fn options() -> SolveOptions {
-    SolveOptions {
-        albedo_size: SIDE,
-        roughness_size: SIDE,
-        irradiance_size: 128,
-        ..SolveOptions::default()
-    }
-}
-
 /// Reconstructs and checks what must hold whatever the scene is.
 fn solve(scene: &Scene) -> Solved {
-    let solved = reconstruct(scene, &options(), &Progress::silent()).expect("reconstructs");
+    let solved = reconstruct(scene, &small_textures(), &Progress::silent()).expect("reconstructs");
     sane(&solved.solution);
     solved
 }
@@ -231,7 +211,7 @@ fn unseen_texels_send_out_no_more_than_they_receive() {
         albedo_size: 2 * SIDE,
         irradiance_size: 2 * SIDE,
         irradiance_rays: 64,
-        ..options()
+        ..small_textures()
     };
     let surface = observe(&scene, &options, &Progress::silent()).expect("observed");
     let light = reconstruct_light(&surface, &options, &Progress::silent());
@@ -355,13 +335,13 @@ fn other_estimators_of_irradiance_are_whole_solutions() {
     let with = |irradiance_estimator| {
         off(&SolveOptions {
             irradiance_estimator,
-            ..options()
+            ..small_textures()
         })
     };
     let (uniform, cosine) = (with(Estimator::Uniform), with(Estimator::Cosine));
     let field = off(&SolveOptions {
         nirf: Some(2),
-        ..options()
+        ..small_textures()
     });
     assert!(
         cosine < 0.15 && uniform < 0.3 && field.is_finite(),
@@ -461,7 +441,7 @@ fn scale_and_place_do_not_change_materials() {
             emitter_samples: 256,
             irradiance_size: 64,
             seed,
-            ..options()
+            ..small_textures()
         };
         let solution = reconstruct(&scene, &o, &Progress::silent())
             .expect("reconstructs")
@@ -534,7 +514,7 @@ fn a_stopped_run_goes_on_with_the_same_bits() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let o = SolveOptions {
         checkpoints: Checkpoints::new(dir.path(), "run"),
-        ..options()
+        ..small_textures()
     };
     let scene = load();
     for _ in 0..2 {
@@ -620,7 +600,7 @@ fn without_labels_and_with_one_class() {
     assert!(segments.len() > 5, "{} segments", segments.len());
     let apart = SolveOptions {
         segments: unbake::pipeline::Switch::Off,
-        ..options()
+        ..small_textures()
     };
     let alike = reconstruct(&scene, &apart, &Progress::silent())
         .expect("solved")
@@ -742,7 +722,7 @@ fn black_photographs_are_refused() {
         .views
         .iter_mut()
         .for_each(|v| v.image_path = path.clone());
-    let e = reconstruct(&scene, &options(), &Progress::silent()).map(|_| ());
+    let e = reconstruct(&scene, &small_textures(), &Progress::silent()).map(|_| ());
     let e = e.expect_err("no light to reconstruct from");
     assert!(
         e.exit_code() == 2 && e.to_string().contains("every training image is black"),
@@ -770,7 +750,7 @@ fn a_pixel_that_is_no_number_is_refused_or_ignored_on_request() {
         .find(|v| v.split == Split::Train)
         .expect("one");
     view.image_path = path.clone();
-    let Err(error) = reconstruct(&scene, &options(), &Progress::silent()) else {
+    let Err(error) = reconstruct(&scene, &small_textures(), &Progress::silent()) else {
         panic!("accepted NaN")
     };
     let text = error.to_string();
@@ -797,7 +777,7 @@ fn texture_sizes_from_nothing_to_one() {
         |o: &mut SolveOptions| o.irradiance_error = f32::NAN,
         |o: &mut SolveOptions| o.irradiance_rays = u32::MAX,
     ] {
-        let mut o = options();
+        let mut o = small_textures();
         change(&mut o);
         let refused = reconstruct(&scene, &o, &Progress::silent());
         assert!(matches!(refused, Err(Error::Usage(_))), "{o:?}");
@@ -806,7 +786,7 @@ fn texture_sizes_from_nothing_to_one() {
         albedo_size: 1,
         roughness_size: 1,
         irradiance_size: 1,
-        ..options()
+        ..small_textures()
     };
     sane(
         &reconstruct(&scene, &one, &Progress::silent())
@@ -817,7 +797,7 @@ fn texture_sizes_from_nothing_to_one() {
         albedo_size: 61,
         roughness_size: 7,
         irradiance_size: 3,
-        ..options()
+        ..small_textures()
     };
     sane(
         &reconstruct(&scene, &odd, &Progress::silent())

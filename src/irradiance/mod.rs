@@ -17,7 +17,7 @@ pub use adaptive::{SampleBudget, bake_surface};
 pub use bake::bake_irradiance;
 pub(crate) use estimate::spread;
 pub use estimate::{Bake, Estimator, Irradiance, IrradianceOptions, Receiver, SUB_ESTIMATES};
-pub use next_bounce::{Glossy, Matte, NextBounce, Onward};
+pub use next_bounce::{Glossy, NextBounce};
 pub use nirf::{Nirf, NirfCost, NirfOptions, train_nirf};
 pub use surface_filter::SurfaceFilter;
 pub use surfel_grid::Surfel;

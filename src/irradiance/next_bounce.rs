@@ -11,15 +11,6 @@ use crate::core::trace::{Hit, Ray};
 use crate::specular::{Levels, Reflector, ShadingPoint};
 use glam::Vec3;
 
-/// A surface from which rays go on.
-#[derive(Clone, Copy, Debug)]
-pub enum Onward {
-    /// One with a narrow lobe: what it mirrors.
-    Mirror(Glossy),
-    /// A matte one of unknown light.
-    Scatter(Matte),
-}
-
 /// A glossy surface point.
 #[derive(Clone, Copy, Debug)]
 pub struct Glossy {
@@ -31,21 +22,15 @@ pub struct Glossy {
     pub roughness: f32,
 }
 
-/// A matte surface point.
-#[derive(Clone, Copy, Debug)]
-pub struct Matte {
-    /// Unit geometric normal on the side that the ray meets.
-    pub face_normal: Vec3,
-    /// Albedo, [0, 1] per channel.
-    pub albedo: Vec3,
-}
-
 /// The surfaces from which rays go on, in the light that `reflector` looks at.
 pub struct NextBounce<'a> {
     /// How a lobe's radiance is estimated.
     pub reflector: Reflector<'a>,
-    /// What a ray meets; `None` where the field holds all that is sent.
-    pub surface: &'a (dyn Fn(&Ray, &Hit) -> Option<Onward> + Sync),
+    /// The lobe that a hit from the lit side meets; `None` where the field holds all that is sent.
+    pub mirror: &'a (dyn Fn(&Hit) -> Option<Glossy> + Sync),
+    /// Albedo, [0, 1] per channel, of a triangle's far side; `None` where the field holds what it
+    /// sends.
+    pub scatter: &'a (dyn Fn(usize) -> Option<Vec3> + Sync),
     /// Of so many rays that meet lobes one goes on, for all of them; at least 1.
     pub one_in: u32,
 }
@@ -114,43 +99,42 @@ impl Bounces {
         self.ray.clear();
         self.scattered.clear();
         self.from.clear();
+        let lit = bounce.reflector.lit;
         let found = rays.iter().zip(hits).enumerate();
         for (k, (r, hit)) in found.filter(|(_, (_, hit))| hit.is_hit()) {
-            let Some(onward) = (bounce.surface)(r, hit) else {
-                continue;
-            };
+            let direction = Vec3::from_array(r.direction);
+            let normal = lit.field.outward_normal(hit.triangle as usize);
+            let along = normal.dot(direction);
             // the same whatever else is in the batch
             let key = hash_u64(bits(r.origin), bits(r.direction));
-            let direction = Vec3::from_array(r.direction);
             let position = Vec3::from_array(r.origin) + direction * hit.t;
-            match onward {
-                Onward::Mirror(g) => {
-                    let chosen = key.is_multiple_of(u64::from(bounce.one_in));
-                    if !chosen || g.face_normal.dot(direction) >= 0.0 {
-                        continue;
-                    }
-                    self.gazes.push(ShadingPoint {
-                        position,
-                        normal: g.normal,
-                        face_normal: g.face_normal,
-                        view: -direction,
-                        key,
-                        turn: 0,
-                    });
-                    self.roughness.push(g.roughness);
-                    self.ray.push(k as u32);
-                }
-                Onward::Scatter(m) => {
-                    let mut rng = KeyedRng::new(bounce.reflector.seed, key);
-                    let u = [rng.next_f32(), rng.next_f32()];
-                    let frame = Frame::from_normal(m.face_normal);
-                    self.scattered.push(Ray::new(
-                        position + m.face_normal * bounce.reflector.lit.offset,
-                        frame.world_from_local(square_to_cosine_hemisphere(u)),
-                        f32::INFINITY,
-                    ));
-                    self.from.push((k as u32, m.albedo));
-                }
+            if along < 0.0 && key.is_multiple_of(u64::from(bounce.one_in)) {
+                let Some(g) = (bounce.mirror)(hit) else {
+                    continue;
+                };
+                self.gazes.push(ShadingPoint {
+                    position,
+                    normal: g.normal,
+                    face_normal: g.face_normal,
+                    view: -direction,
+                    key,
+                    turn: 0,
+                });
+                self.roughness.push(g.roughness);
+                self.ray.push(k as u32);
+            } else if along > 0.0 {
+                let Some(albedo) = (bounce.scatter)(hit.triangle as usize) else {
+                    continue;
+                };
+                let mut rng = KeyedRng::new(bounce.reflector.seed, key);
+                let u = [rng.next_f32(), rng.next_f32()];
+                let frame = Frame::from_normal(-normal);
+                self.scattered.push(Ray::new(
+                    position - normal * lit.offset,
+                    frame.world_from_local(square_to_cosine_hemisphere(u)),
+                    f32::INFINITY,
+                ));
+                self.from.push((k as u32, albedo));
             }
         }
     }

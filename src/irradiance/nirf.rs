@@ -8,7 +8,8 @@
 //! E).
 
 use super::{Bake, Estimator, IrradianceOptions, Receiver, bake_irradiance};
-use crate::core::network::{Activation, Adam, BLOCK, Mlp, Shape, encode, encoded_size};
+use crate::core::math::sign;
+use crate::core::network::{Activation, Adam, BLOCK, Mlp, Shape, encoded, encoded_size};
 use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
 use crate::core::sampling::{Discrete, KeyedRng, square_to_triangle};
@@ -90,19 +91,6 @@ pub struct Nirf {
     network: Mlp,
 }
 
-/// The encoded positions of a batch, a column each.
-fn encoded(positions: &[Vec3]) -> DMatrix<f32> {
-    let mut x = DMatrix::zeros(encoded_size(OCTAVES), positions.len());
-    for (column, p) in x
-        .as_mut_slice()
-        .chunks_mut(encoded_size(OCTAVES))
-        .zip(positions)
-    {
-        encode(*p, column);
-    }
-    x
-}
-
 impl Nirf {
     /// A field with random weights and no bias.
     #[must_use]
@@ -129,7 +117,10 @@ impl Nirf {
                 .iter()
                 .map(|(p, n)| *p + *n * HEIGHT)
                 .collect();
-            let y = self.network.forward(&encoded(&positions)).output;
+            let y = self
+                .network
+                .forward(&encoded(positions.into_iter(), OCTAVES))
+                .output;
             y.column_iter()
                 .map(|y| Vec3::new(y[0], y[1], y[2]).exp() - Vec3::ONE)
                 .collect::<Vec<Vec3>>()
@@ -140,15 +131,15 @@ impl Nirf {
     /// Loss of a batch (mean |log(1+E) − y| over samples and channels) and its slopes.
     fn slopes(&self, positions: &[Vec3], targets: &[Vec3]) -> (f64, Vec<f32>) {
         let count = 3.0 * positions.len() as f32;
-        let x = encoded(positions);
+        let x = encoded(positions.iter().copied(), OCTAVES);
         let trace = self.network.forward(&x);
         let off = DMatrix::from_fn(3, targets.len(), |c, b| {
             trace.output[(c, b)] - targets[b][c].ln_1p()
         });
         let loss = off.iter().map(|d| f64::from(d.abs())).sum::<f64>() / f64::from(count);
-        let sign = |d: f32| if d == 0.0 { 0.0 } else { d.signum() / count };
         let mut slopes = vec![0.0; self.network.parameters().len()];
-        self.network.backward(&trace, off.map(sign), &mut slopes);
+        self.network
+            .backward(&trace, off.map(|d| sign(d) / count), &mut slopes);
         (loss, slopes)
     }
 }
@@ -269,6 +260,7 @@ pub fn train_nirf(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::network::slope_along;
 
     fn positions(n: usize) -> Vec<Vec3> {
         let mut rng = KeyedRng::new(3, 1);
@@ -285,18 +277,12 @@ mod tests {
         let far = [Vec3::splat(500.0), Vec3::splat(-0.999)];
         let targets: Vec<Vec3> = (0..BATCH).map(|i| far[i % 2]).collect();
         let (_, slopes) = field.slopes(&p, &targets);
-        let size: f32 = slopes.iter().map(|s| s * s).sum();
-        let h = 1e-3 / size.sqrt();
-        let mut moved = |step: f32| {
+        let ratio = slope_along(&slopes, 1e-3, |step| {
             let values = field.network.parameters_mut().iter_mut();
             values.zip(&slopes).for_each(|(v, s)| *v += step * s);
             field.slopes(&p, &targets).0
-        };
-        let central = (moved(h) - moved(-2.0 * h)) / f64::from(2.0 * h);
-        assert!(
-            (central / f64::from(size) - 1.0).abs() < 0.01,
-            "{central} {size}"
-        );
+        });
+        assert!((ratio - 1.0).abs() < 0.01, "{ratio}");
     }
 
     #[test]

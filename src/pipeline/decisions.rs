@@ -159,7 +159,7 @@ impl Supported {
 fn workload(observer: &Observer, supported: &Supported, options: &SolveOptions) -> Workload {
     let mesh = observer.mesh;
     let covered: f64 = (0..mesh.triangles.len())
-        .map(|t| atlas_area(mesh, t))
+        .map(|t| f64::from(mesh.chart_area(t)))
         .filter(|a| a.is_finite())
         .sum();
     let pixels: usize = observer.views.iter().map(|v| v.radiance.data.len()).sum();
@@ -196,11 +196,6 @@ fn report_pixels(observer: &Observer) -> f64 {
         w * h * (768.0 / w).min(1.0).powi(2)
     };
     observer.views.iter().take(6).map(pixels).sum()
-}
-
-fn atlas_area(mesh: &Mesh, t: usize) -> f64 {
-    let [a, b, c] = mesh.corner_uvs(t);
-    0.5 * f64::from((b - a).perp_dot(c - a).abs())
 }
 
 /// Side of a texture whose texels are as small as the sharpest clean look at them on a share
@@ -260,7 +255,7 @@ fn required_resolution(
         .filter(|o| o.clean)
         .map(|o| o.footprint)
         .fold(f32::INFINITY, f32::min);
-    let metres = (f64::from(mesh.area(t)) / atlas_area(mesh, t)).sqrt();
+    let metres = (f64::from(mesh.area(t)) / f64::from(mesh.chart_area(t))).sqrt();
     (sharpest.is_finite() && sharpest > 0.0 && metres.is_finite())
         .then(|| metres / f64::from(sharpest))
 }

@@ -13,6 +13,7 @@ use super::settle::{Estimated, settle};
 use super::solved::Solved;
 use super::{Fit, Light, Roughness, SolveOptions, fit_roughness, reconstruct_light};
 use crate::Result;
+use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::highlight::Evidence;
@@ -82,9 +83,8 @@ fn choose_sizes(scan: &Scan, options: &SolveOptions, progress: &Progress) -> Tex
     let mesh = &scan.scene.mesh;
     let (mut own, mut charts) = (0.0f64, 0.0f64);
     for t in 0..mesh.triangles.len() {
-        let [a, b, c] = mesh.corner_uvs(t);
         own += f64::from(scan.colours.texels_of(t));
-        charts += 0.5 * f64::from((b - a).perp_dot(c - a).abs());
+        charts += f64::from(mesh.chart_area(t));
     }
     let side = (own / charts.max(f64::MIN_POSITIVE)).sqrt();
     let supported = ((side / STEP as f64).ceil().clamp(1.0, 256.0) as usize) * STEP;
@@ -112,9 +112,8 @@ fn choose_sizes(scan: &Scan, options: &SolveOptions, progress: &Progress) -> Tex
 
 /// What is against a result without photographs.
 fn doubts(surface: &Surface, holes: f32, progress: &Progress) -> Vec<Doubt> {
-    let (mut clipped, mut known) = (surface.clipped.len() as f64, 0.0f64);
-    known += surface.fusion.views.iter().filter(|v| **v > 0).count() as f64;
-    clipped /= known.max(1.0);
+    let known = surface.fusion.views.iter().filter(|v| **v > 0).count();
+    let clipped = surface.clipped.len() as f64 / known.max(1) as f64;
     let mut doubts = vec![
         Doubt {
             what: "no photographs: roughness is not known, and gloss that the texture shows counts as paint".into(),
@@ -125,26 +124,26 @@ fn doubts(surface: &Surface, holes: f32, progress: &Progress) -> Vec<Doubt> {
             relative: UNCONFIRMED,
         },
     ];
-    if surface.encoded {
-        let what = format!(
-            "the scan's colours were made for a screen: their tone curve is not known, and {:.1} % of the surface is at their ceiling, lamps and windows above all, whose light is a lower bound",
-            100.0 * clipped
-        );
-        progress.note(&what);
-        doubts.push(Doubt {
-            what,
+    let at_ceiling = if surface.encoded {
+        Some(Doubt {
+            what: format!(
+                "the scan's colours were made for a screen: their tone curve is not known, and {:.1} % of the surface is at their ceiling, lamps and windows above all, whose light is a lower bound",
+                100.0 * clipped
+            ),
             relative: TONE_CURVE,
-        });
-    } else if clipped > 0.0 {
-        let what = format!(
-            "{:.1} % of the surface is at the texture's ceiling: its light is a lower bound",
-            100.0 * clipped
-        );
-        progress.note(&what);
-        doubts.push(Doubt {
-            what,
+        })
+    } else {
+        (clipped > 0.0).then(|| Doubt {
+            what: format!(
+                "{:.1} % of the surface is at the texture's ceiling: its light is a lower bound",
+                100.0 * clipped
+            ),
             relative: clipped.sqrt(),
-        });
+        })
+    };
+    if let Some(doubt) = at_ceiling {
+        progress.note(&doubt.what);
+        doubts.push(doubt);
     }
     if holes > 0.0 && surface.ambient != Vec3::ZERO {
         doubts.push(Doubt {
@@ -176,7 +175,7 @@ fn albedo_of_colours(surface: &Surface, light: &Light, roughness: &Roughness) ->
     let found: Vec<Option<(Vec3, f32)>> = (0..texels.len()).into_par_iter().map(of).collect();
     let value = |f: &Option<(Vec3, f32)>| f.map_or(Vec3::ZERO, |f| f.0);
     let error = |f: &Option<(Vec3, f32)>| match f {
-        Some((value, _)) => ONE_LOOK * crate::core::math::luminance(*value),
+        Some((value, _)) => ONE_LOOK * luminance(*value),
         None => f32::INFINITY,
     };
     let mut albedo = AlbedoEstimate {

@@ -19,13 +19,13 @@ use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
-use crate::core::stats::median;
+use crate::core::stats::median_colours;
 use crate::core::texture::Texels;
-use crate::core::trace::{Hit, Ray};
+use crate::core::trace::Hit;
 use crate::inverse::{AlbedoEstimate, TexelReflectance};
 use crate::irradiance::{
-    Bake, Estimator, Glossy, Irradiance, IrradianceOptions, Matte, NextBounce, Onward,
-    SurfaceFilter, bake_irradiance,
+    Bake, Estimator, Glossy, Irradiance, IrradianceOptions, NextBounce, SurfaceFilter,
+    bake_irradiance,
 };
 use crate::observed::Surface;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
@@ -157,20 +157,14 @@ struct UsualAlbedo {
 
 impl UsualAlbedo {
     fn of(surface: &Surface, light: &Light, albedo: &AlbedoEstimate) -> Self {
-        let mut members: BTreeMap<u16, [Vec<f32>; 3]> = BTreeMap::new();
-        for i in (0..surface.texels.len())
-            .filter(|&i| albedo.clean[i] && is_known(surface, light, albedo, i))
-        {
-            let class = members.entry(surface.labels[i]).or_default();
-            for (c, values) in class.iter_mut().enumerate() {
-                values.push(albedo.value[i][c].clamp(0.0, 1.0));
-            }
-        }
-        let usual = |v: [Vec<f32>; 3]| {
-            Vec3::from_array(v.map(|values| median(values).unwrap_or(UNKNOWN_ALBEDO)))
+        let known = (0..surface.texels.len())
+            .filter(|&i| albedo.clean[i] && is_known(surface, light, albedo, i));
+        let shown = |i: usize| {
+            let value = albedo.value[i].to_array().map(|v| v.clamp(0.0, 1.0));
+            (surface.labels[i], Vec3::from_array(value))
         };
         Self {
-            by_class: members.into_iter().map(|(k, v)| (k, usual(v))).collect(),
+            by_class: median_colours(known.map(shown)),
         }
     }
 
@@ -224,7 +218,8 @@ impl Gathering<'_> {
                 model: self.model,
                 seed: seed ^ 4,
             },
-            surface: &|ray, hit| self.onward(ray, hit),
+            mirror: &|hit| self.glossy(hit),
+            scatter: &|t| self.far_side(t),
             one_in: ONE_IN,
         };
         let bake = Bake {
@@ -235,20 +230,9 @@ impl Gathering<'_> {
         bake_irradiance(&bake, self.coarse.len(), receiver, &options, progress)
     }
 
-    /// The surface at a hit if the field does not hold what it sends: a far side that nobody saw,
-    /// or a narrow lobe.
-    fn onward(&self, ray: &Ray, hit: &Hit) -> Option<Onward> {
-        let (surface, t) = (self.surface, hit.triangle as usize);
-        let normal = surface.scene.mesh.face_normal(t) * surface.orientation.sign(t);
-        if normal.dot(Vec3::from_array(ray.direction)) <= 0.0 {
-            return self.glossy(hit).map(Onward::Mirror);
-        }
-        (surface.back[t] == Vec3::ZERO).then(|| {
-            Onward::Scatter(Matte {
-                face_normal: -normal,
-                albedo: self.far_sides[t],
-            })
-        })
+    /// The albedo of triangle `t`'s far side, if nobody saw that.
+    fn far_side(&self, t: usize) -> Option<Vec3> {
+        (self.surface.back[t] == Vec3::ZERO).then_some(self.far_sides[t])
     }
 
     /// The narrow lobe at a hit, if there is one.

@@ -8,9 +8,7 @@ use super::place::Place;
 use super::strategy::{Lighting, Loss, MaterialSlope, Moment};
 use crate::core::brdf::{Material, specular_d_roughness};
 use crate::core::math::Frame;
-use crate::core::network::{
-    Activation, Adam, Join, Mlp, Shape, encode, encoded_size, sum_gradient,
-};
+use crate::core::network::{Activation, Join, Learner, Shape, encode, encoded_size, sum_gradient};
 use crate::core::sampling::{KeyedRng, hash_u64};
 use glam::Vec3;
 use nalgebra::DMatrix;
@@ -29,9 +27,7 @@ const COLUMNS: usize = 1024;
 /// A light field that is learned.
 pub struct IncidentLight {
     place: Place,
-    network: Mlp,
-    adam: Adam,
-    gradient: Vec<f32>,
+    learner: Learner,
     directions: usize,
     loss: Loss,
     handicapped: bool,
@@ -64,12 +60,9 @@ impl IncidentLight {
             }),
             biased: true,
         };
-        let network = Mlp::new(&shape, seed);
         Self {
             place,
-            adam: Adam::new(network.parameters().len()),
-            gradient: vec![0.0; network.parameters().len()],
-            network,
+            learner: Learner::new(&shape, seed),
             directions: DIRECTIONS[usize::from(handicapped)],
             loss,
             handicapped,
@@ -139,7 +132,7 @@ impl IncidentLight {
         gradient: &mut [f32],
     ) -> Vec<MaterialSlope> {
         let (x, local) = self.gathered(seen.pixels, range.clone(), key);
-        let trace = self.network.forward(&x);
+        let trace = self.learner.network.forward(&x);
         let mut by_light = DMatrix::zeros(3, x.ncols());
         let scale = 1.0 / (3.0 * seen.pixels.len() as f32);
         let mut out = Vec::with_capacity(range.len());
@@ -171,7 +164,7 @@ impl IncidentLight {
                 by_roughness: by_pixel.dot(slope),
             });
         }
-        self.network.backward(&trace, by_light, gradient);
+        self.learner.network.backward(&trace, by_light, gradient);
         out
     }
 }
@@ -193,23 +186,24 @@ impl Lighting for IncidentLight {
         let seen = Seen { pixels, materials };
         let together = (COLUMNS / self.directions).max(1);
         let key = hash_u64(key, 0x11f);
-        let sum = sum_gradient(self.gradient.len(), pixels.len(), |range, gradient| {
-            let mut out = Vec::with_capacity(range.len());
-            for start in range.clone().step_by(together) {
-                let few = start..(start + together).min(range.end);
-                out.extend(self.block(seen, few, key, gradient));
-            }
-            out
-        });
-        self.gradient = sum.gradient;
+        let sum = sum_gradient(
+            self.learner.gradient.len(),
+            pixels.len(),
+            |range, gradient| {
+                let mut out = Vec::with_capacity(range.len());
+                for start in range.clone().step_by(together) {
+                    let few = start..(start + together).min(range.end);
+                    out.extend(self.block(seen, few, key, gradient));
+                }
+                out
+            },
+        );
+        self.learner.gradient = sum.gradient;
         sum.values
     }
 
     fn step(&mut self, now: Moment) {
-        let rate = rate(now, self.handicapped);
-        self.adam
-            .step(self.network.parameters_mut(), &self.gradient, rate);
-        self.gradient.fill(0.0);
+        self.learner.step(rate(now, self.handicapped));
     }
 
     fn rays(&self, _: usize) -> u64 {
@@ -220,6 +214,7 @@ impl Lighting for IncidentLight {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::network::slope_along;
     use crate::published::place::test_points;
 
     fn materials(n: usize) -> Vec<Material> {
@@ -242,7 +237,7 @@ mod tests {
             let mut sum = 0.0;
             for i in 0..points.len() {
                 let (x, local) = light.gathered(&points, i..i + 1, key);
-                let radiance = light.network.forward(&x).output;
+                let radiance = light.learner.network.forward(&x).output;
                 let view =
                     Frame::from_normal(points[i].normal).local_from_world(points[i].to_camera);
                 let mut shown = Vec3::ZERO;
@@ -259,20 +254,12 @@ mod tests {
             sum
         };
         let slopes = light.compare(&points, &made, 3);
-        let gradient = light.gradient.clone();
-        let size: f32 = gradient.iter().map(|g| g * g).sum();
-        let h = 1e-3 / size.sqrt();
-        let mut moved = |step: f32| {
-            let values = light.network.parameters_mut().iter_mut();
-            values.zip(&gradient).for_each(|(v, s)| *v += step * s);
+        let gradient = light.learner.gradient.clone();
+        let ratio = slope_along(&gradient, 1e-3, |step| {
+            light.learner.move_along(&gradient, step);
             objective(&light, &made)
-        };
-        let central = (moved(h) - moved(-2.0 * h)) / f64::from(2.0 * h);
-        moved(h);
-        assert!(
-            (central / f64::from(size) - 1.0).abs() < 0.03,
-            "{central} for {size}"
-        );
+        });
+        assert!((ratio - 1.0).abs() < 0.03, "{ratio}");
         let share = 1.0 / 36.0;
         for i in 0..points.len() {
             let d = 1e-2;

@@ -7,12 +7,12 @@
 
 use super::pixels::Pixel;
 use super::place::{Place, normal};
-use super::strategy::{MaterialSlope, Moment, Strategy, sign};
+use super::strategy::{MaterialSlope, Moment, Strategy, material};
 use crate::core::brdf::Material;
-use crate::core::network::{Activation, Adam, BLOCK, Mlp, Shape, encoded_size, sum_gradient};
+use crate::core::math::sign;
+use crate::core::network::{Activation, BLOCK, Learner, Shape, encoded_size, sum_gradient};
 use crate::core::parallel::map_chunks;
 use crate::core::sampling::{KeyedRng, hash_u64};
-use glam::Vec3;
 use nalgebra::DMatrix;
 
 /// Octaves of the encoding, numbers of a code (cited: method §7.2, as are all constants here).
@@ -36,11 +36,8 @@ const MARGIN: f32 = 1e-4;
 /// Sparse codes and their decoder.
 pub struct InvRender {
     place: Place,
-    encoder: Mlp,
-    decoder: Mlp,
-    adam: [Adam; 2],
-    /// Of the encoder, then of the decoder.
-    gradient: Vec<f32>,
+    encoder: Learner,
+    decoder: Learner,
     /// Mean code of the points that materials were last asked for.
     mean: Vec<f32>,
     handicapped: bool,
@@ -60,16 +57,12 @@ impl InvRender {
             join: None,
             biased: true,
         };
-        let encoder = Mlp::new(&shape(encoded_size(OCTAVES), &[512; 4], CODE), seed);
-        let decoder = Mlp::new(&shape(CODE, &[128; 2], 4), hash_u64(seed, 1));
-        let sizes = [&encoder, &decoder].map(|n| n.parameters().len());
+        let inputs = encoded_size(OCTAVES);
         Self {
             place,
-            adam: sizes.map(Adam::new),
-            gradient: vec![0.0; sizes[0] + sizes[1]],
+            encoder: Learner::new(&shape(inputs, &[512; 4], CODE), seed),
+            decoder: Learner::new(&shape(CODE, &[128; 2], 4), hash_u64(seed, 1)),
             mean: vec![SPARSE; CODE],
-            encoder,
-            decoder,
             handicapped,
         }
     }
@@ -85,22 +78,16 @@ impl InvRender {
     }
 }
 
-/// The material that four numbers in [0, 1] stand for.
-fn material(s: &[f32]) -> Material {
-    Material {
-        albedo: Vec3::new(s[0], s[1], s[2]),
-        roughness: ROUGHNESS[0] + ROUGHNESS[1] * s[3],
-    }
-}
-
 impl Strategy for InvRender {
     fn materials(&mut self, points: &[Pixel]) -> Vec<Material> {
         let parts = map_chunks(points.len(), BLOCK, |range| {
             let x = self.place.encoded(&points[range], OCTAVES);
-            let z = self.encoder.forward(&x).output;
-            let s = self.decoder.forward(&z).output;
-            let materials: Vec<Material> =
-                s.column_iter().map(|s| material(s.as_slice())).collect();
+            let z = self.encoder.network.forward(&x).output;
+            let s = self.decoder.network.forward(&z).output;
+            let materials: Vec<Material> = s
+                .column_iter()
+                .map(|s| material(s.as_slice(), 3, ROUGHNESS))
+                .collect();
             (materials, z.column_sum())
         });
         let mut mean = vec![0.0; CODE];
@@ -118,11 +105,12 @@ impl Strategy for InvRender {
     fn adjoint(&mut self, points: &[Pixel], slopes: &[MaterialSlope], _: Moment, key: u64) {
         let sparseness = self.sparseness_slopes();
         let n = points.len() as f32;
-        let encoder_size = self.encoder.parameters().len();
-        let sum = sum_gradient(self.gradient.len(), points.len(), |range, gradient| {
-            let (of_encoder, of_decoder) = gradient.split_at_mut(encoder_size);
+        let [encoder, decoder] = [&self.encoder.network, &self.decoder.network];
+        let sizes = [encoder, decoder].map(|n| n.parameters().len());
+        let sum = sum_gradient(sizes[0] + sizes[1], points.len(), |range, gradient| {
+            let (of_encoder, of_decoder) = gradient.split_at_mut(sizes[0]);
             let x = self.place.encoded(&points[range.clone()], OCTAVES);
-            let encoded = self.encoder.forward(&x);
+            let encoded = encoder.forward(&x);
             let mut moved = encoded.output.clone();
             for (column, i) in moved.as_mut_slice().chunks_mut(CODE).zip(range.clone()) {
                 let mut rng = KeyedRng::new(key, i as u64);
@@ -130,11 +118,11 @@ impl Strategy for InvRender {
                     .iter_mut()
                     .for_each(|z| *z += NOISE * normal(&mut rng));
             }
-            let decoded = self.decoder.forward(&encoded.output);
-            let neighbour = self.decoder.forward(&moved);
+            let decoded = decoder.forward(&encoded.output);
+            let neighbour = decoder.forward(&moved);
             let smooth = (&decoded.output - &neighbour.output).map(|d| {
                 let share = SMOOTHNESS / (4.0 * n);
-                share * sign(Vec3::splat(d)).x
+                share * sign(d)
             });
             let mut by_output = smooth.clone();
             for (column, i) in by_output.as_mut_slice().chunks_mut(4).zip(range) {
@@ -142,16 +130,18 @@ impl Strategy for InvRender {
                 column.iter_mut().zip(by_albedo).for_each(|(c, s)| *c += s);
                 column[3] += ROUGHNESS[1] * slopes[i].by_roughness;
             }
-            let mut by_code: DMatrix<f32> = self.decoder.backward(&decoded, by_output, of_decoder);
-            by_code += self.decoder.backward(&neighbour, -smooth, of_decoder);
+            let mut by_code: DMatrix<f32> = decoder.backward(&decoded, by_output, of_decoder);
+            by_code += decoder.backward(&neighbour, -smooth, of_decoder);
             for column in by_code.as_mut_slice().chunks_mut(CODE) {
                 let pairs = column.iter_mut().zip(&sparseness);
                 pairs.for_each(|(z, s)| *z += s / n);
             }
-            self.encoder.backward(&encoded, by_code, of_encoder);
+            encoder.backward(&encoded, by_code, of_encoder);
             Vec::<()>::new()
         });
-        self.gradient = sum.gradient;
+        let (of_encoder, of_decoder) = sum.gradient.split_at(sizes[0]);
+        self.encoder.gradient = of_encoder.to_vec();
+        self.decoder.gradient = of_decoder.to_vec();
     }
 
     fn step(&mut self, now: Moment) {
@@ -160,16 +150,15 @@ impl Strategy for InvRender {
         } else {
             RATE
         };
-        let (encoder, decoder) = self.gradient.split_at(self.encoder.parameters().len());
-        self.adam[0].step(self.encoder.parameters_mut(), encoder, rate);
-        self.adam[1].step(self.decoder.parameters_mut(), decoder, rate);
-        self.gradient.fill(0.0);
+        self.encoder.step(rate);
+        self.decoder.step(rate);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::network::slope_along;
     use crate::published::place::test_points;
 
     #[test]
@@ -183,14 +172,14 @@ mod tests {
                 let materials = peer.materials(&points);
                 let mut value: f64 = materials.iter().zip(&slopes).map(fitted).sum();
                 let x = peer.place.encoded(&points, OCTAVES);
-                let z = peer.encoder.forward(&x).output;
+                let z = peer.encoder.network.forward(&x).output;
                 let mut moved = z.clone();
                 for i in 0..points.len() {
                     let mut rng = KeyedRng::new(key, i as u64);
                     (0..CODE).for_each(|k| moved[(k, i)] += NOISE * normal(&mut rng));
                 }
-                let a = peer.decoder.forward(&z).output;
-                let b = peer.decoder.forward(&moved).output;
+                let a = peer.decoder.network.forward(&z).output;
+                let b = peer.decoder.network.forward(&moved).output;
                 let rough: f32 = a.iter().zip(b.iter()).map(|(a, b)| (a - b).abs()).sum();
                 value += f64::from(SMOOTHNESS * rough) / (4 * points.len()) as f64;
                 let kl: f64 = (0..CODE)
@@ -205,24 +194,15 @@ mod tests {
             };
             objective(&mut peer);
             peer.adjoint(&points, &slopes, Moment::default(), key);
-            let gradient = peer.gradient.clone();
-            let size: f32 = gradient.iter().map(|g| g * g).sum();
-            let h = 1e-2 / size.sqrt();
-            let mut moved = |step: f32| {
-                let (encoder, decoder) = gradient.split_at(peer.encoder.parameters().len());
-                for (network, slopes) in
-                    [(&mut peer.encoder, encoder), (&mut peer.decoder, decoder)]
-                {
-                    let values = network.parameters_mut().iter_mut();
-                    values.zip(slopes).for_each(|(v, s)| *v += step * s);
-                }
+            let [of_encoder, of_decoder] =
+                [&peer.encoder, &peer.decoder].map(|l| l.gradient.clone());
+            let gradient = [&of_encoder[..], &of_decoder].concat();
+            let ratio = slope_along(&gradient, 1e-2, |step| {
+                peer.encoder.move_along(&of_encoder, step);
+                peer.decoder.move_along(&of_decoder, step);
                 objective(&mut peer)
-            };
-            let central = (moved(h) - moved(-2.0 * h)) / f64::from(2.0 * h);
-            assert!(
-                (central / f64::from(size) - 1.0).abs() < 0.02,
-                "{central} for {size}"
-            );
+            });
+            assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
         }
     }
 

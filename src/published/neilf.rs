@@ -8,10 +8,10 @@
 
 use super::pixels::Pixel;
 use super::place::Place;
-use super::strategy::{MaterialSlope, Moment, Strategy, sign};
+use super::strategy::{MaterialSlope, Moment, Strategy, material};
 use crate::core::brdf::Material;
-use crate::core::math::Frame;
-use crate::core::network::{Activation, Adam, BLOCK, Join, Mlp, Shape, encoded_size, sum_gradient};
+use crate::core::math::{Frame, sign};
+use crate::core::network::{Activation, BLOCK, Join, Learner, Shape, encoded_size, sum_gradient};
 use crate::core::parallel::map_chunks;
 use crate::core::sampling::KeyedRng;
 use glam::Vec3;
@@ -49,9 +49,7 @@ pub(super) fn rate(now: Moment, handicapped: bool) -> f32 {
 /// A perceptron of materials.
 pub struct Neilf {
     place: Place,
-    network: Mlp,
-    adam: Adam,
-    gradient: Vec<f32>,
+    learner: Learner,
     handicapped: bool,
 }
 
@@ -73,12 +71,9 @@ impl Neilf {
             }),
             biased: true,
         };
-        let network = Mlp::new(&shape, seed);
         Self {
             place,
-            adam: Adam::new(network.parameters().len()),
-            gradient: vec![0.0; network.parameters().len()],
-            network,
+            learner: Learner::new(&shape, seed),
             handicapped,
         }
     }
@@ -109,64 +104,57 @@ impl Strategy for Neilf {
     fn materials(&mut self, points: &[Pixel]) -> Vec<Material> {
         let parts = map_chunks(points.len(), BLOCK, |range| {
             let x = self.place.encoded(&points[range], OCTAVES);
-            let output = self.network.forward(&x).output;
-            let material = |s: &[f32]| Material {
-                albedo: Vec3::new(s[0], s[1], s[2]),
-                roughness: ROUGHNESS[0] + ROUGHNESS[1] * s[self.channel()],
-            };
+            let output = self.learner.network.forward(&x).output;
+            let of = |s: &[f32]| material(s, self.channel(), ROUGHNESS);
             let columns = output.column_iter();
-            columns
-                .map(|s| material(s.as_slice()))
-                .collect::<Vec<Material>>()
+            columns.map(|s| of(s.as_slice())).collect::<Vec<Material>>()
         });
         parts.concat()
     }
 
     fn adjoint(&mut self, points: &[Pixel], slopes: &[MaterialSlope], _: Moment, key: u64) {
-        let n = points.len() as f32;
+        let (n, network) = (points.len() as f32, &self.learner.network);
         let channel = self.channel();
         let prior = LAMBERTIAN[usize::from(self.handicapped)] * ROUGHNESS[1] / n;
-        let sum = sum_gradient(self.gradient.len(), points.len(), |range, gradient| {
-            let neighbours: Vec<Pixel> = range
-                .clone()
-                .map(|i| self.neighbour(&points[i], key, i))
-                .collect();
-            let own = self
-                .network
-                .forward(&self.place.encoded(&points[range.clone()], OCTAVES));
-            let moved = self
-                .network
-                .forward(&self.place.encoded(&neighbours, OCTAVES));
-            let mut by_own = DMatrix::zeros(4, range.len());
-            let mut by_moved = DMatrix::zeros(4, range.len());
-            for (c, i) in range.enumerate() {
-                for k in 0..3 {
-                    by_own[(k, c)] = slopes[i].by_albedo[k];
+        let sum = sum_gradient(
+            self.learner.gradient.len(),
+            points.len(),
+            |range, gradient| {
+                let neighbours: Vec<Pixel> = range
+                    .clone()
+                    .map(|i| self.neighbour(&points[i], key, i))
+                    .collect();
+                let own = network.forward(&self.place.encoded(&points[range.clone()], OCTAVES));
+                let moved = network.forward(&self.place.encoded(&neighbours, OCTAVES));
+                let mut by_own = DMatrix::zeros(4, range.len());
+                let mut by_moved = DMatrix::zeros(4, range.len());
+                for (c, i) in range.enumerate() {
+                    for k in 0..3 {
+                        by_own[(k, c)] = slopes[i].by_albedo[k];
+                    }
+                    let off = own.output[(channel, c)] - moved.output[(channel, c)];
+                    let rough = smoothness(&points[i]) * ROUGHNESS[1] / n * sign(off);
+                    // R never exceeds 1, so that |R − 1| falls as R grows
+                    by_own[(channel, c)] += ROUGHNESS[1] * slopes[i].by_roughness + rough - prior;
+                    by_moved[(channel, c)] = -rough;
                 }
-                let off = own.output[(channel, c)] - moved.output[(channel, c)];
-                let rough = smoothness(&points[i]) * ROUGHNESS[1] / n * sign(Vec3::splat(off)).x;
-                // R never exceeds 1, so that |R − 1| falls as R grows
-                by_own[(channel, c)] += ROUGHNESS[1] * slopes[i].by_roughness + rough - prior;
-                by_moved[(channel, c)] = -rough;
-            }
-            self.network.backward(&own, by_own, gradient);
-            self.network.backward(&moved, by_moved, gradient);
-            Vec::<()>::new()
-        });
-        self.gradient = sum.gradient;
+                network.backward(&own, by_own, gradient);
+                network.backward(&moved, by_moved, gradient);
+                Vec::<()>::new()
+            },
+        );
+        self.learner.gradient = sum.gradient;
     }
 
     fn step(&mut self, now: Moment) {
-        let rate = rate(now, self.handicapped);
-        self.adam
-            .step(self.network.parameters_mut(), &self.gradient, rate);
-        self.gradient.fill(0.0);
+        self.learner.step(rate(now, self.handicapped));
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::network::slope_along;
     use crate::published::place::test_points;
 
     #[test]
@@ -194,20 +182,13 @@ mod tests {
                 (0..points.len()).map(value).sum()
             };
             peer.adjoint(&points, &slopes, Moment::default(), key);
-            let gradient = peer.gradient.clone();
-            let size: f32 = gradient.iter().map(|g| g * g).sum();
+            let gradient = peer.learner.gradient.clone();
             // (short: |R − R'| of neighbours has its kink within a thousandth)
-            let h = 1e-4 / size.sqrt();
-            let mut moved = |step: f32| {
-                let values = peer.network.parameters_mut().iter_mut();
-                values.zip(&gradient).for_each(|(v, s)| *v += step * s);
+            let ratio = slope_along(&gradient, 1e-4, |step| {
+                peer.learner.move_along(&gradient, step);
                 objective(&mut peer)
-            };
-            let central = (moved(h) - moved(-2.0 * h)) / f64::from(2.0 * h);
-            assert!(
-                (central / f64::from(size) - 1.0).abs() < 0.03,
-                "{central} for {size}"
-            );
+            });
+            assert!((ratio - 1.0).abs() < 0.03, "{ratio}");
         }
     }
 }

@@ -4,9 +4,12 @@
 
 use super::pixels::Pixel;
 use super::place::{Place, normal};
-use super::strategy::{MaterialSlope, Moment, Strategy, sign};
+use super::strategy::{MaterialSlope, Moment, Strategy, material};
 use crate::core::brdf::Material;
-use crate::core::network::{Activation, Adam, BLOCK, HashGrid, Mlp, Shape, Trace, sum_gradient};
+use crate::core::math::sign;
+use crate::core::network::{
+    Activation, Adam, BLOCK, HashGrid, Learner, Shape, Trace, sum_gradient,
+};
 use crate::core::parallel::map_chunks;
 use crate::core::sampling::{KeyedRng, hash_u64};
 use glam::Vec3;
@@ -33,10 +36,10 @@ const DECAY_EXPONENT: f32 = -2e-4;
 pub struct NvDiffRec {
     place: Place,
     grid: HashGrid,
-    decoder: Mlp,
-    adam: [Adam; 2],
-    /// Of the grid, and of the decoder.
-    gradient: [Vec<f32>; 2],
+    adam: Adam,
+    /// Of the grid.
+    gradient: Vec<f32>,
+    decoder: Learner,
     handicapped: bool,
 }
 
@@ -67,14 +70,13 @@ impl NvDiffRec {
             join: None,
             biased: false,
         };
-        let decoder = Mlp::new(&shape, hash_u64(seed, 1));
-        let sizes = [grid.parameters().len(), decoder.parameters().len()];
+        let size = grid.parameters().len();
         Self {
             place,
-            adam: sizes.map(Adam::new),
-            gradient: sizes.map(|n| vec![0.0; n]),
+            adam: Adam::new(size),
+            gradient: vec![0.0; size],
             grid,
-            decoder,
+            decoder: Learner::new(&shape, hash_u64(seed, 1)),
             handicapped,
         }
     }
@@ -91,7 +93,7 @@ impl NvDiffRec {
         }
         Decoded {
             places,
-            trace: self.decoder.forward(&x),
+            trace: self.decoder.network.forward(&x),
         }
     }
 
@@ -133,7 +135,7 @@ impl NvDiffRec {
         for (c, i) in range.enumerate() {
             for k in 0..3 {
                 let off = own.trace.output[(k, c)] - moved.trace.output[(k, c)];
-                let rough = share * sign(Vec3::splat(off)).x;
+                let rough = share * sign(off);
                 by_own[(k, c)] = slopes[i].by_albedo[k] + rough;
                 by_moved[(k, c)] = -rough;
             }
@@ -144,6 +146,7 @@ impl NvDiffRec {
             .map(|(at, by)| Features {
                 slopes: self
                     .decoder
+                    .network
                     .backward(&at.trace, by, gradient)
                     .as_slice()
                     .to_vec(),
@@ -171,14 +174,9 @@ impl Strategy for NvDiffRec {
     fn materials(&mut self, points: &[Pixel]) -> Vec<Material> {
         let parts = map_chunks(points.len(), BLOCK, |range| {
             let at = self.decode(points[range].iter().map(|p| p.position));
-            let material = |s: &[f32]| Material {
-                albedo: Vec3::new(s[0], s[1], s[2]),
-                roughness: ROUGHNESS[0] + ROUGHNESS[1] * s[3],
-            };
+            let of = |s: &[f32]| material(s, 3, ROUGHNESS);
             let columns = at.trace.output.column_iter();
-            columns
-                .map(|s| material(s.as_slice()))
-                .collect::<Vec<Material>>()
+            columns.map(|s| of(s.as_slice())).collect::<Vec<Material>>()
         });
         parts.concat()
     }
@@ -188,26 +186,30 @@ impl Strategy for NvDiffRec {
             key,
             weight: self.smoothness(now),
         };
-        let sum = sum_gradient(self.gradient[1].len(), points.len(), |range, gradient| {
-            self.block(points, slopes, range, jitter, gradient)
-        });
-        self.gradient[1] = sum.gradient;
+        let sum = sum_gradient(
+            self.decoder.gradient.len(),
+            points.len(),
+            |range, gradient| self.block(points, slopes, range, jitter, gradient),
+        );
+        self.decoder.gradient = sum.gradient;
         let places: Vec<Vec3> = sum.values.iter().flat_map(|f| f.places.clone()).collect();
         let by: Vec<f32> = sum.values.iter().flat_map(|f| f.slopes.clone()).collect();
-        self.grid.backward(&places, &by, &mut self.gradient[0]);
+        self.grid.backward(&places, &by, &mut self.gradient);
     }
 
     fn step(&mut self, now: Moment) {
         let rate = self.rate(now);
-        self.adam[0].sparse_step(self.grid.parameters_mut(), &self.gradient[0], rate);
-        self.adam[1].step(self.decoder.parameters_mut(), &self.gradient[1], rate);
-        self.gradient.iter_mut().for_each(|g| g.fill(0.0));
+        self.adam
+            .sparse_step(self.grid.parameters_mut(), &self.gradient, rate);
+        self.gradient.fill(0.0);
+        self.decoder.step(rate);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::network::slope_along;
     use crate::published::place::test_points;
 
     #[test]
@@ -254,24 +256,20 @@ mod tests {
         peer.adjoint(&points, &slopes, now, jitter.key);
         // of the grid and of the decoder, each alone
         for part in 0..2 {
-            let gradient = peer.gradient[part].clone();
-            let size: f32 = gradient.iter().map(|g| g * g).sum();
-            let h = 1e-2 / size.sqrt();
-            let mut moved = |step: f32| {
+            let gradient = match part {
+                0 => peer.gradient.clone(),
+                _ => peer.decoder.gradient.clone(),
+            };
+            let ratio = slope_along(&gradient, 1e-2, |step| {
                 let values = match part {
                     0 => peer.grid.parameters_mut(),
-                    _ => peer.decoder.parameters_mut(),
+                    _ => peer.decoder.network.parameters_mut(),
                 };
                 let pairs = values.iter_mut().zip(&gradient);
                 pairs.for_each(|(v, s)| *v += step * s);
                 objective(&mut peer)
-            };
-            let central = (moved(h) - moved(-2.0 * h)) / f64::from(2.0 * h);
-            moved(h);
-            assert!(
-                (central / f64::from(size) - 1.0).abs() < 0.03,
-                "part {part}: {central} for {size}"
-            );
+            });
+            assert!((ratio - 1.0).abs() < 0.03, "part {part}: {ratio}");
         }
     }
 

@@ -192,8 +192,7 @@ impl PixelReader<'_> {
         let (u, v) = mesh.barycentrics(triangle, position);
         let (normal, face_normal) = self.surface.normals(triangle, u, v);
         let uv = mesh.uv(triangle, u, v);
-        let [a, b, c] = mesh.corner_uvs(triangle);
-        let on_atlas = 0.5 * (b - a).perp_dot(c - a).abs();
+        let on_atlas = mesh.chart_area(triangle);
         let n_v = face_normal.dot(-direction).abs().max(0.02);
         let footprint = t * camera.pixel_angle(centre) / n_v.sqrt();
         let class = match &view.labels {

@@ -2,7 +2,7 @@
 //! little.
 
 use super::pixels::Pixel;
-use crate::core::network::{encode, encoded_size};
+use crate::core::network::encoded;
 use crate::core::sampling::KeyedRng;
 use glam::Vec3;
 use nalgebra::DMatrix;
@@ -41,12 +41,7 @@ impl Place {
     /// NeRF's encoding of the positions of `points`, a column each.
     #[must_use]
     pub fn encoded(&self, points: &[Pixel], octaves: usize) -> DMatrix<f32> {
-        let mut x = DMatrix::zeros(encoded_size(octaves), points.len());
-        let columns = x.as_mut_slice().chunks_mut(encoded_size(octaves));
-        for (column, p) in columns.zip(points) {
-            encode(self.normalised(p.position), column);
-        }
-        x
+        encoded(points.iter().map(|p| self.normalised(p.position)), octaves)
     }
 
     #[cfg(test)]

@@ -6,8 +6,9 @@ use super::hybrid::Hybrid;
 use super::learned_texture::{LearnedTexture, MipTexture, Taps};
 use super::options::{Correction, PublishedOptions, PublishedStage as Stage, Weights};
 use super::pixels::{Pixel, PixelGrid};
-use super::strategy::{Lighting, MaterialSlope, sign};
+use super::strategy::{Lighting, MaterialSlope};
 use crate::core::brdf::Material;
+use crate::core::math;
 use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::sampling::hash_u64;
@@ -122,7 +123,7 @@ fn pull_to_means(values: &[Vec3], groups: &[Option<u32>], given: Option<&GroupMe
     let means = given.unwrap_or(&own);
     let mut signs = GroupMeans::default();
     let sign_of = |value: &Vec3, group: &Option<u32>| {
-        group.map_or(Vec3::ZERO, |g| sign(*value - means.mean(g)))
+        group.map_or(Vec3::ZERO, |g| math::signs(*value - means.mean(g)))
     };
     if given.is_none() {
         for (value, group) in values.iter().zip(groups) {

@@ -6,6 +6,7 @@
 use super::descent::Descent;
 use super::pixels::{Pixel, PixelGrid};
 use crate::core::brdf::Material;
+use crate::core::math::signs;
 use crate::core::sampling::{KeyedRng, hash_u64};
 use glam::Vec3;
 
@@ -70,7 +71,7 @@ impl Loss {
     pub fn slope(self, predicted: Vec3, shown: Vec3) -> Vec3 {
         let inner = 1.0 / (1.0 + predicted.max(Vec3::ZERO));
         match self {
-            Self::Absolute => sign(predicted - shown) * inner,
+            Self::Absolute => signs(predicted - shown) * inner,
             Self::Squared => {
                 let ln = |v: Vec3| Vec3::from_array(v.max(Vec3::ZERO).to_array().map(f32::ln_1p));
                 2.0 * (ln(predicted) - ln(shown)) * inner
@@ -79,13 +80,14 @@ impl Loss {
     }
 }
 
-/// Sign with sgn 0 = 0.
+/// The material that a network's numbers in [0, 1] stand for: albedo by the first three, roughness
+/// by that of `channel`, within `range[0]` to `range[0] + range[1]`.
 #[must_use]
-pub fn sign(v: Vec3) -> Vec3 {
-    Vec3::from_array(
-        v.to_array()
-            .map(|x| if x == 0.0 { 0.0 } else { x.signum() }),
-    )
+pub fn material(s: &[f32], channel: usize, range: [f32; 2]) -> Material {
+    Material {
+        albedo: Vec3::new(s[0], s[1], s[2]),
+        roughness: range[0] + range[1] * s[channel],
+    }
 }
 
 /// How much of a view a visit looks at.

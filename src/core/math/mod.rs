@@ -13,6 +13,18 @@ pub use frame::Frame;
 pub use real::Real;
 pub use sine::fast_sin_cos;
 
+/// Signs of the parts.
+#[must_use]
+pub fn signs(v: glam::Vec3) -> glam::Vec3 {
+    glam::Vec3::from_array(v.to_array().map(sign))
+}
+
+/// Sign with sgn 0 = 0.
+#[must_use]
+pub fn sign(x: f32) -> f32 {
+    if x == 0.0 { 0.0 } else { x.signum() }
+}
+
 use glam::Vec3;
 
 /// Relative luminance of linear Rec. 709 RGB (ITU-R BT.709 weights).

@@ -2,6 +2,7 @@
 //! sin 2ᵏx and cos 2ᵏx.
 
 use glam::Vec3;
+use nalgebra::DMatrix;
 
 /// Numbers of a position encoded with so many octaves.
 #[must_use]
@@ -18,6 +19,17 @@ pub fn encode(p: Vec3, out: &mut [f32]) {
             (octave[axis], octave[3 + axis]) = (p[axis] * (1u32 << k) as f32).sin_cos();
         }
     }
+}
+
+/// The encodings of some positions, a column each.
+#[must_use]
+pub fn encoded(positions: impl ExactSizeIterator<Item = Vec3>, octaves: usize) -> DMatrix<f32> {
+    let mut x = DMatrix::zeros(encoded_size(octaves), positions.len());
+    let columns = x.as_mut_slice().chunks_mut(encoded_size(octaves));
+    columns
+        .zip(positions)
+        .for_each(|(column, p)| encode(p, column));
+    x
 }
 
 #[cfg(test)]

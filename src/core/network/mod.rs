@@ -6,11 +6,13 @@
 mod adam;
 mod encoding;
 mod hash_grid;
+mod learner;
 mod mlp;
 
 pub use adam::{Adam, AdamRule};
-pub use encoding::{encode, encoded_size};
+pub use encoding::{encode, encoded, encoded_size};
 pub use hash_grid::HashGrid;
+pub use learner::Learner;
 pub use mlp::{Activation, Join, Mlp, Shape, Trace};
 
 use crate::core::parallel::map_chunks;
@@ -21,6 +23,18 @@ use std::ops::Range;
 pub const BLOCK: usize = 128;
 /// Parts of a batch with a gradient of their own: more would be larger than the batch.
 const PARTS: usize = 16;
+
+/// Slope of an objective along its `gradient`, by a central difference over moves of length
+/// `length`, beside the gradient's own: 1 if that is right. `moved` moves the parameters by a
+/// multiple of the gradient and answers with the objective; they end where they were.
+#[cfg(test)]
+pub(crate) fn slope_along(gradient: &[f32], length: f32, mut moved: impl FnMut(f32) -> f64) -> f64 {
+    let size: f32 = gradient.iter().map(|g| g * g).sum();
+    let h = length / size.sqrt();
+    let central = (moved(h) - moved(-2.0 * h)) / f64::from(2.0 * h);
+    moved(h);
+    central / f64::from(size)
+}
 
 /// What [`sum_gradient`] gathers.
 pub struct Summed<T> {
