@@ -1,17 +1,19 @@
 //! Radiance of clipped lights from the shape of the shading they throw.
 //!
-//! A pixel at the sensor's ceiling is a lower bound. Lights are grouped; beyond the ceiling group k
-//! sends an unknown radiance e_k ≥ 0, whose irradiance on a surface is e_k B_k(x) (direct: the rest
-//! of the light was photographed and holds its bounces). Where the albedo ρ of a class is constant
+//! A pixel at the sensor's ceiling c is a lower bound. Lights are grouped; group k sends an unknown
+//! radiance t_k ≥ c_k, and what exceeds the ceiling, e_k = t_k − c_k, gives a surface the irradiance
+//! e_k B_k(x) (direct: the rest of the light was photographed and holds its bounces). Where the
+//! albedo ρ of a class is constant
 //!
 //! > ln L(x) = ln ρ − ln π + ln(B_0(x) + Σ_k e_k B_k(x)) + noise,
 //!
 //! so the *shape* of L against the B fixes the e_k in the known units of B_0, whatever ρ is.
-//! Unknown are φ_k = ln e_k per channel; ρ is eliminated class by class (variable projection, Golub
+//! Unknown are φ_k = ln t_k per channel; ρ is eliminated class by class (variable projection, Golub
 //! & Pereyra 1973), the residuals are weighted by Geman & McClure's function, and Gauss-Newton
 //! steps follow. A clipped reflecting surface is a row too, of which only the side counts on which
 //! L would fall below its bound. Where the shape says nothing, weak priors speak: lights of a kind
-//! are alike, no large class reflects more than nearly all, the brightest is white paint.
+//! are alike, as far as they prove to be ([`Spread`]), no large class reflects more than nearly all,
+//! the brightest is white paint.
 //!
 //! Neighbouring pieces err together (gloss, texture, the bake), so that they tell less than their
 //! number says: each class's rows are worth 1/d of what independent ones would be, d being the
@@ -34,21 +36,28 @@ const NARROW: f32 = 2.0;
 const ITERATIONS: usize = 40;
 /// Fits, each with the design effects of the one before.
 const PASSES: usize = 3;
-/// Largest step of ln e per iteration.
+/// Largest step of ln t per iteration.
 const MOST_STEP: f64 = 0.7;
 /// First guesses of excess over ceiling, and the one to begin with.
 const STEPS: [f64; 12] = [
     0.03, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0, 8.0, 16.0, 40.0, 120.0, 500.0,
 ];
 const MIDDLE: usize = 4;
-/// ln e below and above the ceiling's radiance.
-const RANGE: (f64, f64) = (-5.0, 11.0);
-/// Prior of a kind's mean ln(e/ceiling): lamps are some ten times brighter than white paint beside
+/// ln of radiance over ceiling, at least and at most.
+const RANGE: (f64, f64) = (0.01, 11.0);
+/// Prior of a kind's mean ln(t/ceiling): lamps are some ten times brighter than white paint beside
 /// them, give or take a factor of ten.
 const KIND: (f64, f64) = (2.0, 2.5);
-/// How far lights of a kind differ (ln), and in colour.
-const ALIKE: f64 = 1.0;
-const ALIKE_COLOUR: f64 = 0.15;
+/// How far lights of a kind differ as long as nothing is known of it.
+const UNLIKE: Spread = Spread {
+    level: 1.0,
+    colour: 0.15,
+};
+/// How far they usually do: worth one more light when the spread of a kind is estimated.
+const USUAL: Spread = Spread {
+    level: 0.3,
+    colour: 0.15,
+};
 /// Colour of a kind's mean against neutral (ln).
 const NEUTRAL: f64 = 0.5;
 /// No class of more than [`LARGE`] of the surface reflects more than this; softness of the bound.
@@ -93,7 +102,7 @@ pub struct LightGroup {
 pub struct ClippedFit {
     /// Excess radiance per group.
     pub excess: Vec<Vec3>,
-    /// Standard error of its logarithm (luminance) per group.
+    /// Standard error of ln radiance, the ceiling included (luminance), per group.
     pub log_error: Vec<f32>,
     /// Albedo per class; zero where no row tells.
     pub albedo: Vec<Vec3>,
@@ -110,7 +119,9 @@ pub fn fit_clipped(rows: &[ShadingRow], groups: &[LightGroup], classes: usize) -
         classes,
         share: class_shares(rows, classes),
         worth: vec![0.0; classes],
+        spread: Vec::new(),
     };
+    problem.spread = vec![UNLIKE; problem.kinds()];
     let middle = problem.guess(&vec![MIDDLE; problem.kinds()]);
     problem.worth = problem.worths(&problem.state(&middle));
     let mut phi = problem.first_guess();
@@ -123,6 +134,11 @@ pub fn fit_clipped(rows: &[ShadingRow], groups: &[LightGroup], classes: usize) -
             problem.worth = problem.worths(&problem.state(&phi));
         }
         information = problem.descend(&mut phi);
+        if let Some(covariance) = information.clone().and_then(DMatrix::try_inverse) {
+            problem.spread = (0..problem.kinds())
+                .map(|kind| problem.spread_of(kind, &phi, &covariance))
+                .collect();
+        }
     }
     problem.result(&phi, information)
 }
@@ -145,6 +161,17 @@ struct Problem<'a> {
     share: Vec<f32>,
     /// Independent rows that a unit of weight of each class is worth.
     worth: Vec<f32>,
+    /// How far the lights of each kind differ.
+    spread: Vec<Spread>,
+}
+
+/// Standard deviations of lights of a kind about its mean.
+#[derive(Clone, Copy, Debug)]
+struct Spread {
+    /// Of ln radiance, mean of the channels.
+    level: f64,
+    /// Of ln radiance of a channel against the other channels'.
+    colour: f64,
 }
 
 /// Location and spread of every class at some excess.
@@ -156,7 +183,7 @@ struct State {
     residual: Vec<Vec3>,
 }
 
-/// Normal matrix and gradient of a Gauss-Newton step for ln e and the kinds' means.
+/// Normal matrix and gradient of a Gauss-Newton step for ln t and the kinds' means.
 struct Normal {
     a: DMatrix<f64>,
     g: DVector<f64>,
@@ -228,12 +255,19 @@ impl Problem<'_> {
         self.groups.iter().map(|g| g.kind + 1).max().unwrap_or(0)
     }
 
-    /// Where ln e of group `k`, channel `c` stands; after all groups, the kinds' means.
+    /// Where ln t of group `k`, channel `c` stands; after all groups, the kinds' means.
     const fn at(k: usize, c: usize) -> usize {
         3 * k + c
     }
 
+    /// Radiance of a group beyond its ceiling.
     fn excess(&self, phi: &[f64], k: usize) -> Vec3 {
+        let beyond = self.clipped_radiance(phi, k) - self.groups[k].ceiling;
+        beyond.max(Vec3::ZERO)
+    }
+
+    /// Radiance of a group in its clipped channels; zero in the others.
+    fn clipped_radiance(&self, phi: &[f64], k: usize) -> Vec3 {
         Vec3::from_array(std::array::from_fn(|c| {
             if self.groups[k].free[c] {
                 phi[Self::at(k, c)].exp() as f32
@@ -260,7 +294,7 @@ impl Problem<'_> {
                 let step = STEPS[choice[self.groups[k].kind]];
                 (0..3).map(move |c| (k, c, step))
             })
-            .map(|(k, c, step)| (step * self.ceiling(k, c)).ln())
+            .map(|(k, c, step)| ((1.0 + step) * self.ceiling(k, c)).ln())
             .collect();
         let means: Vec<f64> = (0..choice.len())
             .flat_map(|kind| {
@@ -368,16 +402,15 @@ impl Problem<'_> {
         (if total > 0.0 { sum / total } else { centre }, spread)
     }
 
-    /// Normal matrix and gradient of a Gauss-Newton step for ln e and the kinds' means.
+    /// Normal matrix and gradient of a Gauss-Newton step for ln t and the kinds' means.
     fn normal_equations(&self, phi: &[f64], state: &State) -> Normal {
         let n = phi.len();
         let mut out = Normal {
             a: DMatrix::zeros(n, n),
             g: DVector::zeros(n),
         };
-        let excess = self.all_excess(phi);
         for c in 0..3 {
-            self.add_channel(c, &excess, state, &mut out);
+            self.add_channel(c, phi, state, &mut out);
         }
         self.add_priors(phi, &mut out);
         for k in 0..self.groups.len() {
@@ -391,8 +424,10 @@ impl Problem<'_> {
     }
 
     /// The rows of one channel.
-    fn add_channel(&self, c: usize, excess: &[Vec3], state: &State, out: &mut Normal) {
+    fn add_channel(&self, c: usize, phi: &[f64], state: &State, out: &mut Normal) {
         let k = self.groups.len();
+        let excess = self.all_excess(phi);
+        let sent: Vec<f32> = (0..k).map(|k| self.clipped_radiance(phi, k)[c]).collect();
         // shares of every group in a row's light, and the row's weight
         let shares: Vec<(Vec<f32>, f32)> = self
             .rows
@@ -404,7 +439,7 @@ impl Problem<'_> {
                     .zip(&r.basis)
                     .fold(r.base[c], |sum, (e, b)| sum + e[c] * b)
                     .max(1e-12);
-                let share = excess.iter().zip(&r.basis).map(|(x, b)| x[c] * b / e);
+                let share = sent.iter().zip(&r.basis).map(|(t, b)| t * b / e);
                 let off = *residual - state.log_albedo[r.class];
                 let spread = state.spread[r.class];
                 let counts = !r.is_bound || off[c] > 0.0;
@@ -514,14 +549,15 @@ impl Problem<'_> {
         for (k, group) in self.groups.iter().enumerate() {
             for c in 0..3 {
                 let (own, all) = (Self::at(k, c), mean_at(group.kind, c));
+                let spread = self.spread[group.kind];
                 // three channels share what is known of one light
-                term(&[(own, 1.0), (all, -1.0)], 0.0, ALIKE * 3f64.sqrt());
+                term(&[(own, 1.0), (all, -1.0)], 0.0, spread.level * 3f64.sqrt());
                 let next = (c + 1) % 3;
                 let (other, others) = (Self::at(k, next), mean_at(group.kind, next));
                 term(
                     &[(own, 1.0), (other, -1.0), (all, -1.0), (others, 1.0)],
                     0.0,
-                    ALIKE_COLOUR * 3f64.sqrt(),
+                    spread.colour * 3f64.sqrt(),
                 );
             }
         }
@@ -541,7 +577,54 @@ impl Problem<'_> {
         }
     }
 
-    /// Keeps ln e within its range about the ceiling.
+    /// How far the lights of a kind differ, as the fit has it: the expected squares of their
+    /// deviations from the kind's mean given all rows (a step of expectation maximisation, Dempster
+    /// et al. 1977), with one light more that differs as lights usually do.
+    fn spread_of(&self, kind: usize, phi: &[f64], covariance: &DMatrix<f64>) -> Spread {
+        let mean_at = |c: usize| 3 * self.groups.len() + 3 * kind + c;
+        // expected square of Σ factor · φ
+        let square = |parts: &[(usize, f64)]| {
+            let value: f64 = parts.iter().map(|(i, f)| f * phi[*i]).sum();
+            let variance: f64 = (parts.iter())
+                .flat_map(|(i, f)| parts.iter().map(move |(j, h)| f * h * covariance[(*i, *j)]))
+                .sum();
+            value * value + variance.max(0.0)
+        };
+        let (mut lights, mut level, mut colour) =
+            (1.0, USUAL.level.powi(2), USUAL.colour.powi(2));
+        for k in (0..self.groups.len()).filter(|&k| self.groups[k].kind == kind) {
+            let free: Vec<usize> = (0..3).filter(|&c| self.groups[k].free[c]).collect();
+            if free.is_empty() {
+                continue;
+            }
+            let share = 1.0 / free.len() as f64;
+            let off: Vec<(usize, f64)> = (free.iter())
+                .flat_map(|&c| [(Self::at(k, c), share), (mean_at(c), -share)])
+                .collect();
+            lights += 1.0;
+            level += square(&off);
+            colour += if free.len() == 3 {
+                let pair = |c: usize| {
+                    let next = (c + 1) % 3;
+                    [
+                        (Self::at(k, c), 1.0),
+                        (Self::at(k, next), -1.0),
+                        (mean_at(c), -1.0),
+                        (mean_at(next), 1.0),
+                    ]
+                };
+                (0..3).map(|c| square(&pair(c))).sum::<f64>() / 3.0
+            } else {
+                USUAL.colour.powi(2)
+            };
+        }
+        Spread {
+            level: (level / lights).sqrt(),
+            colour: (colour / lights).sqrt(),
+        }
+    }
+
+    /// Keeps ln t within its range about the ceiling.
     fn limit(&self, phi: &mut [f64]) {
         for k in 0..self.groups.len() {
             for c in 0..3 {

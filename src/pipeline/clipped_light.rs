@@ -110,7 +110,7 @@ pub(super) fn restore_clipped_light(
         let lights = restorer.lights(&fit);
         let looks = ClippedLooks {
             texels: restorer.restored(&fit),
-            sky: restorer.sky_excess(&fit),
+            sky: restorer.sky_radiance(&fit),
             reflected: restorer.reflected_radiance(&fit),
         };
         looks.apply(surface);
@@ -604,7 +604,8 @@ impl<'s, 'a> Restorer<'s, 'a> {
             area_light.0 += area * f64::from(luminance(self.base[i]));
             area_light.1 += area * f64::from(luminance(self.total[i]));
             for (k, g) in self.groups.iter().enumerate() {
-                of_group[k] += area * f64::from(luminance(fit.excess[k]) * g.basis[i]);
+                let sent = luminance(g.fit.ceiling + fit.excess[k]);
+                of_group[k] += area * f64::from(sent * g.basis[i]);
             }
         }
         let total = area_light.1.max(f64::MIN_POSITIVE);
@@ -689,12 +690,12 @@ impl<'s, 'a> Restorer<'s, 'a> {
             .collect()
     }
 
-    /// Excess radiance of every sector of the sky.
-    fn sky_excess(&self, fit: &ClippedFit) -> [Vec3; SECTORS] {
+    /// Radiance of the clipped sky in every sector; zero where none of it is clipped.
+    fn sky_radiance(&self, fit: &ClippedFit) -> [Vec3; SECTORS] {
         let mut out = [Vec3::ZERO; SECTORS];
         for (g, e) in self.groups.iter().zip(&fit.excess) {
             if let Some(s) = g.sector {
-                out[s] = *e;
+                out[s] = g.fit.ceiling + *e;
             }
         }
         out

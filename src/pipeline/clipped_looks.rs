@@ -42,7 +42,7 @@ pub(super) struct Restored {
 pub(super) struct ClippedLooks {
     /// The clipped texels.
     pub(super) texels: Vec<Restored>,
-    /// Radiance of the clipped sky beyond the ceiling, per sector.
+    /// Radiance of the clipped sky per sector; zero where unknown.
     pub(super) sky: [Vec3; SECTORS],
     /// What the class of every texel reflects of the light there, on the atlas; zero where that is
     /// unknown.
@@ -84,8 +84,9 @@ impl ClippedLooks {
                 let triangle = view.buffer.triangle.data[i];
                 if triangle == Hit::MISS {
                     let pixel = Vec2::new(at.0 as f32 + 0.5, at.1 as f32 + 0.5);
-                    let excess = self.sky[sector(view.buffer.camera.direction(pixel))];
-                    return (i, Some(seen + where_clipped(bits, excess)));
+                    let sky = self.sky[sector(view.buffer.camera.direction(pixel))];
+                    let whole = seen.max(where_clipped(bits, sky));
+                    return (i, by_hue(bits, seen, sky).or(Some(whole)));
                 }
                 let position = view.buffer.position(at.0, at.1);
                 let expected = surface.nearest(&self.reflected, triangle, position);
