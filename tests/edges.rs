@@ -175,6 +175,7 @@ fn bars(label_of_bars: u16, shift: Vec3) -> (f32, f32, usize) {
         specular: &specular,
         reflectance: &reflectance,
         settled: &[],
+        bounds: &[],
     }
     .solve(&mut albedo);
     assert!(report.pixels > 500 && report.misfit >= 1.0, "{report:?}");

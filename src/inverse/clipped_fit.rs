@@ -590,8 +590,7 @@ impl Problem<'_> {
                 .sum();
             value * value + variance.max(0.0)
         };
-        let (mut lights, mut level, mut colour) =
-            (1.0, USUAL.level.powi(2), USUAL.colour.powi(2));
+        let (mut lights, mut level, mut colour) = (1.0, USUAL.level.powi(2), USUAL.colour.powi(2));
         for k in (0..self.groups.len()).filter(|&k| self.groups[k].kind == kind) {
             let free: Vec<usize> = (0..3).filter(|&c| self.groups[k].free[c]).collect();
             if free.is_empty() {

@@ -58,6 +58,9 @@ pub struct MixedPixelSolver<'a> {
     pub reflectance: &'a TexelReflectance,
     /// Texels without a clean look whose albedo is known all the same, ascending.
     pub settled: &'a [u32],
+    /// Pixels of every view that are no look at the material and show at least what they show: the
+    /// sensor's ceiling. None where a view has none, or no view has.
+    pub bounds: &'a [Option<Plane<bool>>],
 }
 
 /// How many equations and unknowns there were, and how well they fit.
@@ -90,6 +93,13 @@ struct State<'a> {
     cells: Plane<u32>,
     /// Of so many pixels one is used.
     stride: usize,
+}
+
+/// What a pixel shows.
+struct Observed {
+    radiance: Vec3,
+    /// At least that.
+    is_bound: bool,
 }
 
 /// A pixel of a view.
@@ -260,6 +270,7 @@ impl MixedPixelSolver<'_> {
     /// Appends the equations of the edge pixels in row `y` of view `v`.
     fn row(&self, v: usize, y: usize, state: &State, out: &mut RobustSystem) -> u64 {
         let view = &self.observer.views[v];
+        let is_valid = |x: usize| view.valid.as_ref().is_none_or(|m| m[(x, y)]);
         // a clean pixel tells of unknowns too where a texel's look was too far off its centre to be
         // clean
         let shows_unknown = |x: usize| {
@@ -274,9 +285,11 @@ impl MixedPixelSolver<'_> {
             let texel = self.texel(&state.cells, t, u, v);
             texel != KNOWN && state.unknown[texel as usize] != KNOWN
         };
+        let bounds = self.bounds.get(v).and_then(Option::as_ref);
+        let is_bound = |x: usize| bounds.is_some_and(|b| b[(x, y)]);
         let usable = |x: usize| {
             (!view.clean[(x, y)] || shows_unknown(x))
-                && view.valid.as_ref().is_none_or(|m| m[(x, y)])
+                && (is_valid(x) || is_bound(x))
                 && view.radiance[(x, y)].is_finite()
                 && (x + 7 * y).is_multiple_of(state.stride)
         };
@@ -293,7 +306,11 @@ impl MixedPixelSolver<'_> {
                     let direction = Vec3::from_array(ray.direction);
                     self.shown(ViewPixel { v, at: (x, y) }, direction, hit, &state.cells)
                 });
-            self.equation(shown, view.radiance[(x, y)], state, out);
+            let observed = Observed {
+                radiance: view.radiance[(x, y)],
+                is_bound: is_bound(x),
+            };
+            self.equation(shown, observed, state, out);
         }
         rays.len() as u64
     }
@@ -303,7 +320,7 @@ impl MixedPixelSolver<'_> {
     fn equation(
         &self,
         shown: impl Iterator<Item = Shown>,
-        observed: Vec3,
+        observed: Observed,
         state: &State,
         out: &mut RobustSystem,
     ) {
@@ -354,12 +371,13 @@ impl MixedPixelSolver<'_> {
         }
         let mean = sum / SAMPLES as f32;
         let contrast2 = (square / SAMPLES as f32 - mean * mean).max(0.0);
-        let level = luminance(observed).max(mean);
+        let level = luminance(observed.radiance).max(mean);
         let variance =
             (MODEL_ERROR * level).powi(2) + COVERAGE_ERROR.powi(2) * contrast2 + f32::MIN_POSITIVE;
         out.pixel.push(Pixel {
-            rest: observed - known,
+            rest: observed.radiance - known,
             variance,
+            is_bound: observed.is_bound,
         });
         out.end.push(out.term.len());
     }

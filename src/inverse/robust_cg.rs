@@ -3,7 +3,7 @@
 //!
 //! Least squares over pixels and prior by conjugate gradients on the normal equations, repeated
 //! with new weights: residuals beyond the noise lose weight (Cauchy), and so does the prior where
-//! the pixels contradict it.
+//! the pixels contradict it. Pixels that are lower bounds count where the unknowns fall short of them.
 
 use super::class_prior::Expected;
 use crate::core::math::luminance;
@@ -29,6 +29,8 @@ pub(super) struct Pixel {
     pub(super) rest: Vec3,
     /// Variance of its luminance.
     pub(super) variance: f32,
+    /// It shows at least that: it tells where the unknowns fall short of it.
+    pub(super) is_bound: bool,
 }
 
 /// Mixtures in rows: terms of pixel k are `term[end[k-1]..end[k]]`, an unknown and the factor of
@@ -105,6 +107,7 @@ impl RobustSystem {
         let mut all: Vec<f32> = residual
             .iter()
             .zip(&self.pixel)
+            .filter(|(_, p)| !p.is_bound)
             .map(|(r, p)| luminance(*r).abs() / p.variance.sqrt())
             .collect();
         if all.is_empty() {
@@ -120,6 +123,9 @@ impl RobustSystem {
             .iter()
             .zip(&self.pixel)
             .map(|(r, p)| {
+                if p.is_bound && luminance(*r) <= 0.0 {
+                    return 0.0;
+                }
                 let variance = p.variance * misfit * misfit;
                 1.0 / (variance + (luminance(*r) / TOLERANCE).powi(2))
             })
@@ -300,5 +306,38 @@ impl Columns {
                 luminance(light[u]).powi(2) * sum
             })
             .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two pieces of surface that pixels of their own show at least 0.6 bright: the one that is
+    /// expected darker rises to that, the one that is expected brighter stays as if there were no
+    /// pixel.
+    #[test]
+    fn a_bound_counts_from_one_side_only() {
+        let pixel = |_| Pixel {
+            rest: Vec3::splat(0.6),
+            variance: 1e-4,
+            is_bound: true,
+        };
+        let system = RobustSystem {
+            pixel: (0..2).map(pixel).collect(),
+            end: vec![1, 2],
+            term: vec![(0, 1.0), (1, 1.0)],
+        };
+        let expected = |mean| Expected {
+            mean: Vec3::splat(mean),
+            variance: 0.01,
+        };
+        let prior = [expected(0.4), expected(0.8)];
+        let start = vec![Vec3::splat(0.4), Vec3::splat(0.8)];
+        let solved = system.solve(&[Vec3::ONE; 2], &prior, start);
+        let [dark, bright] = [0, 1].map(|u| solved.albedo[u].x);
+        assert!((dark - 0.6).abs() < 0.03, "{dark}");
+        assert!((bright - 0.8).abs() < 1e-4, "{bright}");
+        assert!(solved.precision[0] > 10.0 * solved.precision[1]);
     }
 }

@@ -56,6 +56,7 @@ pub fn scanned_surface(scan: &Scan, sizes: TextureSizes) -> Result<ScannedSurfac
         tracer,
         views: Vec::new(),
         ceilings: Vec::new(),
+        bounds: Vec::new(),
         shortfalls: Vec::new(),
         orientation,
         sizes,

@@ -44,6 +44,9 @@ pub struct Surface<'a> {
     /// Channels at the sensor's ceiling, a bit for each, per pixel of every view; `None` where no
     /// pixel is.
     pub ceilings: Vec<Option<Plane<u8>>>,
+    /// Pixels that show only that their surface sends out at least as much; empty where nothing is
+    /// clipped.
+    pub bounds: Vec<Option<Plane<bool>>>,
     /// What of the light the photographs' files may lack.
     pub shortfalls: Vec<Shortfall>,
     /// Side of each triangle the cameras see.
@@ -269,6 +272,7 @@ pub(crate) mod tests {
             tracer: EmbreeTracer::new(&scene.mesh).expect("Embree"),
             views: Vec::new(),
             ceilings: Vec::new(),
+            bounds: Vec::new(),
             shortfalls: Vec::new(),
             orientation: Orientation::of_winding(triangles),
             sizes: TextureSizes {

@@ -176,6 +176,7 @@ fn solve_edges(
             specular: &known.reflections.images,
             reflectance: &known.roughness.reflectance,
             settled: known.settled,
+            bounds: &surface.bounds,
         };
         unmixing.solve(albedo)
     });

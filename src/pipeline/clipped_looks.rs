@@ -67,6 +67,7 @@ impl ClippedLooks {
                 });
             }
         }
+        surface.bounds = vec![None; surface.views.len()];
         for v in 0..surface.views.len() {
             self.restore_view(surface, v);
         }
@@ -93,16 +94,18 @@ impl ClippedLooks {
                 (i, by_hue(bits, seen, expected))
             })
             .collect();
-        let ceiling = ceiling.map(|_| true);
+        let mut bounds = ceiling.map(|_| false);
+        let all_valid = ceiling.map(|_| true);
         let view = &mut surface.views[v];
-        let valid = view.valid.get_or_insert(ceiling);
+        let valid = view.valid.get_or_insert(all_valid);
         for (i, radiance) in restored {
             match radiance {
                 Some(radiance) => view.radiance.data[i] = radiance,
-                // a lower bound: no look at the material
-                None => valid.data[i] = false,
+                // a lower bound: no look at the material, unless a mask says what it is
+                None => bounds.data[i] = std::mem::replace(&mut valid.data[i], false),
             }
         }
+        surface.bounds[v] = Some(bounds);
     }
 }
 

@@ -88,6 +88,7 @@ pub fn observe<'a>(
         tracer,
         views,
         ceilings: read.ceilings,
+        bounds: Vec::new(),
         shortfalls: read.shortfalls,
         orientation,
         sizes,
