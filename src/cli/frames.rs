@@ -8,7 +8,8 @@ use crate::core::geometry::Camera;
 use crate::core::trace::EmbreeTracer;
 use crate::programs::export::FrameWriter;
 use crate::render::{FrameOptions, NamedCamera, cameras_of_scene, read_cameras, viewpoints};
-use crate::solution::{OutputLock, Solution};
+use crate::core::lock::OutputLock;
+use crate::solution::Solution;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
