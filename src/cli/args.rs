@@ -124,7 +124,12 @@ pub enum Verb {
         tape: Option<PathBuf>,
         /// Be process I of N that share this scene over OUT.shards, on as many machines as see it;
         /// `unbake merge OUT` then writes the result.
-        #[arg(long, value_name = "I/N", conflicts_with = "tape", help_heading = "Many processes")]
+        #[arg(
+            long,
+            value_name = "I/N",
+            conflicts_with = "tape",
+            help_heading = "Many processes"
+        )]
         shard: Option<Shard>,
         /// The reconstruction's options.
         #[command(flatten)]
@@ -392,7 +397,13 @@ impl Cli {
             Some(Verb::Relight { options, load, .. }) => {
                 (config.relight, config.scene) = (options.clone(), load.clone())
             }
-            Some(Verb::Merge { .. } | Verb::Bench { .. } | Verb::Completions { .. } | Verb::Man { .. }) | None => {}
+            Some(
+                Verb::Merge { .. }
+                | Verb::Bench { .. }
+                | Verb::Completions { .. }
+                | Verb::Man { .. },
+            )
+            | None => {}
             Some(Verb::View { options, load, .. }) => {
                 (config.view, config.scene) = (options.clone(), load.clone())
             }

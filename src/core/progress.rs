@@ -126,7 +126,9 @@ impl Progress {
         let Some(others) = self.others.as_ref().filter(|_| division.count() > 1) else {
             return vec![compute(0..len)];
         };
-        let own: Vec<AtomicBool> = (0..division.count()).map(|_| AtomicBool::new(false)).collect();
+        let own: Vec<AtomicBool> = (0..division.count())
+            .map(|_| AtomicBool::new(false))
+            .collect();
         let results = others.results(&Work {
             count: division.count(),
             compute: &|block| {

@@ -139,8 +139,10 @@ impl Evidence {
 
 impl Packed for Evidence {
     fn columns(&self) -> Columns {
-        let of_points = |f: fn(&EvidencePoint) -> u32| -> Vec<u32> { self.points.iter().map(f).collect() };
-        let of_sights = |f: fn(&ViewSample) -> f32| -> Vec<f32> { self.sights.iter().map(f).collect() };
+        let of_points =
+            |f: fn(&EvidencePoint) -> u32| -> Vec<u32> { self.points.iter().map(f).collect() };
+        let of_sights =
+            |f: fn(&ViewSample) -> f32| -> Vec<f32> { self.sights.iter().map(f).collect() };
         let positions: Vec<Vec3> = self.points.iter().map(|p| p.position).collect();
         let views: Vec<u32> = self.sights.iter().map(|s| s.view).collect();
         let radiance: Vec<Vec3> = self.sights.iter().map(|s| s.radiance).collect();

@@ -56,7 +56,9 @@ pub fn trace_reflections(
             p.advance(1);
             traced
         };
-        let traced = p.share(surface.views.len(), 1, |views| views.map(trace).collect::<Vec<_>>());
+        let traced = p.share(surface.views.len(), 1, |views| {
+            views.map(trace).collect::<Vec<_>>()
+        });
         let traced = traced.into_iter().flatten();
         let mut out = Reflections {
             images: Vec::with_capacity(surface.views.len()),

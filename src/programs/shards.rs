@@ -170,7 +170,10 @@ impl ShardedRun {
             .filter(|c| !c.missing.is_empty())
             .map(|c| {
                 let (n, of) = (c.missing.len(), c.count);
-                format!("  {}: {n} of {of} blocks, from number {}", c.name, c.missing[0])
+                format!(
+                    "  {}: {n} of {of} blocks, from number {}",
+                    c.name, c.missing[0]
+                )
             })
             .collect();
         let reached = calls.last().map_or("none", |c| c.name.as_str());
@@ -223,7 +226,10 @@ mod tests {
         let run = ShardedRun::begin(&out, "aaa", &plan()).expect("begun");
         ShardedRun::begin(&out, "aaa", &plan()).expect("the same");
         let e = ShardedRun::begin(&out, "bbb", &plan()).expect_err("another");
-        assert!(e.exit_code() == 2 && e.to_string().contains("another run"), "{e}");
+        assert!(
+            e.exit_code() == 2 && e.to_string().contains("another run"),
+            "{e}"
+        );
         let (found, of) = ShardedRun::find(&out.join("")).expect("found");
         assert_eq!(of, plan());
         found.expect_key("aaa").expect("same");

@@ -24,7 +24,13 @@ const ARRAY_INDICES: [&str; 2] = ["SLURM_ARRAY_TASK_ID", "AWS_BATCH_JOB_ARRAY_IN
 
 /// Arguments of `solve` that concern the whole process and cannot stand in a list.
 const OF_THE_PROCESS: [&str; 7] = [
-    "threads", "quiet", "json", "config", "print_config", "tape", "shard",
+    "threads",
+    "quiet",
+    "json",
+    "config",
+    "print_config",
+    "tape",
+    "shard",
 ];
 
 /// What this process knows of its batch.

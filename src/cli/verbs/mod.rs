@@ -8,6 +8,8 @@ mod edit;
 mod eval;
 pub(super) mod export;
 mod prepare;
+#[cfg(feature = "mpi")]
+mod ranks;
 mod relight;
 mod render;
 mod result;

@@ -14,12 +14,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Computes what the other shards have not, and writes nothing but blocks.
-pub(super) fn solve_shard(
-    scene: &Path,
-    out: &Path,
-    shard: Shard,
-    context: &Context,
-) -> Result<()> {
+pub(super) fn solve_shard(scene: &Path, out: &Path, shard: Shard, context: &Context) -> Result<()> {
     if out.is_file() {
         let message = "is a file where a folder is to be made; give another name";
         return Err(Error::input(out, message));
@@ -43,7 +38,8 @@ pub(super) fn solve_shard(
         blocks.computed(),
         out.display()
     );
-    let said = json!({"out": out, "shard": shard.index, "of": shard.of, "blocks": blocks.computed()});
+    let said =
+        json!({"out": out, "shard": shard.index, "of": shard.of, "blocks": blocks.computed()});
     context.result(&text, &said)
 }
 
@@ -64,8 +60,12 @@ pub(super) fn merge(out: &Path, complete: bool, context: &Context) -> Result<()>
     if !complete {
         run.expect_finished()?;
     }
-    let config: Config = serde_json::from_value(plan.config)
-        .map_err(|e| Error::input(out, format!("the options of its shards cannot be read: {e}")))?;
+    let config: Config = serde_json::from_value(plan.config).map_err(|e| {
+        Error::input(
+            out,
+            format!("the options of its shards cannot be read: {e}"),
+        )
+    })?;
     let config = Config {
         threads: context.config.threads,
         quiet: context.config.quiet,

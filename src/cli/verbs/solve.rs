@@ -18,7 +18,15 @@ use serde_json::json;
 use std::path::Path;
 
 pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
-    let run = solve_into(scene_path, out, context)?;
+    #[cfg(feature = "mpi")]
+    if super::ranks::solve_with_ranks(scene_path, out, context)? {
+        return Ok(());
+    }
+    say(&solve_into(scene_path, out, context)?, out, context)
+}
+
+/// Prints what was solved.
+pub(super) fn say(run: &SolvedRun, out: &Path, context: &Context) -> Result<()> {
     context.result(
         &run.text,
         &json!({"out": out, "run": run.record, "verdict": run.verdict}),

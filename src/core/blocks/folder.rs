@@ -158,7 +158,10 @@ struct Call<'a> {
 
 impl Call<'_> {
     fn label(&self, block: usize) -> String {
-        format!("{}/{}/{block} of {}", self.of.run, self.name, self.work.count)
+        format!(
+            "{}/{}/{block} of {}",
+            self.of.run, self.name, self.work.count
+        )
     }
 
     fn lock(&self, block: usize) -> PathBuf {
@@ -271,5 +274,108 @@ impl Transport for BlockFolder {
         let all = found.into_iter().enumerate();
         all.map(|(block, c)| c.into_inner().unwrap_or_else(|| call.wait(block)))
             .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    const BLOCKS: usize = 13;
+
+    fn one(block: usize) -> Columns {
+        vec![vec![block as u8; block], b"end".to_vec()]
+    }
+
+    fn open(folder: &Path, run: &str, index: usize) -> BlockFolder {
+        BlockFolder::open(folder, run, Shard { index, of: 3 }).expect("opened")
+    }
+
+    /// The results, the blocks computed for them, and what was said.
+    fn results(of: &BlockFolder, slow: Duration) -> (Vec<Columns>, BTreeSet<usize>, Vec<String>) {
+        let (computed, said) = (Mutex::new(BTreeSet::new()), Mutex::new(Vec::new()));
+        of.enter("a stage");
+        let all = of.results(&Work {
+            count: BLOCKS,
+            compute: &|block| {
+                computed.lock().expect("held").insert(block);
+                std::thread::sleep(slow);
+                one(block)
+            },
+            note: &|text| said.lock().expect("held").push(text.to_owned()),
+        });
+        (
+            all,
+            computed.into_inner().expect("held"),
+            said.into_inner().expect("held"),
+        )
+    }
+
+    #[test]
+    fn processes_share_the_blocks_and_all_have_all_results() {
+        let dir = tempfile::tempdir().expect("temp");
+        let slow = Duration::from_millis(10);
+        let found: Vec<_> = std::thread::scope(|scope| {
+            let work: Vec<_> = (1..=3)
+                .map(|index| open(dir.path(), "run", index))
+                .map(|shard| scope.spawn(move || results(&shard, slow)))
+                .collect();
+            work.into_iter().map(|w| w.join().expect("ran")).collect()
+        });
+        let expected: Vec<Columns> = (0..BLOCKS).map(one).collect();
+        assert!(found.iter().all(|f| f.0 == expected && f.2.is_empty()));
+        let computed: usize = found.iter().map(|f| f.1.len()).sum();
+        assert_eq!(computed, BLOCKS, "each block once");
+        // whoever comes later computes nothing
+        let later = results(&open(dir.path(), "run", 2), slow);
+        assert!(later.0 == expected && later.1.is_empty());
+        let state = BlockFolder::state(dir.path()).expect("lists");
+        assert_eq!((state[0].count, state[0].missing.len()), (BLOCKS, 0));
+    }
+
+    #[test]
+    fn damaged_and_missing_blocks_are_computed_again_and_those_of_another_run_too() {
+        let dir = tempfile::tempdir().expect("temp");
+        let first = results(&open(dir.path(), "run", 1), Duration::ZERO);
+        let call = dir.path().join("001-a-stage");
+        std::fs::write(call.join(result_name(4)), b"not a block").expect("damage");
+        std::fs::remove_file(call.join(result_name(7))).expect("there");
+        // a whole block in the wrong place
+        std::fs::copy(call.join(result_name(2)), call.join(result_name(9))).expect("copied");
+        assert_eq!(
+            BlockFolder::state(dir.path()).expect("lists")[0].missing,
+            [7]
+        );
+        let again = results(&open(dir.path(), "run", 1), Duration::ZERO);
+        assert_eq!(again.0, first.0);
+        assert_eq!(again.1, BTreeSet::from([4, 7, 9]));
+        assert!(again.2.len() == 2 && again.2.iter().all(|s| s.contains("is damaged")));
+        let other = results(&open(dir.path(), "other", 1), Duration::ZERO);
+        assert_eq!((other.0, other.1.len()), (first.0, BLOCKS));
+    }
+
+    #[test]
+    fn a_folder_that_vanishes_costs_only_the_sharing() {
+        let dir = tempfile::tempdir().expect("temp");
+        let folder = dir.path().join("run");
+        let of = open(&folder, "run", 1);
+        std::fs::remove_dir_all(&folder).expect("there");
+        std::fs::write(&folder, b"in the way").expect("file");
+        let found = results(&of, Duration::ZERO);
+        assert_eq!(found.0, (0..BLOCKS).map(one).collect::<Vec<_>>());
+        assert!(
+            found.2.len() == 1 && found.2[0].contains("cannot be shared"),
+            "{:?}",
+            found.2
+        );
+    }
+
+    #[test]
+    fn the_number_of_a_shard_lies_within_their_count() {
+        assert_eq!("2/8".parse(), Ok(Shard { index: 2, of: 8 }));
+        for wrong in ["0/8", "9/8", "1/0", "1", "a/2", "1/2/3", "-1/2", ""] {
+            assert!(wrong.parse::<Shard>().is_err(), "{wrong}");
+        }
     }
 }

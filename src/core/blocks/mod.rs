@@ -3,8 +3,12 @@
 
 mod folder;
 mod packed;
+#[cfg(feature = "mpi")]
+mod ranks;
 mod work;
 
-pub use folder::{BlockFolder, Shard};
+pub use folder::{BlockFolder, CallState, Shard};
 pub use packed::{Columns, Packed, column, opened, sealed, truths, values};
+#[cfg(feature = "mpi")]
+pub use ranks::Ranks;
 pub use work::{Division, Transport, Work};
