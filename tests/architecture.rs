@@ -5,9 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// What may be used by all of the story: types, filters, formats, rays.
-const VOCABULARY: [&str; 17] = [
-    "network", "brdf", "texture", "trace", "stats", "metrics", "image", "geometry", "formats",
-    "sampling", "math", "parallel", "progress", "switch", "verdict", "error", "ffi",
+const VOCABULARY: [&str; 19] = [
+    "blocks", "lock", "network", "brdf", "texture", "trace", "stats", "metrics", "image",
+    "geometry", "formats", "sampling", "math", "parallel", "progress", "switch", "verdict",
+    "error", "ffi",
 ];
 
 /// Module, and what it may use beyond `error`; "vocabulary" stands for all of [`VOCABULARY`].
@@ -54,6 +55,7 @@ const TABLE: &[(&str, &[&str])] = &[
         &["scene", "evaluate", "render", "solution", "vocabulary"],
     ),
     ("batch", &["report", "solution", "vocabulary"]),
+    ("shards", &["vocabulary"]),
     ("evaluate", &["render", "scene", "solution", "vocabulary"]),
     (
         "edit",
@@ -144,7 +146,9 @@ const TABLE: &[(&str, &[&str])] = &[
     ("switch", &[]),
     ("math", &[]),
     ("parallel", &["ffi"]),
-    ("progress", &[]),
+    ("progress", &["blocks", "parallel"]),
+    ("blocks", &["formats", "lock", "parallel"]),
+    ("lock", &[]),
     ("verdict", &[]),
     ("error", &[]),
     ("ffi", &[]),

@@ -4,6 +4,7 @@ use super::config::Config;
 use super::frames::FrameSource;
 use super::verb_args::{BatchIndex, ExportVerb};
 use crate::alignment::AlignmentOptions;
+use crate::core::blocks::Shard;
 use crate::pipeline::SolveRequest;
 use crate::programs::evaluate::EvalOptions;
 use crate::programs::prepare::PrepareOptions;
@@ -121,6 +122,15 @@ pub enum Verb {
         /// by `unbake bench scaling`.
         #[arg(long, value_name = "FILE", help_heading = "Advanced: measurement")]
         tape: Option<PathBuf>,
+        /// Be process I of N that share this scene over OUT.shards, on as many machines as see it;
+        /// `unbake merge OUT` then writes the result.
+        #[arg(
+            long,
+            value_name = "I/N",
+            conflicts_with = "tape",
+            help_heading = "Many processes"
+        )]
+        shard: Option<Shard>,
         /// The reconstruction's options.
         #[command(flatten)]
         options: SolveRequest,
@@ -130,6 +140,15 @@ pub enum Verb {
         /// What is done about poses that do not fit.
         #[command(flatten)]
         align: AlignmentOptions,
+    },
+    /// Write the result of `unbake solve --shard`, with the files that one process would write.
+    Merge {
+        /// Output folder that the shards were given.
+        #[arg(required_unless_present = "print_config", value_name = "OUT")]
+        out: Option<PathBuf>,
+        /// Compute here what shards left undone.
+        #[arg(long)]
+        complete: bool,
     },
     /// Take the light out of a scan's own colours, without photographs: a mesh with a texture or
     /// vertex colours. Less sure than `solve`, and without roughness.
@@ -378,7 +397,13 @@ impl Cli {
             Some(Verb::Relight { options, load, .. }) => {
                 (config.relight, config.scene) = (options.clone(), load.clone())
             }
-            Some(Verb::Bench { .. } | Verb::Completions { .. } | Verb::Man { .. }) | None => {}
+            Some(
+                Verb::Merge { .. }
+                | Verb::Bench { .. }
+                | Verb::Completions { .. }
+                | Verb::Man { .. },
+            )
+            | None => {}
             Some(Verb::View { options, load, .. }) => {
                 (config.view, config.scene) = (options.clone(), load.clone())
             }

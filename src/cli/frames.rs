@@ -5,10 +5,11 @@ use super::guard::{files_of_cameras, keep_inputs};
 use super::inputs::read_solved_scene;
 use crate::Result;
 use crate::core::geometry::Camera;
+use crate::core::lock::OutputLock;
 use crate::core::trace::EmbreeTracer;
 use crate::programs::export::FrameWriter;
 use crate::render::{FrameOptions, NamedCamera, cameras_of_scene, read_cameras, viewpoints};
-use crate::solution::{OutputLock, Solution};
+use crate::solution::Solution;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 

@@ -1,10 +1,12 @@
 //! The ground: mathematics, images, meshes, textures, rays, reflection and files, in words that every
 //! graphics program shares. Nothing here knows what a reconstruction is.
 
+pub mod blocks;
 pub mod brdf;
 pub mod formats;
 pub mod geometry;
 pub mod image;
+pub mod lock;
 pub mod math;
 pub mod metrics;
 pub mod network;

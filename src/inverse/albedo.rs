@@ -2,9 +2,9 @@
 //! views of the observed radiance less the specular part.
 
 use super::TexelReflectance;
+use crate::core::blocks::{Columns, Packed, column, truths, values};
 use crate::core::image::RgbPlane;
 use crate::core::math::luminance;
-use crate::core::parallel;
 use crate::core::progress::Progress;
 use crate::core::stats::weighted_median;
 use crate::core::texture::Texels;
@@ -54,8 +54,10 @@ pub fn estimate_albedo(
     progress: &Progress,
 ) -> AlbedoEstimate {
     const CHUNK: usize = 2048;
+    // tasks per block that processes share: as where radiance is fused
+    const BLOCK: usize = 8;
     let mesh = observer.mesh;
-    let parts = parallel::map_chunks(texels.len(), CHUNK, |range| {
+    let parts = progress.map_chunks(texels.len(), CHUNK, BLOCK, |range| {
         let mut out = AlbedoEstimate::default();
         let mut seen = Vec::new();
         for i in range.clone() {
@@ -102,6 +104,41 @@ impl AlbedoEstimate {
         self.specular_share.push(texel.specular_share);
         self.clean.push(texel.clean);
         self.footprint.push(texel.footprint);
+    }
+}
+
+impl Packed for AlbedoEstimate {
+    fn columns(&self) -> Columns {
+        let Self {
+            value,
+            error,
+            looks,
+            specular_share,
+            clean,
+            footprint,
+        } = self;
+        vec![
+            column(value),
+            column(error),
+            column(looks),
+            column(specular_share),
+            truths(clean),
+            column(footprint),
+        ]
+    }
+
+    fn restored(columns: &[Vec<u8>]) -> Option<Self> {
+        let [value, error, looks, specular_share, clean, footprint] = columns else {
+            return None;
+        };
+        Some(Self {
+            value: values(value)?,
+            error: values(error)?,
+            looks: values(looks)?,
+            specular_share: values(specular_share)?,
+            clean: clean.iter().map(|c| *c != 0).collect(),
+            footprint: values(footprint)?,
+        })
     }
 }
 

@@ -2,6 +2,7 @@
 //! cosθ dω in independent parts, whose scatter tells their error.
 
 use super::next_bounce::NextBounce;
+use crate::core::blocks::{Columns, Packed, column, values};
 use crate::core::parallel::prelude::*;
 use crate::lights::LitScene;
 use glam::Vec3;
@@ -80,6 +81,36 @@ impl Irradiance {
     }
 }
 
+impl Packed for Irradiance {
+    fn columns(&self) -> Columns {
+        let Self {
+            value,
+            parts,
+            error,
+            rays,
+        } = self;
+        vec![
+            column(value),
+            column(parts),
+            column(error),
+            column(&[*rays]),
+        ]
+    }
+
+    fn restored(columns: &[Vec<u8>]) -> Option<Self> {
+        let [value, parts, error, rays] = columns else {
+            return None;
+        };
+        let rays = values(rays)?.first().copied()?;
+        Some(Self {
+            value: values(value)?,
+            parts: values(parts)?,
+            error: values(error)?,
+            rays,
+        })
+    }
+}
+
 /// A point that receives light.
 #[derive(Clone, Copy, Debug)]
 pub struct Receiver {
@@ -110,6 +141,19 @@ impl<'a> From<LitScene<'a>> for Bake<'a> {
 }
 
 impl Irradiance {
+    /// That of lists of points one after the other.
+    pub(super) fn joined(lists: Vec<Self>) -> Self {
+        let mut lists = lists.into_iter();
+        let mut all = lists.next().unwrap_or_default();
+        for more in lists {
+            all.value.extend(more.value);
+            all.parts.extend(more.parts);
+            all.error.extend(more.error);
+            all.rays += more.rays;
+        }
+        all
+    }
+
     /// That of the points `ids`, in their order.
     pub(crate) fn at(&self, ids: &[u32]) -> Self {
         fn at<T: Copy + Send + Sync>(ids: &[u32], from: &[T]) -> Vec<T> {

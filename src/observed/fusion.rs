@@ -6,8 +6,8 @@
 //! weighted median finds the view-independent level and a one-step Huber mean around it uses all
 //! consistent views.
 
+use crate::core::blocks::{Columns, Packed, column, truths, values};
 use crate::core::math::luminance;
-use crate::core::parallel;
 use crate::core::progress::Progress;
 use crate::core::stats::weighted_median;
 use crate::core::texture::Texels;
@@ -16,6 +16,10 @@ use glam::Vec3;
 
 /// Texels per parallel task.
 const CHUNK: usize = 2048;
+
+/// Tasks per block that processes share. Derived: at a microsecond a look and tens of looks a texel
+/// a block takes half a second, beside which a file of half a megabyte is nothing.
+const BLOCK: usize = 8;
 
 /// Relative difference of two looks up to which both count alike.
 const ALIKE: f32 = 0.05;
@@ -50,7 +54,7 @@ pub fn fuse_radiance(
     texels: &Texels,
     progress: &Progress,
 ) -> Fusion {
-    let parts = parallel::map_chunks(texels.len(), CHUNK, |range| {
+    let parts = progress.map_chunks(texels.len(), CHUNK, BLOCK, |range| {
         let mut out = Fusion::default();
         let mut seen = Vec::new();
         for i in range.clone() {
@@ -86,6 +90,41 @@ pub fn fuse_radiance(
         all.floor.extend(p.floor);
     }
     all
+}
+
+impl Packed for Fusion {
+    fn columns(&self) -> Columns {
+        let Self {
+            radiance,
+            clean,
+            peak,
+            views,
+            label,
+            floor,
+        } = self;
+        vec![
+            column(radiance),
+            truths(clean),
+            column(peak),
+            views.clone(),
+            column(label),
+            column(floor),
+        ]
+    }
+
+    fn restored(columns: &[Vec<u8>]) -> Option<Self> {
+        let [radiance, clean, peak, views, label, floor] = columns else {
+            return None;
+        };
+        Some(Self {
+            radiance: values(radiance)?,
+            clean: clean.iter().map(|c| *c != 0).collect(),
+            peak: values(peak)?,
+            views: views.clone(),
+            label: values(label)?,
+            floor: values(floor)?,
+        })
+    }
 }
 
 /// Keeps only clean observations if there is at least one.

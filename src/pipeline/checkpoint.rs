@@ -4,11 +4,9 @@
 //! one that never stopped. A file is used only if its hash fits; anything else is computed again.
 //! Nothing here can make a run fail: a disk without room is only noted.
 
+use crate::core::blocks::{Packed, opened, sealed};
 use crate::core::formats::atomic_write;
 use crate::core::progress::Progress;
-use crate::irradiance::Irradiance;
-use crate::observed::Fusion;
-use bytemuck::{NoUninit, Pod};
 use std::path::{Path, PathBuf};
 
 /// Name of the folder inside the output folder.
@@ -18,14 +16,6 @@ const FOLDER: &str = ".partial";
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Checkpoints {
     folder: Option<PathBuf>,
-}
-
-/// A result that can be kept: columns of plain numbers.
-pub trait Kept: Sized {
-    /// The columns as bytes.
-    fn columns(&self) -> Vec<Vec<u8>>;
-    /// The result of `columns`; `None` if they are not its own.
-    fn restored(columns: &[Vec<u8>]) -> Option<Self>;
 }
 
 impl Checkpoints {
@@ -45,7 +35,7 @@ impl Checkpoints {
     }
 
     /// The kept result called `name`, or that of `compute`, which is then kept.
-    pub fn reuse<T: Kept>(
+    pub fn reuse<T: Packed>(
         &self,
         name: &str,
         progress: &Progress,
@@ -57,7 +47,7 @@ impl Checkpoints {
         let path = folder.join(name);
         if let Some(kept) = std::fs::read(&path)
             .ok()
-            .and_then(|bytes| T::restored(&unpacked(&bytes)?))
+            .and_then(|bytes| T::restored(&opened(name, &bytes)?))
         {
             progress.note(format!("{name}: taken over from the run that stopped"));
             return kept;
@@ -65,7 +55,7 @@ impl Checkpoints {
         let value = compute();
         let written = std::fs::create_dir_all(folder)
             .map_err(|e| crate::Error::io(folder, e))
-            .and_then(|()| atomic_write(&path, &packed(&value.columns())));
+            .and_then(|()| atomic_write(&path, &sealed(name, &value.columns())));
         if let Err(e) = written {
             progress.note(format!("{name} cannot be kept for a later run: {e}"));
         }
@@ -81,123 +71,11 @@ impl Checkpoints {
     }
 }
 
-/// Hash of the content, number of columns, then each column with its length.
-fn packed(columns: &[Vec<u8>]) -> Vec<u8> {
-    let mut body = (columns.len() as u64).to_le_bytes().to_vec();
-    for c in columns {
-        body.extend((c.len() as u64).to_le_bytes());
-        body.extend(c);
-    }
-    let mut out = blake3::hash(&body).as_bytes().to_vec();
-    out.extend(body);
-    out
-}
-
-fn unpacked(bytes: &[u8]) -> Option<Vec<Vec<u8>>> {
-    let (hash, body) = bytes.split_at_checked(blake3::OUT_LEN)?;
-    if blake3::hash(body).as_bytes() != hash {
-        return None;
-    }
-    let number = |at: &mut &[u8]| -> Option<usize> {
-        let (n, rest) = at.split_at_checked(8)?;
-        *at = rest;
-        usize::try_from(u64::from_le_bytes(n.try_into().ok()?)).ok()
-    };
-    let mut rest = body;
-    let count = number(&mut rest)?;
-    (0..count)
-        .map(|_| {
-            let length = number(&mut rest)?;
-            let (column, after) = rest.split_at_checked(length)?;
-            rest = after;
-            Some(column.to_vec())
-        })
-        .collect()
-}
-
-fn column<T: NoUninit>(values: &[T]) -> Vec<u8> {
-    bytemuck::cast_slice(values).to_vec()
-}
-
-fn values<T: Pod>(column: &[u8]) -> Option<Vec<T>> {
-    let size = size_of::<T>();
-    column.len().is_multiple_of(size).then(|| {
-        column
-            .chunks_exact(size)
-            .map(bytemuck::pod_read_unaligned)
-            .collect()
-    })
-}
-
-impl Kept for Fusion {
-    fn columns(&self) -> Vec<Vec<u8>> {
-        let Self {
-            radiance,
-            clean,
-            peak,
-            views,
-            label,
-            floor,
-        } = self;
-        let clean: Vec<u8> = clean.iter().map(|c| u8::from(*c)).collect();
-        vec![
-            column(radiance),
-            clean,
-            column(peak),
-            views.clone(),
-            column(label),
-            column(floor),
-        ]
-    }
-
-    fn restored(columns: &[Vec<u8>]) -> Option<Self> {
-        let [radiance, clean, peak, views, label, floor] = columns else {
-            return None;
-        };
-        Some(Self {
-            radiance: values(radiance)?,
-            clean: clean.iter().map(|c| *c != 0).collect(),
-            peak: values(peak)?,
-            views: views.clone(),
-            label: values(label)?,
-            floor: values(floor)?,
-        })
-    }
-}
-
-impl Kept for Irradiance {
-    fn columns(&self) -> Vec<Vec<u8>> {
-        let Self {
-            value,
-            parts,
-            error,
-            rays,
-        } = self;
-        vec![
-            column(value),
-            column(parts),
-            column(error),
-            column(&[*rays]),
-        ]
-    }
-
-    fn restored(columns: &[Vec<u8>]) -> Option<Self> {
-        let [value, parts, error, rays] = columns else {
-            return None;
-        };
-        let rays = values(rays)?.first().copied()?;
-        Some(Self {
-            value: values(value)?,
-            parts: values(parts)?,
-            error: values(error)?,
-            rays,
-        })
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::irradiance::Irradiance;
+    use crate::observed::Fusion;
     use glam::Vec3;
 
     fn irradiance(x: f32) -> Irradiance {
@@ -268,7 +146,7 @@ mod tests {
             &irradiance(7.0)
         ));
         // of another kind
-        assert!(Fusion::restored(&unpacked(&whole).expect("whole")).is_none());
+        assert!(Fusion::restored(&opened("irradiance", &whole).expect("whole")).is_none());
     }
 
     #[test]

@@ -36,7 +36,7 @@ mod white_paint;
 
 pub use crate::core::switch::Switch;
 pub use albedo::{SolvedAlbedo, solve_albedo};
-pub use checkpoint::{Checkpoints, Kept};
+pub use checkpoint::Checkpoints;
 pub use delight::delight;
 pub use highlights::{Highlights, gather_highlights};
 pub(crate) use light::texture_of;

@@ -51,15 +51,22 @@ pub fn trace_reflections(
         seed: options.seed ^ 0x51ec,
     };
     progress.stage("specular images", surface.views.len() as u64, |p| {
+        let trace = |view: usize| {
+            let traced = images.trace(&reflector, view);
+            p.advance(1);
+            traced
+        };
+        let traced = p.share(surface.views.len(), 1, |views| {
+            views.map(trace).collect::<Vec<_>>()
+        });
+        let traced = traced.into_iter().flatten();
         let mut out = Reflections {
             images: Vec::with_capacity(surface.views.len()),
             rays: 0,
         };
-        for view in 0..surface.views.len() {
-            let traced = images.trace(&reflector, view);
-            out.images.push(traced.image);
-            out.rays += traced.rays;
-            p.advance(1);
+        for view in traced {
+            out.images.push(view.image);
+            out.rays += view.rays;
         }
         out
     })

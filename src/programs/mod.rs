@@ -8,5 +8,6 @@ pub mod evaluate;
 pub mod export;
 pub mod prepare;
 pub mod report;
+pub mod shards;
 pub mod synth;
 pub mod view;

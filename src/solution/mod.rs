@@ -7,7 +7,6 @@ mod generation;
 mod glb;
 mod glb_lights;
 mod lamps;
-mod lock;
 mod mesh_part;
 mod store;
 
@@ -16,7 +15,6 @@ pub use generation::check_generation;
 pub use glb::{GlbOptions, NamedImage, material_textures, png_textures, scene_glb};
 pub use glb_lights::{LuminousPart, PunctualLight, SpotCone};
 pub use lamps::{LIGHTS, Lamp, LampKind, find_lamps, lamp_gap, triangle_emission};
-pub use lock::{Claim, OutputLock, WorkLock};
 pub use mesh_part::MeshPart;
 pub use store::{FILES, SaveOptions};
 

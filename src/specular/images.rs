@@ -1,6 +1,7 @@
 //! The specular part of the photographs: what every pixel's surface mirrors, given its roughness.
 
 use super::{DirectionalAlbedo, Levels, Reflector, ShadingPoint, WIDE};
+use crate::core::blocks::{Columns, Packed, column, values};
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::parallel::prelude::*;
 use crate::core::sampling::hash_u64;
@@ -43,6 +44,27 @@ pub struct TracedImage {
     pub image: RgbPlane,
     /// Rays traced.
     pub rays: u64,
+}
+
+impl Packed for TracedImage {
+    fn columns(&self) -> Columns {
+        let size = [self.image.width as u64, self.image.height as u64, self.rays];
+        vec![column(&size), column(&self.image.data)]
+    }
+
+    fn restored(columns: &[Vec<u8>]) -> Option<Self> {
+        let [size, data] = columns else {
+            return None;
+        };
+        let [width, height, rays] = values::<u64>(size)?.try_into().ok()?;
+        let image = Plane {
+            width: usize::try_from(width).ok()?,
+            height: usize::try_from(height).ok()?,
+            data: values(data)?,
+        };
+        let whole = image.width.checked_mul(image.height) == Some(image.data.len());
+        whole.then_some(Self { image, rays })
+    }
 }
 
 impl SpecularImages<'_> {

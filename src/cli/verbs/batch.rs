@@ -8,10 +8,10 @@ use crate::cli::context::Context;
 use crate::cli::guard::keep_inputs;
 use crate::cli::run_record::run_key;
 use crate::cli::verb_args::BatchIndex;
+use crate::core::lock::Claim;
 use crate::error::{Error, Result};
 use crate::programs::batch::{Board, Item, SceneRecord, State, Table, read_list};
 use crate::programs::report::restart_peak;
-use crate::solution::Claim;
 use clap::parser::ValueSource;
 use clap::{CommandFactory, FromArgMatches};
 use std::collections::HashMap;
@@ -23,7 +23,15 @@ use std::time::{Instant, SystemTime};
 const ARRAY_INDICES: [&str; 2] = ["SLURM_ARRAY_TASK_ID", "AWS_BATCH_JOB_ARRAY_INDEX"];
 
 /// Arguments of `solve` that concern the whole process and cannot stand in a list.
-const OF_THE_PROCESS: [&str; 6] = ["threads", "quiet", "json", "config", "print_config", "tape"];
+const OF_THE_PROCESS: [&str; 7] = [
+    "threads",
+    "quiet",
+    "json",
+    "config",
+    "print_config",
+    "tape",
+    "shard",
+];
 
 /// What this process knows of its batch.
 struct Batch<'a> {

@@ -3,10 +3,11 @@
 use super::result::RunResult;
 use crate::cli::context::Context;
 use crate::cli::guard::keep_inputs;
+use crate::core::lock::OutputLock;
 use crate::error::{Error, Result};
 use crate::programs::report::hash_inputs;
 use crate::scene::Scan;
-use crate::solution::{AsideFolder, OutputLock};
+use crate::solution::AsideFolder;
 use serde_json::json;
 use std::path::Path;
 
@@ -33,13 +34,12 @@ pub(super) fn delight(mesh: &Path, out: &Path, context: &Context) -> Result<()> 
     let inputs = hash_inputs(&scan.scene)?;
     let solved = crate::pipeline::delight(&scan, &options, &context.progress)?;
     let result = RunResult {
-        scene: &scan.scene,
         solution: solved.solution,
         findings: solved.findings,
         alignment: None,
         inputs,
     };
-    let run = result.write(out, context)?;
+    let run = result.write(&scan.scene, out, context)?;
     context.result(
         &run.text,
         &json!({"out": out, "run": run.record, "verdict": run.verdict}),

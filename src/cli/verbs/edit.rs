@@ -2,9 +2,9 @@
 
 use crate::cli::context::Context;
 use crate::cli::inputs::read_scene;
+use crate::core::lock::OutputLock;
 use crate::error::{Error, Result};
 use crate::programs::edit::{EDITED, EDITS, EditList, apply_to_folder};
-use crate::solution::OutputLock;
 use serde_json::json;
 use std::path::Path;
 use std::time::Instant;

@@ -4,11 +4,12 @@ use crate::cli::context::Context;
 use crate::cli::guard::keep_inputs;
 use crate::cli::inputs::{manifest_of, read_solved_scene};
 use crate::cli::run_record::record;
+use crate::core::lock::OutputLock;
 use crate::error::{Error, Result};
 use crate::programs::evaluate::{evaluate, terminal_table};
 use crate::programs::report::{self, Photographer, Reported, hash_inputs, write_report};
 use crate::render::{HybridOptions, HybridRenderer};
-use crate::solution::{OutputLock, Solution};
+use crate::solution::Solution;
 use std::path::Path;
 
 pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<()> {

@@ -8,9 +8,12 @@ mod edit;
 mod eval;
 pub(super) mod export;
 mod prepare;
+#[cfg(feature = "mpi")]
+mod ranks;
 mod relight;
 mod render;
 mod result;
+mod shards;
 mod shell;
 mod solve;
 mod synth;
@@ -29,7 +32,14 @@ pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
         Verb::Synth { out, .. } => synth::synthesise(required(out)?, context),
         Verb::Prepare { what, out, .. } => prepare::run(what, out.as_deref(), context),
         Verb::Check { scene, .. } => return check::check_scene(required(scene)?, context),
+        Verb::Solve {
+            scene,
+            out,
+            shard: Some(shard),
+            ..
+        } => shards::solve_shard(required(scene)?, required(out)?, *shard, context),
         Verb::Solve { scene, out, .. } => solve::solve(required(scene)?, required(out)?, context),
+        Verb::Merge { out, complete } => shards::merge(required(out)?, *complete, context),
         Verb::Delight { mesh, out, .. } => {
             delight::delight(required(mesh)?, required(out)?, context)
         }

@@ -14,9 +14,8 @@ use std::path::Path;
 use std::time::Duration;
 
 /// A reconstruction that is to be written.
-pub(super) struct RunResult<'a> {
-    /// What was reconstructed, and what of.
-    pub scene: &'a Scene,
+pub(super) struct RunResult {
+    /// What was reconstructed.
     pub solution: Solution,
     pub findings: Findings,
     /// Whether photographs and mesh fitted, where there are photographs.
@@ -34,15 +33,15 @@ pub(super) struct SolvedRun {
     pub text: String,
 }
 
-impl RunResult<'_> {
-    /// Writes everything into `out`.
-    pub(super) fn write(self, out: &Path, context: &Context) -> Result<SolvedRun> {
+impl RunResult {
+    /// Writes everything into `out`; `scene` is what it was reconstructed from.
+    pub(super) fn write(self, scene: &Scene, out: &Path, context: &Context) -> Result<SolvedRun> {
         let (progress, solution) = (&context.progress, &self.solution);
         let generation = progress.stage("writing the textures", 1, |_| {
             solution.save(out, &SaveOptions::default())
         })?;
         let verdict = self.findings.verdict();
-        let mut record = record(self.scene, self.inputs, context)?;
+        let mut record = record(scene, self.inputs, context)?;
         record.generation = generation;
         record.findings = Some(self.findings);
         record.alignment = self.alignment;
@@ -57,7 +56,7 @@ impl RunResult<'_> {
                 },
             )?;
             let reported = Reported {
-                scene: self.scene,
+                scene,
                 solution,
                 record: &record,
                 evaluation: None,

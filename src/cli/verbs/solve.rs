@@ -6,17 +6,27 @@ use crate::cli::context::Context;
 use crate::cli::guard::keep_inputs;
 use crate::cli::inputs::read_scene;
 use crate::cli::run_record::run_key;
+use crate::core::lock::OutputLock;
+use crate::core::progress::Progress;
 use crate::error::{Error, Result};
-use crate::pipeline::{Checkpoints, reconstruct};
-use crate::programs::report::hash_inputs;
+use crate::pipeline::{Checkpoints, SolveOptions, reconstruct};
+use crate::programs::report::{InputFile, hash_inputs};
 use crate::scene::Scene;
-use crate::solution::{AsideFolder, OutputLock, Solution};
+use crate::solution::{AsideFolder, Solution};
 use crate::verdict::{AlignmentVerdict, Findings};
 use serde_json::json;
 use std::path::Path;
 
 pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
-    let run = solve_into(scene_path, out, context)?;
+    #[cfg(feature = "mpi")]
+    if super::ranks::solve_with_ranks(scene_path, out, context)? {
+        return Ok(());
+    }
+    say(&solve_into(scene_path, out, context)?, out, context)
+}
+
+/// Prints what was solved.
+pub(super) fn say(run: &SolvedRun, out: &Path, context: &Context) -> Result<()> {
     context.result(
         &run.text,
         &json!({"out": out, "run": run.record, "verdict": run.verdict}),
@@ -25,36 +35,83 @@ pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<
 
 /// Solves a scene, writes the result and prints nothing.
 pub(super) fn solve_into(scene_path: &Path, out: &Path, context: &Context) -> Result<SolvedRun> {
-    keep_inputs(out, scene_path, &[])?;
-    let (mut scene, alignment) = aligned_scene(scene_path, context)?;
-    keep_inputs(out, &scene.folder, &scene.input_files())?;
+    let mut job = Job::read(scene_path, out, context)?;
     // before the long run: is there a place for the result, and is it ours alone?
     let _lock = OutputLock::acquire(out, &[])?;
     drop(AsideFolder::new(out)?);
-    let options = context
-        .config
-        .solve
-        .options(context.seed(), context.recorder.started());
-    let progress = &context.progress;
-    let inputs = hash_inputs(&scene)?;
-    let mut options = options;
-    if options.budget.is_none() {
-        options.checkpoints = Checkpoints::new(out, &run_key(&inputs, context)?);
+    if job.options.budget.is_none() {
+        job.options.checkpoints = Checkpoints::new(out, &job.key(context)?);
     }
-    let solved = reconstruct(&scene, &options, progress)?;
-    let (mut solution, mut findings) = (solved.solution, solved.findings);
-    take_in(alignment.verdict, &mut findings, &mut solution);
-    scene.camera_masks.clone_from(&solution.camera_masks);
-    let result = RunResult {
-        scene: &scene,
-        solution,
-        findings,
-        alignment: Some(alignment),
-        inputs,
-    };
-    let run = result.write(out, context)?;
-    options.checkpoints.finish();
+    let checkpoints = job.options.checkpoints.clone();
+    let run = job.solve(&context.progress)?.write(out, context)?;
+    checkpoints.finish();
     Ok(run)
+}
+
+/// A scene to solve, as read.
+pub(super) struct Job {
+    scene: Scene,
+    alignment: Alignment,
+    inputs: Vec<InputFile>,
+    /// The numbers in effect.
+    pub(super) options: SolveOptions,
+}
+
+/// A solved scene.
+pub(super) struct SolvedJob {
+    scene: Scene,
+    result: RunResult,
+}
+
+impl Job {
+    /// Reads a scene whose result is to go into `out`.
+    pub(super) fn read(scene_path: &Path, out: &Path, context: &Context) -> Result<Self> {
+        keep_inputs(out, scene_path, &[])?;
+        let (scene, alignment) = aligned_scene(scene_path, context)?;
+        keep_inputs(out, &scene.folder, &scene.input_files())?;
+        let (seed, started) = (context.seed(), context.recorder.started());
+        Ok(Self {
+            options: context.config.solve.options(seed, started),
+            inputs: hash_inputs(&scene)?,
+            scene,
+            alignment,
+        })
+    }
+
+    /// A hash of everything that the result depends on.
+    pub(super) fn key(&self, context: &Context) -> Result<String> {
+        run_key(&self.inputs, context)
+    }
+
+    /// Solves the scene.
+    pub(super) fn solve(self, progress: &Progress) -> Result<SolvedJob> {
+        let Self {
+            mut scene,
+            alignment,
+            inputs,
+            options,
+        } = self;
+        let solved = reconstruct(&scene, &options, progress)?;
+        let (mut solution, mut findings) = (solved.solution, solved.findings);
+        take_in(alignment.verdict, &mut findings, &mut solution);
+        scene.camera_masks.clone_from(&solution.camera_masks);
+        Ok(SolvedJob {
+            scene,
+            result: RunResult {
+                solution,
+                findings,
+                alignment: Some(alignment),
+                inputs,
+            },
+        })
+    }
+}
+
+impl SolvedJob {
+    /// Writes the result into `out`.
+    pub(super) fn write(self, out: &Path, context: &Context) -> Result<SolvedRun> {
+        self.result.write(&self.scene, out, context)
+    }
 }
 
 /// Adds what the alignment says to the findings and, if the scene was forced through although

@@ -5,8 +5,8 @@ use super::list::Item;
 use super::record::SceneRecord;
 use super::table::Table;
 use crate::core::formats::atomic_write;
+use crate::core::lock::{Claim, WorkLock};
 use crate::error::{Error, Result};
-use crate::solution::{Claim, WorkLock};
 use std::path::{Path, PathBuf};
 
 /// The output folder of a batch.

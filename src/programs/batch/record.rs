@@ -5,6 +5,7 @@
 //! hashes where the time has changed.
 
 use crate::core::formats::{MOST_DATA, read_input};
+use crate::core::lock::worker;
 use crate::programs::report::{InputFile, RunRecord};
 use crate::solution::FILES;
 use crate::verdict::{Level, Verdict};
@@ -59,11 +60,10 @@ impl SceneRecord {
     /// The scene was begun (again) by this process, with the options of `key`.
     #[must_use]
     pub fn begun(before: &Self, key: &str) -> Self {
-        let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
         Self {
             state: State::Started,
             attempts: before.attempts.saturating_add(1),
-            worker: format!("{}:{}", host.trim(), std::process::id()),
+            worker: worker(),
             key: key.into(),
             ..Self::default()
         }

@@ -4,7 +4,7 @@
 //! the other keeps for resuming. Whoever holds the lock also clears what killed runs left behind:
 //! hidden `.writing-*` folders and `.name.*.part` files.
 //!
-//! Pieces of work that several processes share (`unbake batch`) have a lock file each, opened for
+//! Pieces of work that several processes share (scenes of `unbake batch`, blocks of `unbake solve --shard`) have a lock file each, opened for
 //! writing: over NFS the lock then is the server's and counts between machines.
 
 use crate::error::{Error, Result};
@@ -91,6 +91,13 @@ impl WorkLock {
     pub fn clear(&self, folder: &Path) {
         clear(folder);
     }
+}
+
+/// Machine and process of this run, as others are told who has a piece of work.
+#[must_use]
+pub fn worker() -> String {
+    let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    format!("{}:{}", host.trim(), std::process::id())
 }
 
 fn open_lock(file: &Path) -> Result<File> {
