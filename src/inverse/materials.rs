@@ -19,7 +19,7 @@ use super::view_residual::{Disagreement, diffuse_radiance, points_by_class};
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{least_passing, passing_weight};
+use crate::core::stats::{SURELY, least_passing, passing_weight};
 use crate::highlight::Evidence;
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -36,8 +36,6 @@ pub const SPLIT_GAIN: f64 = 0.05;
 /// The same for roughness that follows the place: on surfaces of one roughness it explains up to 8
 /// %.
 const PLACE_GAIN: f64 = 0.15;
-/// Standard errors by which the two roughness values must differ.
-const DIFFERENT: f32 = 3.0;
 /// Share of the way from one colour to the other on which points tell of the first, and of the
 /// second.
 const PURE: f32 = 0.25;
@@ -369,7 +367,7 @@ fn explained(class: u16, sides: &[Disagreement]) -> Option<Explained> {
     let fits: Vec<GroupFit> = sides.iter().map(|s| fit(class, s)).collect();
     let by_value = |a: &&GroupFit, b: &&GroupFit| a.roughness.total_cmp(&b.roughness);
     let (low, high) = (fits.iter().min_by(by_value)?, fits.iter().max_by(by_value)?);
-    let mark = f64::from(DIFFERENT * low.error.hypot(high.error));
+    let mark = f64::from(SURELY * low.error.hypot(high.error));
     let different = passing_weight(f64::from(high.roughness - low.roughness), mark);
     (different > 0.0).then_some(Explained {
         fits,

@@ -12,8 +12,9 @@ use crate::core::parallel::prelude::*;
 use crate::core::stats::MAD_SCALE;
 use glam::Vec3;
 
-/// Residuals of that many standard errors count a half.
-const TOLERANCE: f32 = 2.0;
+/// Residuals of that many standard errors count a half (Cauchy). Cited: 95 % efficiency on Gaussian ones (Holland and
+/// Welsch 1977).
+const TOLERANCE: f32 = 2.385;
 /// Reweightings, and steps of conjugate gradients within each.
 const ROUNDS: usize = 4;
 const STEPS: usize = 12;
