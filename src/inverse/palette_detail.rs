@@ -11,7 +11,7 @@
 use super::flat_surface::{ENOUGH_FLAT, FLAT_AROUND, FlatSurface};
 use super::palette_look::Look;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{median, passing_weight};
+use crate::core::stats::{ROUNDS, median, passing_weight};
 use glam::Vec3;
 use std::collections::BTreeMap;
 
@@ -26,9 +26,8 @@ const ENOUGH: usize = 27;
 /// Scale of a pattern over that of the noise from which it is one. Measured: noise with tails gives
 /// 2.0 to 3.2 on plain paint of four scenes, pale sprigs 4.4 (docs/lab/albedo.md).
 const DISTINCT: f64 = 4.0;
-/// Rounds of expectation maximisation: the share moves by less than a percent of itself after ten.
-const ROUNDS: usize = 15;
-/// Median of the length of a Gaussian vector of three unit components.
+/// Median of the length of a Gaussian vector of three unit components. Derived: the root of χ²₃'s
+/// median, 2.366.
 const MEDIAN_OF_THREE: f32 = 1.538;
 
 /// What texel `i` differs by from the level of flat surface around it, ln albedo; `None` where the

@@ -8,7 +8,8 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// Independent estimates that a bake keeps of every value: what the others say decides which
-/// neighbours one is filtered with, so more of them leave more to decide by.
+/// neighbours one is filtered with, so more of them leave more to decide by. Derived: as many numbers
+/// as a vector register of 256 bits holds.
 pub const SUB_ESTIMATES: usize = 8;
 
 /// How irradiance is estimated.

@@ -50,7 +50,7 @@ const CHANCE: f32 = 0.36;
 /// whose disc fewer than `COMPANY` have.
 const SAMPLED_ONE_IN: u64 = 2;
 const COMPANY: usize = 5;
-/// How many other parts a part is compared with.
+/// How many other parts a part is compared with (derived).
 const OTHERS: f32 = (SUB_ESTIMATES - 1) as f32;
 
 /// The neighbourhoods of a set of texels.

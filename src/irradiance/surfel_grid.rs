@@ -378,6 +378,7 @@ impl Octave {
 }
 
 /// Cubes lie within so many of the origin in every direction, those beyond in the outermost.
+/// Derived: thirty bits a coordinate in the key that texels are sorted by.
 const CUBES: i32 = 1 << 29;
 
 fn cube(p: Vec3, cell: f32) -> [i32; 3] {

@@ -37,7 +37,8 @@ pub(crate) struct Piece {
     pub power: f64,
 }
 
-/// Sums over lamps that run side by side: a single one would wait for every addition.
+/// Sums over lamps that run side by side: a single one would wait for every addition. Derived: as many numbers as a
+/// vector register of 256 bits holds.
 const LANES: usize = 8;
 /// Steps in which the level of [`LightShapes::rebalance`] is found, nearly; each leaves lamps out.
 const LEVEL_STEPS: u32 = 2;

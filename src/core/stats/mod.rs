@@ -14,6 +14,10 @@ pub const MAD_SCALE: f32 = 1.4826;
 /// 370 times.
 pub const SURELY: f32 = 3.0;
 
+/// Rounds of an alternation that has settled by then: assignment and mean (Lloyd 1982), expectation and maximisation.
+/// The share of a pattern moves by less than a percent of itself after ten.
+pub const ROUNDS: usize = 15;
+
 /// Index of the weighted median among (value, weight) pairs: the smallest value at which the
 /// weights up to it reach half of their sum. `None` for an empty list. Weights are ≥ 0; if all are
 /// 0, the smallest value is the median. NaN values count as largest.
