@@ -53,6 +53,7 @@ pub fn estimate_albedo(
     reflectance: &TexelReflectance,
     progress: &Progress,
 ) -> AlbedoEstimate {
+    // size of work
     const CHUNK: usize = 2048;
     let mesh = observer.mesh;
     let parts = parallel::map_chunks(texels.len(), CHUNK, |range| {

@@ -39,8 +39,6 @@ const PLACE_GAIN: f64 = 0.15;
 /// Share of the way from one colour to the other on which points tell of the first, and of the
 /// second.
 const PURE: f32 = 0.25;
-/// Albedo below which colours count as equally dark.
-const DARK: f32 = 0.01;
 
 /// The roughness of every class and of the materials within.
 #[derive(Clone, Debug, Default)]
@@ -253,6 +251,9 @@ impl Materials {
         self.classes.values().map(|c| &c.whole)
     }
 }
+
+/// Albedo below which colours count as equally dark.
+const DARK: f32 = 0.01;
 
 /// Weight below which an answer does not matter: roughness lies in [0, 1]. Derived: two steps of a half float below 1,
 /// which is what files hold.

@@ -24,7 +24,7 @@ use std::f32::consts::FRAC_1_PI;
 
 /// Rays per pixel along each axis.
 const GRID: usize = 4;
-/// Terms kept in memory at most (16 bytes each); beyond it pixels are skipped evenly.
+/// Terms kept in memory at most; beyond it pixels are skipped evenly. Derived: a GiB of 16 bytes each.
 const MOST_TERMS: usize = 64 << 20;
 /// Relative error of a pixel that is none of the unknowns' making: irradiance, specular part,
 /// camera.

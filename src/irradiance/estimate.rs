@@ -160,6 +160,7 @@ fn for_each_of<T: Send, U: Sync>(
     from: &[U],
     each: impl Fn(&mut T, &U) + Sync,
 ) {
+    // size of work
     const AT_ONCE: usize = 4096;
     let (mut rest, mut skipped, mut tasks) = (to, 0, Vec::new());
     for (ids, from) in ids.chunks(AT_ONCE).zip(from.chunks(AT_ONCE)) {

@@ -13,7 +13,7 @@ use super::grouping::{bright_sets, split_into_lamps, uncovered};
 use super::light_model::LightModel;
 use super::light_sampler::{LightSampler, LightShapes, Piece};
 use super::portal_grid::PortalGrid;
-use super::portals::{PORTAL_PROBES, find_exits};
+use super::portals::find_exits;
 use super::primitives::{Columns, GRAZING, PORTAL, SHORT, Sources};
 use super::reach::{Found, ReachTable};
 use crate::core::geometry::{Mesh, SMOOTH};
@@ -30,6 +30,8 @@ use std::collections::BTreeMap;
 const MAX_LAMPS: usize = 128;
 /// At most this many portals.
 const MAX_PORTALS: usize = 64;
+/// Receivers that look for openings.
+const PORTAL_PROBES: usize = 16_384;
 /// Cells along the longest side of the scene: about one metre in a flat.
 const CELLS_LONGEST: f32 = 20.0;
 /// Receivers per cell used to find which lamps reach it.

@@ -14,7 +14,7 @@ use glam::Vec3;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Surface points from which openings are looked for.
-pub(super) const PORTAL_PROBES: usize = 8192;
+const PROBES: usize = 8192;
 /// Rays from each.
 const RAYS: u32 = 32;
 /// Cells of a rectangle that must be open, else it is cut in two.
@@ -117,7 +117,7 @@ pub(super) fn find_exits(
 pub fn find_portals(mesh: &Mesh, tracer: &dyn Tracer) -> Vec<[Vec3; 3]> {
     let (lo, hi) = mesh.bounds();
     let hull = PortalGrid::around(lo, hi);
-    let stride = (mesh.triangles.len() / PORTAL_PROBES).max(1);
+    let stride = (mesh.triangles.len() / PROBES).max(1);
     let probes: Vec<(Vec3, Vec3)> = (0..mesh.triangles.len())
         .step_by(stride)
         .map(|t| (mesh.position(t, 1.0 / 3.0, 1.0 / 3.0), mesh.face_normal(t)))
