@@ -43,7 +43,7 @@ const LANES: usize = 8;
 /// Steps in which the level of [`LightShapes::rebalance`] is found, nearly; each leaves lamps out.
 const LEVEL_STEPS: u32 = 2;
 /// Least factor on a lamp's probability, however well hemisphere rays meet it and however seldom light of it arrives:
-/// what steers samples may err (defensive sampling, Hesterberg 1995).
+/// what steers samples may err (defensive sampling, after Hesterberg).
 pub(super) const DEFENSIVE: f32 = 0.03;
 
 /// Flat pieces of a lamp seen under a grazing angle still shine as much as this share of its
