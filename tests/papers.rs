@@ -224,3 +224,41 @@ fn the_examples_of_edits_and_lights_are_understood() {
     let lights = lights.expect("lights");
     assert_eq!((lights.lamps.len(), lights.add.len()), (2, 2));
 }
+
+/// Output of a script of this repository, which must end well; `None` where no Python is installed.
+fn script(arguments: &[&str]) -> Option<String> {
+    let Ok(done) = std::process::Command::new("python3")
+        .args(arguments)
+        .current_dir(root())
+        .output()
+    else {
+        eprintln!("skipped: python3 is not installed");
+        return None;
+    };
+    assert!(
+        done.status.success(),
+        "{arguments:?}: {}",
+        String::from_utf8_lossy(&done.stderr)
+    );
+    Some(String::from_utf8(done.stdout).expect("text"))
+}
+
+#[test]
+fn named_numbers_say_where_they_come_from() {
+    let Some(text) = script(&["scripts/measure_code"]) else {
+        return;
+    };
+    let counts: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    for (what, most) in [("constants", 152), ("constants_without_source", 104)] {
+        let found = counts[what].as_u64().expect(what);
+        assert!(
+            found <= most,
+            "{found} {what}, {most} at most; scripts/measure_code --list names them"
+        );
+    }
+}
+
+#[test]
+fn what_comments_claim_of_sensitivity_was_measured() {
+    script(&["scripts/sensitivity", "--check"]);
+}

@@ -53,6 +53,7 @@ pub fn estimate_albedo(
     reflectance: &TexelReflectance,
     progress: &Progress,
 ) -> AlbedoEstimate {
+    // size of work
     const CHUNK: usize = 2048;
     // tasks per block that processes share: as where radiance is fused
     const BLOCK: usize = 8;

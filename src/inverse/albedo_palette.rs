@@ -9,29 +9,26 @@
 //! posterior mean: its own value and the colours around it, each weighed by its precision. A texel
 //! that is none of the colours keeps its value, and so does every class with texture.
 
-use super::flat_surface::FlatSurface;
+use super::class_prior::{ENOUGH_NEAR, LEAST_SPREAD, NEAR};
+use super::flat_surface::{ENOUGH_FLAT, FLAT_AROUND, FlatSurface};
 use super::palette_detail::kept_details;
 use super::palette_look::Look;
 use super::{AlbedoEstimate, BLACK};
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{median, passing_weight};
+use crate::core::stats::{SURELY, median, passing_weight};
 use crate::core::texture::Texels;
 use glam::Vec3;
 use std::collections::BTreeMap;
 
 /// Relative contrast of flat surface up to which a class is painted: estimates of paint vary by 0.6
 /// to 2.5 %, wood by 4 to 15 %.
+/// Measured: ×½ albedo −0.9 dB, ×2 albedo within two errors −1 % (docs/constants.md).
 const MOST_TEXTURE: f32 = 0.03;
-/// Texels around one that must be flat and clean for it to tell of texture: this far if there are
-/// enough such texels, else half.
-const REACH: i64 = 4;
-const ENOUGH_FLAT: usize = 200;
 /// Distance of the texels compared.
+/// Measured: ×½ albedo within two errors −3 %, ×2 albedo −0.9 dB (docs/constants.md).
 const LAG: i64 = 2;
-/// Least relative error of an albedo: what lies nearer together is one colour.
-const LEAST_ERROR: f32 = 0.05;
 /// Most relative error where a view sees a texel clean: what is further from a colour of its class
 /// is something else.
 const MOST_CLEAN_ERROR: f32 = 0.15;
@@ -42,19 +39,15 @@ const EDGE_ERROR: f32 = 0.1;
 const MOST_COLOURS: usize = 6;
 const LEAST_SHARE: f32 = 0.02;
 const COVERED: f32 = 0.9;
-/// What lies within that many errors of a colour may be it.
-const WITHIN: f32 = 3.0;
-/// Clean texels per class that the colours are found from, and modes tried.
+/// Clean texels per class that the colours are found from. Derived: of a colour of the least share
+/// there are 80, whose mean is known to a ninth of their spread.
 const SAMPLES: usize = 4000;
+/// Modes tried.
 const STARTS: usize = 24;
-/// Density of albedos that are no paint, per unit of (ln albedo)³: even from black to white.
+/// Density of albedos that are no paint, per unit of (ln albedo)³. Derived: even from 0.02 to 1, 1 / (ln 50)³.
 const ANYTHING: f32 = 1.0 / 60.0;
 /// Share of labels that belong to the surface next to a texel.
 const WRONG_LABEL: f32 = 0.05;
-/// Side of the cubes, in texels, within which colours are known to lie, and how many clean texels
-/// outweigh the class.
-const CUBE: f32 = 32.0;
-const ENOUGH_NEAR: f32 = 50.0;
 /// Share of the error that all texels of a colour have in common.
 const COMMON: f32 = 0.5;
 
@@ -196,7 +189,7 @@ impl PaletteFit<'_> {
 
     fn look(&self, i: usize, texture: f32) -> Look {
         let value = self.albedo.value[i].clamp(Vec3::splat(BLACK), Vec3::ONE);
-        let error = (self.error[i] / luminance(value)).max(LEAST_ERROR);
+        let error = (self.error[i] / luminance(value)).max(LEAST_SPREAD);
         let error = if self.albedo.clean[i] {
             error.min(MOST_CLEAN_ERROR)
         } else {
@@ -212,7 +205,7 @@ impl PaletteFit<'_> {
     fn cube(&self, i: usize) -> Cube {
         let side = self.texels.area(self.mesh, i).sqrt();
         // texels of about the same size share cubes
-        let side = CUBE * side.max(f32::MIN_POSITIVE).log2().round().exp2();
+        let side = NEAR * side.max(f32::MIN_POSITIVE).log2().round().exp2();
         let cube = (self.texels.position(self.mesh, i) / side).floor();
         (self.rooms[i], cube.as_ivec3().to_array())
     }
@@ -287,8 +280,8 @@ impl PaletteFit<'_> {
         };
         let found: Vec<(u16, bool, f32)> = (0..self.texels.len())
             .into_par_iter()
-            .filter(|&i| flat.reaches(i, REACH / 2))
-            .map(|i| (self.labels[i], flat.reaches(i, REACH), contrast(i)))
+            .filter(|&i| flat.reaches(i, FLAT_AROUND / 2))
+            .map(|i| (self.labels[i], flat.reaches(i, FLAT_AROUND), contrast(i)))
             .collect();
         let mut classes: BTreeMap<u16, [Vec<f32>; 2]> = BTreeMap::new();
         for (class, wide, contrast) in found {
@@ -358,7 +351,7 @@ fn nearest(look: &Look, logs: &[Vec3]) -> Option<usize> {
     let distance: Vec<f32> = logs.iter().map(|l| look.distance2(*l)).collect();
     (0..distance.len())
         .min_by(|&a, &b| distance[a].total_cmp(&distance[b]))
-        .filter(|&k| distance[k] < WITHIN * WITHIN)
+        .filter(|&k| distance[k] < SURELY * SURELY)
 }
 
 /// The modes of the looks, the largest first, if few of them explain nearly all looks; and how
@@ -367,7 +360,7 @@ fn colours(looks: &[Look]) -> Option<(Vec<(Vec3, f32)>, f32)> {
     let mut cells: BTreeMap<[i32; 3], (u32, Vec3)> = BTreeMap::new();
     for l in looks {
         let cell = cells
-            .entry((l.log / LEAST_ERROR).floor().as_ivec3().to_array())
+            .entry((l.log / LEAST_SPREAD).floor().as_ivec3().to_array())
             .or_default();
         *cell = (cell.0 + 1, cell.1 + l.log);
     }
@@ -380,7 +373,7 @@ fn colours(looks: &[Look]) -> Option<(Vec<(Vec3, f32)>, f32)> {
         let same = |m: &Vec3| {
             Look {
                 log: mode,
-                error: LEAST_ERROR,
+                error: LEAST_SPREAD,
             }
             .distance2(*m)
                 < 4.0
@@ -503,7 +496,7 @@ fn posterior(
         .zip(&weight)
         .map(|(l, w)| ((*l - log).element_sum() / 3.0).powi(2) * w / total)
         .sum();
-    let variance = keep * (own2 - texture2) + (COMMON * LEAST_ERROR).powi(2) + spread;
+    let variance = keep * (own2 - texture2) + (COMMON * LEAST_SPREAD).powi(2) + spread;
     Some(Posterior {
         paint: paint.surely * total / (total + other),
         log,

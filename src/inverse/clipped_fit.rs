@@ -36,7 +36,7 @@ const NARROW: f32 = 2.0;
 const ITERATIONS: usize = 40;
 /// Fits, each with the design effects of the one before.
 const PASSES: usize = 3;
-/// Largest step of ln t per iteration.
+/// Largest step of ln t per iteration. Derived: ln 2, a doubling.
 const MOST_STEP: f64 = 0.7;
 /// First guesses of excess over ceiling, and the one to begin with.
 const STEPS: [f64; 12] = [

@@ -6,6 +6,10 @@ use crate::core::geometry::Mesh;
 use crate::core::texture::Texels;
 use glam::Vec3;
 
+/// Texels around one that must be flat and clean for it to tell of texture and noise.
+pub(super) const FLAT_AROUND: i64 = 4;
+/// Such texels from which texture and noise of a class are known.
+pub(super) const ENOUGH_FLAT: usize = 200;
 /// Cosine between normals of one plane.
 const COPLANAR: f32 = 0.999;
 

@@ -24,9 +24,10 @@ const GLOSSY: f32 = 0.55;
 /// Relative rise of the disagreement that the model's common errors amount to. Measured on four
 /// scenes, of which dining-room decides: .03 costs it 1.8 dB (docs/lab/roughness.md).
 const COMMON: f64 = 0.05;
-/// Chance that the slope is no evidence at all: the usual level of significance.
+/// Chance that the slope is no evidence at all. Cited: the usual level of significance (Fisher 1925).
 const CORRUPT: f64 = 0.05;
-/// Slopes of gloss: the prediction holds at least as much signal as error.
+/// Least slope of gloss. Derived: a prediction of signal s and error e has the slope s² / (s² + e²) (regression
+/// dilution), and s ≥ e.
 const DILUTED: f64 = 0.5;
 /// Standard deviation of the slope that errors common to all points add. Measured: .1 to .4 alike.
 const SLOPE_ERROR: f64 = 0.2;

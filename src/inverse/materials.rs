@@ -19,7 +19,7 @@ use super::view_residual::{Disagreement, diffuse_radiance, points_by_class};
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{least_passing, passing_weight};
+use crate::core::stats::{ROUNDS, SURELY, least_passing, passing_weight};
 use crate::highlight::Evidence;
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -28,7 +28,7 @@ use std::f32::consts::PI;
 /// Points a material needs for a fit of its own.
 const FEWEST: usize = 40;
 /// Distance of the two mean colours in standard deviations around them, from which a class counts
-/// as two-coloured: halves of a normal distribution are 2.7 apart.
+/// as two-coloured. Derived: halves of a normal distribution are 2√(2/π) / √(1 − 2/π) = 2.65 apart.
 const APART: f32 = 3.0;
 /// Share of the held-out views' disagreement that a division must explain: tiles and grout explain
 /// 9 %, surfaces of one roughness whose colour merely follows their place up to 4 %.
@@ -36,15 +36,9 @@ pub const SPLIT_GAIN: f64 = 0.05;
 /// The same for roughness that follows the place: on surfaces of one roughness it explains up to 8
 /// %.
 const PLACE_GAIN: f64 = 0.15;
-/// Standard errors by which the two roughness values must differ.
-const DIFFERENT: f32 = 3.0;
 /// Share of the way from one colour to the other on which points tell of the first, and of the
 /// second.
 const PURE: f32 = 0.25;
-/// Rounds of the division by colour: it has settled long before.
-const ROUNDS: usize = 12;
-/// Albedo below which colours count as equally dark.
-const DARK: f32 = 0.01;
 
 /// The roughness of every class and of the materials within.
 #[derive(Clone, Debug, Default)]
@@ -258,7 +252,11 @@ impl Materials {
     }
 }
 
-/// Weight below which an answer does not matter: roughness lies in [0, 1], and files hold halves.
+/// Albedo below which colours count as equally dark.
+const DARK: f32 = 0.01;
+
+/// Weight below which an answer does not matter: roughness lies in [0, 1]. Derived: two steps of a half float below 1,
+/// which is what files hold.
 const LEAST_WEIGHT: f64 = 1e-3;
 
 /// What two ways to divide a class count for: as much as their gains pass `least` and their sides
@@ -369,7 +367,7 @@ fn explained(class: u16, sides: &[Disagreement]) -> Option<Explained> {
     let fits: Vec<GroupFit> = sides.iter().map(|s| fit(class, s)).collect();
     let by_value = |a: &&GroupFit, b: &&GroupFit| a.roughness.total_cmp(&b.roughness);
     let (low, high) = (fits.iter().min_by(by_value)?, fits.iter().max_by(by_value)?);
-    let mark = f64::from(DIFFERENT * low.error.hypot(high.error));
+    let mark = f64::from(SURELY * low.error.hypot(high.error));
     let different = passing_weight(f64::from(high.roughness - low.roughness), mark);
     (different > 0.0).then_some(Explained {
         fits,

@@ -24,12 +24,13 @@ use std::f32::consts::FRAC_1_PI;
 
 /// Rays per pixel along each axis.
 const GRID: usize = 4;
-/// Terms kept in memory at most (16 bytes each); beyond it pixels are skipped evenly.
+/// Terms kept in memory at most; beyond it pixels are skipped evenly. Derived: a GiB of 16 bytes each.
 const MOST_TERMS: usize = 64 << 20;
 /// Relative error of a pixel that is none of the unknowns' making: irradiance, specular part,
 /// camera.
 const MODEL_ERROR: f32 = 0.04;
-/// Error of coverage from `GRID`² rays, as a share of the contrast within the pixel.
+/// Error of coverage from `GRID`² rays, as a share of the contrast within the pixel. Derived: the mean of √(p (1 − p)) /
+/// `GRID` over shares p, π/32.
 const COVERAGE_ERROR: f32 = 0.1;
 /// Side of a piece of surface with one albedo, at most, as a power of two of texels.
 const MOST_LEVELS: f32 = 6.0;

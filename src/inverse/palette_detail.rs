@@ -8,10 +8,10 @@
 //! Laird and Rubin 1977). What is kept of d is its posterior share of pattern: nothing of ordinary
 //! noise, all of what stands out far, in hue above all, in which light errs least.
 
-use super::flat_surface::FlatSurface;
+use super::flat_surface::{ENOUGH_FLAT, FLAT_AROUND, FlatSurface};
 use super::palette_look::Look;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{median, passing_weight};
+use crate::core::stats::{ROUNDS, median, passing_weight};
 use glam::Vec3;
 use std::collections::BTreeMap;
 
@@ -23,22 +23,17 @@ const LEAST_AROUND: usize = 8;
 const SAMPLES: i64 = 4;
 /// Texels that tell a level, of 81.
 const ENOUGH: usize = 27;
-/// Texels around one that must be flat.
-const FLAT: i64 = 4;
-/// Noise of a class is known from so many texels.
-const FEWEST: usize = 200;
 /// Scale of a pattern over that of the noise from which it is one. Measured: noise with tails gives
 /// 2.0 to 3.2 on plain paint of four scenes, pale sprigs 4.4 (docs/lab/albedo.md).
 const DISTINCT: f64 = 4.0;
-/// Rounds of expectation maximisation: the share moves by less than a percent of itself after ten.
-const ROUNDS: usize = 15;
-/// Median of the length of a Gaussian vector of three unit components.
+/// Median of the length of a Gaussian vector of three unit components. Derived: the root of χ²₃'s
+/// median, 2.366.
 const MEDIAN_OF_THREE: f32 = 1.538;
 
 /// What texel `i` differs by from the level of flat surface around it, ln albedo; `None` where the
 /// surface is not flat.
 fn deviation(flat: &FlatSurface, looks: &[Look], i: usize) -> Option<Vec3> {
-    if !flat.reaches(i, FLAT) {
+    if !flat.reaches(i, FLAT_AROUND) {
         return None;
     }
     let step = (flat.width() / AROUND).max(LEAST_AROUND) as i64 / SAMPLES;
@@ -157,7 +152,7 @@ pub(super) fn kept_details(
     let classes: Vec<(u16, Vec<Deviation>)> = classes.into_iter().collect();
     let mixtures: BTreeMap<u16, Mixture> = classes
         .into_par_iter()
-        .filter(|(_, d)| d.len() >= FEWEST)
+        .filter(|(_, d)| d.len() >= ENOUGH_FLAT)
         .map(|(class, d)| (class, Mixture::of(&d)))
         .collect();
     (labels.par_iter().zip(&found))

@@ -5,6 +5,7 @@ use glam::Vec3;
 
 /// Error of a colour's hue and saturation relative to that of its luminance: light errs in
 /// brightness rather than in colour.
+/// Measured: ×½ albedo +0.1 dB, ×2 little (docs/constants.md).
 const CHROMA: f32 = 0.4;
 
 /// ln albedo and its standard error in luminance.

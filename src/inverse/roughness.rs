@@ -79,7 +79,7 @@ pub(super) fn held_out(table: &Disagreement) -> f64 {
         .sum()
 }
 
-/// Parts of the points in turn left out of a fit.
+/// Parts of the points in turn left out of a fit. Cited: five (Breiman and Spector 1992).
 const FOLDS: usize = 5;
 
 /// The level of the least value.

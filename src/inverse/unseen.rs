@@ -8,6 +8,7 @@
 //! the room shows none, the nearest anywhere. Called by the pipeline once the seen texels are settled.
 
 use super::AlbedoEstimate;
+use super::class_prior::NEAR;
 use crate::core::geometry::Mesh;
 use crate::core::stats::median;
 use crate::core::texture::Texels;
@@ -17,12 +18,12 @@ use rstar::primitives::GeomWithData;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 
-/// Side of a cell in texels of the usual size. Derived: the scale of the class priors' cubes (32)
-/// by a quarter, so that a cell spans no wall but averages noise.
-const CELL: f32 = 8.0;
+/// Side of a cell in texels of the usual size. Derived: a quarter of what counts as near, so that a
+/// cell spans no wall but averages noise.
+const CELL: f32 = NEAR / 4.0;
 /// What a texel seen at edges alone counts for beside a clean one.
 const UNCLEAN: f32 = 0.1;
-/// Lengths of the steps to a cell that shares a face, an edge or a corner.
+/// Lengths of the steps to a cell that shares a face, an edge or a corner. Derived: 1000 √k.
 const STEP: [u32; 4] = [0, 1000, 1414, 1732];
 
 /// A cell of one class in one room.

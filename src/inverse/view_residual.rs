@@ -18,6 +18,7 @@ const OUTLIER: f32 = 0.25;
 const KNEE: f32 = 0.02;
 /// Relative noise of a response that can be taken out. Beyond, halves that both miss a highlight
 /// would agree on there being none.
+/// Measured: ×½ roughness +0.8 dB, ×2 little (docs/constants.md).
 const KNOWN_NOISE: f32 = 0.05;
 
 /// How far the views of one point disagree at every level of the evidence.

@@ -9,7 +9,8 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// Independent estimates that a bake keeps of every value: what the others say decides which
-/// neighbours one is filtered with, so more of them leave more to decide by.
+/// neighbours one is filtered with, so more of them leave more to decide by. Derived: as many numbers
+/// as a vector register of 256 bits holds.
 pub const SUB_ESTIMATES: usize = 8;
 
 /// How irradiance is estimated.
@@ -203,6 +204,7 @@ fn for_each_of<T: Send, U: Sync>(
     from: &[U],
     each: impl Fn(&mut T, &U) + Sync,
 ) {
+    // size of work
     const AT_ONCE: usize = 4096;
     let (mut rest, mut skipped, mut tasks) = (to, 0, Vec::new());
     for (ids, from) in ids.chunks(AT_ONCE).zip(from.chunks(AT_ONCE)) {

@@ -10,7 +10,7 @@ pub(crate) struct HilbertOrder {
     place: Vec<u32>,
 }
 
-/// Cells along a side at most.
+/// Cells along a side at most: size of work.
 const MAX_SIDE: usize = 64;
 
 impl HilbertOrder {

@@ -25,7 +25,7 @@ use std::ops::Range;
 /// Rays per batch, about: enough to hide the cost of a foreign call, few enough to stay in the
 /// cache.
 const BATCH: usize = 4096;
-/// Emitter samples of a receiver from which a table of the lamps at its numbers pays.
+/// Emitter samples of a receiver from which a table of the lamps at its numbers pays: size of work.
 const GUIDED: usize = 24;
 /// How many rays before its turn the memory is asked for what a hit needs.
 const AHEAD: usize = 24;

@@ -20,15 +20,18 @@ use crate::ffi::simd::{Kernel, run_widest};
 use glam::Vec3;
 
 /// Reach of the regression in texels.
+/// Measured: ×½ albedo −0.5 dB, ×2 albedo −0.2 dB (docs/constants.md).
 const REACH: f32 = 6.0;
 /// Reach in texels over which noise, error and what is compared are averaged: so small that shadow
 /// edges survive.
+/// Measured: ×½ little, ×2 albedo −1.1 dB (docs/constants.md).
 const DISC: f32 = 2.35;
 /// Relative differences that never separate two texels.
 const INDIFFERENT: f32 = 2e-3;
 /// Squared differences, in variances beyond the one that noise explains, from which texels have
 /// nothing in common. A kernel that falls faster picks neighbours by their noise
 /// (docs/lab/irradiance.md).
+/// Measured: ×½ albedo −0.2 dB, ×2 little (docs/constants.md).
 const DIFFERENT: f32 = 16.0;
 /// A turn of the normal that counts as much as the reach.
 const TURN: f32 = 4.0;
@@ -50,7 +53,7 @@ const CHANCE: f32 = 0.36;
 /// whose disc fewer than `COMPANY` have.
 const SAMPLED_ONE_IN: u64 = 2;
 const COMPANY: usize = 5;
-/// How many other parts a part is compared with.
+/// How many other parts a part is compared with (derived).
 const OTHERS: f32 = (SUB_ESTIMATES - 1) as f32;
 
 /// The neighbourhoods of a set of texels.

@@ -8,6 +8,7 @@
 //! in memory.
 
 use super::occluded_pairs::OccludedPairs;
+use crate::core::geometry::SMOOTH;
 use crate::core::math::Frame;
 use crate::core::parallel::prelude::*;
 use crate::ffi::simd::with_widest;
@@ -18,8 +19,6 @@ use std::ops::Range;
 /// Side of a cube in texels: smaller ones waste less on candidates out of reach, larger ones need
 /// fewer look-ups.
 const CELL: f32 = 4.5;
-/// Normals closer than this cosine belong to one smooth surface.
-const SMOOTH: f32 = 0.95;
 /// Height over the tangent plane, as a share of the distance, within which a texel belongs to the
 /// same surface.
 const FLAT: f32 = 0.15;
@@ -379,6 +378,7 @@ impl Octave {
 }
 
 /// Cubes lie within so many of the origin in every direction, those beyond in the outermost.
+/// Derived: thirty bits a coordinate in the key that texels are sorted by.
 const CUBES: i32 = 1 << 29;
 
 fn cube(p: Vec3, cell: f32) -> [i32; 3] {

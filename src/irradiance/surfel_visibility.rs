@@ -15,13 +15,13 @@ use glam::Vec3;
 use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 use std::ops::Range;
 
-/// Height over the surface, in texels, at which texels look at each other. Between neighbours a
+/// Height over the surface, in texels, at which texels look at each other. Derived: between neighbours a
 /// convex surface rises less than a quarter above their line: d θ / 8 for normals θ = acos 0.95
 /// apart at a distance of d = 6.
 const HEIGHT: f32 = 0.5;
 /// Rays of a fan: along both axes of the tangent plane and between them.
 const SPOKES: usize = 8;
-/// Their length in reaches, a little more than 1 / cos(π / 8): one of them meets any straight wall
+/// Their length in reaches. Derived: a little more than 1 / cos(π / 8): one of them meets any straight wall
 /// within reach.
 const LENGTH: f32 = 1.083;
 /// Their directions along those axes, anticlockwise.

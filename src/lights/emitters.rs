@@ -16,7 +16,7 @@ use super::portal_grid::PortalGrid;
 use super::portals::find_exits;
 use super::primitives::{Columns, GRAZING, PORTAL, SHORT, Sources};
 use super::reach::{Found, ReachTable};
-use crate::core::geometry::Mesh;
+use crate::core::geometry::{Mesh, SMOOTH};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::sampling::{SlotTable, SobolSequence, hash_u64, square_to_triangle};
@@ -37,9 +37,8 @@ const CELLS_LONGEST: f32 = 20.0;
 /// Receivers per cell used to find which lamps reach it.
 const PROBES: usize = 32;
 
-/// Distance in cells and cosine between normals within which two points ask the same lamps.
+/// Distance in cells within which two points of one smooth surface ask the same lamps.
 const ALIKE: f32 = 0.1;
-const ALIKE_NORMALS: f32 = 0.95;
 
 /// A direction towards an emitter.
 #[derive(Clone, Copy, Debug)]
@@ -378,7 +377,7 @@ impl Emitters {
     /// Whether two points (position, unit normal) lie so close together that one's choice of lamps
     /// serves the other as well.
     pub(crate) fn alike(&self, [a, b]: [(Vec3, Vec3); 2]) -> bool {
-        a.0.distance_squared(b.0) < (ALIKE * self.cell_size).powi(2) && a.1.dot(b.1) > ALIKE_NORMALS
+        a.0.distance_squared(b.0) < (ALIKE * self.cell_size).powi(2) && a.1.dot(b.1) > SMOOTH
     }
 
     /// Draws a direction from `origin` towards an emitter; `None` where the drawn point faces away.

@@ -7,6 +7,10 @@ use crate::core::math::luminance;
 use crate::radiance::LightField;
 use glam::Vec3;
 
+/// Barycentrics at which a triangle is looked at. Cited: the places of the four-point rule of degree 3 (Hammer and
+/// Stroud 1956).
+const PLACES: [(f32, f32); 4] = [(1.0 / 3.0, 1.0 / 3.0), (0.6, 0.2), (0.2, 0.6), (0.2, 0.2)];
+
 /// A scene as a source of light. Only `radiance` and `environment` enter an estimate; the rest
 /// decides how often what is sampled, and so the noise.
 pub trait LightModel: Sync {
@@ -32,9 +36,7 @@ impl LightModel for LightField {
 
     /// From a few points; a floor keeps dim corners possible.
     fn power(&self, mesh: &Mesh, triangle: usize) -> f64 {
-        const POINTS: [(f32, f32); 4] =
-            [(1.0 / 3.0, 1.0 / 3.0), (0.6, 0.2), (0.2, 0.6), (0.2, 0.2)];
-        let lum = POINTS.map(|(u, v)| luminance(self.emitted(triangle, u, v)).max(0.0));
+        let lum = PLACES.map(|(u, v)| luminance(self.emitted(triangle, u, v)).max(0.0));
         let peak = lum.iter().copied().fold(0.0, f32::max);
         f64::from((lum.iter().sum::<f32>() / 4.0).max(0.1 * peak)) * f64::from(mesh.area(triangle))
     }

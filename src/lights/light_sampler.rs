@@ -37,12 +37,14 @@ pub(crate) struct Piece {
     pub power: f64,
 }
 
-/// Sums over lamps that run side by side: a single one would wait for every addition.
+/// Sums over lamps that run side by side: a single one would wait for every addition. Derived: as many numbers as a
+/// vector register of 256 bits holds.
 const LANES: usize = 8;
 /// Steps in which the level of [`LightShapes::rebalance`] is found, nearly; each leaves lamps out.
 const LEVEL_STEPS: u32 = 2;
-/// Least factor on a lamp's probability, however well hemisphere rays meet it.
-const LEAST: f32 = 0.03;
+/// Least factor on a lamp's probability, however well hemisphere rays meet it and however seldom light of it arrives:
+/// what steers samples may err (defensive sampling, after Hesterberg).
+pub(super) const DEFENSIVE: f32 = 0.03;
 
 /// Flat pieces of a lamp seen under a grazing angle still shine as much as this share of its
 /// angular size.
@@ -184,7 +186,7 @@ impl Kernel for Rebalance<'_> {
         }
         let slope = rays / level;
         for (w, d) in weights.iter_mut().zip(dimness) {
-            *w *= (1.0 - slope * d).max(LEAST);
+            *w *= (1.0 - slope * d).max(DEFENSIVE);
         }
     }
 }
@@ -430,7 +432,7 @@ mod tests {
         );
         // what the floor gives is not the optimum's
         let above_floor =
-            |k: &usize| f64::from(weights[*k]) > 1.01 * f64::from(LEAST) * expected[*k];
+            |k: &usize| f64::from(weights[*k]) > 1.01 * f64::from(DEFENSIVE) * expected[*k];
         assert_eq!((0..5).filter(above_floor).collect::<Vec<_>>(), [0, 1, 4]);
         for from in (0..5).filter(above_floor) {
             for to in 0..5 {

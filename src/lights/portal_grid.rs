@@ -83,7 +83,7 @@ impl PortalGrid {
         p.cmpge(self.lo).all() && p.cmple(self.hi).all()
     }
 
-    /// Every cell's number is below this.
+    /// Every cell's number is below this. Derived: six faces, 128 at least above [`CELLS`] along a side.
     pub const NUMBERS: usize = 6 * 128 * 128;
 
     fn number(&self, face: u32, i: u32, j: u32) -> u32 {

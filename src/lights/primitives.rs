@@ -33,7 +33,7 @@ struct Source {
     uv_edge2: Vec2,
 }
 
-/// Numbers of a [`Source`].
+/// Numbers of a [`Source`]. Derived: those of one cache line.
 const NUMBERS: usize = 16;
 const _: () = assert!(size_of::<Source>() == NUMBERS * size_of::<f32>());
 

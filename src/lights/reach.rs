@@ -1,9 +1,8 @@
 //! What was learned of the visibility of lamps, cell by cell.
 
+use super::light_sampler::DEFENSIVE;
 use std::collections::BTreeMap;
 
-/// Share of the expected irradiance that a lamp is believed to send where no ray from it arrived.
-const DEFENSIVE: f32 = 0.03;
 /// What a neighbouring cell's findings count beside a cell's own.
 const NEIGHBOURS: f32 = 0.2;
 

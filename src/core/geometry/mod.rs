@@ -9,3 +9,6 @@ pub use camera::{Camera, Lens, Projection};
 pub use clusters::{clusters, numbered, pieces, smooth_patches, touching};
 pub use mesh::Mesh;
 pub use shells::{Neighbour, Shells};
+
+/// Normals closer than this cosine belong to one smooth surface, whose points see nearly the same light.
+pub const SMOOTH: f32 = 0.95;

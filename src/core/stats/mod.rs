@@ -10,6 +10,14 @@ use std::collections::BTreeMap;
 /// What turns a median absolute deviation into a Gaussian's standard deviation. Derived: 1/Φ⁻¹(3/4).
 pub const MAD_SCALE: f32 = 1.4826;
 
+/// Standard errors from which a difference is none of chance's making. Derived: a Gaussian goes beyond three once in
+/// 370 times.
+pub const SURELY: f32 = 3.0;
+
+/// Rounds of an alternation that has settled by then: assignment and mean (Lloyd 1982), expectation and maximisation.
+/// The share of a pattern moves by less than a percent of itself after ten.
+pub const ROUNDS: usize = 15;
+
 /// Index of the weighted median among (value, weight) pairs: the smallest value at which the
 /// weights up to it reach half of their sum. `None` for an empty list. Weights are ≥ 0; if all are
 /// 0, the smallest value is the median. NaN values count as largest.
