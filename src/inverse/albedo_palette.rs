@@ -29,9 +29,6 @@ const MOST_TEXTURE: f32 = 0.03;
 /// Distance of the texels compared.
 /// Measured: ×½ albedo within two errors −3 %, ×2 albedo −0.9 dB (docs/constants.md).
 const LAG: i64 = 2;
-/// Most relative error where a view sees a texel clean: what is further from a colour of its class
-/// is something else.
-const MOST_CLEAN_ERROR: f32 = 0.15;
 /// Relative error added where no view sees a texel clean.
 const EDGE_ERROR: f32 = 0.1;
 /// A class has at most this many colours, each of at least this share of its clean texels, and
@@ -191,7 +188,7 @@ impl PaletteFit<'_> {
         let value = self.albedo.value[i].clamp(Vec3::splat(BLACK), Vec3::ONE);
         let error = (self.error[i] / luminance(value)).max(LEAST_SPREAD);
         let error = if self.albedo.clean[i] {
-            error.min(MOST_CLEAN_ERROR)
+            error
         } else {
             error.hypot(EDGE_ERROR)
         };
