@@ -53,6 +53,17 @@ const TABLE: &[(&str, &[&str])] = &[
         "export",
         &["scene", "evaluate", "render", "solution", "vocabulary"],
     ),
+    (
+        "bake",
+        &[
+            "scene",
+            "irradiance",
+            "radiance",
+            "render",
+            "pipeline",
+            "vocabulary",
+        ],
+    ),
     ("batch", &["report", "solution", "vocabulary"]),
     ("evaluate", &["render", "scene", "solution", "vocabulary"]),
     (

@@ -22,7 +22,7 @@ use std::rc::Rc;
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
-struct Document {
+pub(super) struct Document {
     #[serde(default)]
     scene: Option<usize>,
     #[serde(default)]
@@ -70,17 +70,17 @@ struct NodeExtensions {
 }
 
 #[derive(Deserialize)]
-struct MeshEntry {
+pub(super) struct MeshEntry {
     #[serde(default)]
-    primitives: Vec<Primitive>,
+    pub(super) primitives: Vec<Primitive>,
 }
 
 #[derive(Deserialize)]
-struct Primitive {
+pub(super) struct Primitive {
     /// Accessors by the attribute's name.
-    attributes: BTreeMap<String, usize>,
+    pub(super) attributes: BTreeMap<String, usize>,
     indices: Option<usize>,
-    material: Option<usize>,
+    pub(super) material: Option<usize>,
     mode: Option<u32>,
     #[serde(default)]
     extensions: PrimitiveExtensions,
@@ -94,16 +94,16 @@ struct PrimitiveExtensions {
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
-struct Accessor {
+pub(super) struct Accessor {
     buffer_view: Option<usize>,
     #[serde(default)]
     byte_offset: u64,
-    component_type: u32,
+    pub(super) component_type: u32,
     count: u64,
     #[serde(rename = "type")]
-    shape: String,
+    pub(super) shape: String,
     #[serde(default)]
-    normalized: bool,
+    pub(super) normalized: bool,
     sparse: Option<serde::de::IgnoredAny>,
 }
 
@@ -175,50 +175,24 @@ const MAX_ELEMENTS: u64 = 1 << 27;
 /// If the file is damaged, asks for more bytes than there are, or holds no triangles.
 pub fn mesh_from_gltf(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     let fail = |m: String| Error::input(path, m);
-    let (json, blob) = if bytes.starts_with(b"glTF") {
-        split_glb(bytes).map_err(fail)?
-    } else {
-        (bytes, None)
-    };
-    let document: Document = serde_json::from_slice(json).map_err(|e| {
-        fail(format!(
-            "the glTF JSON is malformed: {e}; export the mesh again"
-        ))
-    })?;
-    if let Some(e) = document
-        .extensions_required
-        .iter()
-        .find(|e| !UNDERSTOOD.iter().any(|u| e.starts_with(u)))
-    {
-        return Err(fail(format!(
-            "it requires the extension {e}, which is not supported; export without it"
-        )));
-    }
-    let buffers = document
-        .buffers
-        .iter()
-        .enumerate()
-        .map(|(i, b)| load_buffer(i, b, blob, path))
-        .collect::<Result<Vec<_>>>()?;
-    let reader = Reader {
-        document: &document,
-        buffers,
-        views: document
-            .buffer_views
-            .iter()
-            .map(|_| OnceCell::new())
-            .collect(),
-        unpacked: Cell::new(0),
-        draco: RefCell::default(),
-    };
-    reader.check_instances().map_err(fail)?;
-    let parts = reader.parts().map_err(fail)?;
+    let parts = Reader::open(bytes, path)?.parts().map_err(fail)?;
     if parts.is_empty() {
-        return Err(fail(
-            "no triangle geometry in the scene; export the mesh with its triangles".into(),
-        ));
+        return Err(fail(WITHOUT_TRIANGLES.into()));
     }
     RawMesh::from_parts(parts, path)
+}
+
+/// What is said of a file without surface.
+pub(super) const WITHOUT_TRIANGLES: &str =
+    "no triangle geometry in the scene; export the mesh with its triangles";
+
+/// The JSON of a `.glb` or `.gltf`, and the binary chunk if there is one.
+pub(super) fn split<'a>(bytes: &'a [u8], path: &Path) -> Result<(&'a [u8], Option<&'a [u8]>)> {
+    if bytes.starts_with(b"glTF") {
+        split_glb(bytes).map_err(|m| Error::input(path, m))
+    } else {
+        Ok((bytes, None))
+    }
 }
 
 /// The JSON and binary chunks of a `.glb`.
@@ -288,31 +262,35 @@ fn load_buffer<'a>(
             ))
         });
     };
+    load_uri(&format!("buffer {i}"), uri, path).map(Cow::Owned)
+}
+
+/// The bytes that a uri stands for: embedded, or those of a file beside the glTF file or below.
+/// `what` is named in errors.
+pub(super) fn load_uri(what: &str, uri: &str, path: &Path) -> Result<Vec<u8>> {
+    let fail = |m: String| Error::input(path, m);
     if let Some(data) = uri.strip_prefix("data:") {
         let encoded = data
             .split_once(";base64,")
-            .ok_or_else(|| fail(format!("buffer {i}: the data uri is not base64")))?
+            .ok_or_else(|| fail(format!("{what}: the data uri is not base64")))?
             .1;
         return decode_base64(encoded)
-            .map(Cow::Owned)
-            .ok_or_else(|| fail(format!("buffer {i}: damaged base64; export the mesh again")));
+            .ok_or_else(|| fail(format!("{what}: damaged base64; export the mesh again")));
     }
     let name = decode_percent(uri);
     let inside = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
     // a scene from a stranger must not put the bytes of any file into what its user publishes
     if uri.contains("://") || !Path::new(&name).components().all(inside) {
         return Err(fail(format!(
-            "buffer {i} lies at {uri}; only files beside the mesh or below are read. Export with embedded buffers"
+            "{what} lies at {uri}; only files beside the mesh or below are read. Export with embedded buffers"
         )));
     }
-    read_input(&path.with_file_name("").join(name), MOST_DATA)
-        .map(Cow::Owned)
-        .map_err(|e| {
-            e.advise(&format!(
-                "it is buffer {i} of {}: keep it beside the .gltf or export a .glb",
-                path.display()
-            ))
-        })
+    read_input(&path.with_file_name("").join(name), MOST_DATA).map_err(|e| {
+        e.advise(&format!(
+            "it is {what} of {}: keep it beside the .gltf or export a .glb",
+            path.display()
+        ))
+    })
 }
 
 /// Padding and line breaks as they come: what exporters write differs in both.
@@ -350,8 +328,9 @@ fn decode_percent(uri: &str) -> String {
     String::from_utf8_lossy(&out).into_owned()
 }
 
-struct Reader<'a> {
-    document: &'a Document,
+/// A file whose JSON is read and whose buffers are at hand.
+pub(super) struct Reader<'a> {
+    document: Document,
     buffers: Vec<Cow<'a, [u8]>>,
     /// Packed views that were unpacked.
     views: Vec<OnceCell<Vec<u8>>>,
@@ -362,12 +341,66 @@ struct Reader<'a> {
 }
 
 /// A primitive with what Draco had of it.
-struct Source<'a> {
+pub(super) struct Source<'a> {
     primitive: &'a Primitive,
     draco: Option<Rc<Unpacked>>,
 }
 
-type Reading<T> = std::result::Result<T, String>;
+/// A node of the scene.
+#[derive(Clone, Copy)]
+pub(super) struct Placed {
+    /// Its number.
+    pub(super) node: usize,
+    /// Its mesh, if it has one.
+    pub(super) mesh: Option<usize>,
+    /// Its transform.
+    pub(super) world: DMat4,
+}
+
+impl Source<'_> {
+    /// Whether Draco has an attribute.
+    pub(super) fn is_packed(&self, name: &str) -> bool {
+        let extension = self.primitive.extensions.draco.as_ref();
+        extension.is_some_and(|d| d.attributes.contains_key(name))
+    }
+}
+
+pub(super) type Reading<T> = std::result::Result<T, String>;
+
+impl<'a> Reader<'a> {
+    /// Reads the JSON of a file and its buffers.
+    ///
+    /// # Errors
+    /// The file is damaged, requires what is not understood, or a buffer of it is missing.
+    pub(super) fn open(bytes: &'a [u8], path: &Path) -> Result<Self> {
+        let fail = |m: String| Error::input(path, m);
+        let (json, blob) = split(bytes, path)?;
+        let document: Document = serde_json::from_slice(json).map_err(|e| {
+            fail(format!(
+                "the glTF JSON is malformed: {e}; export the mesh again"
+            ))
+        })?;
+        let known = |e: &&String| !UNDERSTOOD.iter().any(|u| e.starts_with(u));
+        if let Some(e) = document.extensions_required.iter().find(known) {
+            return Err(fail(format!(
+                "it requires the extension {e}, which is not supported; export without it"
+            )));
+        }
+        let load = |(i, b)| load_buffer(i, b, blob, path);
+        let buffers = document.buffers.iter().enumerate().map(load);
+        let buffers = buffers.collect::<Result<Vec<_>>>()?;
+        let views = document.buffer_views.iter().map(|_| OnceCell::new());
+        let reader = Self {
+            buffers,
+            views: views.collect(),
+            unpacked: Cell::new(0),
+            draco: RefCell::default(),
+            document,
+        };
+        reader.check_instances().map_err(fail)?;
+        Ok(reader)
+    }
+}
 
 impl Reader<'_> {
     /// Refuses node extensions that would put a mesh where it is not read.
@@ -407,21 +440,13 @@ impl Reader<'_> {
         ))
     }
 
-    /// All triangle primitives of the default scene, in world coordinates; counted before any is
-    /// read.
+    /// All triangle primitives of the default scene, in world coordinates.
     fn parts(&self) -> Reading<Vec<Part>> {
-        let instances = self.instances()?;
-        let mut asked = 0;
-        for (m, _) in &instances {
-            for primitive in &self.mesh(*m)?.primitives {
-                self.count(primitive, &mut asked)?;
-            }
-        }
         let mut parts = Vec::new();
-        for (m, world) in &instances {
-            for (p, primitive) in self.mesh(*m)?.primitives.iter().enumerate() {
+        for (m, world) in self.instances()? {
+            for (p, primitive) in self.mesh(m)?.primitives.iter().enumerate() {
                 let part = self
-                    .part(primitive, world)
+                    .part(primitive, &world)
                     .map_err(|e| format!("mesh {m}, primitive {p}: {e}"))?;
                 parts.extend(part);
             }
@@ -429,14 +454,23 @@ impl Reader<'_> {
         Ok(parts)
     }
 
-    fn mesh(&self, m: usize) -> Reading<&MeshEntry> {
+    /// Meshes of the default scene with their world transforms, in the order of the hierarchy;
+    /// what they ask for is counted.
+    fn instances(&self) -> Reading<Vec<(usize, DMat4)>> {
+        let placed = self.placed()?;
+        let of_mesh = |p: &Placed| p.mesh.map(|m| (m, p.world));
+        Ok(placed.iter().filter_map(of_mesh).collect())
+    }
+
+    pub(super) fn mesh(&self, m: usize) -> Reading<&MeshEntry> {
         let found = self.document.meshes.get(m);
         found.ok_or_else(|| format!("mesh {m} does not exist; export the mesh again"))
     }
 
-    /// Meshes of the default scene with their world transforms, in the order of the hierarchy.
-    fn instances(&self) -> Reading<Vec<(usize, DMat4)>> {
-        let d = self.document;
+    /// Nodes of the default scene with their world transforms, in the order of the hierarchy; what
+    /// their meshes ask for is counted.
+    pub(super) fn placed(&self) -> Reading<Vec<Placed>> {
+        let d = &self.document;
         let roots: Vec<usize> = match d.scenes.get(d.scene.unwrap_or(0)) {
             Some(scene) => scene.nodes.clone(),
             // no scene: the nodes nobody lists as a child
@@ -471,20 +505,30 @@ impl Reader<'_> {
                 .ok_or_else(|| format!("node {index} does not exist; export the mesh again"))?;
             let world = parent * local_transform(node);
             stack.extend(node.children.iter().rev().map(|&c| (c, world, depth + 1)));
-            found.extend(node.mesh.map(|m| (m, world)));
+            found.push(Placed {
+                node: index,
+                mesh: node.mesh,
+                world,
+            });
+        }
+        let mut asked = 0;
+        for m in found.iter().filter_map(|p| p.mesh) {
+            for primitive in &self.mesh(m)?.primitives {
+                self.count(primitive, &mut asked)?;
+            }
         }
         Ok(found)
     }
 
-    fn part(&self, primitive: &Primitive, world: &DMat4) -> Reading<Option<Part>> {
+    /// A primitive in world coordinates; `None` where it is no surface.
+    pub(super) fn part(&self, primitive: &Primitive, world: &DMat4) -> Reading<Option<Part>> {
         let mode = primitive.mode.unwrap_or(4);
         if mode < 4 {
             return Ok(None); // points and lines carry no surface
         }
         let position = primitive.attributes.get("POSITION");
         position.ok_or("no POSITION; export the mesh again")?;
-        let draco = self.draco(primitive)?;
-        let source = Source { primitive, draco };
+        let source = self.source(primitive)?;
         let positions: Vec<DVec3> = self
             .vectors::<3>(&source, "POSITION")?
             .unwrap_or_default()
@@ -538,9 +582,15 @@ impl Reader<'_> {
         }))
     }
 
-    fn accessor(&self, index: usize) -> Reading<&Accessor> {
+    pub(super) fn accessor(&self, index: usize) -> Reading<&Accessor> {
         let found = self.document.accessors.get(index);
         found.ok_or_else(|| format!("accessor {index} does not exist; export the mesh again"))
+    }
+
+    /// Where a primitive's attributes are read.
+    pub(super) fn source<'p>(&self, primitive: &'p Primitive) -> Reading<Source<'p>> {
+        let draco = self.draco(primitive)?;
+        Ok(Source { primitive, draco })
     }
 
     /// The primitive unpacked, if Draco packed it.
@@ -566,7 +616,7 @@ impl Reader<'_> {
 
     /// The vectors of an attribute, from Draco or from its accessor; `None` where the primitive has
     /// no such attribute.
-    fn vectors<const N: usize>(
+    pub(super) fn vectors<const N: usize>(
         &self,
         from: &Source<'_>,
         name: &str,
@@ -599,7 +649,7 @@ impl Reader<'_> {
     }
 
     /// The bytes of a buffer view, unpacked if they are packed.
-    fn view_bytes(&self, v: usize) -> Reading<&[u8]> {
+    pub(super) fn view_bytes(&self, v: usize) -> Reading<&[u8]> {
         let again = "export the mesh again";
         let view = self
             .document
@@ -638,7 +688,7 @@ impl Reader<'_> {
 
     /// The bytes of an accessor's elements: `(bytes from the first element, stride, count)`,
     /// checked to lie in the buffer.
-    fn elements(&self, index: usize, size: u64) -> Reading<(&[u8], usize, usize)> {
+    pub(super) fn elements(&self, index: usize, size: u64) -> Reading<(&[u8], usize, usize)> {
         let again = "export the mesh again";
         let a = self.accessor(index)?;
         if a.sparse.is_some() {
@@ -674,7 +724,7 @@ impl Reader<'_> {
     /// accessor says so.
     fn floats<const N: usize>(&self, index: usize) -> Reading<Vec<[f64; N]>> {
         let a = self.accessor(index)?;
-        let expected = if N == 3 { "VEC3" } else { "VEC2" };
+        let expected = format!("VEC{N}");
         if a.shape != expected {
             return Err(format!(
                 "accessor {index} is {}, expected {expected}; export the mesh again",

@@ -1,5 +1,5 @@
-//! Where a glTF material samples its base colour: which set of texture coordinates, moved by
-//! `KHR_texture_transform`. Called by `gltf`.
+//! Where a glTF material samples a texture: which set of texture coordinates, moved by
+//! `KHR_texture_transform`. Called by `gltf` and `gltf_look`.
 
 use glam::Vec2;
 use serde::Deserialize;
@@ -17,9 +17,12 @@ struct Textures {
     base_color_texture: TextureInfo,
 }
 
+/// A texture as a material names it.
 #[derive(Default, Deserialize)]
 #[serde(default, rename_all = "camelCase")]
-struct TextureInfo {
+pub(super) struct TextureInfo {
+    /// Its number.
+    pub index: Option<usize>,
     tex_coord: u32,
     extensions: Extensions,
 }
@@ -53,7 +56,7 @@ impl Default for Transform {
 
 /// A set of texture coordinates and the affine map to where the texture is sampled.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct UvSource {
+pub struct UvSource {
     /// The n of `TEXCOORD_n`.
     pub set: u32,
     offset: [f64; 2],
@@ -76,15 +79,21 @@ impl Default for UvSource {
 impl Material {
     /// The texture coordinates of the base colour.
     pub(super) fn uv_source(&self) -> UvSource {
-        let info = &self.pbr_metallic_roughness.base_color_texture;
-        let Some(t) = &info.extensions.transform else {
+        self.pbr_metallic_roughness.base_color_texture.uv_source()
+    }
+}
+
+impl TextureInfo {
+    /// The texture coordinates it is sampled at.
+    pub(super) fn uv_source(&self) -> UvSource {
+        let Some(t) = &self.extensions.transform else {
             return UvSource {
-                set: info.tex_coord,
+                set: self.tex_coord,
                 ..UvSource::default()
             };
         };
         UvSource {
-            set: t.tex_coord.unwrap_or(info.tex_coord),
+            set: t.tex_coord.unwrap_or(self.tex_coord),
             offset: t.offset,
             turn: [t.rotation.cos(), t.rotation.sin()],
             scale: t.scale,
@@ -94,7 +103,8 @@ impl Material {
 
 impl UvSource {
     /// Scaled, then turned counter-clockwise as seen with v down, then moved.
-    pub(super) fn sampled_at(&self, uv: [f64; 2]) -> Vec2 {
+    #[must_use]
+    pub fn sampled_at(&self, uv: [f64; 2]) -> Vec2 {
         let [u, v] = [uv[0] * self.scale[0], uv[1] * self.scale[1]];
         let [c, s] = self.turn;
         Vec2::new(
