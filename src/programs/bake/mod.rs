@@ -33,7 +33,7 @@ use looks::Looks;
 use scene::BakeScene;
 use seams::Seams;
 use sky::Sky;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Names of the maps: irradiance, and with directions its mean and slopes.
@@ -175,6 +175,22 @@ fn light(
     })
 }
 
+/// Which triangles lie on another one with the same corners: faces stored once per side, whose
+/// backs nobody sees.
+fn backed(mesh: &Mesh) -> Vec<bool> {
+    let key = |t: &[u32; 3]| {
+        let bits = |x: f32| (x + 0.0).to_bits(); // + 0.0 joins -0 and 0
+        let mut corners = t.map(|v| mesh.positions[v as usize].to_array().map(bits));
+        corners.sort_unstable();
+        corners
+    };
+    let mut count: BTreeMap<[[u32; 3]; 3], u32> = BTreeMap::new();
+    for t in &mesh.triangles {
+        *count.entry(key(t)).or_default() += 1;
+    }
+    mesh.triangles.iter().map(|t| count[&key(t)] > 1).collect()
+}
+
 fn read_sky(options: &BakeOptions) -> Result<Sky> {
     let Some(path) = &options.environment else {
         return Ok(Sky::black());
@@ -207,7 +223,8 @@ fn visible_texels<'m>(
     let texels = LightmapTexels::new(mesh, layout.size);
     let texel = 1.0 / layout.texels_per_metre.max(f32::MIN_POSITIVE);
     let under = buried(texels.points(), texel, tracer);
-    let one_sided = |t: usize| looks.is_one_sided(t);
+    let backed = backed(mesh);
+    let one_sided = |t: usize| looks.is_one_sided(t) && !backed[t];
     let within = inside(texels.points(), 1e-2 * texel, mesh, tracer, &one_sided);
     let hidden: Vec<bool> = under.iter().zip(&within).map(|(a, b)| *a || *b).collect();
     texels.without(&hidden)

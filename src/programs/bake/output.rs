@@ -188,12 +188,7 @@ impl Rewriter<'_> {
             self.write_primitive(&mut primitive, lit, &triangles[number], set)?;
             push(&mut meshes[index], "primitives", primitive);
         }
-        for (node, value) in root["nodes"]
-            .as_array_mut()
-            .into_iter()
-            .flatten()
-            .enumerate()
-        {
+        for (node, value) in list(root, "nodes").enumerate() {
             remove(value, "mesh");
             remove(value, "weights");
             match of_node.get(&node) {
@@ -285,25 +280,25 @@ impl Rewriter<'_> {
 
     /// Takes over what moves the scene: keyframes and the bind poses of skins.
     fn take_motion(&mut self, root: &mut Value) -> Result<()> {
-        for animation in root["animations"].as_array_mut().into_iter().flatten() {
+        for animation in list(root, "animations") {
             // weights of morph targets have nothing to move any more
-            if let Some(channels) = animation["channels"].as_array_mut() {
+            if let Some(channels) = array(animation, "channels") {
                 channels.retain(|c| c["target"]["path"] != "weights");
             }
-            for sampler in animation["samplers"].as_array_mut().into_iter().flatten() {
+            for sampler in list(animation, "samplers") {
                 for key in ["input", "output"] {
                     self.take_accessor(&mut sampler[key])?;
                 }
             }
         }
-        if let Some(animations) = root["animations"].as_array_mut() {
+        if let Some(animations) = array(root, "animations") {
             let moves = |a: &Value| a["channels"].as_array().is_some_and(|c| !c.is_empty());
             animations.retain(moves);
         }
         if root["animations"].as_array().is_some_and(Vec::is_empty) {
             remove(root, "animations");
         }
-        for skin in root["skins"].as_array_mut().into_iter().flatten() {
+        for skin in list(root, "skins") {
             if !skin["inverseBindMatrices"].is_null() {
                 self.take_accessor(&mut skin["inverseBindMatrices"])?;
             }
@@ -363,12 +358,7 @@ impl Rewriter<'_> {
 
     /// Takes the pictures over, those in other files too.
     fn take_images(&mut self, root: &mut Value) -> Result<()> {
-        for (i, image) in root["images"]
-            .as_array_mut()
-            .into_iter()
-            .flatten()
-            .enumerate()
-        {
+        for (i, image) in list(root, "images").enumerate() {
             if image["uri"].is_null() {
                 self.take_view(&mut image["bufferView"])?;
                 continue;
@@ -419,6 +409,16 @@ impl Rewriter<'_> {
             });
         }
     }
+}
+
+/// A list of an object, if it has it: indexing would put one there.
+fn array<'v>(value: &'v mut Value, key: &str) -> Option<&'v mut Vec<Value>> {
+    value.get_mut(key).and_then(Value::as_array_mut)
+}
+
+/// The elements of a list of an object.
+fn list<'v>(value: &'v mut Value, key: &str) -> impl Iterator<Item = &'v mut Value> {
+    array(value, key).into_iter().flatten()
 }
 
 fn remove(value: &mut Value, key: &str) {

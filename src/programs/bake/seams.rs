@@ -84,11 +84,11 @@ impl Seams {
     /// Root mean square of the differences across cuts, over all channels.
     pub(super) fn step(&self, map: &RgbPlane) -> f32 {
         let values = self.values(map);
-        let sum: f64 = self
+        let squares = self
             .differences
             .iter()
-            .map(|d| f64::from(across(d, &values).length_squared()) / 3.0)
-            .sum();
+            .map(|d| across(d, &values).length_squared());
+        let sum = squares.fold(0.0f64, |sum, s| sum + f64::from(s) / 3.0);
         (sum / self.len().max(1) as f64).sqrt() as f32
     }
 
