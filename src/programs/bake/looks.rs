@@ -291,7 +291,11 @@ impl Coverage for Looks {
             return share >= 1.0;
         }
         // a number of the ray's own: the same ray meets the same surface again
-        let numbers = ray.origin.iter().chain(&ray.direction);
+        let numbers = ray
+            .origin
+            .iter()
+            .chain(&ray.direction)
+            .chain(std::iter::once(&ray.t_near));
         let key = numbers.fold(u64::from(hit.triangle), |k, x| {
             hash_u64(k, x.to_bits().into())
         });

@@ -445,7 +445,12 @@ impl PathTracer<'_> {
                 specular: sums.specular,
             });
             let t_far = (arriving.distance * (1.0 - 1e-4)).max(0.0);
-            wave.shadow_rays.push(Ray::new(s.origin, l, t_far));
+            // a start below 0 counts as 0: it only tells the rays of many paths apart, of which what
+            // covers a share stops a share
+            wave.shadow_rays.push(Ray {
+                t_near: -s.rng(0x7e_a4).next_f32(),
+                ..Ray::new(s.origin, l, t_far)
+            });
         }
     }
 
