@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// What may be used by all of the story: types, filters, formats, rays.
-const VOCABULARY: [&str; 16] = [
-    "brdf", "texture", "trace", "stats", "metrics", "image", "geometry", "formats", "sampling",
-    "math", "parallel", "progress", "switch", "verdict", "error", "ffi",
+const VOCABULARY: [&str; 17] = [
+    "network", "brdf", "texture", "trace", "stats", "metrics", "image", "geometry", "formats",
+    "sampling", "math", "parallel", "progress", "switch", "verdict", "error", "ffi",
 ];
 
 /// Module, and what it may use beyond `error`; "vocabulary" stands for all of [`VOCABULARY`].
@@ -34,7 +34,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ),
     (
         "published",
-        &["gbuffer", "observed", "radiance", "vocabulary"],
+        &["gbuffer", "observed", "radiance", "lights", "vocabulary"],
     ),
     ("alignment", &["scene", "gbuffer", "vocabulary"]),
     (
@@ -148,6 +148,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ("stats", &["image", "math", "parallel"]),
     ("metrics", &["image", "math", "parallel"]),
     ("formats", &["image", "geometry", "math", "parallel", "ffi"]),
+    ("network", &["math", "sampling", "parallel", "ffi"]),
     ("image", &["math"]),
     ("geometry", &["math"]),
     ("sampling", &["math"]),

@@ -2,6 +2,7 @@
 
 mod common;
 
+use common::apartment::{SIDE, small_textures, write_apartment};
 use glam::{DVec3, Vec3};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -13,13 +14,11 @@ use unbake::core::image::Plane;
 use unbake::core::progress::Progress;
 use unbake::irradiance::Estimator;
 use unbake::pipeline::{
-    Checkpoints, SolveOptions, Solved, observe, reconstruct, reconstruct_light,
+    Checkpoints, Fit, SolveOptions, Solved, observe, reconstruct, reconstruct_light,
 };
-use unbake::programs::synth::{SynthOptions, generate};
+use unbake::published::{PublishedOptions, PublishedStrategy, PublishedValues};
 use unbake::scene::{LoadOptions, Scene, Split};
 use unbake::solution::{SaveOptions, Solution};
-
-const SIDE: usize = 256;
 
 /// The apartment, made once per run of this file's tests.
 fn apartment() -> &'static Path {
@@ -28,16 +27,7 @@ fn apartment() -> &'static Path {
         .get_or_init(|| {
             let dir = tempfile::tempdir().expect("temporary folder");
             let folder = dir.path().join("scene");
-            let options = SynthOptions {
-                rooms: 1,
-                views: 6,
-                test_views: 1,
-                width: 192,
-                spp: 6,
-                texture: SIDE,
-                ..SynthOptions::default()
-            };
-            generate(&options, &folder, &Progress::silent()).expect("generates");
+            write_apartment(&folder);
             (dir, folder)
         })
         .1
@@ -47,18 +37,9 @@ fn load() -> Scene {
     Scene::load(apartment(), &LoadOptions::default()).expect("usable")
 }
 
-fn options() -> SolveOptions {
-    SolveOptions {
-        albedo_size: SIDE,
-        roughness_size: SIDE,
-        irradiance_size: 128,
-        ..SolveOptions::default()
-    }
-}
-
 /// Reconstructs and checks what must hold whatever the scene is.
 fn solve(scene: &Scene) -> Solved {
-    let solved = reconstruct(scene, &options(), &Progress::silent()).expect("reconstructs");
+    let solved = reconstruct(scene, &small_textures(), &Progress::silent()).expect("reconstructs");
     sane(&solved.solution);
     solved
 }
@@ -230,7 +211,7 @@ fn unseen_texels_send_out_no_more_than_they_receive() {
         albedo_size: 2 * SIDE,
         irradiance_size: 2 * SIDE,
         irradiance_rays: 64,
-        ..options()
+        ..small_textures()
     };
     let surface = observe(&scene, &options, &Progress::silent()).expect("observed");
     let light = reconstruct_light(&surface, &options, &Progress::silent());
@@ -282,6 +263,54 @@ fn bits_do_not_depend_on_the_number_of_threads() {
     assert_eq!(a.mesh, b.mesh);
 }
 
+/// The systems that the paper compares with: whole solutions that learn, with the same bits on any
+/// number of threads.
+#[test]
+fn compared_systems_are_whole_solutions_with_the_same_bits_on_any_threads() {
+    let scene = load();
+    for strategy in [
+        PublishedStrategy::Invrender,
+        PublishedStrategy::Nvdiffrec,
+        PublishedStrategy::Neilf,
+        PublishedStrategy::NeilfStar,
+        PublishedStrategy::Tsdr,
+    ] {
+        let method = PublishedOptions {
+            epochs: 2,
+            visit_pixels: 300,
+            post_process: true,
+            ..PublishedOptions::new(strategy, PublishedValues::Text)
+        };
+        let options = SolveOptions {
+            albedo_size: 64,
+            roughness_size: 64,
+            irradiance_size: 64,
+            irradiance_rays: 32,
+            fit: Fit::default(),
+            published: Some(method),
+            ..SolveOptions::default()
+        };
+        let on = |threads| {
+            on_threads(threads, || {
+                reconstruct(&scene, &options, &Progress::silent())
+                    .expect("reconstructs")
+                    .solution
+            })
+        };
+        let (a, b) = (on(1), on(3));
+        sane(&a);
+        let values: std::collections::BTreeSet<u32> =
+            a.roughness.data.iter().map(|r| r.to_bits()).collect();
+        assert!(values.len() > 50, "{strategy:?} learned nothing");
+        assert!(a.albedo.data.contains(&Vec3::splat(0.9)), "the ceiling");
+        assert_eq!(a.albedo, b.albedo, "{strategy:?}");
+        assert_eq!(a.roughness, b.roughness, "{strategy:?}");
+        assert_eq!(a.emission, b.emission, "{strategy:?}");
+        let shines = a.emission.data.iter().any(|e| *e != Vec3::ZERO);
+        assert_eq!(shines, strategy == PublishedStrategy::Tsdr);
+    }
+}
+
 /// The paper's estimators and its field stand in for the default's light, less exactly.
 #[test]
 fn other_estimators_of_irradiance_are_whole_solutions() {
@@ -306,13 +335,13 @@ fn other_estimators_of_irradiance_are_whole_solutions() {
     let with = |irradiance_estimator| {
         off(&SolveOptions {
             irradiance_estimator,
-            ..options()
+            ..small_textures()
         })
     };
     let (uniform, cosine) = (with(Estimator::Uniform), with(Estimator::Cosine));
     let field = off(&SolveOptions {
         nirf: Some(2),
-        ..options()
+        ..small_textures()
     });
     assert!(
         cosine < 0.15 && uniform < 0.3 && field.is_finite(),
@@ -412,7 +441,7 @@ fn scale_and_place_do_not_change_materials() {
             emitter_samples: 256,
             irradiance_size: 64,
             seed,
-            ..options()
+            ..small_textures()
         };
         let solution = reconstruct(&scene, &o, &Progress::silent())
             .expect("reconstructs")
@@ -485,7 +514,7 @@ fn a_stopped_run_goes_on_with_the_same_bits() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let o = SolveOptions {
         checkpoints: Checkpoints::new(dir.path(), "run"),
-        ..options()
+        ..small_textures()
     };
     let scene = load();
     for _ in 0..2 {
@@ -571,7 +600,7 @@ fn without_labels_and_with_one_class() {
     assert!(segments.len() > 5, "{} segments", segments.len());
     let apart = SolveOptions {
         segments: unbake::pipeline::Switch::Off,
-        ..options()
+        ..small_textures()
     };
     let alike = reconstruct(&scene, &apart, &Progress::silent())
         .expect("solved")
@@ -608,6 +637,81 @@ fn without_labels_and_with_one_class() {
     );
 }
 
+/// A scene whose label images are taken away and whose mesh has a material per class instead ends
+/// near the labelled result.
+#[test]
+fn materials_of_the_mesh_take_the_place_of_label_images() {
+    let labelled = load();
+    let reference = solve(&labelled).solution;
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let text = std::fs::read_to_string(apartment().join("transforms.json")).expect("scene");
+    let mut json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    for frame in json["frames"].as_array_mut().expect("frames") {
+        let frame = frame.as_object_mut().expect("frame");
+        frame.remove("label_path");
+    }
+    json.as_object_mut().expect("scene").remove("classes");
+    json["mesh_path"] = "mesh.obj".into();
+    std::fs::write(
+        dir.path().join("mesh.obj"),
+        by_material(&labelled, &reference),
+    )
+    .expect("mesh");
+    std::fs::write(dir.path().join("transforms.json"), json.to_string()).expect("scene");
+    for name in ["images", "rooms.png", "rooms.json"] {
+        std::os::unix::fs::symlink(apartment().join(name), dir.path().join(name)).expect("link");
+    }
+    let scene = Scene::load(dir.path(), &LoadOptions::default()).expect("usable");
+    assert!(
+        scene.warnings.iter().any(|w| w.contains("materials as")),
+        "{:?}",
+        scene.warnings
+    );
+    let lamps: Vec<&str> = (scene.classes.iter().filter(|c| c.is_light))
+        .map(|c| c.name.as_str())
+        .collect();
+    assert_eq!(lamps, ["lamp"], "known by its name");
+    let named = solve(&scene).solution;
+    let (median, _) = albedo_difference(&reference, &named);
+    println!("median difference of the albedo: {median:.4}");
+    assert!(median < 0.01, "{median}");
+    let off = LoadOptions {
+        mesh_classes: unbake::pipeline::Switch::Off,
+        ..LoadOptions::default()
+    };
+    let without = Scene::load(dir.path(), &off).expect("usable");
+    assert!(without.mesh_classes.is_none() && without.classes.is_empty());
+}
+
+/// The scene's mesh as OBJ, each triangle with the class as its material that most of its texels have.
+fn by_material(scene: &Scene, solved: &Solution) -> String {
+    let mesh = &scene.mesh;
+    let mut text = String::new();
+    for ((p, n), t) in mesh.positions.iter().zip(&mesh.normals).zip(&mesh.uvs) {
+        let p = p.as_dvec3() + scene.origin;
+        writeln!(
+            text,
+            "v {} {} {}\nvn {} {} {}\nvt {} {}",
+            p.x,
+            p.y,
+            p.z,
+            n.x,
+            n.y,
+            n.z,
+            t.x,
+            1.0 - t.y
+        )
+        .expect("text");
+    }
+    for (t, corners) in mesh.triangles.iter().enumerate() {
+        let id = solved.class_at(mesh.uv(t, 1.0 / 3.0, 1.0 / 3.0));
+        let name = scene.class(id).map_or("unknown", |c| c.name.as_str());
+        let [a, b, c] = corners.map(|i| i + 1);
+        writeln!(text, "usemtl {name}\nf {a}/{a}/{a} {b}/{b}/{b} {c}/{c}/{c}").expect("text");
+    }
+    text
+}
+
 #[test]
 fn black_photographs_are_refused() {
     let mut scene = load();
@@ -618,7 +722,7 @@ fn black_photographs_are_refused() {
         .views
         .iter_mut()
         .for_each(|v| v.image_path = path.clone());
-    let e = reconstruct(&scene, &options(), &Progress::silent()).map(|_| ());
+    let e = reconstruct(&scene, &small_textures(), &Progress::silent()).map(|_| ());
     let e = e.expect_err("no light to reconstruct from");
     assert!(
         e.exit_code() == 2 && e.to_string().contains("every training image is black"),
@@ -646,7 +750,7 @@ fn a_pixel_that_is_no_number_is_refused_or_ignored_on_request() {
         .find(|v| v.split == Split::Train)
         .expect("one");
     view.image_path = path.clone();
-    let Err(error) = reconstruct(&scene, &options(), &Progress::silent()) else {
+    let Err(error) = reconstruct(&scene, &small_textures(), &Progress::silent()) else {
         panic!("accepted NaN")
     };
     let text = error.to_string();
@@ -673,7 +777,7 @@ fn texture_sizes_from_nothing_to_one() {
         |o: &mut SolveOptions| o.irradiance_error = f32::NAN,
         |o: &mut SolveOptions| o.irradiance_rays = u32::MAX,
     ] {
-        let mut o = options();
+        let mut o = small_textures();
         change(&mut o);
         let refused = reconstruct(&scene, &o, &Progress::silent());
         assert!(matches!(refused, Err(Error::Usage(_))), "{o:?}");
@@ -682,7 +786,7 @@ fn texture_sizes_from_nothing_to_one() {
         albedo_size: 1,
         roughness_size: 1,
         irradiance_size: 1,
-        ..options()
+        ..small_textures()
     };
     sane(
         &reconstruct(&scene, &one, &Progress::silent())
@@ -693,7 +797,7 @@ fn texture_sizes_from_nothing_to_one() {
         albedo_size: 61,
         roughness_size: 7,
         irradiance_size: 3,
-        ..options()
+        ..small_textures()
     };
     sane(
         &reconstruct(&scene, &odd, &Progress::silent())

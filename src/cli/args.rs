@@ -11,7 +11,7 @@ use crate::programs::prepare::PrepareOptions;
 use crate::programs::synth::SynthOptions;
 use crate::programs::view::ViewOptions;
 use crate::render::{RelightOptions, RenderOptions};
-use crate::scene::LoadOptions;
+use crate::scene::{LoadOptions, ScanOptions};
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
@@ -131,6 +131,30 @@ pub enum Verb {
         /// What is done about poses that do not fit.
         #[command(flatten)]
         align: AlignmentOptions,
+    },
+    /// Take the light out of a scan's own colours, without photographs: a mesh with a texture or
+    /// vertex colours. Less sure than `solve`, and without roughness.
+    Delight {
+        /// The scan: .glb, .gltf, .obj or .ply.
+        #[arg(required_unless_present = "print_config", value_name = "MESH")]
+        mesh: Option<PathBuf>,
+        /// Folder for the result; created if need be.
+        #[arg(
+            long,
+            short,
+            required_unless_present = "print_config",
+            value_name = "OUT"
+        )]
+        out: Option<PathBuf>,
+        /// How the scan is read.
+        #[command(flatten)]
+        scan: ScanOptions,
+        /// The reconstruction's options; those of views and roughness have no effect.
+        #[command(flatten)]
+        options: SolveRequest,
+        /// How the mesh is read.
+        #[command(flatten)]
+        load: LoadOptions,
     },
     /// Reconstruct many scenes: run it as often as you like, on as many machines as share the
     /// folder; each scene is solved once, and what was stopped goes on.
@@ -351,6 +375,15 @@ impl Cli {
             ) => {
                 (config.solve, config.scene) = (options.clone(), load.clone());
                 config.alignment = align.clone();
+            }
+            Some(Verb::Delight {
+                scan,
+                options,
+                load,
+                ..
+            }) => {
+                (config.solve, config.scene) = (options.clone(), load.clone());
+                config.scan = scan.clone();
             }
             Some(Verb::Eval { options, load, .. }) => {
                 (config.eval, config.scene) = (options.clone(), load.clone())

@@ -14,7 +14,7 @@ use crate::programs::prepare::PrepareOptions;
 use crate::programs::synth::SynthOptions;
 use crate::programs::view::ViewOptions;
 use crate::render::{RelightOptions, RenderOptions};
-use crate::scene::LoadOptions;
+use crate::scene::{LoadOptions, ScanOptions};
 use clap::ArgMatches;
 use clap::parser::ValueSource;
 use serde::{Deserialize, Serialize};
@@ -38,6 +38,8 @@ pub struct Config {
     pub scene: LoadOptions,
     /// Options of `unbake prepare`.
     pub prepare: PrepareOptions,
+    /// How `unbake delight` reads a scan.
+    pub scan: ScanOptions,
     /// What `unbake check` and `unbake solve` do about poses that do not fit the mesh.
     pub alignment: AlignmentOptions,
     /// Options of `unbake synth`.
@@ -186,6 +188,7 @@ pub fn tables_of(verb: &str) -> &'static [&'static str] {
         "synth" => &["synth"],
         "prepare" => &["prepare"],
         "check" => &["scene", "alignment"],
+        "delight" => &["scan", "solve", "scene"],
         "solve" | "batch" => &["solve", "scene", "alignment"],
         "eval" => &["eval", "scene"],
         "render" => &["render", "scene"],

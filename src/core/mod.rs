@@ -7,6 +7,7 @@ pub mod geometry;
 pub mod image;
 pub mod math;
 pub mod metrics;
+pub mod network;
 pub mod parallel;
 pub mod progress;
 pub mod sampling;

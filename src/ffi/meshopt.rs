@@ -1,11 +1,13 @@
-//! meshoptimizer's decoders of vertex and index streams (crate `meshopt`, which builds the
-//! library's sources), for `EXT_meshopt_compression`. Called by `core::formats::gltf_compressed`.
+//! meshoptimizer (crate `meshopt`, which builds the library's sources): its decoders of vertex and
+//! index streams, for `EXT_meshopt_compression`, and its simplifier. Called by
+//! `core::formats::gltf_compressed` and `prepare`.
 //!
 //! The crate's own functions take the size of an element as a type; a file states it as a number,
 //! so the C functions are called here. They are made for input from strangers: any bytes give an
 //! error or numbers, never an access outside the two buffers.
 
-use meshopt::ffi;
+use glam::Vec3;
+use meshopt::{SimplifyOptions, ffi};
 
 /// How the elements of a stream are packed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,6 +81,20 @@ pub fn undo(filter: Filter, elements: &mut [u8], size: usize) -> Option<()> {
     unsafe { run(words.as_mut_ptr().cast(), count, size) };
     elements.copy_from_slice(bytemuck::cast_slice(&words));
     Some(())
+}
+
+/// Vertex indices of fewer triangles that leave the surface by about `error` (in the unit of the
+/// positions) at most: edges are collapsed by quadric error (Garland and Heckbert 1997). Vertices
+/// stay where they are, and some are used no more.
+#[must_use]
+pub fn simplified(indices: &[u32], positions: &[Vec3], error: f32) -> Vec<u32> {
+    let positions: Vec<[f32; 3]> = positions.iter().map(Vec3::to_array).collect();
+    let valid = indices.iter().all(|i| (*i as usize) < positions.len());
+    if indices.is_empty() || !indices.len().is_multiple_of(3) || !valid {
+        return indices.to_vec();
+    }
+    let options = SimplifyOptions::ErrorAbsolute;
+    meshopt::simplify_decoder(indices, &positions, 0, error, options, None)
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
 //! What an irradiance bake takes and gives: options, receivers, and estimates E(x) = ∫ L(x, ω)
 //! cosθ dω in independent parts, whose scatter tells their error.
 
+use super::next_bounce::NextBounce;
 use crate::core::parallel::prelude::*;
 use crate::lights::LitScene;
-use crate::specular::SpecularBounce;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
@@ -94,14 +94,13 @@ pub struct Receiver {
     pub key: u64,
 }
 
-/// A bake's scene: what is lit, and what its glossy surfaces add.
+/// A bake's scene: what is lit, and what its surfaces add.
 #[derive(Clone, Copy)]
 pub struct Bake<'a> {
     /// Geometry, light field and lights.
     pub lit: LitScene<'a>,
-    /// What glossy surfaces mirror towards the receivers, beyond what the field says that they
-    /// send.
-    pub bounce: Option<&'a SpecularBounce<'a>>,
+    /// What surfaces send towards the receivers beyond what the field says that they send.
+    pub bounce: Option<&'a NextBounce<'a>>,
 }
 
 impl<'a> From<LitScene<'a>> for Bake<'a> {

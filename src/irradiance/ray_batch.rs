@@ -6,6 +6,7 @@
 
 use super::estimate::{Bake, Estimator, IrradianceOptions, Receiver, SUB_ESTIMATES};
 use super::hilbert_order::HilbertOrder;
+use super::next_bounce::Bounces;
 use crate::core::math::Frame;
 use crate::core::sampling::{
     KeyedRng, SobolBlock, SobolSequence, hammersley, square_to_cosine_hemisphere,
@@ -17,7 +18,6 @@ use crate::lights::LitScene;
 use crate::lights::PORTAL;
 use crate::lights::SamplerCache;
 use crate::lights::{LightPicks, ShadowSample, ShadowSampler};
-use crate::specular::Bounces;
 use glam::Vec3;
 use std::f32::consts::{FRAC_1_PI, PI, TAU};
 use std::ops::Range;
@@ -416,7 +416,7 @@ impl RayBatch {
         });
     }
 
-    /// Adds what glossy surfaces mirror along the first `count` hemisphere rays; returns the rays
+    /// Adds what the next bounce brings along the first `count` hemisphere rays; returns the rays
     /// traced.
     fn gather_bounces(&mut self, bake: &Bake, count: usize) -> u64 {
         let Some(bounce) = bake.bounce else { return 0 };

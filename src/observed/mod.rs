@@ -9,6 +9,7 @@ mod gains;
 mod labels;
 mod pair_gains;
 mod photometric;
+mod scanned;
 mod surface;
 
 pub use camera_fixed::{CameraRig, find_camera_rigs};
@@ -19,6 +20,7 @@ pub use fusion::{Fusion, UNSEEN, fuse_radiance};
 pub use gains::{ViewGains, estimate_gains};
 pub(crate) use labels::complete_labels;
 pub(crate) use photometric::{balance_views, leave_out_clipped_sky};
+pub use scanned::{ScannedSurface, scanned_surface};
 pub use surface::{ClippedTexel, Surface, TextureSizes};
 pub(crate) use surface::{coverage, filled};
 

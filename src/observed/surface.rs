@@ -62,6 +62,10 @@ pub struct Surface<'a> {
     pub contradictions: Contradictions,
     /// Reflecting texels of which clipped looks give lower bounds, ascending.
     pub clipped: Vec<ClippedTexel>,
+    /// Whether all looks were made for a display (8-bit sRGB), which cameras compress by place.
+    pub encoded: bool,
+    /// Radiance of directions without geometry where no view looks along any: a scan's holes.
+    pub ambient: Vec3,
     /// What the cameras carry along.
     pub camera_masks: Vec<CameraMask>,
     /// Distance by which rays start above a surface, metres.
@@ -77,10 +81,10 @@ const GAP: f32 = 0.02;
 const DOWN: f32 = -0.7;
 
 impl Surface<'_> {
-    /// Whether any photograph has labels.
+    /// Whether photographs have labels, or the mesh has classes of its own.
     #[must_use]
     pub fn is_labelled(&self) -> bool {
-        self.views.iter().any(|v| v.labels.is_some())
+        self.scene.mesh_classes.is_some() || self.views.iter().any(|v| v.labels.is_some())
     }
 
     /// Texels of one class close to each other: the parts of `texels` that hang together, each
@@ -282,6 +286,8 @@ pub(crate) mod tests {
             back: vec![Vec3::ZERO; triangles],
             contradictions: Contradictions::default(),
             clipped: Vec::new(),
+            encoded: false,
+            ambient: Vec3::ZERO,
             camera_masks: Vec::new(),
             offset: 7e-5,
             disagreement: 0.0,

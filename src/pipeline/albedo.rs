@@ -97,7 +97,7 @@ const GLOSS: f32 = 0.04;
 
 /// Gives texels of which only clipped looks are known the albedo of their class above that bound;
 /// the texels concerned, ascending.
-fn settle_bounds(
+pub(super) fn settle_bounds(
     surface: &Surface,
     light: &Light,
     rooms: &[u16],

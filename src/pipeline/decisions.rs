@@ -5,16 +5,18 @@ use super::time_budget::Workload;
 use super::{Quality, SolveOptions, Switch};
 use crate::core::brdf::Reflectance;
 use crate::core::geometry::Mesh;
+use crate::core::image::RgbPlane;
 use crate::core::progress::Progress;
 use crate::core::sampling::{Discrete, KeyedRng};
 use crate::core::trace::{Hit, Tracer};
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::highlight::Evidence;
 use crate::inverse::{ClassPalette, Materials, choose_model, fit_groups};
-use crate::observed::TextureSizes;
+use crate::observed::{Surface, TextureSizes};
 use crate::radiance::Environment;
 use crate::scene::{RoomGrid, Scene};
 use crate::specular::WIDE;
+use glam::Vec3;
 use std::collections::BTreeSet;
 use std::time::Instant;
 
@@ -157,7 +159,7 @@ impl Supported {
 fn workload(observer: &Observer, supported: &Supported, options: &SolveOptions) -> Workload {
     let mesh = observer.mesh;
     let covered: f64 = (0..mesh.triangles.len())
-        .map(|t| atlas_area(mesh, t))
+        .map(|t| f64::from(mesh.chart_area(t)))
         .filter(|a| a.is_finite())
         .sum();
     let pixels: usize = observer.views.iter().map(|v| v.radiance.data.len()).sum();
@@ -194,11 +196,6 @@ fn report_pixels(observer: &Observer) -> f64 {
         w * h * (768.0 / w).min(1.0).powi(2)
     };
     observer.views.iter().take(6).map(pixels).sum()
-}
-
-fn atlas_area(mesh: &Mesh, t: usize) -> f64 {
-    let [a, b, c] = mesh.corner_uvs(t);
-    0.5 * f64::from((b - a).perp_dot(c - a).abs())
 }
 
 /// Side of a texture whose texels are as small as the sharpest clean look at them on a share
@@ -258,14 +255,14 @@ fn required_resolution(
         .filter(|o| o.clean)
         .map(|o| o.footprint)
         .fold(f32::INFINITY, f32::min);
-    let metres = (f64::from(mesh.area(t)) / atlas_area(mesh, t)).sqrt();
+    let metres = (f64::from(mesh.area(t)) / f64::from(mesh.chart_area(t))).sqrt();
     (sharpest.is_finite() && sharpest > 0.0 && metres.is_finite())
         .then(|| metres / f64::from(sharpest))
 }
 
 /// The environment that the views see past all geometry, unless it is black or forbidden.
 pub(super) fn choose_environment(
-    views: &[ObservedView],
+    surface: &Surface,
     options: &SolveOptions,
     progress: &Progress,
 ) -> Environment {
@@ -274,7 +271,16 @@ pub(super) fn choose_environment(
         progress.decide(what, "none", "--environment off", true);
         return Environment::black();
     }
-    let environment = Environment::observe(views);
+    if surface.ambient != Vec3::ZERO {
+        progress.decide(
+            what,
+            "the surface's mean radiance",
+            "nobody looked through the holes of the scan: behind them lies more of the room",
+            false,
+        );
+        return Environment::from_map(RgbPlane::filled(2, 1, surface.ambient));
+    }
+    let environment = Environment::observe(&surface.views);
     if environment.is_black() {
         progress.decide(
             what,

@@ -24,7 +24,6 @@ use crate::core::progress::Progress;
 use crate::core::stats::inverse_mills;
 use crate::inverse::AlbedoEstimate;
 use crate::observed::Surface;
-use crate::scene::View;
 use crate::verdict::MissingLight;
 use glam::{Vec2, Vec3};
 use std::collections::BTreeMap;
@@ -66,8 +65,7 @@ pub(super) fn balance_rooms(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Option<Balanced> {
-    let encoded = |v: &View| v.encoded_ceiling().is_some();
-    if options.clipped_light == Switch::Off || !surface.scene.train_views().all(encoded) {
+    if options.clipped_light == Switch::Off || !surface.encoded {
         return None;
     }
     let texels = Reflecting::of(surface, light, albedo, rooms);

@@ -13,7 +13,7 @@ use crate::core::image::RgbPlane;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
-use crate::core::stats::median;
+use crate::core::stats::median_colours;
 use crate::core::texture::{Texels, fill_uncovered};
 use crate::gbuffer::Probe;
 use crate::irradiance::{
@@ -66,7 +66,7 @@ const BORDER: f32 = 0.25;
 #[must_use]
 pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &Progress) -> Light {
     let mesh = &surface.scene.mesh;
-    let environment = choose_environment(&surface.views, options, progress);
+    let environment = choose_environment(surface, options, progress);
     let known = adopt_subtexel_triangles(mesh, &surface.texels, known_lights(surface, options));
     let coarse = coarse_light(surface, &known, environment.clone(), options, progress);
     let emissive = emissive_by(surface, &coarse.irradiance, &known, options);
@@ -641,27 +641,18 @@ fn complete_radiance(surface: &Surface, labels: &[u16], light: LightSoFar<'_>) -
         emissive,
     } = light;
     let trusted = trusted_radiance(surface, emissive);
-    let mut samples: BTreeMap<u16, [Vec<f32>; 3]> = BTreeMap::new();
     let stride = (surface.texels.len() / 400_000).max(1);
-    for i in (0..surface.texels.len()).step_by(stride) {
-        if surface.fusion.clean[i] && !lit(surface, emissive, i) {
-            let e = surface.texels.lookup(&surface.scene.mesh, irradiance, i);
-            let a = surface.fusion.radiance[i] * PI / e.max(Vec3::splat(1e-12));
-            let s = samples.entry(labels[i]).or_default();
-            for c in 0..3 {
-                s[c].push(a[c].min(1.0));
-            }
-        }
-    }
-    let albedo: BTreeMap<u16, Vec3> = samples
-        .into_iter()
-        .map(|(k, v)| {
-            (
-                k,
-                Vec3::from_array(v.map(|values| median(values).unwrap_or(0.5))),
-            )
-        })
-        .collect();
+    let known = (0..surface.texels.len())
+        .step_by(stride)
+        .filter(|&i| surface.fusion.clean[i] && !lit(surface, emissive, i));
+    let albedo = median_colours(known.map(|i| {
+        let e = surface.texels.lookup(&surface.scene.mesh, irradiance, i);
+        let a = surface.fusion.radiance[i] * PI / e.max(Vec3::splat(1e-12));
+        (
+            labels[i],
+            Vec3::from_array(a.to_array().map(|v| v.min(1.0))),
+        )
+    }));
     (0..surface.texels.len())
         .map(|i| {
             if surface.fusion.clean[i] || lit(surface, emissive, i) {

@@ -8,8 +8,9 @@
 //! it. So, with materials known, every texel sends out what its material does: E A f / π to all
 //! sides, f being the mean of its diffuse part over that of a Lambertian surface; where the specular lobe is wide, its flux E ρ / π as well, ρ being its hemispherical
 //! reflectance under even light; where it is narrow, towards every receiver what it mirrors there
-//! ([`SpecularBounce`]). Far sides that nobody saw get what their class reflects. The difference to
-//! the first pass is baked at a low resolution and added to E.
+//! ([`NextBounce`]). Surface that nobody saw sends what its class reflects of the light that it
+//! receives; on far sides, which have no texels, rays that meet them go on to find it. The difference
+//! to the first pass is baked at a low resolution and added to E.
 
 use super::Light;
 use super::light::{coarse_texels, patches, texture_of};
@@ -18,17 +19,17 @@ use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
-use crate::core::stats::median;
+use crate::core::stats::median_colours;
 use crate::core::texture::Texels;
 use crate::core::trace::Hit;
 use crate::inverse::{AlbedoEstimate, TexelReflectance};
-use crate::irradiance::Bake;
 use crate::irradiance::{
-    Estimator, Irradiance, IrradianceOptions, Receiver, SurfaceFilter, bake_irradiance,
+    Bake, Estimator, Glossy, Irradiance, IrradianceOptions, NextBounce, SurfaceFilter,
+    bake_irradiance,
 };
 use crate::observed::Surface;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
-use crate::specular::{Glossy, Reflector, SpecularBounce, WIDE};
+use crate::specular::{Reflector, WIDE};
 use glam::{Vec2, Vec3};
 use std::collections::BTreeMap;
 use std::f32::consts::FRAC_1_PI;
@@ -38,11 +39,7 @@ const RAYS: u32 = 256;
 /// Of so many rays that meet narrow lobes one is followed further: what these send is a small part
 /// even of the difference.
 const ONE_IN: u32 = 2;
-/// Rays per far side at most, and for all far sides: rays that meet many of them average their
-/// noise.
-const FAR_SIDE_RAYS: u32 = 32;
-const ALL_FAR_SIDES: usize = 1 << 24;
-/// Albedo of far sides of which nothing is known.
+/// Albedo of surface of which nothing is known.
 const UNKNOWN_ALBEDO: f32 = 0.5;
 /// The first pass may be off by this factor at most: what goes beyond is a lack of samples, not of
 /// light.
@@ -67,15 +64,12 @@ pub(super) fn add_missing_light(
     progress: &Progress,
 ) -> MissingLight {
     let texels = &surface.texels;
-    let (far_sides, far_rays) = unseen_far_sides(surface, light, albedo, seed, progress);
-    let unsent = unsent_radiance(surface, light, albedo, reflectance);
+    let usual = UsualAlbedo::of(surface, light, albedo);
+    let unsent = unsent_radiance(surface, light, albedo, reflectance, &usual);
     let field = LightField::new(
         &surface.scene.mesh,
         &surface.orientation,
-        SurfaceRadiance {
-            back: far_sides,
-            ..SurfaceRadiance::reflected(texture_of(texels, &unsent))
-        },
+        SurfaceRadiance::reflected(texture_of(texels, &unsent)),
         Environment::from_map(Plane::filled(2, 1, Vec3::ZERO)),
     );
     let glossy = |i: usize| is_known(surface, light, albedo, i) && reflectance.roughness[i] < WIDE;
@@ -95,6 +89,7 @@ pub(super) fn add_missing_light(
         light,
         field,
         narrow,
+        far_sides: usual.per_triangle(surface),
         model: reflectance.model,
         coarse: &coarse,
     }
@@ -102,10 +97,7 @@ pub(super) fn add_missing_light(
     let rays = more.rays;
     let ratio = relative_change(surface, light, more, &coarse);
     let change = scale_irradiance(surface, light, albedo, &ratio);
-    MissingLight {
-        change,
-        rays: rays + far_rays,
-    }
+    MissingLight { change, rays }
 }
 
 /// Whether the material of texel `i` is known.
@@ -120,14 +112,19 @@ fn unsent_radiance(
     light: &Light,
     albedo: &AlbedoEstimate,
     reflectance: &TexelReflectance,
+    usual: &UsualAlbedo,
 ) -> Vec<Vec3> {
     let (mesh, texels) = (&surface.scene.mesh, &surface.texels);
-    let irradiance = |i: usize| texels.lookup(mesh, &light.irradiance, i);
     let roughness = &reflectance.roughness;
     (0..texels.len())
         .into_par_iter()
         .map(|i| {
-            if !is_known(surface, light, albedo, i) {
+            if light.emissive[texels.point[i].triangle as usize] {
+                return Vec3::ZERO;
+            }
+            let seen = surface.fusion.views[i] > 0;
+            let known = albedo.error[i].is_finite();
+            if seen && !known {
                 return Vec3::ZERO;
             }
             let specular = Vec3::splat(if roughness[i] < WIDE {
@@ -135,19 +132,56 @@ fn unsent_radiance(
             } else {
                 reflectance.lobes.mean_response(roughness[i])
             });
-            if albedo.clean[i] {
-                // (of all it sends, not of what views from the front see)
-                let diffuse = reflectance.model.mean_diffuse_factor(roughness[i]);
-                let sent = irradiance(i)
-                    * (albedo.value[i].clamp(Vec3::ZERO, Vec3::ONE) * diffuse + specular)
-                    * FRAC_1_PI;
-                sent - light.radiance.data[texels.cell[i] as usize]
-            } else {
-                // the first pass took the diffuse part of these from their class
-                irradiance(i) * specular * FRAC_1_PI
+            let irradiance = texels.lookup(mesh, &light.irradiance, i) * FRAC_1_PI;
+            if seen && !albedo.clean[i] {
+                // the photographs hold the diffuse part
+                return irradiance * specular;
             }
+            let own = if known {
+                albedo.value[i]
+            } else {
+                usual.of_class(surface.labels[i])
+            };
+            // (of all it sends, not of what views from the front see)
+            let diffuse = reflectance.model.mean_diffuse_factor(roughness[i]);
+            irradiance * (own.clamp(Vec3::ZERO, Vec3::ONE) * diffuse + specular)
+                - light.radiance.data[texels.cell[i] as usize]
         })
         .collect()
+}
+
+/// The median albedo of each class, for surface of which nothing else is known.
+struct UsualAlbedo {
+    by_class: BTreeMap<u16, Vec3>,
+}
+
+impl UsualAlbedo {
+    fn of(surface: &Surface, light: &Light, albedo: &AlbedoEstimate) -> Self {
+        let known = (0..surface.texels.len())
+            .filter(|&i| albedo.clean[i] && is_known(surface, light, albedo, i));
+        let shown = |i: usize| {
+            let value = albedo.value[i].to_array().map(|v| v.clamp(0.0, 1.0));
+            (surface.labels[i], Vec3::from_array(value))
+        };
+        Self {
+            by_class: median_colours(known.map(shown)),
+        }
+    }
+
+    fn of_class(&self, label: u16) -> Vec3 {
+        let unknown = Vec3::splat(UNKNOWN_ALBEDO);
+        self.by_class.get(&label).copied().unwrap_or(unknown)
+    }
+
+    /// That of every triangle's class.
+    fn per_triangle(&self, surface: &Surface) -> Vec<Vec3> {
+        let unknown = Vec3::splat(UNKNOWN_ALBEDO);
+        let mut out = vec![unknown; surface.scene.mesh.triangles.len()];
+        for (p, label) in surface.texels.point.iter().zip(&surface.labels) {
+            out[p.triangle as usize] = self.of_class(*label);
+        }
+        out
+    }
 }
 
 /// What the missing light is gathered from.
@@ -158,6 +192,8 @@ struct Gathering<'a> {
     field: LightField,
     /// Roughness and coverage of narrow lobes on the atlas.
     narrow: RgbPlane,
+    /// Albedo per triangle for its far side.
+    far_sides: Vec<Vec3>,
     model: Reflectance,
     coarse: &'a Texels,
 }
@@ -174,7 +210,7 @@ impl Gathering<'_> {
             ..IrradianceOptions::default()
         };
         let first_pass = surface.lit(&light.field, &light.emitters);
-        let bounce = SpecularBounce {
+        let bounce = NextBounce {
             reflector: Reflector {
                 lit: &first_pass,
                 rays_per_lobe: 1,
@@ -182,7 +218,8 @@ impl Gathering<'_> {
                 model: self.model,
                 seed: seed ^ 4,
             },
-            surface: &|hit| self.glossy(hit),
+            mirror: &|hit| self.glossy(hit),
+            scatter: &|t| self.far_side(t),
             one_in: ONE_IN,
         };
         let bake = Bake {
@@ -191,6 +228,11 @@ impl Gathering<'_> {
         };
         let receiver = |i: usize| surface.receiver(self.coarse, i);
         bake_irradiance(&bake, self.coarse.len(), receiver, &options, progress)
+    }
+
+    /// The albedo of triangle `t`'s far side, if nobody saw that.
+    fn far_side(&self, t: usize) -> Option<Vec3> {
+        (self.surface.back[t] == Vec3::ZERO).then_some(self.far_sides[t])
     }
 
     /// The narrow lobe at a hit, if there is one.
@@ -299,66 +341,6 @@ pub(super) fn scale_irradiance(
     (mean / changes.len().max(1) as f64) as f32
 }
 
-/// Radiance of the far sides of triangles that no view sees from there: the median albedo of their
-/// class under the light that comes in. Zero for all others.
-fn unseen_far_sides(
-    surface: &Surface,
-    light: &Light,
-    albedo: &AlbedoEstimate,
-    seed: u64,
-    progress: &Progress,
-) -> (Vec<Vec3>, u64) {
-    let (mesh, texels) = (&surface.scene.mesh, &surface.texels);
-    let mut label_of = vec![0u16; mesh.triangles.len()];
-    let mut members: BTreeMap<u16, Vec<f32>> = BTreeMap::new();
-    for i in 0..texels.len() {
-        let t = texels.point[i].triangle as usize;
-        label_of[t] = surface.labels[i];
-        if albedo.clean[i] && albedo.error[i].is_finite() && !light.emissive[t] {
-            members
-                .entry(surface.labels[i])
-                .or_default()
-                .push(luminance(albedo.value[i]).clamp(0.0, 1.0));
-        }
-    }
-    let usual: BTreeMap<u16, f32> = members
-        .into_iter()
-        .filter_map(|(label, values)| Some((label, median(values)?)))
-        .collect();
-    let unseen: Vec<u32> = (0..mesh.triangles.len() as u32)
-        .filter(|&t| surface.back[t as usize] == Vec3::ZERO)
-        .collect();
-    let receiver = |k: usize| {
-        let t = unseen[k] as usize;
-        let normal = -mesh.face_normal(t) * surface.orientation.sign(t);
-        Receiver {
-            position: mesh.position(t, 1.0 / 3.0, 1.0 / 3.0),
-            normal,
-            face_normal: normal,
-            key: t as u64,
-        }
-    };
-    let rays = (ALL_FAR_SIDES / unseen.len().max(1)).clamp(2, FAR_SIDE_RAYS as usize) as u32;
-    let options = IrradianceOptions {
-        estimator: Estimator::Cosine,
-        rays,
-        emitter_samples: 0,
-        seed: seed ^ 3,
-        ..IrradianceOptions::default()
-    };
-    let bake = surface.lit(&light.field, &light.emitters).into();
-    let received = bake_irradiance(&bake, unseen.len(), receiver, &options, progress);
-    let mut out = vec![Vec3::ZERO; mesh.triangles.len()];
-    for (&t, e) in unseen.iter().zip(&received.value) {
-        let albedo = usual
-            .get(&label_of[t as usize])
-            .copied()
-            .unwrap_or(UNKNOWN_ALBEDO);
-        out[t as usize] = *e * (albedo * FRAC_1_PI);
-    }
-    (out, received.rays)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -370,11 +352,12 @@ mod tests {
     const SIDE: usize = 384;
     const ALBEDO: f32 = 0.6;
 
-    /// One side of the box: the radiance of its first pass, and whether its material is known,
-    /// which it then is.
+    /// One side of the box: the radiance of its first pass, whether its material is known, which it
+    /// then is, and whether views see it.
     struct Wall {
         radiance: f32,
         known: bool,
+        seen: bool,
         albedo: f32,
         roughness: f32,
     }
@@ -391,7 +374,9 @@ mod tests {
     /// The second pass in a box that its first pass found to receive π everywhere.
     fn second_pass(model: Reflectance, wall: impl Fn(usize) -> Wall + Sync) -> Vec<After> {
         let scene = box_scene();
-        let surface = unseen(&scene, SIDE);
+        let mut surface = unseen(&scene, SIDE);
+        let sides = surface.texels.point.iter().map(|p| p.triangle as usize / 2);
+        surface.fusion.views = sides.map(|w| u8::from(wall(w).seen)).collect();
         let (mesh, n) = (&scene.mesh, surface.texels.len());
         let number = |i: usize| surface.texels.point[i].triangle as usize / 2;
         let radiance = texture_of(
@@ -433,7 +418,7 @@ mod tests {
                 .collect(),
             looks: vec![1.0; n],
             specular_share: vec![0.0; n],
-            clean: vec![true; n],
+            clean: (0..n).map(|i| wall(number(i)).seen).collect(),
             footprint: vec![0.01; n],
         };
         let roughness = (0..n).map(|i| wall(number(i)).roughness).collect();
@@ -466,6 +451,7 @@ mod tests {
         let wall = |w: usize| Wall {
             radiance,
             known: known(w),
+            seen: true,
             albedo: ALBEDO,
             roughness: 0.8,
         };
@@ -501,6 +487,33 @@ mod tests {
                     "radiance {radiance}, {p}: albedo {albedo}"
                 );
             }
+        }
+    }
+
+    /// A ceiling that nobody saw, black to the first pass, sends what its class reflects of the light
+    /// that it receives.
+    #[test]
+    fn unseen_surface_sends_what_its_class_reflects() {
+        let wall = |w: usize| Wall {
+            radiance: if w == 1 { 0.0 } else { ALBEDO },
+            known: w != 1,
+            seen: w != 1,
+            albedo: ALBEDO,
+            roughness: 0.8,
+        };
+        let lobes = crate::specular::DirectionalAlbedo::new(Reflectance::Paper);
+        let specular = lobes.mean_response(0.8);
+        for After {
+            gain, place, wall, ..
+        } in second_pass(Reflectance::Paper, wall)
+        {
+            // of what the ceiling sends the floor gets a share by its form factor, at most a half
+            let least = 1.0 + specular + if wall == 0 { 0.05 * ALBEDO } else { 0.0 };
+            let most = 1.0 + specular + if wall == 1 { 2e-3 } else { ALBEDO };
+            assert!(
+                gain > least - 2e-3 && gain < most,
+                "{place}, side {wall}: {gain} within {least} and {most}"
+            );
         }
     }
 
@@ -559,6 +572,7 @@ mod tests {
         let texels = second_pass(Reflectance::Paper, |w| Wall {
             radiance: if w == 2 { RADIANCE } else { 0.0 },
             known: w == 1,
+            seen: true,
             albedo: 0.0,
             roughness: crate::core::brdf::MIN_ROUGHNESS,
         });

@@ -9,14 +9,14 @@ use crate::core::image::{CameraMask, Plane, RgbPlane};
 use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
 use crate::core::stats::MAD_SCALE;
-use crate::core::texture::Texels;
+use crate::core::texture::{SurfacePoint, Texels};
 use crate::core::trace::{EmbreeTracer, Hit};
 use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
 use crate::observed::{
-    Contradictions, Surface, balance_views, complete_labels, find_camera_rigs, fuse_radiance,
-    leave_out_clipped_sky,
+    Contradictions, Fusion, Surface, balance_views, complete_labels, find_camera_rigs,
+    fuse_radiance, leave_out_clipped_sky,
 };
-use crate::scene::{Scene, Shortfall, View, all_black, clipped_channels};
+use crate::scene::{MeshClasses, Scene, Shortfall, View, all_black, clipped_channels};
 use glam::Vec3;
 use std::time::Instant;
 
@@ -81,7 +81,7 @@ pub fn observe<'a>(
         (Contradictions::default(), MAD_SCALE * balanced.disagreement)
     };
     contradictions.settle(&mut fusion.radiance);
-    let labels = complete_labels(&scene.mesh, &texels, &fusion);
+    let labels = texel_labels(scene, &texels, &fusion);
     let back = back_radiance(scene, &views, &orientation);
     Ok(Surface {
         scene,
@@ -97,10 +97,21 @@ pub fn observe<'a>(
         back,
         contradictions,
         clipped: Vec::new(),
+        encoded: (scene.train_views()).all(|v| v.encoded_ceiling().is_some()),
+        ambient: Vec3::ZERO,
         camera_masks,
         offset,
         disagreement,
     })
+}
+
+/// The class of every texel: the mesh's own, or what the views vote for.
+fn texel_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> {
+    let Some(of) = &scene.mesh_classes else {
+        return complete_labels(&scene.mesh, texels, fusion);
+    };
+    let class = |p: &SurfacePoint| of.of_triangle[p.triangle as usize];
+    texels.point.iter().map(class).collect()
 }
 
 /// The training views as read, before anything is taken out of them.
@@ -162,15 +173,17 @@ fn read_view(
     let ceiling = clipped_channels(&full, view.encoded_ceiling())
         .map(|c| blocks(&c, options.photo_reduction.max(1), |a, b| a | b));
     let radiance = reduced(full, options.photo_reduction);
-    let labels = scene.load_labels(view)?;
-    let shortfall = Shortfall::of(scene, view, &stats, labels.as_ref())?;
-    let valid = scene
-        .load_mask(view)?
-        .map(|m| all_valid(&m, options.photo_reduction));
     let buffer = ViewBuffer::trace(
         &view.camera.resized(radiance.width, radiance.height),
         tracer,
     );
+    let of_mesh = |m: &MeshClasses| m.of_hits(&buffer.triangle);
+    let labels = scene.load_labels(view)?;
+    let labels = labels.or_else(|| scene.mesh_classes.as_ref().map(of_mesh));
+    let shortfall = Shortfall::of(scene, view, &stats, labels.as_ref())?;
+    let valid = scene
+        .load_mask(view)?
+        .map(|m| all_valid(&m, options.photo_reduction));
     let mut clean = buffer.clean_pixels(&scene.mesh, labels.as_ref());
     if let Some(at) = &ceiling {
         // a lower bound: used only where no other look is at hand
@@ -315,15 +328,16 @@ fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) ->
     }
 }
 
-/// Mean radiance per triangle of clean pixels that see it from the side away from its orientation;
-/// zero without any. A pixel at an edge mixes in what lies behind: blinds before a bright sky would
+/// Mean radiance per triangle of pixels among clean ones that see it from the side away from its
+/// orientation; zero without any. A pixel at an edge mixes in what lies behind, and one beside it
+/// still does where lens or renderer blur by more than a pixel: blinds before a bright sky would
 /// shine with it. Of what is seen so only, the missing light predicts what it reflects.
 fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientation) -> Vec<Vec3> {
     let row = |v: &ObservedView, y: usize| {
         let b = &v.buffer;
         let behind = |x: usize| {
             let t = b.triangle[(x, y)];
-            if t == Hit::MISS || !v.clean[(x, y)] {
+            if t == Hit::MISS || !among_clean(&v.clean, x, y) {
                 return None;
             }
             let d = b
@@ -352,6 +366,13 @@ fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientatio
         .zip(&count)
         .map(|(s, c)| if *c > 0 { *s / *c as f32 } else { Vec3::ZERO })
         .collect()
+}
+
+/// Whether a pixel and all beside it are clean.
+fn among_clean(clean: &Plane<bool>, x: usize, y: usize) -> bool {
+    let rows = y.saturating_sub(1)..(y + 2).min(clean.height);
+    rows.flat_map(|y| (x.saturating_sub(1)..(x + 2).min(clean.width)).map(move |x| (x, y)))
+        .all(|at| clean[at])
 }
 
 #[cfg(test)]

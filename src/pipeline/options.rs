@@ -172,11 +172,8 @@ impl SolveOptions {
                 "--target-error {target}: must be from 0.0001 to 1 (0.02 = 2 %)"
             ));
         }
-        if let Some(published) = self.published.as_ref().filter(|p| !p.is_valid()) {
-            return wrong(format!(
-                "--epochs {}: must be from 1 to 10000 (the paper: 40)",
-                published.epochs
-            ));
+        if let Some(fault) = self.published.as_ref().and_then(|p| p.fault()) {
+            return wrong(fault);
         }
         if self.irradiance_error.is_nan() || self.irradiance_error < 0.0 {
             return wrong(format!(

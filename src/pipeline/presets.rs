@@ -8,7 +8,9 @@ use super::{Budget, Checkpoints, Fit, SolveOptions, Switch};
 use crate::core::brdf::Reflectance;
 use crate::highlight::LEVELS;
 use crate::irradiance::Estimator;
-use crate::published::{Correction, PublishedOptions, PublishedStage, PublishedValues};
+use crate::published::{
+    Correction, PublishedOptions, PublishedStage, PublishedStrategy, PublishedValues,
+};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
@@ -80,7 +82,10 @@ impl SolveOptions {
             Quality::Paper => Self {
                 irradiance_rays: 2048,
                 fit: Fit::default(),
-                published: Some(PublishedOptions::new(PublishedValues::Text)),
+                published: Some(PublishedOptions::new(
+                    PublishedStrategy::Texir,
+                    PublishedValues::Text,
+                )),
                 ..standard
             },
         }
@@ -210,7 +215,21 @@ pub struct SolveRequest {
     /// [default: text].
     #[arg(long, value_enum, value_name = "WHOSE")]
     pub published_values: Option<PublishedValues>,
-    /// Epochs of each stage of `--quality paper` [default: 40].
+    /// Who finds the materials in `--quality paper`: the paper's method, or a system that it is
+    /// compared with, under the paper's light [default: texir].
+    #[arg(long, value_enum, value_name = "WHO")]
+    pub strategy: Option<PublishedStrategy>,
+    /// Run a compared system with the faults of the paper's comparison (docs/method.md, 7.2).
+    #[arg(long)]
+    pub handicapped: bool,
+    /// Set ceilings and lamps to the values that the paper gives them on synthetic scenes before it
+    /// scores.
+    #[arg(long)]
+    pub post_process: bool,
+    /// Pixels that a compared system looks at in each visit of a view [default: 8192].
+    #[arg(long, value_name = "N")]
+    pub visit_pixels: Option<usize>,
+    /// Epochs of each stage of `--quality paper` [default: 40; of compared systems 101 or 51].
     #[arg(long, value_name = "N")]
     pub epochs: Option<u32>,
     /// Weaknesses that `--quality paper` takes out, by their number in docs/method.md: w1, w3,…
@@ -228,8 +247,13 @@ pub struct SolveRequest {
 impl SolveRequest {
     /// The numbers of the published method in effect.
     fn published(&self) -> PublishedOptions {
-        let values = PublishedOptions::new(self.published_values.unwrap_or_default());
+        let strategy = self.strategy.unwrap_or_default();
+        let values = PublishedOptions::new(strategy, self.published_values.unwrap_or_default());
         PublishedOptions {
+            strategy,
+            handicapped: self.handicapped,
+            post_process: self.post_process,
+            visit_pixels: self.visit_pixels.unwrap_or(values.visit_pixels),
             epochs: self.epochs.unwrap_or(values.epochs),
             corrections: self.correct.clone(),
             stages: match self.stages.as_slice() {

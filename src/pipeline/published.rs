@@ -13,7 +13,7 @@ use crate::core::switch::Switch;
 use crate::core::texture::Texels;
 use crate::irradiance::Estimator;
 use crate::published::{
-    Correction, Learned, PublishedInput, PublishedOptions, Sides, learn, one_view_per_texel,
+    Correction, PublishedInput, PublishedOptions, Sides, learn, one_view_per_texel,
 };
 use crate::radiance::Environment;
 use crate::scene::Scene;
@@ -75,10 +75,12 @@ pub(super) fn reconstruct_as_published(
         portals: Vec::new(),
         mesh: surface.oriented_mesh(),
         origin: scene.origin,
-        albedo: learned.albedo.plane(|a| Vec3::from(*a)),
-        roughness: learned.roughness.plane(|r| r[0]),
+        albedo: learned.albedo,
+        roughness: learned.roughness,
         // the published method knows no emission: lamps are albedo above 1
-        emission: Plane::filled(sides.albedo, sides.albedo, Vec3::ZERO),
+        emission: learned
+            .emission
+            .unwrap_or_else(|| Plane::filled(sides.albedo, sides.albedo, Vec3::ZERO)),
         confidence: Plane::filled(sides.albedo, sides.albedo, Vec2::splat(UNKNOWN)),
         irradiance_error: Some(texels.scatter(&baked.error, 0.0)),
         camera_masks: surface.camera_masks.clone(),
@@ -90,7 +92,7 @@ pub(super) fn reconstruct_as_published(
         radiance: tbl,
     };
     Ok(Solved {
-        findings: said_of(&learned, &solution),
+        findings: said_of(learned.rays, &solution),
         solution,
         fits: Vec::new(),
         rays,
@@ -98,7 +100,7 @@ pub(super) fn reconstruct_as_published(
 }
 
 /// What a reader must know of a result without stated errors.
-fn said_of(learned: &Learned, solution: &Solution) -> Findings {
+fn said_of(own_rays: u64, solution: &Solution) -> Findings {
     let albedo = &solution.albedo.data;
     let mean = albedo.iter().map(|a| f64::from(a.element_sum()) / 3.0);
     Findings {
@@ -106,8 +108,7 @@ fn said_of(learned: &Learned, solution: &Solution) -> Findings {
         labelled: true,
         others: vec![Reason {
             what: format!(
-                "the published method states no errors ({} rays of its own stages)",
-                learned.rays
+                "the published method states no errors ({own_rays} rays of its own stages)"
             ),
             weight: crate::verdict::GUESS,
             place: String::new(),

@@ -8,6 +8,7 @@
 //! then take the place of classes: roughness is fitted to them, paint is found on them. Called by
 //! the stage of the light between its coarse bake and its fine one, which needs them where nobody looks.
 
+use super::doubt::Doubt;
 use super::{SolveOptions, Switch};
 use crate::core::geometry::{numbered, smooth_patches};
 use crate::core::image::RgbPlane;
@@ -18,7 +19,6 @@ use crate::core::stats::{MAD_SCALE, median};
 use crate::core::texture::SurfacePoint;
 use crate::inverse::BLACK;
 use crate::observed::Surface;
-use crate::verdict::Reason;
 use glam::{Vec3, Vec4};
 use std::collections::BTreeMap;
 use std::f32::consts::PI;
@@ -100,12 +100,11 @@ pub(super) fn find_segments(
     Some(labels.collect())
 }
 
-/// The reason that segments are against a result whose mean albedo is `mean_albedo`.
-pub(super) fn doubt_of_segments(mean_albedo: f64) -> Reason {
-    Reason {
+/// What segments in the place of classes are against a result.
+pub(super) fn doubt_of_segments() -> Doubt {
+    Doubt {
         what: "without labels two materials that look alike may be taken for one, and what unseen surface reflects is less known".into(),
-        weight: f64::from(TAKEN_FOR_ONE.hypot(LIGHT)) * mean_albedo,
-        place: String::new(),
+        relative: f64::from(TAKEN_FOR_ONE.hypot(LIGHT)),
     }
 }
 

@@ -1,26 +1,17 @@
 //! The main job: light, then materials. Reads as the figure in README, one call a stage.
 
-use super::albedo::albedo_errors;
-use super::assemble::assemble;
-use super::clipped_light::{FoundLight, restore_clipped_light};
-use super::energy_balance::{Balanced, balance_rooms};
-use super::findings::{findings, spread_of_looks};
-use super::missing_light::add_missing_light;
-use super::painted::{Estimate, settle_palettes};
+use super::clipped_light::restore_clipped_light;
 use super::published::reconstruct_as_published;
 use super::segments::doubt_of_segments;
+use super::settle::{Estimated, settle};
 use super::solved::Solved;
 use super::{
-    Light, SolveOptions, fit_roughness, gather_highlights, observe, reconstruct_light,
-    solve_albedo, trace_reflections,
+    SolveOptions, fit_roughness, gather_highlights, observe, reconstruct_light, solve_albedo,
+    trace_reflections,
 };
 use crate::Result;
 use crate::core::progress::Progress;
-use crate::core::switch::Switch;
-use crate::inverse::{AlbedoEstimate, Ground, StatedErrors, TexelReflectance, settle_contradicted};
-use crate::observed::Surface;
 use crate::scene::Scene;
-use crate::verdict::MissingLight;
 
 /// Reconstructs materials and light of a scene.
 ///
@@ -34,15 +25,15 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
     let mut surface = observe(scene, options, progress)?;
     let clipped_light = restore_clipped_light(&mut surface, options, progress);
     let mut light = reconstruct_light(&surface, options, progress);
-    let segmented = light.segments.is_some();
+    let mut doubts = Vec::new();
     if let Some(segments) = light.segments.take() {
         surface.labels = segments;
+        doubts.push(doubt_of_segments());
     }
     let highlights = gather_highlights(&surface, &light, options, progress);
     let roughness = fit_roughness(&surface, &light, &highlights.evidence, options, progress);
     let reflections =
         trace_reflections(&surface, &light, &highlights, &roughness, options, progress);
-    let reflectance = &roughness.reflectance;
     let solved = solve_albedo(
         &surface,
         &light,
@@ -51,111 +42,13 @@ pub fn reconstruct(scene: &Scene, options: &SolveOptions, progress: &Progress) -
         options,
         progress,
     );
-    let mut albedo = solved.albedo;
-    let clipped = clipped_light.as_ref().map(|c| c.missing);
-    let mut lights = clipped_light.map_or_else(Vec::new, |c| c.lights);
-    forget_lit(&mut albedo, &lights);
-    let rooms = roughness.texel_rooms(&surface.texels);
-    let mut short = progress.stage("energy balance", 0, |p| {
-        balance_rooms(&surface, &mut light, &mut albedo, &rooms, options, p)
-    });
-    if let Some(short) = &mut short {
-        forget_lit(&mut albedo, &short.lamps);
-        lights.append(&mut short.lamps);
-    }
-    let mut rays = light.rays + highlights.evidence.rays + reflections.rays + solved.rays;
-    rays += unseen_light(
-        &surface,
-        &mut light,
-        &mut albedo,
-        reflectance,
-        options,
-        progress,
-    );
-    let spread = spread_of_looks(&albedo);
-    settle_hidden(&surface, &mut albedo, &rooms);
-    let StatedErrors {
-        error: mut errors,
-        unexplained,
-    } = albedo_errors(&surface, &light, &albedo);
-    if let Some(short) = &short {
-        add_error(&mut errors, |i| short.cast_error[i]);
-    }
-    let estimate = Estimate {
-        albedo: &mut albedo,
-        errors: &mut errors,
-        rooms: &rooms,
-    };
-    progress.stage("paint", 0, |p| {
-        settle_palettes(&surface, &mut light, estimate, options, p);
-    });
-    let mut findings = findings(&surface, &light, &albedo, &errors, &spread);
-    findings.unexplained = f64::from(unexplained);
-    if segmented {
-        let doubt = doubt_of_segments(findings.mean_albedo);
-        findings.others.push(doubt);
-    }
-    findings.light_missing = MissingLight::both(clipped, short.map(|s: Balanced| s.missing));
-    // what no texel knows of by itself
-    let model_error = findings.model_error() as f32;
-    add_error(&mut errors, |_| model_error);
-    Ok(Solved {
-        solution: assemble(&surface, &light, &roughness, &albedo, &errors, &lights),
-        fits: roughness.materials.fits().cloned().collect(),
+    let rays = light.rays + highlights.evidence.rays + reflections.rays + solved.rays;
+    let estimated = Estimated {
+        albedo: solved.albedo,
+        roughness: &roughness,
+        clipped_light,
+        doubts,
         rays,
-        findings,
-    })
-}
-
-/// Adds light that no camera looks along, unless the options say no; the rays traced.
-fn unseen_light(
-    surface: &Surface,
-    light: &mut Light,
-    albedo: &mut AlbedoEstimate,
-    reflectance: &TexelReflectance,
-    options: &SolveOptions,
-    progress: &Progress,
-) -> u64 {
-    if options.missing_light == Switch::Off {
-        return 0;
-    }
-    let added = progress.stage("missing light", 0, |p| {
-        add_missing_light(surface, light, albedo, reflectance, options.seed, p)
-    });
-    progress.note(format!(
-        "light that no camera looks along (specular reflections, far sides) changes the \
-         irradiance by {:+.1} % on average",
-        100.0 * added.change
-    ));
-    added.rays
-}
-
-/// Surface before which something stands that the mesh lacks takes what its class is like.
-fn settle_hidden(surface: &Surface, albedo: &mut AlbedoEstimate, rooms: &[u16]) {
-    let contradicted: Vec<u32> = (0..surface.texels.len() as u32)
-        .filter(|&i| surface.contradictions.contradicted(i as usize))
-        .collect();
-    let ground = Ground {
-        texels: &surface.texels,
-        mesh: &surface.scene.mesh,
-        labels: &surface.labels,
-        rooms,
     };
-    settle_contradicted(&ground, &contradicted, albedo);
-}
-
-/// Adds an independent error to every texel's.
-fn add_error(errors: &mut [f32], error: impl Fn(usize) -> f32) {
-    for (i, e) in errors.iter_mut().enumerate() {
-        *e = e.hypot(error(i));
-    }
-}
-
-/// What a clipped light hides of its surface is unknown: lamps, and what the sun shines on.
-fn forget_lit(albedo: &mut AlbedoEstimate, lights: &[FoundLight]) {
-    for &i in lights.iter().flat_map(|l| &l.texels) {
-        albedo.value[i as usize] = glam::Vec3::ZERO;
-        albedo.error[i as usize] = f32::INFINITY;
-        albedo.clean[i as usize] = false;
-    }
+    Ok(settle(&surface, light, estimated, options, progress))
 }

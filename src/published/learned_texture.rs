@@ -3,13 +3,9 @@
 //! What nvdiffrast's `texture` does in the published method.
 
 use crate::core::image::Plane;
+use crate::core::network::AdamRule;
 use crate::core::parallel::prelude::*;
 use glam::Vec2;
-
-/// Decay of the gradient's mean and of its square: Adam's defaults, which the paper keeps.
-const BETA: [f32; 2] = [0.9, 0.999];
-/// Adam's floor of the denominator.
-const EPSILON: f32 = 1e-8;
 
 /// Where a fetch reads: texels of one or two levels with weights that sum to 1.
 #[derive(Clone, Copy, Debug, Default)]
@@ -235,7 +231,7 @@ impl<const C: usize> LearnedTexture<C> {
     pub fn step(&mut self, rate: f32, low: f32, high: f32) {
         self.gather();
         self.steps += 1;
-        let correction = BETA.map(|b| 1.0 / (1.0 - b.powi(self.steps)));
+        let rule = AdamRule::new(rate, self.steps);
         let side = self.texture.side();
         let rows = self.texture.levels[0].texels.par_chunks_mut(side);
         rows.zip(self.gradient[0].par_chunks_mut(side))
@@ -245,16 +241,30 @@ impl<const C: usize> LearnedTexture<C> {
                 for i in 0..values.len() {
                     for c in 0..C {
                         let g = std::mem::take(&mut gradient[i][c]);
-                        let m = &mut mean[i][c];
-                        *m = BETA[0] * *m + (1.0 - BETA[0]) * g;
-                        let v = &mut square[i][c];
-                        *v = BETA[1] * *v + (1.0 - BETA[1]) * g * g;
-                        let step = *m * correction[0] / ((*v * correction[1]).sqrt() + EPSILON);
-                        values[i][c] = (values[i][c] - rate * step).clamp(low, high);
+                        let step = rule.advance(g, &mut mean[i][c], &mut square[i][c]);
+                        values[i][c] = (values[i][c] - step).clamp(low, high);
                     }
                 }
             });
         self.texture.rebuild();
+    }
+
+    /// Adds to a texel at full resolution.
+    #[cfg(test)]
+    pub fn nudge(&mut self, i: usize, by: f32) {
+        let texel = &mut self.texture.levels[0].texels[i];
+        *texel = texel.map(|t| t + by);
+    }
+
+    /// The gradient at full resolution of the texels that are `chosen`, channel by channel.
+    #[cfg(test)]
+    pub fn gradient_where(&mut self, chosen: impl Fn(usize) -> bool) -> Vec<f32> {
+        self.gather();
+        let chosen = self.gradient[0]
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| chosen(*i));
+        chosen.flat_map(|(_, g)| *g).collect()
     }
 
     /// The learned values as a plane.

@@ -38,6 +38,13 @@ pub enum Correction {
     W8,
 }
 
+impl Correction {
+    /// Whether it concerns the light and its samples, which compared systems share.
+    fn is_of_light(self) -> bool {
+        matches!(self, Self::W1 | Self::W2 | Self::W5 | Self::W6)
+    }
+}
+
 /// A stage of the published optimisation.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum,
@@ -73,33 +80,79 @@ impl PublishedStage {
     }
 }
 
+/// Who finds the materials: the published method, or a system that it is compared with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum PublishedStrategy {
+    /// TexIR: textures in three stages.
+    #[default]
+    Texir,
+    /// InvRender: a sparse code of materials.
+    Invrender,
+    /// NVDIFFREC: a hash grid.
+    Nvdiffrec,
+    /// NeILF: a network of sines.
+    Neilf,
+    /// NeILF with its own light, learned instead of traced.
+    NeilfStar,
+    /// Texture-space differentiable path tracing.
+    Tsdr,
+}
+
+impl PublishedStrategy {
+    /// Epochs of the comparison (cited: method §7.2; TexIR's are those of its values).
+    fn epochs(self, values: PublishedValues) -> u32 {
+        match self {
+            Self::Texir => match values {
+                PublishedValues::Text => 40,
+                PublishedValues::Code => 41,
+            },
+            Self::Invrender | Self::Nvdiffrec => 101,
+            Self::Neilf | Self::NeilfStar => 51,
+            // no number is at hand: TexIR's three stages
+            Self::Tsdr => 120,
+        }
+    }
+}
+
 /// What the published method runs with.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub struct PublishedOptions {
     /// Whose numbers.
     pub values: PublishedValues,
-    /// Epochs of each of the three stages.
+    /// Who finds the materials.
+    pub strategy: PublishedStrategy,
+    /// Whether a compared system has the faults that TexIR's authors gave it (method §7.2).
+    pub handicapped: bool,
+    /// Whether ceilings and lamps are set to the values of supplement, Sec. C.1.
+    pub post_process: bool,
+    /// Epochs, of each of the three stages where there are stages.
     pub epochs: u32,
+    /// Pixels that a compared system looks at in each visit of a view.
+    pub visit_pixels: usize,
     /// Weaknesses taken out.
     pub corrections: Vec<Correction>,
     /// Stages that are run: fewer are the paper's stage ablation.
     pub stages: Vec<PublishedStage>,
 }
 
+/// Pixels of a visit. Derived: 8,192 are a step of NeILF's authors (method §7.2).
+const VISIT_PIXELS: usize = 8192;
 /// Most epochs of a stage that may be asked for.
 const MOST_EPOCHS: u32 = 10_000;
 
 impl PublishedOptions {
     /// The numbers of text or code.
     #[must_use]
-    pub fn new(values: PublishedValues) -> Self {
+    pub fn new(strategy: PublishedStrategy, values: PublishedValues) -> Self {
         Self {
             values,
-            epochs: match values {
-                PublishedValues::Text => 40,
-                PublishedValues::Code => 41,
-            },
+            strategy,
+            handicapped: false,
+            post_process: false,
+            epochs: strategy.epochs(values),
+            visit_pixels: VISIT_PIXELS,
             corrections: Vec::new(),
             stages: PublishedStage::ALL.to_vec(),
         }
@@ -111,10 +164,35 @@ impl PublishedOptions {
         self.corrections.contains(&correction)
     }
 
-    /// Whether the number of epochs can be run.
+    /// What of it cannot be run, as a sentence; `None` if all can.
     #[must_use]
-    pub fn is_valid(&self) -> bool {
-        (1..=MOST_EPOCHS).contains(&self.epochs)
+    pub fn fault(&self) -> Option<String> {
+        if !(1..=MOST_EPOCHS).contains(&self.epochs) {
+            return Some(format!(
+                "--epochs {}: must be from 1 to {MOST_EPOCHS} (the paper: 40)",
+                self.epochs
+            ));
+        }
+        if self.visit_pixels == 0 {
+            return Some("--visit-pixels 0: must be at least 1".to_owned());
+        }
+        let texir = self.strategy == PublishedStrategy::Texir;
+        if (texir || self.strategy == PublishedStrategy::Tsdr) && self.handicapped {
+            return Some(
+                "--handicapped is for systems that the paper's authors ran: --strategy invrender, \
+                 nvdiffrec, neilf or neilf-star"
+                    .to_owned(),
+            );
+        }
+        let stages = self.stages != PublishedStage::ALL;
+        let own = self.corrections.iter().any(|c| !c.is_of_light());
+        if !texir && (stages || own) {
+            return Some(
+                "--stages and all of --correct but w1, w2, w5 and w6 belong to --strategy texir"
+                    .to_owned(),
+            );
+        }
+        None
     }
 
     /// Weights of the losses.
@@ -147,4 +225,35 @@ pub(super) struct Weights {
     pub propagation: f64,
     /// β_ssr of stage III.
     pub roughness_smoothness: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_does_not_belong_together_is_refused() {
+        let of = |strategy| PublishedOptions::new(strategy, PublishedValues::Text);
+        let texir = of(PublishedStrategy::Texir);
+        let neilf = of(PublishedStrategy::Neilf);
+        assert_eq!((texir.epochs, neilf.epochs), (40, 51));
+        assert_eq!((texir.fault(), neilf.fault()), (None, None));
+        let handicapped = |o: &PublishedOptions| PublishedOptions {
+            handicapped: true,
+            ..o.clone()
+        };
+        assert_eq!(handicapped(&neilf).fault(), None);
+        assert!(handicapped(&texir).fault().is_some());
+        let corrected = |o: &PublishedOptions, c| PublishedOptions {
+            corrections: vec![c],
+            ..o.clone()
+        };
+        assert_eq!(corrected(&neilf, Correction::W1).fault(), None);
+        assert!(corrected(&neilf, Correction::W3).fault().is_some());
+        let staged = PublishedOptions {
+            stages: vec![PublishedStage::Joint],
+            ..neilf
+        };
+        assert!(staged.fault().is_some_and(|f| f.contains("--stages")));
+    }
 }

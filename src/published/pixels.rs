@@ -26,6 +26,9 @@ pub struct Pixel {
     pub footprint: f32,
     /// What the photograph shows.
     pub radiance: Vec3,
+    /// |∇I| of the photograph, of ln(1 + I) from pixel to pixel in the units of the losses
+    /// ([`PixelGrid::find_contrasts`]).
+    pub contrast: f32,
     /// Class; 0 is unlabelled.
     pub class: u16,
     /// Room.
@@ -52,6 +55,32 @@ impl PixelGrid {
     #[must_use]
     pub fn size(&self) -> usize {
         self.width * self.height * self.faces
+    }
+
+    /// Writes the contrast of every pixel to its neighbours on the right and below.
+    pub fn find_contrasts(&mut self) {
+        let mut brightness = vec![f32::NAN; self.size()];
+        let of = |p: &Pixel| {
+            let ln = p.radiance.max(Vec3::ZERO).to_array().map(f32::ln_1p);
+            ln.iter().sum::<f32>() / 3.0
+        };
+        for p in &self.pixels {
+            brightness[p.cell as usize] = of(p);
+        }
+        let (width, height) = (self.width, self.height);
+        for p in &mut self.pixels {
+            let cell = p.cell as usize;
+            let (x, y) = (cell % width, cell / width % height);
+            let to = |there: bool, step: usize| {
+                let off = if there {
+                    brightness[cell + step] - brightness[cell]
+                } else {
+                    0.0
+                };
+                if off.is_nan() { 0.0 } else { off }
+            };
+            p.contrast = to(x + 1 < width, 1).hypot(to(y + 1 < height, width));
+        }
     }
 }
 
@@ -163,8 +192,7 @@ impl PixelReader<'_> {
         let (u, v) = mesh.barycentrics(triangle, position);
         let (normal, face_normal) = self.surface.normals(triangle, u, v);
         let uv = mesh.uv(triangle, u, v);
-        let [a, b, c] = mesh.corner_uvs(triangle);
-        let on_atlas = 0.5 * (b - a).perp_dot(c - a).abs();
+        let on_atlas = mesh.chart_area(triangle);
         let n_v = face_normal.dot(-direction).abs().max(0.02);
         let footprint = t * camera.pixel_angle(centre) / n_v.sqrt();
         let class = match &view.labels {
@@ -184,6 +212,7 @@ impl PixelReader<'_> {
             uv,
             footprint: footprint * (on_atlas / mesh.area(triangle).max(f32::MIN_POSITIVE)).sqrt(),
             radiance: view.radiance.data[place],
+            contrast: 0.0,
             class,
             room: *self.rooms.nearest(uv * self.rooms.width as f32),
             cell: 0,
@@ -194,6 +223,38 @@ impl PixelReader<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn contrast_is_that_to_the_right_and_below() {
+        let pixel = |cell: u32| Pixel {
+            position: Vec3::ZERO,
+            normal: Vec3::Y,
+            to_camera: Vec3::Y,
+            uv: Vec2::ZERO,
+            footprint: 0.0,
+            radiance: Vec3::splat((0.5 * (cell % 3) as f32 + (cell / 3) as f32).exp_m1()),
+            contrast: 0.0,
+            class: 1,
+            room: 1,
+            cell,
+        };
+        let mut grid = PixelGrid {
+            // one pixel sees no geometry
+            pixels: (0..9).filter(|c| *c != 5).map(pixel).collect(),
+            width: 3,
+            height: 3,
+            faces: 1,
+        };
+        grid.find_contrasts();
+        let contrast = |cell: u32| {
+            let found = grid.pixels.iter().find(|p| p.cell == cell);
+            found.map(|p| p.contrast)
+        };
+        let close = |a: Option<f32>, b: f32| a.is_some_and(|a| (a - b).abs() < 1e-5);
+        assert!(close(contrast(0), 1.25f32.sqrt()));
+        assert!(close(contrast(4), 1.0), "nothing on the right");
+        assert!(close(contrast(2), 0.0) && close(contrast(8), 0.0));
+    }
 
     #[test]
     fn six_faces_look_along_all_axes_and_are_no_mirrors() {

@@ -151,6 +151,7 @@ mod tests {
             uv: Vec2::ZERO,
             footprint: 0.0,
             radiance: Vec3::ZERO,
+            contrast: 0.0,
             class: if cell % 40 < 20 { 1 } else { 2 },
             room: 1,
             cell,

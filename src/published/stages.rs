@@ -1,16 +1,19 @@
 //! The three stages: albedo without reflections, roughness on virtual highlights, both together
 //! (method §7). Photometric comparisons are L1 in ln(1 + radiance); one step is one view.
 
+use super::descent::{Descent, descend};
+use super::hybrid::Hybrid;
 use super::learned_texture::{LearnedTexture, MipTexture, Taps};
 use super::options::{Correction, PublishedOptions, PublishedStage as Stage, Weights};
 use super::pixels::{Pixel, PixelGrid};
-use super::reflection::Reflector;
+use super::strategy::{Lighting, MaterialSlope};
+use crate::core::brdf::Material;
+use crate::core::math;
 use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
-use crate::core::sampling::{KeyedRng, hash_u64};
+use crate::core::sampling::hash_u64;
 use glam::Vec3;
 use std::collections::BTreeMap;
-use std::f32::consts::FRAC_1_PI;
 
 /// Steps of Adam, their decay and its period in epochs (cited: supplement, Sec. C.1).
 const RATE: f32 = 0.03;
@@ -34,12 +37,8 @@ pub struct Training<'a> {
     pub views: &'a [PixelGrid],
     /// Per view, which of its pixels are virtual highlights.
     pub highlights: &'a [Vec<bool>],
-    /// The irradiance texture in the units of the losses.
-    pub irradiance: &'a MipTexture<3>,
-    /// What reflects, in the units of the photographs.
-    pub reflector: Reflector<'a>,
-    /// Factor from the photographs' units to those of the losses.
-    pub exposure: f32,
+    /// The light.
+    pub hybrid: Hybrid<'a>,
     /// Classes of ceilings.
     pub ceilings: &'a [u16],
     /// Numbers.
@@ -112,19 +111,6 @@ impl GroupMeans {
     }
 }
 
-/// Sign with sgn 0 = 0.
-fn sign(v: Vec3) -> Vec3 {
-    Vec3::from_array(
-        v.to_array()
-            .map(|x| if x == 0.0 { 0.0 } else { x.signum() }),
-    )
-}
-
-/// Derivative of |ln(1+p) − ln(1+g)| by p, per channel.
-fn photometric_slope(predicted: Vec3, shown: Vec3) -> Vec3 {
-    sign(predicted - shown) / (1.0 + predicted.max(Vec3::ZERO))
-}
-
 /// Gradient of the mean of |value − mean of its group| by each value, the mean's own dependence
 /// included: sgn_i − mean(sgn).
 fn pull_to_means(values: &[Vec3], groups: &[Option<u32>], given: Option<&GroupMeans>) -> Vec<Vec3> {
@@ -137,7 +123,7 @@ fn pull_to_means(values: &[Vec3], groups: &[Option<u32>], given: Option<&GroupMe
     let means = given.unwrap_or(&own);
     let mut signs = GroupMeans::default();
     let sign_of = |value: &Vec3, group: &Option<u32>| {
-        group.map_or(Vec3::ZERO, |g| sign(*value - means.mean(g)))
+        group.map_or(Vec3::ZERO, |g| math::signs(*value - means.mean(g)))
     };
     if given.is_none() {
         for (value, group) in values.iter().zip(groups) {
@@ -161,40 +147,16 @@ impl Training<'_> {
     fn run(&self, stage: Stage, learned: &mut Learned, progress: &Progress) {
         learned.albedo.restart();
         learned.roughness.restart();
-        let mut order: Vec<usize> = (0..self.views.len()).collect();
-        for epoch in 0..self.options.epochs {
-            let key = hash_u64(self.seed, hash_u64(stage as u64, u64::from(epoch)));
-            let mut rng = KeyedRng::new(key, 0);
-            for i in (1..order.len()).rev() {
-                order.swap(i, rng.below(i + 1));
-            }
-            let rate = RATE * DECAY.powi((epoch / PERIOD) as i32);
-            let pooled = self
-                .options
-                .corrects(Correction::W8)
-                .then(|| self.pooled(stage, learned));
-            for &v in &order {
-                let key = hash_u64(key, v as u64 + 1);
-                let pooled = pooled.as_ref();
-                match stage {
-                    Stage::Albedo => self.albedo_step(v, pooled, learned),
-                    Stage::Roughness => self.roughness_step(v, key, pooled, learned),
-                    Stage::Joint => self.joint_step(v, key, pooled, learned),
-                }
-                if stage != Stage::Roughness {
-                    // stage I is clamped once it is over: Adam may pass through zero
-                    let low = match stage {
-                        Stage::Albedo => f32::NEG_INFINITY,
-                        _ => 0.0,
-                    };
-                    learned.albedo.step(rate, low, f32::INFINITY);
-                }
-                if stage != Stage::Albedo {
-                    learned.roughness.step(rate, ROUGHNESS.0, ROUGHNESS.1);
-                }
-                progress.advance(1);
-            }
-        }
+        let epochs = self.options.epochs;
+        let key = |epoch| hash_u64(self.seed, hash_u64(stage as u64, u64::from(epoch)));
+        let mut descent = StageDescent {
+            training: self,
+            stage,
+            learned,
+            rate: RATE,
+            pooled: None,
+        };
+        descend(&mut descent, epochs, self.views.len(), key, progress);
         if stage == Stage::Albedo {
             learned.albedo.step(0.0, 0.0, f32::INFINITY);
         }
@@ -205,11 +167,10 @@ impl Training<'_> {
         let albedo = learned.albedo.texture();
         let shaded = |p: &Pixel| {
             let albedo_taps = albedo.taps(p.uv, p.footprint);
-            let e = self.irradiance.taps(p.uv, p.footprint);
             Shaded {
                 albedo: albedo.fetch(&albedo_taps).into(),
                 albedo_taps,
-                diffuse: Vec3::from(self.irradiance.fetch(&e)) * FRAC_1_PI,
+                diffuse: self.hybrid.diffuse(p),
             }
         };
         pixels.par_iter().map(shaded).collect()
@@ -229,7 +190,9 @@ impl Training<'_> {
         for (i, (pixel, s)) in grid.pixels.iter().zip(&shaded).enumerate() {
             let fits = !(without_highlights && self.highlights[view][i]);
             let slope = if fits {
-                photometric_slope(s.diffuse * s.albedo, pixel.radiance) * s.diffuse * photometric
+                self.hybrid.loss.slope(s.diffuse * s.albedo, pixel.radiance)
+                    * s.diffuse
+                    * photometric
             } else {
                 Vec3::ZERO
             };
@@ -357,7 +320,7 @@ impl Training<'_> {
         }
     }
 
-    /// Derivatives of the sum of |ln(1+I) − ln(1+shown)| over the channels, I = E A/π + L_s.
+    /// Slopes of the sum of |ln(1+I) − ln(1+shown)| over the channels, I = E A/π + L_s.
     fn photometric_slopes(
         &self,
         pixels: &[Pixel],
@@ -365,29 +328,18 @@ impl Training<'_> {
         roughness: &[f32],
         key: u64,
         learned: &mut Learned,
-    ) -> Vec<Slopes> {
-        let mirrored = self.reflector.reflect(pixels, roughness, key);
-        let rays = pixels.len() as u64 * u64::from(super::reflection::SAMPLES);
-        learned.rays += rays;
-        // residuals from samples of their own do not conspire with their slopes
-        let independent = self.options.corrects(Correction::W2).then(|| {
-            learned.rays += rays;
-            self.reflector
-                .reflect(pixels, roughness, hash_u64(key, 0x1d))
-        });
-        let shown = independent.as_ref().unwrap_or(&mirrored);
-        (0..pixels.len())
-            .into_par_iter()
-            .map(|i| {
-                let s = &shaded[i];
-                let predicted = s.diffuse * s.albedo + shown[i].radiance * self.exposure;
-                let slope = photometric_slope(predicted, pixels[i].radiance);
-                Slopes {
-                    by_albedo: slope * s.diffuse,
-                    by_roughness: slope.dot(mirrored[i].slope * self.exposure),
-                }
+    ) -> Vec<MaterialSlope> {
+        let materials: Vec<Material> = shaded
+            .iter()
+            .zip(roughness)
+            .map(|(s, roughness)| Material {
+                albedo: s.albedo,
+                roughness: *roughness,
             })
-            .collect()
+            .collect();
+        let mut hybrid = self.hybrid;
+        learned.rays += hybrid.rays(pixels.len());
+        hybrid.compare(pixels, &materials, key)
     }
 
     /// Means over all views: of albedo by class in stage I, of highlights' roughness by class in
@@ -431,10 +383,43 @@ impl Training<'_> {
     }
 }
 
-/// Derivatives of a pixel's photometric loss.
-struct Slopes {
-    by_albedo: Vec3,
-    by_roughness: f32,
+/// A stage under way.
+struct StageDescent<'a, 'b> {
+    training: &'a Training<'b>,
+    stage: Stage,
+    learned: &'a mut Learned,
+    rate: f32,
+    pooled: Option<GroupMeans>,
+}
+
+impl Descent for StageDescent<'_, '_> {
+    fn begin_epoch(&mut self, epoch: u32) {
+        self.rate = RATE * DECAY.powi((epoch / PERIOD) as i32);
+        let pools = self.training.options.corrects(Correction::W8);
+        self.pooled = pools.then(|| self.training.pooled(self.stage, self.learned));
+    }
+
+    fn visit(&mut self, view: usize, key: u64) {
+        let (training, pooled) = (self.training, self.pooled.as_ref());
+        match self.stage {
+            Stage::Albedo => training.albedo_step(view, pooled, self.learned),
+            Stage::Roughness => training.roughness_step(view, key, pooled, self.learned),
+            Stage::Joint => training.joint_step(view, key, pooled, self.learned),
+        }
+        if self.stage != Stage::Roughness {
+            // stage I is clamped once it is over: Adam may pass through zero
+            let low = match self.stage {
+                Stage::Albedo => f32::NEG_INFINITY,
+                _ => 0.0,
+            };
+            self.learned.albedo.step(self.rate, low, f32::INFINITY);
+        }
+        if self.stage != Stage::Albedo {
+            self.learned
+                .roughness
+                .step(self.rate, ROUGHNESS.0, ROUGHNESS.1);
+        }
+    }
 }
 
 /// The class of a labelled pixel.
@@ -479,25 +464,6 @@ mod tests {
             };
             let central = (moved(h) - moved(-h)) / (2.0 * h);
             assert!((pull[i].x - central).abs() < 1e-3, "{i}: {}", pull[i].x);
-        }
-    }
-
-    #[test]
-    fn the_photometric_slope_is_that_of_its_loss() {
-        let shown = Vec3::new(0.2, 1.0, 5.0);
-        for p in [Vec3::new(0.4, 0.2, 7.0), Vec3::new(0.1, 3.0, 0.0)] {
-            let loss = |p: Vec3| {
-                (0..3)
-                    .map(|k| (p[k].ln_1p() - shown[k].ln_1p()).abs())
-                    .sum::<f32>()
-            };
-            let slope = photometric_slope(p, shown);
-            for k in 0..3 {
-                let mut d = Vec3::ZERO;
-                d[k] = 1e-3;
-                let central = (loss(p + d) - loss(p)) / 1e-3;
-                assert!((slope[k] - central).abs() < 1e-2, "{slope} {central}");
-            }
         }
     }
 }

@@ -4,9 +4,10 @@
 use super::frame_account;
 use super::recorded_light::{ClippedView, RecordedLight};
 use super::{
-    FrameAccount, LoadOptions, RoomGrid, Scene, Split, View, clipped_channels, find_rooms,
+    FrameAccount, LoadOptions, MeshClasses, RoomGrid, Scene, Split, View, clipped_channels,
+    find_rooms,
 };
-use crate::core::geometry::Projection;
+use crate::core::geometry::{Camera, Projection};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
@@ -54,6 +55,8 @@ pub struct Summary {
     pub radiance: RadianceRange,
     /// Classes with their shares.
     pub classes: Vec<ClassShare>,
+    /// What of the mesh the classes are named after, where no photograph has labels.
+    pub mesh_classes: Option<&'static str>,
     /// Share of the labelled images' pixels (by solid angle) without a class.
     pub unlabelled_share: f64,
     /// Share of the labelled images (by solid angle) that shows geometry without a class.
@@ -243,6 +246,7 @@ pub fn check_loaded(scene: &Scene, tracer: &dyn Tracer, report: &mut CheckReport
         unread_views: scene.views.len() - findings.len(),
         unseen_area_share: unseen_share(scene, tracer),
         rooms_given: scene.rooms.is_some(),
+        mesh_classes: scene.mesh_classes.as_ref().map(MeshClasses::source),
         ..Summary::default()
     };
     summary.recorded_light = recorded_light(scene, &findings);
@@ -321,6 +325,39 @@ struct ViewFindings {
     votes: BTreeMap<(u32, u16), u32>,
 }
 
+/// A regular lattice of rays in an image's aspect.
+struct Lattice {
+    columns: usize,
+    rows: usize,
+    /// Places in the image, row by row.
+    pixels: Vec<Vec2>,
+    rays: Vec<Ray>,
+}
+
+impl Lattice {
+    fn of(camera: &Camera) -> Self {
+        let rows = ((RAYS_PER_VIEW * camera.height / camera.width) as f32)
+            .sqrt()
+            .ceil()
+            .max(1.0) as usize;
+        let columns = RAYS_PER_VIEW.div_ceil(rows);
+        let pixels: Vec<Vec2> = (0..rows * columns)
+            .map(|i| {
+                Vec2::new((i % columns) as f32 + 0.5, (i / columns) as f32 + 0.5)
+                    / Vec2::new(columns as f32, rows as f32)
+            })
+            .map(|p| p * Vec2::new(camera.width as f32, camera.height as f32))
+            .collect();
+        let ray = |&p: &Vec2| Ray::new(camera.position, camera.direction(p), f32::INFINITY);
+        Self {
+            columns,
+            rows,
+            rays: pixels.iter().map(ray).collect(),
+            pixels,
+        }
+    }
+}
+
 fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindings> {
     let radiance = scene.load_radiance_with_stats(view);
     let labels = scene.load_labels(view);
@@ -337,6 +374,22 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
         return Err(Error::Inputs(errors));
     };
     let camera = &view.camera;
+    let Lattice {
+        columns,
+        rows,
+        pixels,
+        rays,
+    } = Lattice::of(camera);
+    let mut hits = vec![Hit::miss(); rays.len()];
+    tracer.closest(&rays, &mut hits);
+    let of_mesh = |m: &MeshClasses| {
+        m.of_hits(&Plane {
+            width: columns,
+            height: rows,
+            data: hits.iter().map(|h| h.triangle).collect(),
+        })
+    };
+    let labels = labels.or_else(|| scene.mesh_classes.as_ref().map(of_mesh));
     let account = frame_account::account(scene, view, (&stats, mask.as_ref(), labels.as_ref()))?;
     let mut f = ViewFindings {
         account,
@@ -354,25 +407,6 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
         clipped: ClippedView::default(),
         votes: BTreeMap::new(),
     };
-    // a regular lattice of rays in the image's aspect
-    let rows = ((RAYS_PER_VIEW * camera.height / camera.width) as f32)
-        .sqrt()
-        .ceil()
-        .max(1.0) as usize;
-    let columns = RAYS_PER_VIEW.div_ceil(rows);
-    let pixels: Vec<Vec2> = (0..rows * columns)
-        .map(|i| {
-            Vec2::new((i % columns) as f32 + 0.5, (i / columns) as f32 + 0.5)
-                / Vec2::new(columns as f32, rows as f32)
-        })
-        .map(|p| p * Vec2::new(camera.width as f32, camera.height as f32))
-        .collect();
-    let rays: Vec<Ray> = pixels
-        .iter()
-        .map(|&p| Ray::new(camera.position, camera.direction(p), f32::INFINITY))
-        .collect();
-    let mut hits = vec![Hit::miss(); rays.len()];
-    tracer.closest(&rays, &mut hits);
     f.clipped = clipped_view(view, &image, labels.as_ref(), (&pixels, &rays, &hits));
     let seen = pixels.iter().zip(&hits).filter(|(_, h)| h.is_hit());
     let sizes = seen.map(|(&p, h)| h.t * camera.pixel_solid_angle(p).sqrt());
@@ -699,7 +733,7 @@ fn warn_of_labels(s: &Summary, findings: &[ViewFindings], warnings: &mut Vec<Str
     let labelled = findings.iter().filter(|f| f.labelled).count();
     if labelled == 0 {
         warnings.push(
-            "no label images: all surfaces count as one class, and roughness is found less well"
+            "no label images: surface is told apart by shape and look (solve --segments), and roughness is found less well"
                 .into(),
         );
     } else if labelled < findings.len() {

@@ -127,8 +127,10 @@ fn summary(f: &mut Formatter<'_>, s: &Summary) -> Result {
         f,
         "classes",
         format!(
-            "{}, {} of the labelled solid angle unlabelled",
+            "{}{}, {} of the labelled solid angle unlabelled",
             s.classes.len(),
+            s.mesh_classes
+                .map_or(String::new(), |of| format!(" by the mesh's {of}")),
             percent(s.unlabelled_share)
         ),
     )?;

@@ -1,12 +1,14 @@
 //! Loading a scene folder: every problem of every file is collected before anything is refused.
 
 use super::input_error::{as_input, limited};
+use super::mesh_classes::{Named, mesh_classes};
 use super::mesh_prep::prepare_mesh;
 use super::transforms::{Frame, Model, Transforms, parse_usable, y_up_from_z_up};
-use super::{Class, LdrImages, LoadOptions, Mirror, Scene, Split, View, rooms};
+use super::{Class, LdrImages, LoadOptions, MeshClasses, Mirror, Scene, Split, View, rooms};
 use crate::core::formats::{self, ImageAccount, ImageInfo};
 use crate::core::geometry::Camera;
 use crate::core::parallel::prelude::*;
+use crate::core::switch::Switch;
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
@@ -73,16 +75,16 @@ impl Scene {
         let splits = splits(&transforms, &file, &mut issues, &mut warnings);
         check_stems(&transforms.frames, &file, &mut issues);
         let mesh_path = resolved(&folder, &transforms.mesh_path);
-        let mesh = if transforms.mesh_path.is_empty() {
+        if transforms.mesh_path.is_empty() {
             return Err(refusal(issues));
-        } else {
-            formats::read_mesh(&mesh_path)
-        };
-        let mesh = mesh.and_then(|raw| {
+        }
+        let mut names = Vec::new();
+        let mesh = formats::read_mesh(&mesh_path).and_then(|mut raw| {
+            names = std::mem::take(&mut raw.names);
             let z_up = mesh_is_z_up(&transforms, &raw, &mut warnings);
             prepare_mesh(raw, &mesh_path, z_up, options)
         });
-        let origin = mesh.as_ref().map_or(DVec3::ZERO, |m| m.1);
+        let origin = mesh.as_ref().map_or(DVec3::ZERO, |m| m.origin);
         let checked: Vec<_> = transforms
             .frames
             .par_iter()
@@ -92,16 +94,18 @@ impl Scene {
         let mut views = usable(checked, &mut issues);
         warnings.extend(level_white(&mut views));
         let classes_declared = transforms.classes.is_some();
-        let classes = match transforms.classes {
-            Some(c) => c,
-            None => derived_classes(&views, &mut issues),
-        };
+        let unlabelled = views.iter().all(|v| v.label_path.is_none());
+        let named = mesh.as_ref().ok().filter(|_| unlabelled);
+        let named = named.map(|mesh| Named::prepared(mesh, &names));
+        let declared = transforms.classes;
+        let classes = SceneClasses::of(named, declared, options.mesh_classes)
+            .unwrap_or_else(|| SceneClasses::derived(&views, &mut issues));
         let rooms = transforms.rooms_path.as_ref().and_then(|p| {
             rooms::read_rooms(&resolved(&folder, p), origin)
                 .map_err(|e| issues.push(e))
                 .ok()
         });
-        let (mesh, origin, mesh_stats) = match mesh {
+        let mesh = match mesh {
             Ok(m) => m,
             Err(e) => {
                 issues.insert(0, e);
@@ -113,12 +117,13 @@ impl Scene {
         }
         let scene = Self {
             origin,
-            mesh,
-            classes,
+            mesh: mesh.mesh,
+            classes: classes.list,
             views,
             rooms,
             classes_declared,
-            mesh_stats,
+            mesh_classes: classes.of_mesh,
+            mesh_stats: mesh.stats,
             z_up: transforms.z_up,
             mirror: Mirror::None,
             warnings,
@@ -153,10 +158,16 @@ impl Scene {
     }
 
     /// Adds what a user should know about geometry and cameras although the scene is usable.
-    fn with_mesh_warnings(mut self, mesh_path: &Path) -> Self {
+    pub(super) fn with_mesh_warnings(mut self, mesh_path: &Path) -> Self {
         let s = &self.mesh_stats;
         let name = mesh_path.display();
         let mut notes = Vec::new();
+        notes.extend(self.mesh_classes.as_ref().map(|m| {
+            format!(
+                "{name}: no label images, so its {}; --mesh-classes off leaves them out",
+                m.account(&self.classes)
+            )
+        }));
         if s.degenerate > 0 {
             notes.push(format!(
                 "{name}: {} of {} triangles have no area and are left out",
@@ -529,7 +540,40 @@ fn same_aspect(a: &ImageInfo, b: &ImageAccount) -> bool {
     (expected - ah).abs() <= 0.5 + 1e-9 || (ah * bw / bh - aw).abs() <= 0.5 + 1e-9
 }
 
-/// Classes of a scene that declares none: every id in the label images.
+/// A scene's classes.
+struct SceneClasses {
+    list: Vec<Class>,
+    /// Those that the mesh has by itself.
+    of_mesh: Option<MeshClasses>,
+}
+
+impl SceneClasses {
+    /// Those that the mesh names, if it may be asked, with those that are declared; `None` where
+    /// there are neither.
+    fn of(named: Option<Named<'_>>, declared: Option<Vec<Class>>, switch: Switch) -> Option<Self> {
+        let by_name = named.and_then(|n| mesh_classes(&n, declared.as_deref(), switch));
+        match by_name {
+            Some(found) => Some(Self {
+                list: found.classes,
+                of_mesh: Some(found.mesh),
+            }),
+            None => declared.map(|list| Self {
+                list,
+                of_mesh: None,
+            }),
+        }
+    }
+
+    /// Those of a scene that declares none: every id in the label images.
+    fn derived(views: &[View], issues: &mut Vec<Error>) -> Self {
+        Self {
+            list: derived_classes(views, issues),
+            of_mesh: None,
+        }
+    }
+}
+
+/// Every id in the label images, as classes.
 fn derived_classes(views: &[View], issues: &mut Vec<Error>) -> Vec<Class> {
     let found: Vec<Result<BTreeSet<u16>>> = views
         .par_iter()

@@ -34,6 +34,19 @@ pub struct MeshStats {
     pub unwrapped: Option<UnwrapStats>,
 }
 
+/// A usable mesh.
+#[derive(Clone, Debug)]
+pub struct PreparedMesh {
+    /// Geometry with one atlas, relative to `origin`.
+    pub mesh: Mesh,
+    /// File coordinates (y up) of the mesh's own origin.
+    pub origin: DVec3,
+    /// What was found and done.
+    pub stats: MeshStats,
+    /// The file's triangle of each triangle of `mesh`, with its corners in the same order.
+    pub file_triangle: Vec<u32>,
+}
+
 /// Side of the atlas on which overlaps are counted.
 const OVERLAP_SIDE: usize = 2048;
 /// Share of an atlas that several triangles may claim before it is taken for several atlases in
@@ -47,8 +60,7 @@ const DEGENERATE: f32 = 1e-7;
 /// Faces meeting at a flatter angle share a computed normal; sharper edges stay sharp.
 const CREASE_DEGREES: f32 = 40.0;
 
-/// Validates and completes a mesh; returns it with its origin (file coordinates, y-up) and what was
-/// done.
+/// Validates and completes a mesh.
 ///
 /// # Errors
 /// If no triangle of the mesh can be used, or it cannot be unwrapped.
@@ -57,7 +69,7 @@ pub fn prepare_mesh(
     path: &Path,
     z_up: bool,
     options: &LoadOptions,
-) -> Result<(Mesh, DVec3, MeshStats)> {
+) -> Result<PreparedMesh> {
     let fail = |m: String| Error::input(path, m);
     let mut stats = MeshStats {
         file_triangles: raw.triangles.len(),
@@ -84,14 +96,12 @@ pub fn prepare_mesh(
         uvs: raw.uvs,
         triangles: raw.triangles,
     };
-    mesh.triangles = {
-        let kept: Vec<[u32; 3]> = (0..mesh.triangles.len())
-            .filter(|&t| has_area(&mesh, t))
-            .map(|t| mesh.triangles[t])
-            .collect();
-        stats.degenerate = stats.file_triangles - kept.len();
-        kept
-    };
+    let mut file_triangle: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+    let kept: Vec<bool> = (0..mesh.triangles.len())
+        .map(|t| has_area(&mesh, t))
+        .collect();
+    keep_triangles(&mut mesh, &mut file_triangle, &kept);
+    stats.degenerate = stats.file_triangles - mesh.triangles.len();
     if mesh.triangles.is_empty() {
         return Err(fail(format!(
             "none of the {} triangles has an area; expected a surface in metres. Check the export",
@@ -99,7 +109,10 @@ pub fn prepare_mesh(
         )));
     }
     if mesh.uvs.is_empty() || options.unwrap {
-        stats.coincident = merge_coincident(&mut mesh);
+        let kept = first_of_coincident(&mesh);
+        let before = mesh.triangles.len();
+        keep_triangles(&mut mesh, &mut file_triangle, &kept);
+        stats.coincident = before - mesh.triangles.len();
     }
     compact(&mut mesh);
     stats.normals_computed = complete_normals(&mut mesh);
@@ -124,7 +137,22 @@ pub fn prepare_mesh(
         })
         .count();
     (stats.covered_texels, stats.overlapping_texels) = atlas_overlap(&mesh, OVERLAP_SIDE);
-    Ok((mesh, origin, stats))
+    Ok(PreparedMesh {
+        mesh,
+        origin,
+        stats,
+        file_triangle,
+    })
+}
+
+/// Drops the triangles that are not marked.
+fn keep_triangles(mesh: &mut Mesh, file_triangle: &mut Vec<u32>, kept: &[bool]) {
+    fn retain<T>(list: &mut Vec<T>, kept: &[bool]) {
+        let mut kept = kept.iter();
+        list.retain(|_| kept.next().copied().unwrap_or(false));
+    }
+    retain(&mut mesh.triangles, kept);
+    retain(file_triangle, kept);
 }
 
 /// Every face has three vertices that exist.
@@ -196,10 +224,10 @@ fn has_area(mesh: &Mesh, t: usize) -> bool {
     double_area > DEGENERATE * longest && mesh.face_normal(t) != Vec3::ZERO
 }
 
-/// Keeps one triangle of those with the same three corners, whatever their winding; returns how many
-/// went. Which side counts is found from the views; two surfaces in one place would share rays and
-/// cut every chart into single triangles.
-fn merge_coincident(mesh: &mut Mesh) -> usize {
+/// Marks one triangle of those with the same three corners, whatever their winding. Which side counts
+/// is found from the views; two surfaces in one place would share rays and cut every chart into
+/// single triangles.
+fn first_of_coincident(mesh: &Mesh) -> Vec<bool> {
     let bits = |v: u32| {
         mesh.positions[v as usize]
             .to_array()
@@ -211,10 +239,7 @@ fn merge_coincident(mesh: &mut Mesh) -> usize {
         corners.sort_unstable();
         seen.insert(corners)
     };
-    let before = mesh.triangles.len();
-    let kept: Vec<[u32; 3]> = mesh.triangles.iter().copied().filter(first).collect();
-    mesh.triangles = kept;
-    before - mesh.triangles.len()
+    mesh.triangles.iter().map(first).collect()
 }
 
 /// Drops vertices no triangle uses, keeping the order.
@@ -425,15 +450,12 @@ mod tests {
     }
 
     fn prepare(raw: RawMesh) -> Result<(Mesh, DVec3, MeshStats)> {
-        prepare_mesh(
-            raw,
-            Path::new("m.obj"),
-            false,
-            &LoadOptions {
-                unwrap_resolution: 256,
-                ..LoadOptions::default()
-            },
-        )
+        let options = LoadOptions {
+            unwrap_resolution: 256,
+            ..LoadOptions::default()
+        };
+        let p = prepare_mesh(raw, Path::new("m.obj"), false, &options)?;
+        Ok((p.mesh, p.origin, p.stats))
     }
 
     #[test]

@@ -8,11 +8,13 @@ mod frame_change;
 mod input_error;
 pub mod known_keys;
 mod load;
+mod mesh_classes;
 mod mesh_prep;
 mod pixels;
 mod recorded_light;
 mod rigid;
 mod rooms;
+mod scan;
 mod staged;
 pub mod transforms;
 mod unwrap;
@@ -23,10 +25,12 @@ pub use check::{
 };
 pub use clipping::clipped_channels;
 pub use frame_account::{FrameAccount, Shortfall};
-pub use mesh_prep::{MeshStats, atlas_overlap, prepare_mesh};
+pub use mesh_classes::{ClassesByName, MeshClasses};
+pub use mesh_prep::{MeshStats, PreparedMesh, atlas_overlap, prepare_mesh};
 pub use pixels::{PixelStats, all_black};
 pub use recorded_light::RecordedLight;
 pub use rooms::{find_rooms, floor_plan};
+pub use scan::{Scan, ScanColour, ScanColours, ScanOptions};
 pub use staged::StagedScene;
 pub use unwrap::{UnwrapStats, unwrap_mesh};
 
@@ -34,6 +38,7 @@ use crate::core::formats::ImageAccount;
 use crate::core::geometry::{Camera, Mesh};
 use crate::core::image::{CameraMask, Plane};
 use crate::core::math::colour::ColourSpace;
+use crate::core::switch::Switch;
 use glam::DVec3;
 use std::path::PathBuf;
 
@@ -72,6 +77,10 @@ pub struct LoadOptions {
     /// Ignore NaN and infinite pixels instead of refusing the image.
     #[arg(long)]
     pub clamp_nan: bool,
+    /// Classes that the mesh names by its materials, objects or numbers, where no photograph has
+    /// labels: auto = where the names tell surfaces apart, on = whatever they are, off = never.
+    #[arg(long, value_name = "WHEN", num_args = 0..=1, default_missing_value = "on", default_value = "auto")]
+    pub mesh_classes: Switch,
     /// Make a new atlas even if the mesh brings one.
     #[arg(long)]
     pub unwrap: bool,
@@ -91,6 +100,7 @@ impl Default for LoadOptions {
         Self {
             ldr: LdrImages::Auto,
             clamp_nan: false,
+            mesh_classes: Switch::Auto,
             unwrap: false,
             unwrap_resolution: 2048,
             unwrap_padding: 2,
@@ -206,6 +216,8 @@ pub struct Scene {
     pub rooms: Option<RoomGrid>,
     /// `classes` were declared by the file: other ids in label images are errors.
     pub classes_declared: bool,
+    /// The mesh's own classes, where no photograph has labels.
+    pub mesh_classes: Option<MeshClasses>,
     /// What was found and done while the mesh was made usable.
     pub mesh_stats: MeshStats,
     /// The file's world is z up: poses and mesh were turned on loading.
@@ -241,6 +253,7 @@ impl Scene {
             classes,
             views,
             rooms: None,
+            mesh_classes: None,
             mesh_stats: MeshStats::default(),
             z_up: false,
             mirror: Mirror::None,

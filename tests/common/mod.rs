@@ -1,6 +1,7 @@
 //! Small scenes for tests, written to a temporary folder.
 #![allow(dead_code)] // every test binary uses its own part of this
 
+pub mod apartment;
 pub mod lit;
 
 use glam::Vec3;

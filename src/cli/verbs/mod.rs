@@ -4,12 +4,14 @@ mod bake;
 mod batch;
 pub(super) mod bench;
 mod check;
+mod delight;
 mod edit;
 mod eval;
 pub(super) mod export;
 mod prepare;
 mod relight;
 mod render;
+mod result;
 mod shell;
 mod solve;
 mod synth;
@@ -30,6 +32,9 @@ pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
         Verb::Prepare { what, out, .. } => prepare::run(what, out.as_deref(), context),
         Verb::Check { scene, .. } => return check::check_scene(required(scene)?, context),
         Verb::Solve { scene, out, .. } => solve::solve(required(scene)?, required(out)?, context),
+        Verb::Delight { mesh, out, .. } => {
+            delight::delight(required(mesh)?, required(out)?, context)
+        }
         Verb::Batch {
             list, out, index, ..
         } => return batch::batch(required(list)?, *index, required(out)?, context),

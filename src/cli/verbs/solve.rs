@@ -1,30 +1,19 @@
 //! `unbake solve`.
 
+use super::result::{RunResult, SolvedRun};
 use crate::alignment::{Alignment, align};
 use crate::cli::context::Context;
 use crate::cli::guard::keep_inputs;
 use crate::cli::inputs::read_scene;
-use crate::cli::run_record::{record, run_key};
+use crate::cli::run_record::run_key;
 use crate::error::{Error, Result};
 use crate::pipeline::{Checkpoints, reconstruct};
-use crate::programs::report::{Reported, RunRecord, hash_inputs, write_report};
-use crate::render::{HybridOptions, HybridRenderer};
+use crate::programs::report::hash_inputs;
 use crate::scene::Scene;
-use crate::solution::{AsideFolder, OutputLock, SaveOptions, Solution};
-use crate::verdict::{AlignmentVerdict, Findings, Verdict};
+use crate::solution::{AsideFolder, OutputLock, Solution};
+use crate::verdict::{AlignmentVerdict, Findings};
 use serde_json::json;
 use std::path::Path;
-use std::time::Duration;
-
-/// A run that wrote its result.
-pub(super) struct SolvedRun {
-    /// What `manifest.json` says.
-    pub record: RunRecord,
-    /// What to think of it.
-    pub verdict: Verdict,
-    /// Sizes, time and verdict for people.
-    text: String,
-}
 
 pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
     let run = solve_into(scene_path, out, context)?;
@@ -56,55 +45,16 @@ pub(super) fn solve_into(scene_path: &Path, out: &Path, context: &Context) -> Re
     let (mut solution, mut findings) = (solved.solution, solved.findings);
     take_in(alignment.verdict, &mut findings, &mut solution);
     scene.camera_masks.clone_from(&solution.camera_masks);
-    let generation = progress.stage("writing the textures", 1, |_| {
-        solution.save(out, &SaveOptions::default())
-    })?;
-    let verdict = findings.verdict();
-    let mut record = record(&scene, inputs, context)?;
-    record.generation = generation;
-    record.findings = Some(findings);
-    record.alignment = Some(alignment);
-    progress.stage("report", 1, |_| {
-        // one sample per pixel is enough for pictures of this size; `unbake eval` renders at full
-        // quality
-        let renderer = HybridRenderer::new(
-            &solution,
-            HybridOptions {
-                supersampling: 1,
-                ..HybridOptions::default()
-            },
-        )?;
-        let reported = Reported {
-            scene: &scene,
-            solution: &solution,
-            record: &record,
-            evaluation: None,
-        };
-        write_report(out, reported, &renderer, Vec::new())
-    })?;
-    record.measure(&context.recorder);
-    record.write_manifest(out)?;
+    let result = RunResult {
+        scene: &scene,
+        solution,
+        findings,
+        alignment: Some(alignment),
+        inputs,
+    };
+    let run = result.write(out, context)?;
     options.checkpoints.finish();
-    let s = &solution;
-    let text = format!(
-        "albedo {}x{}, roughness {}x{}, irradiance {}x{} in {} ({:.2} GiB at most, {} threads)\n{} lights in lights.json\nreport: {}\n{verdict}\n",
-        s.albedo.width,
-        s.albedo.height,
-        s.roughness.width,
-        s.roughness.height,
-        s.irradiance.width,
-        s.irradiance.height,
-        crate::cli::progress::seconds(Duration::from_secs_f64(record.wall_seconds)),
-        record.peak_bytes as f64 / (1u64 << 30) as f64,
-        record.machine.threads,
-        s.lamps.len(),
-        out.join("report.html").display()
-    );
-    Ok(SolvedRun {
-        record,
-        verdict,
-        text,
-    })
+    Ok(run)
 }
 
 /// Adds what the alignment says to the findings and, if the scene was forced through although

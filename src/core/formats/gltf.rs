@@ -5,145 +5,21 @@
 //! panic or a huge allocation. Node transforms are composed in f64, so that a mesh moved far from
 //! the origin by its node keeps its shape.
 
-use super::gltf_compressed::{DracoPrimitive, PackedView, Unpacked};
+use super::gltf_bytes::{load_buffer, split};
+use super::gltf_compressed::Unpacked;
+use super::gltf_document::{Accessor, Document, MeshEntry, Node, Primitive};
+use super::gltf_material::GltfMaterial;
 use super::gltf_numbers::{component, component_size};
-use super::gltf_texture::{Material, UvSource};
-use super::raw_mesh::{Part, RawMesh};
-use super::{MOST_DATA, read_input};
+use super::gltf_texture::{GltfTexture, UvSource};
+use super::raw_mesh::{NameKind, Part, RawMesh};
+use super::surface_look::{Look, TextureSource};
 use crate::{Error, Result};
-use base64::engine::Engine;
-use glam::{DMat4, DQuat, DVec3, Vec2, Vec3};
-use serde::Deserialize;
+use glam::{DMat4, DVec3, Vec2, Vec3, Vec4};
 use std::borrow::Cow;
 use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::BTreeMap;
-use std::path::{Component, Path};
+use std::path::Path;
 use std::rc::Rc;
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct Document {
-    #[serde(default)]
-    scene: Option<usize>,
-    #[serde(default)]
-    scenes: Vec<SceneRoot>,
-    #[serde(default)]
-    nodes: Vec<Node>,
-    #[serde(default)]
-    meshes: Vec<MeshEntry>,
-    #[serde(default)]
-    accessors: Vec<Accessor>,
-    #[serde(default)]
-    buffer_views: Vec<BufferView>,
-    #[serde(default)]
-    buffers: Vec<Buffer>,
-    #[serde(default)]
-    materials: Vec<Material>,
-    #[serde(default)]
-    extensions_required: Vec<String>,
-}
-
-#[derive(Deserialize)]
-struct SceneRoot {
-    #[serde(default)]
-    nodes: Vec<usize>,
-}
-
-#[derive(Deserialize)]
-struct Node {
-    #[serde(default)]
-    extensions: NodeExtensions,
-    #[serde(default)]
-    children: Vec<usize>,
-    mesh: Option<usize>,
-    matrix: Option<[f64; 16]>,
-    translation: Option<[f64; 3]>,
-    rotation: Option<[f64; 4]>,
-    scale: Option<[f64; 3]>,
-}
-
-/// Extensions of a node that change where its mesh is.
-#[derive(Default, Deserialize)]
-struct NodeExtensions {
-    #[serde(rename = "EXT_mesh_gpu_instancing")]
-    instancing: Option<serde::de::IgnoredAny>,
-}
-
-#[derive(Deserialize)]
-pub(super) struct MeshEntry {
-    #[serde(default)]
-    pub(super) primitives: Vec<Primitive>,
-}
-
-#[derive(Deserialize)]
-pub(super) struct Primitive {
-    /// Accessors by the attribute's name.
-    pub(super) attributes: BTreeMap<String, usize>,
-    indices: Option<usize>,
-    pub(super) material: Option<usize>,
-    mode: Option<u32>,
-    #[serde(default)]
-    extensions: PrimitiveExtensions,
-}
-
-#[derive(Default, Deserialize)]
-struct PrimitiveExtensions {
-    #[serde(rename = "KHR_draco_mesh_compression")]
-    draco: Option<DracoPrimitive>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct Accessor {
-    buffer_view: Option<usize>,
-    #[serde(default)]
-    byte_offset: u64,
-    pub(super) component_type: u32,
-    count: u64,
-    #[serde(rename = "type")]
-    pub(super) shape: String,
-    #[serde(default)]
-    pub(super) normalized: bool,
-    sparse: Option<serde::de::IgnoredAny>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct BufferView {
-    buffer: usize,
-    #[serde(default)]
-    byte_offset: u64,
-    byte_length: u64,
-    byte_stride: Option<u64>,
-    #[serde(default)]
-    extensions: ViewExtensions,
-}
-
-#[derive(Default, Deserialize)]
-struct ViewExtensions {
-    #[serde(rename = "EXT_meshopt_compression", alias = "KHR_meshopt_compression")]
-    packed: Option<PackedView>,
-}
-
-#[derive(Deserialize)]
-struct Buffer {
-    uri: Option<String>,
-    #[serde(default)]
-    extensions: BufferExtensions,
-}
-
-#[derive(Default, Deserialize)]
-struct BufferExtensions {
-    #[serde(rename = "EXT_meshopt_compression", alias = "KHR_meshopt_compression")]
-    packed: Option<Fallback>,
-}
-
-/// Marks a buffer whose views are all packed: what it holds itself is for others.
-#[derive(Deserialize)]
-struct Fallback {
-    #[serde(default)]
-    fallback: bool,
-}
 
 /// Beginnings of the names of extensions that a file may require without changing what is read
 /// here (materials, lights), and of those that are read: integers and packed data.
@@ -186,151 +62,9 @@ pub fn mesh_from_gltf(bytes: &[u8], path: &Path) -> Result<RawMesh> {
 pub(super) const WITHOUT_TRIANGLES: &str =
     "no triangle geometry in the scene; export the mesh with its triangles";
 
-/// The JSON of a `.glb` or `.gltf`, and the binary chunk if there is one.
-pub(super) fn split<'a>(bytes: &'a [u8], path: &Path) -> Result<(&'a [u8], Option<&'a [u8]>)> {
-    if bytes.starts_with(b"glTF") {
-        split_glb(bytes).map_err(|m| Error::input(path, m))
-    } else {
-        Ok((bytes, None))
-    }
-}
-
-/// The JSON and binary chunks of a `.glb`.
-fn split_glb(bytes: &[u8]) -> std::result::Result<(&[u8], Option<&[u8]>), String> {
-    let word = |at: usize| -> Option<u32> {
-        Some(u32::from_le_bytes(
-            bytes.get(at..at.checked_add(4)?)?.try_into().ok()?,
-        ))
-    };
-    let truncated = || {
-        format!(
-            "truncated .glb ({} bytes); copy the file again",
-            bytes.len()
-        )
-    };
-    let version = word(4).ok_or_else(truncated)?;
-    if version != 2 {
-        return Err(format!(
-            "glTF binary version {version}; only version 2 is supported"
-        ));
-    }
-    if word(8).ok_or_else(truncated)? as usize > bytes.len() {
-        return Err(truncated());
-    }
-    let (mut at, mut json, mut blob) = (12usize, None, None);
-    while at + 8 <= bytes.len() {
-        let (length, kind) = (
-            word(at).ok_or_else(truncated)? as usize,
-            word(at + 4).ok_or_else(truncated)?,
-        );
-        let chunk = at
-            .checked_add(8)
-            .and_then(|b| bytes.get(b..b.checked_add(length)?))
-            .ok_or_else(truncated)?;
-        match kind {
-            0x4E4F_534A if json.is_none() => json = Some(chunk),
-            0x004E_4942 if blob.is_none() => blob = Some(chunk),
-            _ => {}
-        }
-        at += 8 + length;
-    }
-    Ok((
-        json.ok_or("the .glb has no JSON chunk; export the mesh again")?,
-        blob,
-    ))
-}
-
-fn load_buffer<'a>(
-    i: usize,
-    buffer: &Buffer,
-    blob: Option<&'a [u8]>,
-    path: &Path,
-) -> Result<Cow<'a, [u8]>> {
-    let fail = |m: String| Error::input(path, m);
-    if buffer
-        .extensions
-        .packed
-        .as_ref()
-        .is_some_and(|p| p.fallback)
-    {
-        return Ok(Cow::Borrowed(&[]));
-    }
-    let Some(uri) = &buffer.uri else {
-        return blob.map(Cow::Borrowed).ok_or_else(|| {
-            fail(format!(
-                "buffer {i} has neither a uri nor a binary chunk; export the mesh again"
-            ))
-        });
-    };
-    load_uri(&format!("buffer {i}"), uri, path).map(Cow::Owned)
-}
-
-/// The bytes that a uri stands for: embedded, or those of a file beside the glTF file or below.
-/// `what` is named in errors.
-pub(super) fn load_uri(what: &str, uri: &str, path: &Path) -> Result<Vec<u8>> {
-    let fail = |m: String| Error::input(path, m);
-    if let Some(data) = uri.strip_prefix("data:") {
-        let encoded = data
-            .split_once(";base64,")
-            .ok_or_else(|| fail(format!("{what}: the data uri is not base64")))?
-            .1;
-        return decode_base64(encoded)
-            .ok_or_else(|| fail(format!("{what}: damaged base64; export the mesh again")));
-    }
-    let name = decode_percent(uri);
-    let inside = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
-    // a scene from a stranger must not put the bytes of any file into what its user publishes
-    if uri.contains("://") || !Path::new(&name).components().all(inside) {
-        return Err(fail(format!(
-            "{what} lies at {uri}; only files beside the mesh or below are read. Export with embedded buffers"
-        )));
-    }
-    read_input(&path.with_file_name("").join(name), MOST_DATA).map_err(|e| {
-        e.advise(&format!(
-            "it is {what} of {}: keep it beside the .gltf or export a .glb",
-            path.display()
-        ))
-    })
-}
-
-/// Padding and line breaks as they come: what exporters write differs in both.
-fn decode_base64(text: &str) -> Option<Vec<u8>> {
-    use base64::alphabet::STANDARD;
-    use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
-    const LENIENT: GeneralPurpose = GeneralPurpose::new(
-        &STANDARD,
-        GeneralPurposeConfig::new()
-            .with_decode_padding_mode(DecodePaddingMode::Indifferent)
-            .with_decode_allow_trailing_bits(true),
-    );
-    let text: Vec<u8> = text
-        .bytes()
-        .filter(|c| !c.is_ascii_whitespace())
-        .map(|c| match c {
-            b'-' => b'+', // the alphabet for addresses
-            b'_' => b'/',
-            c => c,
-        })
-        .collect();
-    LENIENT.decode(text).ok()
-}
-
-fn decode_percent(uri: &str) -> String {
-    let (bytes, mut out, mut i) = (uri.as_bytes(), Vec::with_capacity(uri.len()), 0);
-    while i < bytes.len() {
-        let hex = |c: u8| (c as char).to_digit(16).map(|d| d as u8);
-        let escaped = (bytes[i] == b'%' && i + 2 < bytes.len())
-            .then(|| Some(hex(bytes[i + 1])? * 16 + hex(bytes[i + 2])?))
-            .flatten();
-        out.push(escaped.unwrap_or(bytes[i]));
-        i += if escaped.is_some() { 3 } else { 1 };
-    }
-    String::from_utf8_lossy(&out).into_owned()
-}
-
 /// A file whose JSON is read and whose buffers are at hand.
 pub(super) struct Reader<'a> {
-    document: Document,
+    pub(super) document: Document,
     buffers: Vec<Cow<'a, [u8]>>,
     /// Packed views that were unpacked.
     views: Vec<OnceCell<Vec<u8>>>,
@@ -443,23 +177,33 @@ impl Reader<'_> {
     /// All triangle primitives of the default scene, in world coordinates.
     fn parts(&self) -> Reading<Vec<Part>> {
         let mut parts = Vec::new();
-        for (m, world) in self.instances()? {
+        for placed in self.placed()? {
+            let Some(m) = placed.mesh else { continue };
             for (p, primitive) in self.mesh(m)?.primitives.iter().enumerate() {
                 let part = self
-                    .part(primitive, &world)
+                    .part(primitive, &placed.world)
                     .map_err(|e| format!("mesh {m}, primitive {p}: {e}"))?;
-                parts.extend(part);
+                parts.extend(part.map(|part| Part {
+                    names: self.names(&placed, primitive),
+                    look: self.look(primitive),
+                    ..part
+                }));
             }
         }
         Ok(parts)
     }
 
-    /// Meshes of the default scene with their world transforms, in the order of the hierarchy;
-    /// what they ask for is counted.
-    fn instances(&self) -> Reading<Vec<(usize, DMat4)>> {
-        let placed = self.placed()?;
-        let of_mesh = |p: &Placed| p.mesh.map(|m| (m, p.world));
-        Ok(placed.iter().filter_map(of_mesh).collect())
+    /// What the file calls a primitive's triangles: by its material, and by its node or mesh.
+    fn names(&self, placed: &Placed, primitive: &Primitive) -> Vec<(NameKind, String)> {
+        let d = &self.document;
+        let material = primitive.material.and_then(|m| d.materials.get(m));
+        let node = d.nodes.get(placed.node).and_then(|n| n.name.clone());
+        let mesh = placed.mesh.and_then(|m| d.meshes.get(m));
+        let object = node.or(mesh.and_then(|m| m.name.clone()));
+        let material = material.and_then(|m| m.name.clone());
+        let material = material.map(|name| (NameKind::Material, name));
+        let object = object.map(|name| (NameKind::Object, name));
+        material.into_iter().chain(object).collect()
     }
 
     pub(super) fn mesh(&self, m: usize) -> Reading<&MeshEntry> {
@@ -503,7 +247,7 @@ impl Reader<'_> {
                 .nodes
                 .get(index)
                 .ok_or_else(|| format!("node {index} does not exist; export the mesh again"))?;
-            let world = parent * local_transform(node);
+            let world = parent * node.transform();
             stack.extend(node.children.iter().rev().map(|&c| (c, world, depth + 1)));
             found.push(Placed {
                 node: index,
@@ -559,6 +303,9 @@ impl Reader<'_> {
             }
             _ => None,
         };
+        // (geometry is usable without)
+        let colours = self.colours(&source).ok().flatten();
+        let colours = colours.filter(|c| c.len() == positions.len());
         let uvs = self.uvs(&source)?;
         if let Some(uvs) = &uvs {
             of_length("texture coordinates", uvs.len())?;
@@ -579,6 +326,9 @@ impl Reader<'_> {
             normals,
             uvs,
             triangles,
+            names: Vec::new(),
+            colours: colours.map(|list| list.into_iter().map(Vec4::truncate).collect()),
+            look: None,
         }))
     }
 
@@ -640,12 +390,54 @@ impl Reader<'_> {
     fn uvs(&self, from: &Source<'_>) -> Reading<Option<Vec<Vec2>>> {
         let material = from.primitive.material;
         let material = material.and_then(|m| self.document.materials.get(m));
-        let source = material.map_or_else(UvSource::default, Material::uv_source);
+        let source = material.map_or_else(UvSource::default, |m| m.base_uv());
         let named = format!("TEXCOORD_{}", source.set);
         let has = from.primitive.attributes.contains_key(&named);
         let name = if has { named.as_str() } else { "TEXCOORD_0" };
         let read = self.vectors::<2>(from, name)?;
         Ok(read.map(|uv| uv.into_iter().map(|uv| source.sampled_at(uv)).collect()))
+    }
+
+    /// Linear colours of the vertices, with alpha; as the file has them, in range or not.
+    pub(super) fn colours(&self, from: &Source<'_>) -> Reading<Option<Vec<Vec4>>> {
+        let Some(&accessor) = from.primitive.attributes.get("COLOR_0") else {
+            return Ok(None);
+        };
+        let read = match self.accessor(accessor)?.shape.as_str() {
+            "VEC4" => self.vectors::<4>(from, "COLOR_0")?,
+            _ => self
+                .vectors::<3>(from, "COLOR_0")?
+                .map(|list| list.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect()),
+        };
+        let colour = |c: [f64; 4]| Vec4::from_array(c.map(|x| x as f32));
+        Ok(read.map(|list| list.into_iter().map(colour).collect()))
+    }
+
+    /// A texture: its picture and how it goes on; of a picture in several formats the one that is
+    /// read.
+    pub(super) fn texture(&self, index: usize) -> Reading<GltfTexture> {
+        let missing = |what: &str| format!("texture {index} {what}; export again");
+        let texture = self.document.textures.get(index);
+        let texture = texture.ok_or_else(|| missing("does not exist"))?;
+        let webp = texture.extensions.webp.as_ref().and_then(|w| w.source);
+        let image = texture.source.or(webp);
+        let image = image.ok_or_else(|| {
+            missing("has neither a PNG, JPEG nor WebP picture (KTX2 is not read)")
+        })?;
+        let sampler = texture.sampler.and_then(|s| self.document.samplers.get(s));
+        Ok(GltfTexture::new(image, sampler))
+    }
+
+    /// The colour that a primitive is painted with: its material's, metal or not.
+    fn look(&self, primitive: &Primitive) -> Option<Look> {
+        let material = self.document.materials.get(primitive.material?)?;
+        let base = GltfMaterial::from(material).base;
+        let [r, g, b, _] = base.factor;
+        let texture = base.texture.and_then(|t| self.texture(t.texture).ok());
+        Some(Look {
+            factor: Vec3::new(r, g, b),
+            texture: texture.map(|t| TextureSource::Embedded(t.image)),
+        })
     }
 
     /// The bytes of a buffer view, unpacked if they are packed.
@@ -763,26 +555,6 @@ impl Reader<'_> {
     }
 }
 
-fn local_transform(node: &Node) -> DMat4 {
-    if let Some(m) = node.matrix {
-        return DMat4::from_cols_array(&m);
-    }
-    let rotation = node.rotation.map_or(DQuat::IDENTITY, |r| {
-        let q = DQuat::from_array(r);
-        if q.length_squared() > 0.0 {
-            q.normalize()
-        } else {
-            DQuat::IDENTITY
-        }
-    });
-    let scale = node.scale.map_or(DVec3::ONE, DVec3::from_array);
-    DMat4::from_scale_rotation_translation(
-        scale,
-        rotation,
-        node.translation.map_or(DVec3::ZERO, DVec3::from_array),
-    )
-}
-
 /// Triangles of an index list: mode 4 = list, 5 = strip, 6 = fan.
 fn triangulate(indices: &[u32], mode: u32) -> Reading<Vec<[u32; 3]>> {
     Ok(match mode {
@@ -820,6 +592,7 @@ fn triangulate(indices: &[u32], mode: u32) -> Reading<Vec<[u32; 3]>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use base64::engine::Engine;
 
     /// A `.gltf` of one triangle below two nodes, with the buffer embedded in base64.
     fn document(count: u64, matrix: &str) -> String {

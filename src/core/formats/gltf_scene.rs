@@ -1,12 +1,14 @@
 //! A glTF file as a scene: surfaces with their materials, pictures and lights
 //! (`KHR_lights_punctual`), and its data as stored, for whoever writes the file again. Called by
-//! `bake`.
+//! `bake`, and by `read_texture` for pictures.
 //!
 //! Geometry is read by `gltf`, with all its checks; here is what lies around it.
 
-use super::gltf::{Placed, Reader, Reading, WITHOUT_TRIANGLES, load_uri, split};
-use super::gltf_look::{Look, Material};
+use super::gltf::{Placed, Reader, Reading, WITHOUT_TRIANGLES};
+use super::gltf_bytes::{load_uri, split};
+use super::gltf_material::GltfMaterial;
 use super::gltf_numbers::{component, component_size};
+use super::gltf_texture::GltfTexture;
 use super::picture::{Picture8, decode_rgba8};
 use crate::{Error, Result};
 use glam::{DMat4, DVec3, Vec3, Vec4};
@@ -85,26 +87,6 @@ pub struct RawAttribute {
     pub shape: String,
     /// Whether integers stand for numbers up to 1.
     pub normalized: bool,
-}
-
-/// How a texture goes on beyond its border.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Border {
-    /// Again from the other side.
-    Repeat,
-    /// Again mirrored.
-    Mirror,
-    /// The border's own value.
-    Clamp,
-}
-
-/// A texture: a picture and how it goes on.
-#[derive(Clone, Debug)]
-pub struct GltfTexture {
-    /// Number of the picture.
-    pub image: usize,
-    /// Beyond the sides, beyond top and bottom.
-    pub border: [Border; 2],
 }
 
 #[derive(Deserialize)]
@@ -275,22 +257,11 @@ impl GltfFile<'_> {
                 uvs.insert(set, uv);
             }
         }
-        let shape = entry
-            .attributes
-            .get("COLOR_0")
-            .map(|&a| self.reader.accessor(a));
-        let colours = match shape.transpose()?.map(|a| a.shape.as_str()) {
-            Some("VEC4") => self.reader.vectors::<4>(&source, "COLOR_0")?,
-            Some(_) => self
-                .reader
-                .vectors::<3>(&source, "COLOR_0")?
-                .map(|list| list.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect()),
-            None => None,
-        };
+        let colours = self.reader.colours(&source)?;
         if let Some(colours) = &colours {
             fits("colours", colours.len())?;
         }
-        let colour = |c: [f64; 4]| Vec4::from_array(c.map(|x| x.clamp(0.0, 1.0) as f32));
+        let colour = |c: Vec4| c.clamp(Vec4::ZERO, Vec4::ONE);
         Ok(Some(Piece {
             node: at.node,
             mesh,
@@ -307,14 +278,10 @@ impl GltfFile<'_> {
     /// The materials in the file's order; notes say what of them is not read.
     ///
     /// # Errors
-    /// A material that is malformed or has values out of range.
-    pub fn looks(&self, notes: &mut BTreeSet<String>) -> Result<Vec<Look>> {
-        let list = self.root.get("materials").and_then(Value::as_array);
-        let mut looks = Vec::new();
-        for (i, value) in list.into_iter().flatten().enumerate() {
-            let material = Material::deserialize(value).map_err(|e| {
-                self.fail(format!("material {i} is malformed: {e}; export it again"))
-            })?;
+    /// A material that has values out of range.
+    pub fn materials(&self, notes: &mut BTreeSet<String>) -> Result<Vec<GltfMaterial>> {
+        let mut found = Vec::new();
+        for (i, material) in self.reader.document.materials.iter().enumerate() {
             if let Some(fault) = material.fault() {
                 return Err(self.fail(format!(
                     "material {i}: {fault} is out of range; correct the material and export again"
@@ -327,9 +294,9 @@ impl GltfFile<'_> {
                         .into(),
                 );
             }
-            looks.push(Look::from(&material));
+            found.push(GltfMaterial::from(material));
         }
-        Ok(looks)
+        Ok(found)
     }
 
     /// A texture by its number: its picture, or the fallback where that is of a format not read.
@@ -337,25 +304,7 @@ impl GltfFile<'_> {
     /// # Errors
     /// The texture does not exist or has no picture of a format that is read.
     pub fn texture(&self, index: usize) -> Result<GltfTexture> {
-        let missing = |what: &str| self.fail(format!("texture {index} {what}; export again"));
-        let texture = self.root["textures"].get(index);
-        let texture = texture.ok_or_else(|| missing("does not exist"))?;
-        let webp = &texture["extensions"]["EXT_texture_webp"]["source"];
-        let image = texture["source"].as_u64().or_else(|| webp.as_u64());
-        let image = image.ok_or_else(|| {
-            missing("has neither a PNG, JPEG nor WebP picture (KTX2 is not read)")
-        })?;
-        let sampler = texture["sampler"].as_u64().unwrap_or(u64::MAX);
-        let sampler = &self.root["samplers"].get(sampler as usize);
-        let border = |key: &str| match sampler.and_then(|s| s[key].as_u64()) {
-            Some(33071) => Border::Clamp,
-            Some(33648) => Border::Mirror,
-            _ => Border::Repeat,
-        };
-        Ok(GltfTexture {
-            image: image as usize,
-            border: [border("wrapS"), border("wrapT")],
-        })
+        self.reader.texture(index).map_err(|m| self.fail(m))
     }
 
     /// The bytes of a picture file.
@@ -364,16 +313,16 @@ impl GltfFile<'_> {
     /// There is no such picture, or it cannot be read.
     pub fn image_bytes(&self, index: usize) -> Result<Cow<'_, [u8]>> {
         let what = format!("image {index}");
-        let image = self.root["images"].get(index);
+        let image = self.reader.document.images.get(index);
         let image =
             image.ok_or_else(|| self.fail(format!("{what} does not exist; export again")))?;
-        if let Some(uri) = image["uri"].as_str() {
+        if let Some(uri) = &image.uri {
             return load_uri(&what, uri, &self.path).map(Cow::Owned);
         }
-        let view = image["bufferView"].as_u64();
+        let view = image.buffer_view;
         let view = view
             .ok_or_else(|| self.fail(format!("{what} has neither a uri nor data; export again")))?;
-        let bytes = self.reader.view_bytes(view as usize);
+        let bytes = self.reader.view_bytes(view);
         let bytes = bytes.map_err(|m| self.fail(format!("{what}: {m}")))?;
         Ok(Cow::Borrowed(bytes))
     }

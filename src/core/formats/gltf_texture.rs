@@ -1,21 +1,10 @@
 //! Where a glTF material samples a texture: which set of texture coordinates, moved by
-//! `KHR_texture_transform`. Called by `gltf` and `gltf_look`.
+//! `KHR_texture_transform`, and how the texture goes on beyond its borders. Called by `gltf` and
+//! `gltf_material`.
 
+use super::gltf_document::Sampler;
 use glam::Vec2;
 use serde::Deserialize;
-
-/// A material, as far as texture coordinates go.
-#[derive(Default, Deserialize)]
-#[serde(default, rename_all = "camelCase")]
-pub(super) struct Material {
-    pbr_metallic_roughness: Textures,
-}
-
-#[derive(Default, Deserialize)]
-#[serde(default, rename_all = "camelCase")]
-struct Textures {
-    base_color_texture: TextureInfo,
-}
 
 /// A texture as a material names it.
 #[derive(Default, Deserialize)]
@@ -76,13 +65,6 @@ impl Default for UvSource {
     }
 }
 
-impl Material {
-    /// The texture coordinates of the base colour.
-    pub(super) fn uv_source(&self) -> UvSource {
-        self.pbr_metallic_roughness.base_color_texture.uv_source()
-    }
-}
-
 impl TextureInfo {
     /// The texture coordinates it is sampled at.
     pub(super) fn uv_source(&self) -> UvSource {
@@ -114,22 +96,58 @@ impl UvSource {
     }
 }
 
+/// How a texture goes on beyond its border.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Border {
+    /// Again from the other side.
+    Repeat,
+    /// Again mirrored.
+    Mirror,
+    /// The border's own value.
+    Clamp,
+}
+
+/// A texture: a picture and how it goes on.
+#[derive(Clone, Debug)]
+pub struct GltfTexture {
+    /// Number of the picture.
+    pub image: usize,
+    /// Beyond the sides, beyond top and bottom.
+    pub border: [Border; 2],
+}
+
+impl GltfTexture {
+    /// Of a picture; without a sampler it repeats.
+    pub(super) fn new(image: usize, sampler: Option<&Sampler>) -> Self {
+        let border = |wrap: Option<u32>| match wrap {
+            Some(33071) => Border::Clamp,
+            Some(33648) => Border::Mirror,
+            _ => Border::Repeat,
+        };
+        let border = [
+            border(sampler.and_then(|s| s.wrap_s)),
+            border(sampler.and_then(|s| s.wrap_t)),
+        ];
+        Self { image, border }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn coordinates_are_scaled_turned_and_moved_in_this_order() {
-        let text = r#"{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "texCoord": 2,
+        let text = r#"{"index": 0, "texCoord": 2,
             "extensions": {"KHR_texture_transform":
-                {"offset": [0.25, 1.0], "rotation": 1.5707963267948966, "scale": [0.5, 2.0], "texCoord": 1}}}}}"#;
-        let material: Material = serde_json::from_str(text).expect("material");
-        let source = material.uv_source();
+                {"offset": [0.25, 1.0], "rotation": 1.5707963267948966, "scale": [0.5, 2.0], "texCoord": 1}}}"#;
+        let texture: TextureInfo = serde_json::from_str(text).expect("texture");
+        let source = texture.uv_source();
         assert_eq!(source.set, 1);
         // (1, 0) → (0.5, 0) → a quarter turn with v down → (0, −0.5)
         let at = source.sampled_at([1.0, 0.0]);
         assert!((at - Vec2::new(0.25, 0.5)).length() < 1e-6, "{at}");
-        let plain: Material = serde_json::from_str("{}").expect("material");
+        let plain: TextureInfo = serde_json::from_str("{}").expect("texture");
         assert_eq!(plain.uv_source(), UvSource::default());
     }
 }

@@ -7,8 +7,10 @@
 mod exr_header;
 mod glb;
 pub mod gltf;
+mod gltf_bytes;
 mod gltf_compressed;
-mod gltf_look;
+mod gltf_document;
+mod gltf_material;
 mod gltf_numbers;
 mod gltf_scene;
 mod gltf_texture;
@@ -25,6 +27,8 @@ mod polygon;
 mod probe;
 mod raw_mesh;
 mod read_mesh;
+mod read_texture;
+mod surface_look;
 mod text;
 mod whole;
 
@@ -32,11 +36,9 @@ mod whole;
 mod tests;
 
 pub use glb::{GlbWriter, glb_of};
-pub use gltf_look::{Alpha, Look, TextureUse, Textured};
-pub use gltf_scene::{
-    Border, GltfFile, GltfLight, GltfLightKind, GltfTexture, Piece, RawAttribute,
-};
-pub use gltf_texture::UvSource;
+pub use gltf_material::{Alpha, GltfMaterial, TextureUse, Textured};
+pub use gltf_scene::{GltfFile, GltfLight, GltfLightKind, Piece, RawAttribute};
+pub use gltf_texture::{Border, GltfTexture, UvSource};
 pub use image_format::{ImageFormat, ImageInfo};
 pub use image_io::{
     Marked, read_plane, read_rgb, read_two_channels, write_plane_float, write_plane_half,
@@ -49,8 +51,10 @@ pub use picture::{
 };
 pub use png_io::{read_labels, read_ldr, read_mask, write_png_rgb8, write_png8, write_png16};
 pub use probe::{generation_mark, image_info};
-pub use raw_mesh::RawMesh;
+pub use raw_mesh::{NameKind, RawMesh, SurfaceNames};
 pub use read_mesh::read_mesh;
+pub use read_texture::{Texture, read_texture};
+pub use surface_look::{Look, TextureSource};
 pub use text::grouped;
 pub use whole::{Aside, atomic_write, sync};
 

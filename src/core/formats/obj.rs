@@ -1,25 +1,29 @@
 //! Wavefront OBJ geometry. Polygons are triangulated; v is flipped, because OBJ counts it from the
 //! bottom of the image.
 //!
-//! Only what geometry needs is read: `v`, `vt`, `vn`, `f`, and `o`, `g`, `usemtl` as borders of
-//! parts. Names, comments, lines, points and curves do not matter, nor do their bytes. Source:
+//! Only what surface needs is read: `v` (with colours where they follow), `vt`, `vn`, `f`, `o`, `g`,
+//! `usemtl` as names of parts and their borders, and colours and pictures from `mtllib`. Comments, lines, points and curves do not matter, nor do their bytes. Source:
 //! "Object Files (.obj)", Appendix B1 of the Advanced Visualizer manual.
 
 use super::polygon;
-use super::raw_mesh::{Part, RawMesh};
+use super::raw_mesh::{NameKind, Part, RawMesh};
+use super::surface_look::{Look, of_display, read_mtl};
 use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
-use std::collections::HashMap;
-use std::path::Path;
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
 
-/// Geometry of an OBJ file from its bytes; materials are ignored.
+/// A mesh of an OBJ file from its bytes; its material library is looked up beside `path`.
 ///
 /// # Errors
 /// A line is malformed, or names what is not there: the message names the line.
 pub fn mesh_from_obj(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     // names may be in any encoding; numbers are ASCII
     let text = String::from_utf8_lossy(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes));
-    let mut reader = Reader::default();
+    let mut reader = Reader {
+        path: path.to_path_buf(),
+        ..Reader::default()
+    };
     let mut lines = text.lines().enumerate();
     let mut whole = String::new();
     while let Some((number, line)) = lines.next() {
@@ -58,10 +62,17 @@ type Corner = (u32, Option<u32>, Option<u32>);
 /// What has been read so far.
 #[derive(Default)]
 struct Reader {
+    path: PathBuf,
     positions: Vec<DVec3>,
+    /// Of display, from 0 to 1 as a rule; as long as `positions` where every vertex has one.
+    colours: Vec<[f64; 3]>,
+    materials: BTreeMap<String, Look>,
     uvs: Vec<Vec2>,
     normals: Vec<Vec3>,
     parts: Vec<Part>,
+    /// The material and the object or group that faces belong to from here on.
+    material: Option<String>,
+    object: Option<String>,
     open: Open,
     face: Vec<Corner>,
 }
@@ -82,8 +93,12 @@ impl Reader {
         let mut words = line.split_ascii_whitespace();
         match words.next() {
             Some("v") => {
-                let [x, y, z] = numbers(words, 3)?;
+                let [x, y, z] = numbers(words.by_ref(), 3)?;
                 self.positions.push(DVec3::new(x, y, z));
+                let rest = words.map_while(|w| w.parse().ok());
+                if let [r, g, b] = rest.collect::<Vec<f64>>()[..] {
+                    self.colours.push([r, g, b]);
+                }
             }
             Some("vt") => {
                 // one number is a coordinate along a curve: v is 0
@@ -96,7 +111,19 @@ impl Reader {
                 self.normals.push(unit.as_vec3());
             }
             Some("f" | "fo") => self.face(words)?,
-            Some("o" | "g" | "usemtl") => self.close(),
+            Some("mtllib") => {
+                let name = words.collect::<Vec<_>>().join(" ");
+                self.materials.extend(read_mtl(&self.path, &name));
+            }
+            Some(keyword @ ("o" | "g" | "usemtl")) => {
+                self.close();
+                let name = words.collect::<Vec<_>>().join(" ");
+                let name = (!name.is_empty()).then_some(name);
+                match keyword {
+                    "usemtl" => self.material = name,
+                    _ => self.object = name,
+                }
+            }
             _ => {}
         }
         Ok(())
@@ -165,6 +192,19 @@ impl Reader {
             normals: normals.collect(),
             uvs: uvs.collect(),
             triangles: open.triangles,
+            names: {
+                let material = self.material.clone().map(|n| (NameKind::Material, n));
+                let object = self.object.clone().map(|n| (NameKind::Object, n));
+                material.into_iter().chain(object).collect()
+            },
+            colours: (self.colours.len() == self.positions.len()).then(|| {
+                let colour = |c: &Corner| of_display(self.colours[c.0 as usize].map(|c| 255.0 * c));
+                open.corners.iter().map(colour).collect()
+            }),
+            look: {
+                let material = self.material.as_ref();
+                material.and_then(|m| self.materials.get(m).cloned())
+            },
         });
     }
 }
@@ -229,7 +269,12 @@ mod tests {
             format!("# caf\u{fffd}\nmtllib x.mtl\nusemtl caf\u{e9}\ns off\n{TRIANGLE}"),
             TRIANGLE.replace("f 1 2 3", "f -3 -2 -1"),
         ] {
-            assert_eq!(read(&text).expect("readable"), plain, "{text:?}");
+            let named = read(&text).expect("readable");
+            let bare = RawMesh {
+                names: Vec::new(),
+                ..named
+            };
+            assert_eq!(bare, plain, "{text:?}");
         }
         let mut latin = b"# caf\xe9\n".to_vec();
         latin.extend(TRIANGLE.as_bytes());

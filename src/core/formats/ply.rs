@@ -1,15 +1,16 @@
 //! Stanford PLY geometry, ASCII and binary of either byte order, with texture coordinates per
-//! vertex where present.
+//! vertex and numbers of classes or objects per face or vertex where present.
 //!
 //! The header's counts are checked against the size of the file before anything is read: every
 //! element takes at least one byte, so a larger count is damage.
 
 use super::polygon;
-use super::raw_mesh::{Part, RawMesh};
+use super::raw_mesh::{NameKind, Part, RawMesh, SurfaceNames};
+use super::surface_look::{Look, TextureSource, beside, of_display};
 use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use ply_rs_bw::parser::{Parser, Reader};
-use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
+use ply_rs_bw::ply::{Header, Property, PropertyAccess, PropertyAccessResult};
 use std::collections::HashMap;
 use std::io::Cursor;
 use std::path::Path;
@@ -26,7 +27,26 @@ struct Element {
     signed: Vec<i32>,
     /// Texture coordinates by corner: u and v in turn.
     wedge: Vec<f32>,
+    /// Number of its class and of its object; 0 = none.
+    label: [f64; 2],
+    /// Linear RGB, or of display where the property is a byte.
+    colour: [f64; 3],
+    /// Whether its colour is of display.
+    encoded: bool,
 }
+
+/// Properties that number the class of a face or vertex, and its object (ScanNet's, Replica's and
+/// MeshLab-like names).
+const CLASSES: [&str; 7] = [
+    "label",
+    "class",
+    "class_id",
+    "category",
+    "category_id",
+    "semantic",
+    "semantic_id",
+];
+const OBJECTS: [&str; 3] = ["object_id", "objectid", "instance_id"];
 
 fn scalar(property: &Property) -> Option<f64> {
     Some(match *property {
@@ -71,7 +91,13 @@ impl PropertyAccess for Element {
             }
             return PropertyAccessResult::Set;
         }
+        if name.ends_with("red") {
+            self.encoded |= matches!(property, Property::UChar(_));
+        }
         let slot = match name {
+            "red" | "diffuse_red" => &mut self.colour[0],
+            "green" | "diffuse_green" => &mut self.colour[1],
+            "blue" | "diffuse_blue" => &mut self.colour[2],
             "x" => &mut self.position[0],
             "y" => &mut self.position[1],
             "z" => &mut self.position[2],
@@ -80,6 +106,8 @@ impl PropertyAccess for Element {
             "nz" => &mut self.normal[2],
             "s" | "u" | "texture_u" => &mut self.uv[0],
             "t" | "v" | "texture_v" => &mut self.uv[1],
+            n if CLASSES.contains(&n) => &mut self.label[0],
+            n if OBJECTS.contains(&n) => &mut self.label[1],
             _ => return PropertyAccessResult::Ignored,
         };
         match scalar(&property) {
@@ -105,6 +133,7 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
         .map_err(|e| fail(format!("the PLY header is malformed: {e}")))?;
     let (mut part, mut found_vertices, mut found_faces) = (Part::default(), false, false);
     let mut faces: Vec<Element> = Vec::new();
+    let mut vertex_labels: Vec<[f64; 2]> = Vec::new();
     for (name, element) in &header.elements {
         if element.count > bytes.len() {
             return Err(fail(format!(
@@ -124,6 +153,9 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
                 }
                 found_vertices = true;
                 add_vertices(&mut part, &elements, has);
+                if has(&CLASSES) || has(&OBJECTS) {
+                    vertex_labels = elements.iter().map(|e| e.label).collect();
+                }
             }
             "face" => {
                 found_faces = true;
@@ -159,11 +191,50 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
             "no elements \"vertex\" and \"face\": a point cloud is no mesh; reconstruct a surface first",
         ));
     }
-    add_faces(&mut part, &faces).map_err(fail)?;
-    RawMesh::from_parts(vec![part], path)
+    part.look = picture(&header, path);
+    let face_of = add_faces(&mut part, &faces).map_err(fail)?;
+    let names = names(&faces, &face_of, &vertex_labels);
+    let mut mesh = RawMesh::from_parts(vec![part], path)?;
+    if face_of.len() == mesh.triangles.len() {
+        mesh.names = names;
+    }
+    Ok(mesh)
 }
 
-/// Places, and normals and texture coordinates where the element has them.
+/// The picture that a comment names, as MeshLab writes it.
+fn picture(header: &Header, path: &Path) -> Option<Look> {
+    let named = |c: &String| Some(c.trim().strip_prefix("TextureFile")?.trim().to_owned());
+    let file = beside(path, &header.comments.iter().find_map(named)?)?;
+    Some(Look {
+        factor: Vec3::ONE,
+        texture: Some(TextureSource::File(file)),
+    })
+}
+
+/// The numbers of the triangles' classes and of their objects: those of their faces, else the one
+/// that most of their face's vertices have. `face_of` tells a triangle's face; strips have none.
+fn names(faces: &[Element], face_of: &[u32], of_vertex: &[[f64; 2]]) -> Vec<SurfaceNames> {
+    let digits = |x: f64| (x >= 1.0 && x <= f64::from(u32::MAX)).then(|| (x as u32).to_string());
+    let named = |(which, kind)| {
+        let by_vertex = !faces.iter().any(|f| f.label[which] != 0.0);
+        let number = |f: &Element| -> f64 {
+            if !by_vertex {
+                return f.label[which];
+            }
+            let at = |i: &u32| of_vertex.get(*i as usize).map_or(0.0, |l| l[which]);
+            let votes = |x: f64| f.indices.iter().filter(|i| at(i) == x).count();
+            let all = f.indices.iter().map(at);
+            all.reduce(|a, b| if votes(b) > votes(a) { b } else { a })
+                .unwrap_or(0.0)
+        };
+        let each = face_of.iter().map(|f| digits(number(&faces[*f as usize])));
+        SurfaceNames::of(kind, each)
+    };
+    let kinds = [(0, NameKind::Class), (1, NameKind::Object)];
+    kinds.into_iter().filter_map(named).collect()
+}
+
+/// Places, and normals, colours and texture coordinates where the element has them.
 fn add_vertices(part: &mut Part, elements: &[Element], has: impl Fn(&[&str]) -> bool) {
     part.positions = elements
         .iter()
@@ -174,6 +245,13 @@ fn add_vertices(part: &mut Part, elements: &[Element], has: impl Fn(&[&str]) -> 
             .iter()
             .map(|e| DVec3::from_array(e.normal).normalize_or_zero().as_vec3())
             .collect::<Vec<Vec3>>()
+    });
+    part.colours = (has(&["red", "diffuse_red"]) && has(&["green", "diffuse_green"])).then(|| {
+        let linear = |e: &Element| match e.encoded {
+            true => of_display(e.colour),
+            false => DVec3::from_array(e.colour).as_vec3(),
+        };
+        elements.iter().map(linear).collect()
     });
     // like OBJ, PLY counts v from the bottom of the image
     part.uvs = (has(&["s", "u", "texture_u"]) && has(&["t", "v", "texture_v"])).then(|| {
@@ -193,12 +271,13 @@ fn of_strip(strip: &[i32]) -> impl Iterator<Item = [u32; 3]> + '_ {
 }
 
 /// Triangulates faces into a part; texture coordinates by corner, where every face has them, become
-/// vertices of their own.
-fn add_faces(part: &mut Part, faces: &[Element]) -> std::result::Result<(), String> {
+/// vertices of their own. The face of every triangle that was added.
+fn add_faces(part: &mut Part, faces: &[Element]) -> std::result::Result<Vec<u32>, String> {
     let count = part.positions.len();
     let wedges = !faces.is_empty() && faces.iter().all(|f| f.wedge.len() == 2 * f.indices.len());
     let mut made: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
     let mut corners: Vec<(u32, Vec2)> = Vec::new();
+    let mut face_of = Vec::with_capacity(faces.len());
     for (f, face) in faces.iter().enumerate() {
         if let Some(bad) = face.indices.iter().find(|i| **i as usize >= count) {
             return Err(format!("face {f} uses vertex {bad} of {count}"));
@@ -226,6 +305,7 @@ fn add_faces(part: &mut Part, faces: &[Element]) -> std::result::Result<(), Stri
         };
         let vertices: Vec<u32> = (0..places.len()).map(vertex).collect();
         let triangles = polygon::triangulate(&places);
+        face_of.extend(std::iter::repeat_n(f as u32, triangles.len()));
         part.triangles
             .extend(triangles.into_iter().map(|t| t.map(|i| vertices[i])));
     }
@@ -239,8 +319,12 @@ fn add_faces(part: &mut Part, faces: &[Element]) -> std::result::Result<(), Stri
             .normals
             .take()
             .map(|n| corners.iter().map(|c| n[c.0 as usize]).collect());
+        part.colours = part
+            .colours
+            .take()
+            .map(|n| corners.iter().map(|c| n[c.0 as usize]).collect());
     }
-    Ok(())
+    Ok(face_of)
 }
 
 #[cfg(test)]

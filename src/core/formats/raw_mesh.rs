@@ -1,7 +1,9 @@
 //! A mesh as a file holds it: not yet validated, in the file's own coordinates and precision.
 
+use super::surface_look::Look;
 use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
+use std::collections::HashMap;
 use std::path::Path;
 
 /// Triangles as read from a file. Indices may be out of range and positions non-finite: `scene`
@@ -19,6 +21,68 @@ pub struct RawMesh {
     pub uvs: Vec<Vec2>,
     /// Vertex indices per triangle.
     pub triangles: Vec<[u32; 3]>,
+    /// What the file calls its triangles, one entry per kind of name that it has.
+    pub names: Vec<SurfaceNames>,
+    /// Linear RGB per vertex; empty where the file has none, else as long as `positions`.
+    pub colours: Vec<Vec3>,
+    /// The materials that triangles have, as far as their colour goes.
+    pub looks: Vec<Look>,
+    /// Index into `looks` per triangle, [`SurfaceNames::NONE`] without a material; empty where no
+    /// triangle has one.
+    pub look_of_triangle: Vec<u32>,
+}
+
+/// What a file's names of triangles are names of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NameKind {
+    /// Materials (glTF, OBJ's `usemtl`).
+    Material,
+    /// Nodes or groups (glTF, OBJ's `o` and `g`), or numbered objects (PLY).
+    Object,
+    /// Numbered classes (PLY).
+    Class,
+}
+
+/// What a file calls its triangles in one respect. Numbers are names too: those of their digits.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SurfaceNames {
+    /// What they are names of.
+    pub kind: NameKind,
+    /// Each name once, in the order of the triangles that have it first.
+    pub names: Vec<String>,
+    /// Index into `names` per triangle; [`SurfaceNames::NONE`] without a name.
+    pub of_triangle: Vec<u32>,
+}
+
+impl SurfaceNames {
+    /// The index of triangles without a name.
+    pub const NONE: u32 = u32::MAX;
+
+    /// The names of all triangles in order; `None` if there is none.
+    pub(super) fn of<S: Into<String>>(
+        kind: NameKind,
+        names: impl Iterator<Item = Option<S>>,
+    ) -> Option<Self> {
+        let mut index: HashMap<String, u32> = HashMap::new();
+        let mut list: Vec<String> = Vec::new();
+        let of_triangle = names
+            .map(|name| {
+                let Some(name) = name.map(Into::into) else {
+                    return Self::NONE;
+                };
+                let next = list.len() as u32;
+                *index.entry(name).or_insert_with_key(|name| {
+                    list.push(name.clone());
+                    next
+                })
+            })
+            .collect();
+        (!list.is_empty()).then_some(Self {
+            kind,
+            names: list,
+            of_triangle,
+        })
+    }
 }
 
 /// One piece of a file's geometry on its way into a [`RawMesh`].
@@ -28,6 +92,12 @@ pub(super) struct Part {
     pub normals: Option<Vec<Vec3>>,
     pub uvs: Option<Vec<Vec2>>,
     pub triangles: Vec<[u32; 3]>,
+    /// Names of all its triangles, by kind.
+    pub names: Vec<(NameKind, String)>,
+    /// Linear RGB per vertex.
+    pub colours: Option<Vec<Vec3>>,
+    /// What its triangles are painted with.
+    pub look: Option<Look>,
 }
 
 impl RawMesh {
@@ -46,7 +116,12 @@ impl RawMesh {
         }
         let with_normals = parts.iter().all(|p| p.normals.is_some());
         let with_uvs = parts.iter().all(|p| p.uvs.is_some());
-        let mut mesh = Self::default();
+        let mut mesh = Self {
+            names: names_of(&parts),
+            ..Self::default()
+        };
+        mesh.take_looks(&parts);
+        let coloured = parts.iter().any(|p| p.colours.is_some());
         for part in parts {
             let first = mesh.positions.len() as u64;
             let count = part.positions.len();
@@ -63,6 +138,10 @@ impl RawMesh {
                     .push(t.map(|i| (first + u64::from(i)) as u32));
             }
             mesh.positions.extend(part.positions);
+            if coloured {
+                let white = || vec![Vec3::ONE; count];
+                mesh.colours.extend(part.colours.unwrap_or_else(white));
+            }
             if with_normals {
                 mesh.normals.extend(part.normals.unwrap_or_default());
             }
@@ -72,4 +151,38 @@ impl RawMesh {
         }
         Ok(mesh)
     }
+
+    /// The parts' materials, equal ones once.
+    fn take_looks(&mut self, parts: &[Part]) {
+        if parts.iter().all(|p| p.look.is_none()) {
+            return;
+        }
+        for part in parts {
+            let index = part.look.as_ref().map_or(SurfaceNames::NONE, |look| {
+                let known = self.looks.iter().position(|l| l == look);
+                known.unwrap_or_else(|| {
+                    self.looks.push(look.clone());
+                    self.looks.len() - 1
+                }) as u32
+            });
+            let each = std::iter::repeat_n(index, part.triangles.len());
+            self.look_of_triangle.extend(each);
+        }
+    }
+}
+
+/// The names of the parts' triangles; parts that share a name share its index.
+fn names_of(parts: &[Part]) -> Vec<SurfaceNames> {
+    let of = |kind: NameKind| {
+        let name = |p: &Part| {
+            let found = p.names.iter().find(|n| n.0 == kind);
+            found.map(|n| n.1.clone())
+        };
+        let each = parts
+            .iter()
+            .flat_map(|p| std::iter::repeat_n(name(p), p.triangles.len()));
+        SurfaceNames::of(kind, each)
+    };
+    let kinds = [NameKind::Class, NameKind::Material, NameKind::Object];
+    kinds.into_iter().filter_map(of).collect()
 }

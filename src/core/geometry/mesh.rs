@@ -31,6 +31,13 @@ impl Mesh {
         self.triangles[t].map(|i| self.uvs[i as usize])
     }
 
+    /// Area of triangle `t` in the atlas, as a share of the unit square.
+    #[must_use]
+    pub fn chart_area(&self, t: usize) -> f32 {
+        let [a, b, c] = self.corner_uvs(t);
+        0.5 * (b - a).perp_dot(c - a).abs()
+    }
+
     /// Unnormalised geometric normal: length is twice the area, direction by the winding.
     #[must_use]
     pub fn double_area_normal(&self, t: usize) -> Vec3 {

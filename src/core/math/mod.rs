@@ -5,11 +5,25 @@ pub mod colour;
 mod dual;
 mod frame;
 mod real;
+mod sine;
 
 pub use angle::atan2;
 pub use dual::Dual;
 pub use frame::Frame;
 pub use real::Real;
+pub use sine::fast_sin_cos;
+
+/// Signs of the parts.
+#[must_use]
+pub fn signs(v: glam::Vec3) -> glam::Vec3 {
+    glam::Vec3::from_array(v.to_array().map(sign))
+}
+
+/// Sign with sgn 0 = 0.
+#[must_use]
+pub fn sign(x: f32) -> f32 {
+    if x == 0.0 { 0.0 } else { x.signum() }
+}
 
 use glam::Vec3;
 

@@ -4,6 +4,9 @@ mod design_effect;
 
 pub use design_effect::design_effect;
 
+use glam::Vec3;
+use std::collections::BTreeMap;
+
 /// What turns a median absolute deviation into a Gaussian's standard deviation. Derived: 1/Φ⁻¹(3/4).
 pub const MAD_SCALE: f32 = 1.4826;
 
@@ -32,6 +35,20 @@ pub fn weighted_median(pairs: &[(f32, f32)]) -> Option<usize> {
 pub fn median(mut values: Vec<f32>) -> Option<f32> {
     values.sort_by(f32::total_cmp);
     values.get(values.len() / 2).copied()
+}
+
+/// The median colour of each class, channel by channel.
+#[must_use]
+pub fn median_colours(values: impl IntoIterator<Item = (u16, Vec3)>) -> BTreeMap<u16, Vec3> {
+    let mut members: BTreeMap<u16, [Vec<f32>; 3]> = BTreeMap::new();
+    for (class, colour) in values {
+        let channels = members.entry(class).or_default();
+        let values = channels.iter_mut().zip(colour.to_array());
+        values.for_each(|(channel, value)| channel.push(value));
+    }
+    // (no class is without members)
+    let colour = |c: [Vec<f32>; 3]| Vec3::from_array(c.map(|v| median(v).unwrap_or_default()));
+    members.into_iter().map(|(k, v)| (k, colour(v))).collect()
 }
 
 /// Within this share of a mark a value has neither passed nor missed it. Derived: a standard error

@@ -155,8 +155,7 @@ impl Texels {
     /// World area that one texel of triangle `t` covers, m².
     #[must_use]
     pub fn texel_area(&self, mesh: &Mesh, t: usize) -> f32 {
-        let [a, b, c] = mesh.corner_uvs(t);
-        let texels = 0.5 * (b - a).perp_dot(c - a).abs() * (self.width * self.height) as f32;
+        let texels = mesh.chart_area(t) * (self.width * self.height) as f32;
         if texels > 0.0 {
             mesh.area(t) / texels
         } else {

@@ -6,7 +6,7 @@
 
 use crate::core::brdf::{Material, Reflectance};
 use crate::core::formats::{
-    Alpha, Border, GltfFile, GltfTexture, Look, Picture8, Piece, TextureUse,
+    Alpha, Border, GltfFile, GltfMaterial, GltfTexture, Picture8, Piece, TextureUse,
 };
 use crate::core::math::linear_from_srgb;
 use crate::core::sampling::hash_u64;
@@ -19,7 +19,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Pictures, materials, and what each traced triangle has of them.
 pub(super) struct Looks {
     /// Of the file; the standard's default comes last.
-    looks: Vec<Look>,
+    looks: Vec<GltfMaterial>,
     textures: BTreeMap<usize, GltfTexture>,
     pictures: BTreeMap<usize, Picture8>,
     /// Linear values of encoded ones.
@@ -51,7 +51,7 @@ impl Looks {
     /// # Errors
     /// A material or picture that cannot be used.
     pub(super) fn read(file: &GltfFile<'_>, notes: &mut BTreeSet<String>) -> Result<Self> {
-        let mut looks = file.looks(notes)?;
+        let mut looks = file.materials(notes)?;
         let (mut textures, mut pictures) = (BTreeMap::new(), BTreeMap::new());
         for look in &looks {
             let used = [
@@ -68,7 +68,7 @@ impl Looks {
                 textures.insert(used.texture, texture);
             }
         }
-        looks.push(Look::default());
+        looks.push(GltfMaterial::default());
         Ok(Self {
             looks,
             textures,
@@ -126,7 +126,7 @@ impl Looks {
         !self.look(triangle).double_sided
     }
 
-    fn look(&self, triangle: usize) -> &Look {
+    fn look(&self, triangle: usize) -> &GltfMaterial {
         &self.looks[self.triangles[triangle].look as usize]
     }
 

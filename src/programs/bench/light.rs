@@ -15,7 +15,7 @@ use crate::core::math::{Frame, luminance};
 use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::sampling::{KeyedRng, square_to_cosine_hemisphere};
-use crate::core::stats::median;
+use crate::core::stats::median_colours;
 use crate::core::texture::{Texels, fill_uncovered};
 use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
 use crate::error::Error;
@@ -302,17 +302,8 @@ fn stated_emission(scene: &Scene) -> Result<BTreeMap<u16, Vec3>> {
 fn completed(ground: &BenchScene, mut value: Vec<Vec3>) -> RgbPlane {
     let surface = &ground.surface;
     let clean = &surface.fusion.clean;
-    let mut members: BTreeMap<u16, [Vec<f32>; 3]> = BTreeMap::new();
-    for i in (0..value.len()).filter(|&i| clean[i]) {
-        let m = members.entry(surface.labels[i]).or_default();
-        for c in 0..3 {
-            m[c].push(value[i][c]);
-        }
-    }
-    let usual: BTreeMap<u16, Vec3> = members
-        .into_iter()
-        .map(|(k, v)| (k, Vec3::from_array(v.map(|v| median(v).unwrap_or(0.5)))))
-        .collect();
+    let known = (0..value.len()).filter(|&i| clean[i]);
+    let usual = median_colours(known.map(|i| (surface.labels[i], value[i])));
     for i in (0..value.len()).filter(|&i| !clean[i]) {
         let own = usual.get(&surface.labels[i]);
         value[i] = own.copied().unwrap_or(Vec3::splat(0.5));

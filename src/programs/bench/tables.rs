@@ -1,7 +1,8 @@
 //! `unbake bench tables`: the paper's tables on scenes with truth. Every row is a reconstruction in
-//! a process of its own: unbake's method and the published one (`solve --quality paper`), the
-//! published one's stages left out, its light replaced, its weaknesses corrected one by one, and
-//! both under wrong labels.
+//! a process of its own: unbake's method, the published one (`solve --quality paper`) and the
+//! systems it is compared with (`--strategy`), with and without the comparison's faults; the
+//! published one's stages left out, its light replaced, its weaknesses corrected one by one; ours
+//! and the published one under wrong labels.
 
 use super::child::{Outcome, Runner, Workplace};
 use super::damage::{CONDITIONS, Damage, write_damaged};
@@ -15,7 +16,7 @@ use std::path::Path;
 /// What `unbake bench tables` can be told.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct TablesBench {
-    /// Smaller textures, 256 hemisphere rays and 10 epochs a stage: a look at the order of things.
+    /// Smaller textures, 256 hemisphere rays and 10 to 20 epochs: a look at the order of things.
     #[arg(long)]
     pub quick: bool,
     /// Only rows whose table, method or condition holds one of these words, separated by commas.
@@ -40,6 +41,66 @@ pub enum Method {
     Unbake,
     /// The published method.
     Paper,
+    /// A sparse code of materials.
+    Invrender,
+    /// A hash grid.
+    Nvdiffrec,
+    /// A network of sines.
+    Neilf,
+    /// The same with its own light.
+    NeilfStar,
+    /// Differentiable path tracing.
+    Tsdr,
+}
+
+impl Method {
+    /// The systems that the published method is compared with.
+    const COMPARED: [Self; 5] = [
+        Self::Invrender,
+        Self::Nvdiffrec,
+        Self::Neilf,
+        Self::NeilfStar,
+        Self::Tsdr,
+    ];
+
+    /// What a table calls it.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Unbake => "unbake",
+            Self::Paper => "paper",
+            Self::Invrender => "invrender",
+            Self::Nvdiffrec => "nvdiffrec",
+            Self::Neilf => "neilf",
+            Self::NeilfStar => "neilf_star",
+            Self::Tsdr => "tsdr",
+        }
+    }
+
+    /// The flags of `solve` that choose it.
+    fn flags(self) -> &'static [&'static str] {
+        match self {
+            Self::Unbake => &[],
+            Self::Paper => &["--quality", "paper"],
+            Self::Invrender => &["--quality", "paper", "--strategy", "invrender"],
+            Self::Nvdiffrec => &["--quality", "paper", "--strategy", "nvdiffrec"],
+            Self::Neilf => &["--quality", "paper", "--strategy", "neilf"],
+            Self::NeilfStar => &["--quality", "paper", "--strategy", "neilf-star"],
+            Self::Tsdr => &["--quality", "paper", "--strategy", "tsdr"],
+        }
+    }
+
+    /// Epochs, and pixels of a visit, of a quick look: about as much time for each.
+    fn quick_flags(self) -> &'static [&'static str] {
+        match self {
+            Self::Unbake => &[],
+            Self::Paper => &["--epochs", "10"],
+            Self::Invrender => &["--epochs", "20", "--visit-pixels", "4096"],
+            Self::Nvdiffrec => &["--epochs", "20", "--visit-pixels", "16384"],
+            Self::Neilf => &["--epochs", "10", "--visit-pixels", "4096"],
+            Self::NeilfStar => &["--epochs", "10", "--visit-pixels", "1024"],
+            Self::Tsdr => &["--epochs", "20", "--visit-pixels", "8192"],
+        }
+    }
 }
 
 /// One reconstruction.
@@ -111,11 +172,8 @@ impl TablesReport {
             let db = |v: Option<f64>| v.map_or("   --".to_owned(), |v| format!("{v:5.2}"));
             let _ = writeln!(
                 out,
-                "  {:8} {:24} {}  {}  {}  {:8.1}  {:5.2}",
-                match row.method {
-                    Method::Unbake => "unbake",
-                    Method::Paper => "paper",
-                },
+                "  {:10} {:24} {}  {}  {}  {:8.1}  {:5.2}",
+                row.method.name(),
                 row.condition,
                 db(row.albedo_psnr),
                 db(row.roughness_psnr),
@@ -150,15 +208,13 @@ impl Planned {
 
     /// All `solve` flags of the row.
     fn all_flags(&self, bench: &TablesBench) -> Vec<String> {
-        let mut all: Vec<&str> = Vec::new();
-        if self.method == Method::Paper {
-            all.extend(["--quality", "paper"]);
-        }
+        let mut all: Vec<&str> = self.method.flags().to_vec();
         if bench.quick {
             all.extend(["--albedo-size", "512", "--roughness-size", "512"]);
             all.extend(["--irradiance-size", "256"]);
-            if self.method == Method::Paper {
-                all.extend(["--epochs", "10", "--irradiance-rays", "256"]);
+            all.extend(self.method.quick_flags());
+            if self.method != Method::Unbake {
+                all.extend(["--irradiance-rays", "256"]);
             }
         }
         all.extend(&self.flags);
@@ -167,11 +223,7 @@ impl Planned {
     }
 
     fn wanted(&self, bench: &TablesBench) -> bool {
-        let method = match self.method {
-            Method::Unbake => "unbake",
-            Method::Paper => "paper",
-        };
-        let named = [self.table, method, &self.condition];
+        let named = [self.table, self.method.name(), &self.condition];
         bench.rows.is_empty()
             || bench
                 .rows
@@ -189,13 +241,23 @@ fn plan() -> Vec<Planned> {
         Planned::new("methods", Method::Unbake, "", &[]),
         paper("methods", "", &[]),
         paper("methods", "code's values", &["--published-values", "code"]),
+        paper("methods", "post-processed", &["--post-process"]),
+    ];
+    for method in Method::COMPARED {
+        rows.push(Planned::new("methods", method, "", &[]));
+    }
+    for method in [Method::Invrender, Method::Nvdiffrec, Method::Neilf] {
+        let flags = &["--handicapped"];
+        rows.push(Planned::new("methods", method, "as compared", flags));
+    }
+    rows.extend([
         paper("stages", "baseline: III alone", &["--stages", "iii"]),
         paper("stages", "without I", &["--stages", "ii,iii"]),
         paper("stages", "without II", &["--stages", "i,iii"]),
         paper("stages", "without III", &["--stages", "i,ii"]),
         paper("lighting", "NIrF of 200 epochs", &["--nirf", "200"]),
         paper("lighting", "emitters sampled", &["--correct", "w5"]),
-    ];
+    ]);
     for w in ["w1", "w2", "w3", "w5", "w6", "w7", "w8"] {
         rows.push(paper("corrections", w, &["--correct", w]));
     }
@@ -328,6 +390,8 @@ mod tests {
         };
         assert_eq!(of(&[]), all.len());
         assert_eq!(of(&["stages"]), 4);
+        assert_eq!(of(&["methods"]), 12);
+        assert_eq!(of(&["neilf"]), 3);
         assert_eq!(of(&["labels-16"]), 2);
         let quick = TablesBench {
             quick: true,

@@ -194,7 +194,7 @@ fn alpha(path: &Path) -> Result<Option<Plane<u8>>> {
 }
 
 /// Depth in metres along the ray.
-fn metres(depth: &Depth, optics: &Optics, size: [usize; 2]) -> Result<Plane<f32>> {
+pub(super) fn metres(depth: &Depth, optics: &Optics, size: [usize; 2]) -> Result<Plane<f32>> {
     let mut plane = match extension(&depth.path).as_str() {
         "exr" => formats::read_plane(&depth.path)?,
         _ => formats::read_labels(&depth.path)?

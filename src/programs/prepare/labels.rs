@@ -68,7 +68,12 @@ impl LabelSource {
 }
 
 /// The solver's camera for a shot, positions relative to `origin`.
-fn camera(pose: &DMat4, optics: &Optics, [width, height]: [usize; 2], origin: DVec3) -> Camera {
+pub(super) fn camera(
+    pose: &DMat4,
+    optics: &Optics,
+    [width, height]: [usize; 2],
+    origin: DVec3,
+) -> Camera {
     let projection = match optics {
         Optics::Panorama | Optics::Distorted(_) => Projection::Equirectangular,
         Optics::Perspective(p) => Projection::Pinhole(Lens {

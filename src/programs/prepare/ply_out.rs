@@ -59,7 +59,7 @@ pub fn write_ply(path: &Path, surface: &LabelledMesh) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::formats::{RawMesh, read_mesh};
+    use crate::core::formats::{NameKind, RawMesh, SurfaceNames, read_mesh};
     use glam::{DVec3, Vec2, Vec3};
 
     #[test]
@@ -69,6 +69,12 @@ mod tests {
             normals: vec![Vec3::Z; 3],
             uvs: vec![Vec2::ZERO, Vec2::new(1.0, 0.25), Vec2::ONE],
             triangles: vec![[0, 1, 2]],
+            names: vec![SurfaceNames {
+                kind: NameKind::Class,
+                names: vec!["7".into()],
+                of_triangle: vec![0],
+            }],
+            ..RawMesh::default()
         };
         let dir = tempfile::tempdir().expect("folder");
         let path = dir.path().join("m.ply");

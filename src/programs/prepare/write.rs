@@ -2,6 +2,7 @@
 
 use super::account::Account;
 use super::capture::{Capture, LabelledMesh, Shot, Surface, Up};
+use super::depth_mesh::mesh_of_depth;
 use super::folder::{MARK, SceneFolder, extension};
 use super::frame::FrameWriter;
 use super::importer::PrepareOptions;
@@ -13,7 +14,7 @@ use crate::core::formats;
 use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
-use crate::scene::Class;
+use crate::scene::{Class, ClassesByName};
 use glam::{DMat3, DMat4, DVec3};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeSet;
@@ -49,11 +50,12 @@ pub fn write_scene(
     rescale(&mut capture, options.scale, account);
     unique_stems(&mut capture.shots);
     hold_out(&mut capture.shots, options.hold_out, account);
-    let mesh = mesh_of(&capture, options, account)?;
-    let (mesh_name, triangles) = match &mesh {
-        Some(mesh) => write_mesh(&folder, mesh)?,
-        None => (None, 0),
+    let mesh = match mesh_of(&mut capture, options, account)? {
+        None => mesh_of_depth(&capture.shots, account, progress)?.map(SceneMesh::Decoded),
+        given => given,
     };
+    let written = mesh.as_ref().map(|mesh| write_mesh(&folder, mesh));
+    let (mesh_name, triangles) = written.unwrap_or(Ok((None, 0)))?;
     let source = match &mesh {
         Some(SceneMesh::Decoded(m)) if m.classes.iter().any(|&c| c > 0) => {
             Some(LabelSource::new(m)?)
@@ -202,7 +204,7 @@ enum SceneMesh {
 
 /// The capture's mesh, or the one given by hand.
 fn mesh_of(
-    capture: &Capture,
+    capture: &mut Capture,
     options: &PrepareOptions,
     account: &mut Account,
 ) -> Result<Option<SceneMesh>> {
@@ -211,11 +213,12 @@ fn mesh_of(
         path: path.clone(),
         world_from_file: DMat4::from_scale(DVec3::splat(scale)),
     });
-    let Some(surface) = given.as_ref().or(capture.surface.as_ref()) else {
+    let unlabelled = capture.shots.iter().all(|s| s.labels.is_none());
+    let Some(surface) = given.or_else(|| capture.surface.clone()) else {
         return Ok(None);
     };
     let (path, world_from_file) = match surface {
-        Surface::Built(mesh) => return Ok(Some(SceneMesh::Decoded(mesh.clone()))),
+        Surface::Built(mesh) => return Ok(Some(SceneMesh::Decoded(mesh))),
         Surface::File {
             path,
             world_from_file,
@@ -223,14 +226,18 @@ fn mesh_of(
     };
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("");
     let alone = ["glb", "ply", "obj"].contains(&extension.to_ascii_lowercase().as_str());
-    if alone && *world_from_file == DMat4::IDENTITY {
+    if alone && world_from_file == DMat4::IDENTITY {
         account.read(format!("mesh {}", path.display()));
-        return Ok(Some(SceneMesh::Copied(path.clone())));
+        let named = ClassesByName::of(&formats::read_mesh(&path)?);
+        account_names(named.as_ref().filter(|_| unlabelled), account);
+        return Ok(Some(SceneMesh::Copied(path)));
     }
-    let mut mesh = formats::read_mesh(path)?;
+    let mut mesh = formats::read_mesh(&path)?;
     account.read(format!("mesh {}", path.display()));
-    if *world_from_file != DMat4::IDENTITY {
-        let turn = DMat3::from_mat4(*world_from_file);
+    let named = ClassesByName::of(&mesh).filter(|_| unlabelled && capture.classes.is_empty());
+    account_names(named.as_ref(), account);
+    if world_from_file != DMat4::IDENTITY {
+        let turn = DMat3::from_mat4(world_from_file);
         mesh.positions
             .iter_mut()
             .for_each(|p| *p = world_from_file.transform_point3(*p));
@@ -240,10 +247,21 @@ fn mesh_of(
             .for_each(|n| *n = (turn * *n).normalize_or_zero());
         account.converted("the mesh was turned and scaled into the world of the poses");
     }
-    Ok(Some(SceneMesh::Decoded(LabelledMesh {
-        mesh,
-        classes: Vec::new(),
-    })))
+    let classes = named.map_or_else(Vec::new, |named| {
+        capture.classes = named.classes;
+        named.mesh.of_triangle
+    });
+    Ok(Some(SceneMesh::Decoded(LabelledMesh { mesh, classes })))
+}
+
+/// Says what the mesh's names are taken for.
+fn account_names(named: Option<&ClassesByName>, account: &mut Account) {
+    if let Some(named) = named {
+        account.read(format!(
+            "without label images the mesh's {}",
+            named.account()
+        ));
+    }
 }
 
 /// The content of `transforms.json`.

@@ -1,5 +1,5 @@
 //! What a glTF material says of a surface: colour, roughness, metal, light of its own, and where
-//! nothing is. Called by `gltf_scene`.
+//! nothing is. Called by `gltf`, which takes the base colour, and `gltf_scene`, which takes all.
 
 use super::gltf_texture::{TextureInfo, UvSource};
 use serde::Deserialize;
@@ -35,7 +35,7 @@ pub enum Alpha {
 
 /// A material.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Look {
+pub struct GltfMaterial {
     /// Base colour, linear, with alpha.
     pub base: Textured<[f32; 4]>,
     /// Metal (blue channel) and roughness (green channel).
@@ -50,16 +50,17 @@ pub struct Look {
     pub double_sided: bool,
 }
 
-impl Default for Look {
+impl Default for GltfMaterial {
     fn default() -> Self {
-        Look::from(&Material::default())
+        Self::from(&MaterialJson::default())
     }
 }
 
 /// The material's JSON.
 #[derive(Deserialize)]
 #[serde(default, rename_all = "camelCase")]
-pub(super) struct Material {
+pub(super) struct MaterialJson {
+    pub(super) name: Option<String>,
     pbr_metallic_roughness: Pbr,
     emissive_factor: [f32; 3],
     emissive_texture: Option<TextureInfo>,
@@ -106,9 +107,10 @@ fn one() -> f32 {
     1.0
 }
 
-impl Default for Material {
+impl Default for MaterialJson {
     fn default() -> Self {
         Self {
+            name: None,
             pbr_metallic_roughness: Pbr::default(),
             emissive_factor: [0.0; 3],
             emissive_texture: None,
@@ -132,7 +134,13 @@ impl Default for Pbr {
     }
 }
 
-impl Material {
+impl MaterialJson {
+    /// Where the base colour is sampled; without a texture, where its coordinates would be.
+    pub(super) fn base_uv(&self) -> UvSource {
+        let texture = self.pbr_metallic_roughness.base_color_texture.as_ref();
+        texture.map_or_else(UvSource::default, TextureInfo::uv_source)
+    }
+
     /// Whether its colours stand in an extension that is not read.
     pub(super) fn is_specular_glossiness(&self) -> bool {
         self.extensions.specular_glossiness.is_some()
@@ -161,8 +169,8 @@ impl Material {
     }
 }
 
-impl From<&Material> for Look {
-    fn from(m: &Material) -> Self {
+impl From<&MaterialJson> for GltfMaterial {
+    fn from(m: &MaterialJson) -> Self {
         let pbr = &m.pbr_metallic_roughness;
         let used = |info: &Option<TextureInfo>| {
             let info = info.as_ref()?;

@@ -1,0 +1,154 @@
+//! The last stages, of photographs and scans alike: rooms are balanced, light that nobody saw is added,
+//! paint is found, errors are stated and the textures assembled. Called by `solve` and `delight`
+//! once there is an albedo.
+
+use super::albedo::albedo_errors;
+use super::assemble::assemble;
+use super::clipped_light::{ClippedLights, FoundLight};
+use super::doubt::Doubt;
+use super::energy_balance::{Balanced, balance_rooms};
+use super::findings::{findings, spread_of_looks};
+use super::missing_light::add_missing_light;
+use super::painted::{Estimate, settle_palettes};
+use super::solved::Solved;
+use super::{Light, Roughness, SolveOptions};
+use crate::core::progress::Progress;
+use crate::core::switch::Switch;
+use crate::inverse::{AlbedoEstimate, Ground, StatedErrors, TexelReflectance, settle_contradicted};
+use crate::observed::Surface;
+use crate::verdict::MissingLight;
+
+/// What is estimated before it is settled what it all amounts to.
+pub(super) struct Estimated<'a> {
+    pub(super) albedo: AlbedoEstimate,
+    pub(super) roughness: &'a Roughness,
+    /// Light beyond the photographs' ceiling that was found.
+    pub(super) clipped_light: Option<ClippedLights>,
+    /// What is against the result besides what its own texels tell.
+    pub(super) doubts: Vec<Doubt>,
+    /// Rays traced so far.
+    pub(super) rays: u64,
+}
+
+/// Light and albedo are balanced, completed and painted; then errors and textures follow.
+pub(super) fn settle(
+    surface: &Surface,
+    mut light: Light,
+    estimated: Estimated<'_>,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Solved {
+    let Estimated {
+        mut albedo,
+        roughness,
+        clipped_light,
+        doubts,
+        mut rays,
+    } = estimated;
+    let reflectance = &roughness.reflectance;
+    let clipped = clipped_light.as_ref().map(|c| c.missing);
+    let mut lights = clipped_light.map_or_else(Vec::new, |c| c.lights);
+    forget_lit(&mut albedo, &lights);
+    let rooms = roughness.texel_rooms(&surface.texels);
+    let mut short = progress.stage("energy balance", 0, |p| {
+        balance_rooms(surface, &mut light, &mut albedo, &rooms, options, p)
+    });
+    if let Some(short) = &mut short {
+        forget_lit(&mut albedo, &short.lamps);
+        lights.append(&mut short.lamps);
+    }
+    rays += unseen_light(
+        surface,
+        &mut light,
+        &mut albedo,
+        reflectance,
+        options,
+        progress,
+    );
+    let spread = spread_of_looks(&albedo);
+    settle_hidden(surface, &mut albedo, &rooms);
+    let StatedErrors {
+        error: mut errors,
+        unexplained,
+    } = albedo_errors(surface, &light, &albedo);
+    if let Some(short) = &short {
+        add_error(&mut errors, |i| short.cast_error[i]);
+    }
+    let estimate = Estimate {
+        albedo: &mut albedo,
+        errors: &mut errors,
+        rooms: &rooms,
+    };
+    progress.stage("paint", 0, |p| {
+        settle_palettes(surface, &mut light, estimate, options, p);
+    });
+    let mut findings = findings(surface, &light, &albedo, &errors, &spread);
+    findings.unexplained = f64::from(unexplained);
+    let mean = findings.mean_albedo;
+    findings
+        .others
+        .extend(doubts.into_iter().map(|d| d.reason(mean)));
+    findings.light_missing = MissingLight::both(clipped, short.map(|s: Balanced| s.missing));
+    // what no texel knows of by itself
+    let model_error = findings.model_error() as f32;
+    add_error(&mut errors, |_| model_error);
+    Solved {
+        solution: assemble(surface, &light, roughness, &albedo, &errors, &lights),
+        fits: roughness.materials.fits().cloned().collect(),
+        rays,
+        findings,
+    }
+}
+
+/// Adds light that no camera looks along, unless the options say no; the rays traced.
+fn unseen_light(
+    surface: &Surface,
+    light: &mut Light,
+    albedo: &mut AlbedoEstimate,
+    reflectance: &TexelReflectance,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> u64 {
+    if options.missing_light == Switch::Off {
+        return 0;
+    }
+    let added = progress.stage("missing light", 0, |p| {
+        add_missing_light(surface, light, albedo, reflectance, options.seed, p)
+    });
+    progress.note(format!(
+        "light that no camera looks along (specular reflections, far sides) changes the \
+         irradiance by {:+.1} % on average",
+        100.0 * added.change
+    ));
+    added.rays
+}
+
+/// Surface before which something stands that the mesh lacks takes what its class is like.
+fn settle_hidden(surface: &Surface, albedo: &mut AlbedoEstimate, rooms: &[u16]) {
+    let contradicted: Vec<u32> = (0..surface.texels.len() as u32)
+        .filter(|&i| surface.contradictions.contradicted(i as usize))
+        .collect();
+    let ground = Ground {
+        texels: &surface.texels,
+        mesh: &surface.scene.mesh,
+        labels: &surface.labels,
+        rooms,
+    };
+    settle_contradicted(&ground, &contradicted, albedo);
+}
+
+/// Adds an independent error to every texel's.
+fn add_error(errors: &mut [f32], error: impl Fn(usize) -> f32) {
+    for (i, e) in errors.iter_mut().enumerate() {
+        *e = e.hypot(error(i));
+    }
+}
+
+/// What a clipped light hides of its surface is unknown: lamps, and what the sun shines on.
+fn forget_lit(albedo: &mut AlbedoEstimate, lights: &[FoundLight]) {
+    for &i in lights.iter().flat_map(|l| &l.texels) {
+        albedo.value[i as usize] = glam::Vec3::ZERO;
+        albedo.error[i as usize] = f32::INFINITY;
+        albedo.clean[i as usize] = false;
+    }
+}

@@ -1,0 +1,110 @@
+//! The surface where a sampled function is zero, as triangles: one vertex in every cell of the grid
+//! that it crosses, at the mean of the crossings of the cell's edges, and a square across every edge
+//! that it crosses (Gibson 1998, "Constrained Elastic Surface Nets", MICCAI, without relaxation).
+//! Cells of which a corner is unknown have no vertex: the surface ends where nothing is known. Called
+//! by `depth_mesh`.
+
+use glam::{IVec3, Vec3};
+use std::collections::BTreeMap;
+
+/// Triangles of a surface.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Net {
+    /// Places, in units of the grid.
+    pub positions: Vec<Vec3>,
+    /// Wound so that the function grows along their normals.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// The zero of a function known at some points of the grid, which `known` lists in ascending order.
+#[must_use]
+pub fn surface_net(known: &[IVec3], value: impl Fn(IVec3) -> Option<f32>) -> Net {
+    let mut net = Net::default();
+    let mut vertex: BTreeMap<[i32; 3], u32> = BTreeMap::new();
+    for &cell in known {
+        if let Some(place) = crossing(cell, &value) {
+            vertex.insert(cell.to_array(), net.positions.len() as u32);
+            net.positions.push(place);
+        }
+    }
+    for &p in known {
+        for axis in 0..3 {
+            let (x, y, z) = (unit(axis), unit((axis + 1) % 3), unit((axis + 2) % 3));
+            let (Some(a), Some(b)) = (value(p), value(p + x)) else {
+                continue;
+            };
+            if (a < 0.0) == (b < 0.0) {
+                continue;
+            }
+            // the four cells around the edge, counter-clockwise seen against its direction
+            let around = [p - y - z, p - z, p, p - y];
+            let corners = around.map(|c| vertex.get(&c.to_array()).copied());
+            let [Some(i), Some(j), Some(k), Some(l)] = corners else {
+                continue;
+            };
+            let square = if a < 0.0 { [i, j, k, l] } else { [i, l, k, j] };
+            let [i, j, k, l] = square;
+            net.triangles.extend([[i, j, k], [i, k, l]]);
+        }
+    }
+    net
+}
+
+fn unit(axis: usize) -> IVec3 {
+    [IVec3::X, IVec3::Y, IVec3::Z][axis]
+}
+
+/// Mean of the points where the edges of a cell cross zero; `None` where none does or a corner is
+/// unknown.
+fn crossing(cell: IVec3, value: &impl Fn(IVec3) -> Option<f32>) -> Option<Vec3> {
+    let corner = |k: i32| IVec3::new(k & 1, k >> 1 & 1, k >> 2);
+    let mut values = [0.0f32; 8];
+    for (k, v) in values.iter_mut().enumerate() {
+        *v = value(cell + corner(k as i32))?;
+    }
+    let (mut sum, mut count) = (Vec3::ZERO, 0.0f32);
+    for a in 0..8usize {
+        for axis in 0..3 {
+            let b = a | 1 << axis;
+            if a == b || (values[a] < 0.0) == (values[b] < 0.0) {
+                continue;
+            }
+            let t = values[a] / (values[a] - values[b]);
+            let [from, to] = [a, b].map(|k| (cell + corner(k as i32)).as_vec3());
+            sum += from.lerp(to, t);
+            count += 1.0;
+        }
+    }
+    (count > 0.0).then(|| sum / count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ball: closed, every edge shared by two triangles, wound outwards, at its radius; cut where
+    /// nothing is known.
+    #[test]
+    fn a_ball_is_closed_and_faces_out_and_ends_where_nothing_is_known() {
+        let n = 12;
+        let known: Vec<IVec3> = (-n..=n)
+            .flat_map(|x| (-n..=n).flat_map(move |y| (-n..=n).map(move |z| IVec3::new(x, y, z))))
+            .collect();
+        let ball = |p: IVec3| Some(p.as_vec3().length() - 8.0);
+        let net = surface_net(&known, ball);
+        let mut edges: BTreeMap<(u32, u32), i32> = BTreeMap::new();
+        for t in &net.triangles {
+            let [a, b, c] = t.map(|i| net.positions[i as usize]);
+            assert!((b - a).cross(c - a).dot(a + b + c) > 0.0, "outwards");
+            for k in 0..3 {
+                let (a, b) = (t[k], t[(k + 1) % 3]);
+                *edges.entry((a.min(b), a.max(b))).or_default() += if a < b { 1 } else { -1 };
+            }
+        }
+        assert!(edges.values().all(|n| *n == 0), "closed");
+        assert!(net.positions.iter().all(|p| (p.length() - 8.0).abs() < 0.2));
+        let half: Vec<IVec3> = known.into_iter().filter(|p| p.x <= 0).collect();
+        let cut = surface_net(&half, |p| ball(p).filter(|_| p.x <= 0));
+        assert!(cut.positions.iter().all(|p| p.x <= 0.0) && !cut.triangles.is_empty());
+    }
+}
