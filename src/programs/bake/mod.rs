@@ -132,7 +132,8 @@ fn light(
         ));
     }
     let layout = progress.stage("laying out", 1, |_| layout::lay_out(&mut scene, options))?;
-    if options.size.is_none() && layout.texels_per_metre < 0.9 * options.texels_per_metre {
+    let largest = options.size.is_none() && layout.size == options::MOST_SIDE as usize;
+    if largest && layout.texels_per_metre < 0.9 * options.texels_per_metre {
         notes.insert(format!(
             "{:.1} texels per metre instead of {}: more would exceed {} texels a side; divide the scene, or give --size",
             layout.texels_per_metre, options.texels_per_metre, options::MOST_SIDE

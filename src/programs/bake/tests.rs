@@ -240,33 +240,36 @@ const INSIDE: [[f32; 2]; 5] = [
     [0.49, 0.49],
 ];
 
+/// Share of even light that a surface of roughness 1 reflects as gloss: 2 ∫ μ E(μ) dμ of its GGX lobe
+/// with 4 % at normal incidence. Derived: summed over directions; beside edges, where walls are seen
+/// at grazing angles, up to 0.025.
+const GLOSS: f32 = 0.019;
+
 /// In a closed room whose walls all shine alike, every texel receives π times what they send out:
-/// the room emits L and reflects ρ of what arrives, so that they send out L/(1 − ρ), and a little
-/// more for the gloss of 4 % and above, most of it beside edges. Mirrored by a negative scale, the room is the same.
+/// they emit L and reflect ρ of what arrives and the gloss, so that E = π L / (1 − ρ − gloss).
+/// Mirrored by a negative scale, the room is the same.
 #[test]
 fn white_furnace() {
-    for (albedo, bounds, mirror) in [(0.0, [1.0, 1.09], 1.0), (0.5, [1.02, 1.18], -1.0)] {
+    for (albedo, mirror) in [(0.0, 1.0), (0.5, -1.0)] {
         let mut maker = Maker::new();
         let paint = maker.grey(albedo);
         maker.root["materials"][paint]["emissiveFactor"] = json!([0.5, 0.5, 0.5]);
         let room = Shape::cuboid(Vec3::ZERO, Vec3::new(4.0, 3.0, 5.0), true);
         let mesh = maker.mesh(&room, paint);
         maker.node(json!({"mesh": mesh, "scale": [mirror, 1.0, 1.0]}));
-        let lit = maker.lit(&small(64, 64));
-        let expected = PI * 0.5 / (1.0 - albedo);
+        // (in corners, where texels have few neighbours, 64 paths are off by up to 7 %)
+        let lit = maker.lit(&small(64, 512));
+        let expected = PI * 0.5 / (1.0 - albedo - GLOSS);
         let mut all = Vec::new();
         for t in 0..lit.scene.mesh.triangles.len() {
             all.extend(INSIDE.map(|[u, v]| lit.at(0, t, u, v).x / expected));
         }
         let mean = all.iter().sum::<f32>() / all.len() as f32;
-        assert!(
-            bounds[0] - 0.005 < mean && mean < bounds[1],
-            "{albedo}: {mean}"
-        );
+        assert!((mean - 1.0).abs() < 0.01, "{albedo}: {mean}");
         for e in all {
-            assert!((e / mean - 1.0).abs() < 0.06, "{albedo}: {e} beside {mean}");
+            assert!((e - 1.0).abs() < 0.035, "{albedo}: {e}");
         }
-        assert!(lit.baked.error < 0.03 && lit.baked.error_of_halves < 0.03);
+        assert!(lit.baked.error < 0.012 && lit.baked.error_of_halves < 0.012);
     }
 }
 
@@ -472,6 +475,12 @@ fn ball(maker: &mut Maker, material: usize) -> usize {
     mesh
 }
 
+/// Most that a texel without a point of its own, which is filled from those beside it, can weigh in a
+/// lookup. Derived: let its centre be 0, the lookup p with |p|∞ < 1 in a triangle whose point nearest to
+/// 0 is q. It has no point because |q|∞ ≥ 1. The triangle is convex, so p·q ≥ |q|²; with q = (1, y) that
+/// is p_y ≥ y + (1 − p_x)/y, and (1 − p_x)(1 − p_y) has its maximum y (1 − y)²/4 ≤ 1/27 at y = 1/3.
+const FILLED: f32 = 1.0 / 27.0;
+
 /// Both sides of every cut show the same light, and bilinear lookups meet only texels of the
 /// surface they are on.
 #[test]
@@ -510,11 +519,12 @@ fn seams_are_closed_and_nothing_bleeds() {
         ] {
             let uv = mesh.uv(t, u, v) * side as f32;
             for (cell, weight) in crate::core::image::bilinear_taps(side, side, uv, Wrap::Clamp) {
-                if weight > 1e-4 {
-                    let p = point[cell].expect("a texel of the surface");
-                    let away = (p - mesh.position(t, u, v)).length();
-                    assert!(away < reach, "{away} m off");
-                }
+                let Some(p) = point[cell] else {
+                    assert!(weight <= FILLED, "{weight} of a lookup beside the surface");
+                    continue;
+                };
+                let away = (p - mesh.position(t, u, v)).length();
+                assert!(weight <= 1e-4 || away < reach, "{away} m off");
             }
         }
     }
