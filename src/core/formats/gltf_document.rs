@@ -3,6 +3,7 @@
 
 use super::gltf_compressed::{DracoPrimitive, PackedView};
 use super::gltf_material::MaterialJson;
+use super::gltf_texture::Sampler;
 use glam::{DMat4, DQuat, DVec3};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -158,14 +159,6 @@ pub(super) struct TextureExtensions {
 #[derive(Deserialize)]
 pub(super) struct WebpSource {
     pub(super) source: Option<usize>,
-}
-
-/// How a texture goes on beyond its borders.
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct Sampler {
-    pub(super) wrap_s: Option<u32>,
-    pub(super) wrap_t: Option<u32>,
 }
 
 /// A picture, within the file or beside it.

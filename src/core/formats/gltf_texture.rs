@@ -2,9 +2,16 @@
 //! `KHR_texture_transform`, and how the texture goes on beyond its borders. Called by `gltf` and
 //! `gltf_material`.
 
-use super::gltf_document::Sampler;
 use glam::Vec2;
 use serde::Deserialize;
+
+/// How a texture goes on beyond its borders, as the document has it.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Sampler {
+    wrap_s: Option<u32>,
+    wrap_t: Option<u32>,
+}
 
 /// A texture as a material names it.
 #[derive(Default, Deserialize)]
