@@ -16,13 +16,11 @@ struct Lamp;
 
 impl SurfaceModel for Lamp {
     fn surface(&self, _: usize, _: f32, _: f32) -> Surface {
-        Surface {
-            material: Material {
-                albedo: Vec3::ZERO,
-                roughness: 1.0,
-            },
-            emission: Vec3::ONE,
-        }
+        let material = Material {
+            albedo: Vec3::ZERO,
+            roughness: 1.0,
+        };
+        Surface::dielectric(material, Vec3::ONE)
     }
 
     fn mean_emission(&self, _: usize) -> Vec3 {

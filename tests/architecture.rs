@@ -54,6 +54,17 @@ const TABLE: &[(&str, &[&str])] = &[
         "export",
         &["scene", "evaluate", "render", "solution", "vocabulary"],
     ),
+    (
+        "bake",
+        &[
+            "scene",
+            "irradiance",
+            "radiance",
+            "render",
+            "pipeline",
+            "vocabulary",
+        ],
+    ),
     ("batch", &["report", "solution", "vocabulary"]),
     ("shards", &["vocabulary"]),
     ("evaluate", &["render", "scene", "solution", "vocabulary"]),

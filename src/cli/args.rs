@@ -6,6 +6,7 @@ use super::verb_args::{BatchIndex, ExportVerb};
 use crate::alignment::AlignmentOptions;
 use crate::core::blocks::Shard;
 use crate::pipeline::SolveRequest;
+use crate::programs::bake::BakeOptions;
 use crate::programs::evaluate::EvalOptions;
 use crate::programs::prepare::PrepareOptions;
 use crate::programs::synth::SynthOptions;
@@ -281,6 +282,24 @@ pub enum Verb {
         #[command(flatten)]
         load: LoadOptions,
     },
+    /// Bake the light of any glTF scene into a lightmap: its lamps, luminous surfaces and what shines
+    /// in from outside, over all bounces. Needs no photographs.
+    Bake {
+        /// Scene: a .glb or .gltf file with materials and lamps.
+        #[arg(required_unless_present = "print_config", value_name = "SCENE")]
+        scene: Option<PathBuf>,
+        /// Folder for lightmap.exr, scene.glb and bake.json; created if need be.
+        #[arg(
+            long,
+            short,
+            required_unless_present = "print_config",
+            value_name = "DIR"
+        )]
+        out: Option<PathBuf>,
+        /// How the light is baked.
+        #[command(flatten)]
+        options: BakeOptions,
+    },
     /// Pictures of a reconstruction under changed light: lamps off, scaled, coloured, moved or
     /// added, another environment.
     #[command(mut_arg("views", |a| a.alias("split")))]
@@ -354,6 +373,7 @@ impl Cli {
         };
         match &self.verb {
             Some(Verb::Synth { options, .. }) => config.synth = options.clone(),
+            Some(Verb::Bake { options, .. }) => config.bake = options.clone(),
             Some(Verb::Prepare { options, .. }) => config.prepare = options.clone(),
             Some(Verb::Check { load, align, .. }) => {
                 (config.scene, config.alignment) = (load.clone(), align.clone());

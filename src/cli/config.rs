@@ -8,6 +8,7 @@ use super::verb_args::ExportVerb;
 use crate::alignment::AlignmentOptions;
 use crate::error::{Error, Result};
 use crate::pipeline::SolveRequest;
+use crate::programs::bake::BakeOptions;
 use crate::programs::evaluate::EvalOptions;
 use crate::programs::prepare::PrepareOptions;
 use crate::programs::synth::SynthOptions;
@@ -53,6 +54,8 @@ pub struct Config {
     pub relight: RelightOptions,
     /// Options of `unbake export`.
     pub export: ExportVerb,
+    /// Options of `unbake bake`.
+    pub bake: BakeOptions,
     /// Options of `unbake view`.
     pub view: ViewOptions,
 }
@@ -193,6 +196,7 @@ pub fn tables_of(verb: &str) -> &'static [&'static str] {
         "export" => &["export", "scene"],
         "relight" => &["relight", "scene"],
         "view" => &["view", "scene"],
+        "bake" => &["bake"],
         _ => &[],
     }
 }

@@ -1,6 +1,7 @@
 //! What people run on a scene or a result: each stands on the story and on no other program but those
 //! that tests/architecture.rs names.
 
+pub mod bake;
 pub mod batch;
 pub mod bench;
 pub mod edit;

@@ -2,15 +2,22 @@
 //! whose scatter tells their noise, and filtered over the surface ([`SurfaceFilter`]).
 //!
 //! `synth` bakes the diffuse light that all of its photographs show, `export --lightings` the
-//! lightmaps of a scene under changed light.
+//! lightmaps of a scene under changed light, `bake` those of any glTF file.
 
 use super::{IndirectCache, IrradiancePoint, PathTracer};
 use crate::core::geometry::Mesh;
 use crate::core::image::{Plane, RgbPlane};
+use crate::core::math::Frame;
+use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
+use crate::core::sampling::{hammersley, square_to_cosine_hemisphere};
 use crate::core::texture::{Texels, fill_uncovered};
+use crate::core::trace::{Hit, Ray, Tracer};
 use crate::irradiance::{Irradiance, SUB_ESTIMATES, SurfaceFilter, Surfel};
 use glam::Vec3;
+
+/// Independent estimates of one value.
+pub type Parts = [Vec3; SUB_ESTIMATES];
 
 /// How a lightmap is sampled.
 #[derive(Clone, Copy, Debug)]
@@ -58,6 +65,12 @@ impl<'a> LightmapTexels<'a> {
         }
     }
 
+    /// The texels.
+    #[must_use]
+    pub fn texels(&self) -> &Texels {
+        &self.texels
+    }
+
     /// The points of all texels.
     #[must_use]
     pub fn points(&self) -> &[IrradiancePoint] {
@@ -71,6 +84,19 @@ impl<'a> LightmapTexels<'a> {
         Self { open, ..self }
     }
 
+    /// The texels that are baked, ascending, as numbers among [`Self::points`].
+    #[must_use]
+    pub fn open(&self) -> &[usize] {
+        &self.open
+    }
+
+    /// World area of each texel that is baked, m².
+    #[must_use]
+    pub fn areas(&self) -> Vec<f32> {
+        let area = |&i: &usize| self.texels.area(self.mesh, i);
+        self.open.iter().map(area).collect()
+    }
+
     /// Irradiance of the map with the lights of `renderer`, filled outside charts; indirect light
     /// comes from `cache` where one is given. The renderer's mesh may have more triangles than that
     /// of the atlas.
@@ -82,57 +108,163 @@ impl<'a> LightmapTexels<'a> {
         sampling: LightmapSampling,
         progress: &Progress,
     ) -> RgbPlane {
-        let points: Vec<IrradiancePoint> = self.open.iter().map(|&i| self.points[i]).collect();
-        let parts: Vec<[Vec3; SUB_ESTIMATES]> = progress.stage(
+        let normals = self.normals();
+        let parts = self.sample(
+            &Receiving {
+                renderer,
+                cache,
+                normals: &normals,
+            },
+            sampling.paths_per_part,
+            0,
+            progress,
+        );
+        let filtered = progress.stage("filtering diffuse light", 1, |_| {
+            let filter = self.filter(renderer);
+            let filter = match sampling.parting {
+                Some(different) => filter.parting_at(different),
+                None => filter,
+            };
+            filter.filter(&Irradiance::of_parts(parts), |_| 1.0)
+        });
+        self.spread(&filtered.value)
+    }
+
+    /// Shading normal of each texel that is baked.
+    #[must_use]
+    pub fn normals(&self) -> Vec<Vec3> {
+        self.open.iter().map(|&i| self.points[i].normal).collect()
+    }
+
+    /// Samples the texels that are baked, in independent parts of `paths` paths each; `pass` tells
+    /// samplings of the same scene apart.
+    #[must_use]
+    pub fn sample(
+        &self,
+        receiving: &Receiving<'_, '_>,
+        paths: u32,
+        pass: u64,
+        progress: &Progress,
+    ) -> Vec<Parts> {
+        let point = |(&i, &normal): (&usize, &Vec3)| IrradiancePoint {
+            normal,
+            ..self.points[i]
+        };
+        let points = self.open.iter().zip(receiving.normals).map(point);
+        let points: Vec<IrradiancePoint> = points.collect();
+        progress.stage(
             "baking diffuse light",
             (SUB_ESTIMATES * points.len()) as u64,
             |p| {
                 let part = |k: usize| {
-                    let paths = sampling.paths_per_part;
-                    renderer.irradiance_with(&points, paths, 0x11a + k as u64, cache, p)
+                    let key = 0x11a + pass * SUB_ESTIMATES as u64 + k as u64;
+                    let Receiving {
+                        renderer, cache, ..
+                    } = receiving;
+                    renderer.irradiance_with(&points, paths, key, *cache, p)
                 };
                 let parts: [Vec<Vec3>; SUB_ESTIMATES] = std::array::from_fn(part);
                 (0..points.len())
                     .map(|i| std::array::from_fn(|k| parts[k][i]))
                     .collect()
             },
-        );
-        let value = progress.stage("filtering diffuse light", 1, |_| {
-            self.filtered(&points, parts, sampling, renderer)
-        });
+        )
+    }
+
+    /// The filter over the texels that are baked.
+    #[must_use]
+    pub fn filter(&self, renderer: &PathTracer<'_>) -> SurfaceFilter {
+        let patch = |&i: &usize| Surfel {
+            position: self.points[i].position,
+            normal: self.points[i].normal,
+            size: self.texels.area(self.mesh, i).sqrt(),
+        };
+        let patches: Vec<Surfel> = self.open.iter().map(patch).collect();
+        SurfaceFilter::new(&patches, renderer.tracer())
+    }
+
+    /// A map of one value per texel that is baked, filled elsewhere.
+    #[must_use]
+    pub fn spread(&self, values: &[Vec3]) -> RgbPlane {
         let (width, height) = (self.texels.width, self.texels.height);
         let mut plane = Plane::filled(width, height, Vec3::ZERO);
         let mut covered = Plane::filled(width, height, false);
-        for (&i, value) in self.open.iter().zip(value) {
+        for (&i, &value) in self.open.iter().zip(values) {
             let cell = self.texels.cell[i] as usize;
             (plane.data[cell], covered.data[cell]) = (value, true);
         }
         fill_uncovered(&plane, &covered)
     }
+}
 
-    /// The values of the open texels, shared over the surface.
-    fn filtered(
-        &self,
-        points: &[IrradiancePoint],
-        parts: Vec<[Vec3; SUB_ESTIMATES]>,
-        sampling: LightmapSampling,
-        renderer: &PathTracer<'_>,
-    ) -> Vec<Vec3> {
-        let size = |i: usize| self.texels.area(self.mesh, i).sqrt();
-        let patch = |(p, &i): (&IrradiancePoint, &usize)| Surfel {
-            position: p.position,
-            normal: p.normal,
-            size: size(i),
+/// What texels receive, and for which normals.
+pub struct Receiving<'a, 's> {
+    /// The lit scene.
+    pub renderer: &'a PathTracer<'s>,
+    /// Where indirect light comes from, if not from paths.
+    pub cache: Option<&'a dyn IndirectCache>,
+    /// Normal of each texel that is baked: its own, or another whose irradiance is wanted. Only
+    /// what arrives above the surface itself counts.
+    pub normals: &'a [Vec3],
+}
+
+/// Directions in which a point looks about: enough to tell a quarter from a half.
+const LOOKS: usize = 16;
+
+/// Cosine-distributed rays from each point, as far as `reach`.
+fn looking_about(points: &[IrradiancePoint], reach: f32, lift: f32) -> Vec<Ray> {
+    let rays = points.iter().flat_map(|point| {
+        let frame = Frame::from_normal(point.normal);
+        (0..LOOKS).map(move |k| {
+            let u = hammersley(k as u32, LOOKS as u32);
+            let local = square_to_cosine_hemisphere([u[0] + 0.5 / LOOKS as f32, u[1]]);
+            let from = point.position + point.face_normal * lift;
+            Ray::new(from, frame.world_from_local(local), reach)
+        })
+    });
+    rays.collect()
+}
+
+/// Which points lie inside or under something: most of their view is blocked nearer than `reach`.
+#[must_use]
+pub fn buried(points: &[IrradiancePoint], reach: f32, tracer: &dyn Tracer) -> Vec<bool> {
+    let lift = 1e-4_f32.min(0.01 * reach);
+    let parts = map_chunks(points.len(), 256, |range| {
+        let rays = looking_about(&points[range], reach, lift);
+        let mut occluded = vec![0u8; rays.len()];
+        tracer.occluded(&rays, &mut occluded);
+        let blocked = |o: &[u8]| o.iter().filter(|&&x| x != 0).count() > LOOKS * 3 / 4;
+        occluded.chunks(LOOKS).map(blocked).collect::<Vec<bool>>()
+    });
+    parts.into_iter().flatten().collect()
+}
+
+/// Which points lie inside of a body: more than half of what they see are backs of surfaces that
+/// have but a front (`one_sided` by triangle). `lift` is how far above their surface they look
+/// about.
+#[must_use]
+pub fn inside(
+    points: &[IrradiancePoint],
+    lift: f32,
+    mesh: &Mesh,
+    tracer: &dyn Tracer,
+    one_sided: &(dyn Fn(usize) -> bool + Sync),
+) -> Vec<bool> {
+    let parts = map_chunks(points.len(), 256, |range| {
+        let rays = looking_about(&points[range], f32::INFINITY, lift);
+        let mut hits = vec![Hit::miss(); rays.len()];
+        tracer.closest(&rays, &mut hits);
+        let back = |(ray, hit): (&Ray, &Hit)| {
+            let t = hit.triangle as usize;
+            hit.is_hit()
+                && one_sided(t)
+                && mesh.face_normal(t).dot(Vec3::from_array(ray.direction)) > 0.0
         };
-        let patches: Vec<Surfel> = points.iter().zip(&self.open).map(patch).collect();
-        let baked = Irradiance::of_parts(parts);
-        let filter = SurfaceFilter::new(&patches, renderer.tracer());
-        let filter = match sampling.parting {
-            Some(different) => filter.parting_at(different),
-            None => filter,
-        };
-        filter.filter(&baked, |_| 1.0).value
-    }
+        let backs: Vec<bool> = rays.iter().zip(&hits).map(back).collect();
+        let enclosed = |b: &[bool]| b.iter().filter(|x| **x).count() > LOOKS / 2;
+        backs.chunks(LOOKS).map(enclosed).collect::<Vec<bool>>()
+    });
+    parts.into_iter().flatten().collect()
 }
 
 fn receiver(mesh: &Mesh, texels: &Texels, i: usize) -> IrradiancePoint {

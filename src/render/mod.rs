@@ -23,7 +23,7 @@ pub use cameras::{FileCameras, NamedCamera, cameras_of_scene, read_cameras, smoo
 pub use hybrid::{HybridOptions, HybridRenderer, RenderedView, ViewRenderer};
 pub use ies::IesProfile;
 pub use lighting_change::{EnvironmentChange, LampChange, Lighting, daylight, mean_luminance};
-pub use lightmap_bake::{LightmapSampling, LightmapTexels};
+pub use lightmap_bake::{LightmapSampling, LightmapTexels, Parts, Receiving, buried, inside};
 pub use options::{FrameOptions, RenderOptions, Renderer, Show, Video, Views};
 pub use path_tracer::{
     Adaptive, BlackEnvironment, Environment, Frame, IndirectCache, IrradiancePoint, KnownLight,

@@ -315,10 +315,7 @@ impl SurfaceModel for EditableScene<'_> {
                 albedo: Vec3::ZERO,
                 roughness: 1.0,
             };
-            return Surface {
-                material,
-                emission: self.constant[triangle - self.textured],
-            };
+            return Surface::dielectric(material, self.constant[triangle - self.textured]);
         }
         let s = self.solution;
         let uv = self.mesh.uv(triangle, u, v);
@@ -335,10 +332,7 @@ impl SurfaceModel for EditableScene<'_> {
         } else {
             gain * *s.emission.nearest(at(s.emission.width, s.emission.height))
         };
-        Surface {
-            material: Material { albedo, roughness },
-            emission,
-        }
+        Surface::dielectric(Material { albedo, roughness }, emission)
     }
 
     fn mean_emission(&self, triangle: usize) -> Vec3 {
@@ -361,7 +355,7 @@ impl SurfaceModel for EditableScene<'_> {
         self.solution.reflectance
     }
 
-    fn emits_forward_only(&self) -> bool {
+    fn emits_forward_only(&self, _: usize) -> bool {
         true
     }
 }

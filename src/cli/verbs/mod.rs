@@ -1,5 +1,6 @@
 //! The verbs, a file each: each reads its input, calls the library and prints the result.
 
+mod bake;
 mod batch;
 pub(super) mod bench;
 mod check;
@@ -30,6 +31,7 @@ use crate::error::{Error, Result};
 pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
     match verb {
         Verb::Synth { out, .. } => synth::synthesise(required(out)?, context),
+        Verb::Bake { scene, out, .. } => bake::bake(required(scene)?, required(out)?, context),
         Verb::Prepare { what, out, .. } => prepare::run(what, out.as_deref(), context),
         Verb::Check { scene, .. } => return check::check_scene(required(scene)?, context),
         Verb::Solve {

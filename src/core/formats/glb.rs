@@ -112,6 +112,14 @@ impl GlbWriter {
     }
 }
 
+/// A file of a document that knows its buffer, views and accessors, and the buffer's bytes.
+///
+/// # Errors
+/// If the file would exceed 4 GiB, the limit of the format.
+pub fn glb_of(root: &Value, binary: &[u8]) -> Result<Vec<u8>> {
+    container(root.to_string().into_bytes(), binary)
+}
+
 /// Wraps JSON and binary into the container: 12-byte header, two chunks padded to four bytes
 /// (spaces, zeros).
 fn container(mut json: Vec<u8>, binary: &[u8]) -> Result<Vec<u8>> {

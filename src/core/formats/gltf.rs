@@ -5,164 +5,21 @@
 //! panic or a huge allocation. Node transforms are composed in f64, so that a mesh moved far from
 //! the origin by its node keeps its shape.
 
-use super::gltf_compressed::{DracoPrimitive, PackedView, Unpacked};
+use super::gltf_bytes::{load_buffer, split};
+use super::gltf_compressed::Unpacked;
+use super::gltf_document::{Accessor, Document, MeshEntry, Node, Primitive};
+use super::gltf_material::GltfMaterial;
 use super::gltf_numbers::{component, component_size};
-use super::gltf_texture::{Material, UvSource};
+use super::gltf_texture::{GltfTexture, UvSource};
 use super::raw_mesh::{NameKind, Part, RawMesh};
-use super::surface_look::{Look, TextureSource, beside};
-use super::{MOST_DATA, read_input};
+use super::surface_look::{Look, TextureSource};
 use crate::{Error, Result};
-use base64::engine::Engine;
-use glam::{DMat4, DQuat, DVec3, Vec2, Vec3};
-use serde::Deserialize;
+use glam::{DMat4, DVec3, Vec2, Vec3, Vec4};
 use std::borrow::Cow;
 use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::BTreeMap;
-use std::path::{Component, Path};
+use std::path::Path;
 use std::rc::Rc;
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct Document {
-    #[serde(default)]
-    scene: Option<usize>,
-    #[serde(default)]
-    scenes: Vec<SceneRoot>,
-    #[serde(default)]
-    nodes: Vec<Node>,
-    #[serde(default)]
-    meshes: Vec<MeshEntry>,
-    #[serde(default)]
-    accessors: Vec<Accessor>,
-    #[serde(default)]
-    buffer_views: Vec<BufferView>,
-    #[serde(default)]
-    buffers: Vec<Buffer>,
-    #[serde(default)]
-    materials: Vec<Material>,
-    #[serde(default)]
-    textures: Vec<TextureEntry>,
-    #[serde(default)]
-    images: Vec<ImageEntry>,
-    #[serde(default)]
-    extensions_required: Vec<String>,
-}
-
-#[derive(Deserialize)]
-struct TextureEntry {
-    source: Option<usize>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct ImageEntry {
-    uri: Option<String>,
-    buffer_view: Option<usize>,
-}
-
-#[derive(Deserialize)]
-struct SceneRoot {
-    #[serde(default)]
-    nodes: Vec<usize>,
-}
-
-#[derive(Deserialize)]
-struct Node {
-    name: Option<String>,
-    #[serde(default)]
-    extensions: NodeExtensions,
-    #[serde(default)]
-    children: Vec<usize>,
-    mesh: Option<usize>,
-    matrix: Option<[f64; 16]>,
-    translation: Option<[f64; 3]>,
-    rotation: Option<[f64; 4]>,
-    scale: Option<[f64; 3]>,
-}
-
-/// Extensions of a node that change where its mesh is.
-#[derive(Default, Deserialize)]
-struct NodeExtensions {
-    #[serde(rename = "EXT_mesh_gpu_instancing")]
-    instancing: Option<serde::de::IgnoredAny>,
-}
-
-#[derive(Deserialize)]
-struct MeshEntry {
-    name: Option<String>,
-    #[serde(default)]
-    primitives: Vec<Primitive>,
-}
-
-#[derive(Deserialize)]
-struct Primitive {
-    /// Accessors by the attribute's name.
-    attributes: BTreeMap<String, usize>,
-    indices: Option<usize>,
-    material: Option<usize>,
-    mode: Option<u32>,
-    #[serde(default)]
-    extensions: PrimitiveExtensions,
-}
-
-#[derive(Default, Deserialize)]
-struct PrimitiveExtensions {
-    #[serde(rename = "KHR_draco_mesh_compression")]
-    draco: Option<DracoPrimitive>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct Accessor {
-    buffer_view: Option<usize>,
-    #[serde(default)]
-    byte_offset: u64,
-    component_type: u32,
-    count: u64,
-    #[serde(rename = "type")]
-    shape: String,
-    #[serde(default)]
-    normalized: bool,
-    sparse: Option<serde::de::IgnoredAny>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct BufferView {
-    buffer: usize,
-    #[serde(default)]
-    byte_offset: u64,
-    byte_length: u64,
-    byte_stride: Option<u64>,
-    #[serde(default)]
-    extensions: ViewExtensions,
-}
-
-#[derive(Default, Deserialize)]
-struct ViewExtensions {
-    #[serde(rename = "EXT_meshopt_compression", alias = "KHR_meshopt_compression")]
-    packed: Option<PackedView>,
-}
-
-#[derive(Deserialize)]
-struct Buffer {
-    uri: Option<String>,
-    #[serde(default)]
-    extensions: BufferExtensions,
-}
-
-#[derive(Default, Deserialize)]
-struct BufferExtensions {
-    #[serde(rename = "EXT_meshopt_compression", alias = "KHR_meshopt_compression")]
-    packed: Option<Fallback>,
-}
-
-/// Marks a buffer whose views are all packed: what it holds itself is for others.
-#[derive(Deserialize)]
-struct Fallback {
-    #[serde(default)]
-    fallback: bool,
-}
 
 /// Beginnings of the names of extensions that a file may require without changing what is read
 /// here (materials, lights), and of those that are read: integers and packed data.
@@ -194,216 +51,20 @@ const MAX_ELEMENTS: u64 = 1 << 27;
 /// If the file is damaged, asks for more bytes than there are, or holds no triangles.
 pub fn mesh_from_gltf(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     let fail = |m: String| Error::input(path, m);
-    let (document, blob) = document_of(bytes).map_err(fail)?;
-    if let Some(e) = document
-        .extensions_required
-        .iter()
-        .find(|e| !UNDERSTOOD.iter().any(|u| e.starts_with(u)))
-    {
-        return Err(fail(format!(
-            "it requires the extension {e}, which is not supported; export without it"
-        )));
-    }
-    let buffers = document
-        .buffers
-        .iter()
-        .enumerate()
-        .map(|(i, b)| load_buffer(i, b, blob, path))
-        .collect::<Result<Vec<_>>>()?;
-    let reader = Reader {
-        document: &document,
-        buffers,
-        views: document
-            .buffer_views
-            .iter()
-            .map(|_| OnceCell::new())
-            .collect(),
-        unpacked: Cell::new(0),
-        draco: RefCell::default(),
-    };
-    reader.check_instances().map_err(fail)?;
-    let parts = reader.parts().map_err(fail)?;
+    let parts = Reader::open(bytes, path)?.parts().map_err(fail)?;
     if parts.is_empty() {
-        return Err(fail(
-            "no triangle geometry in the scene; export the mesh with its triangles".into(),
-        ));
+        return Err(fail(WITHOUT_TRIANGLES.into()));
     }
     RawMesh::from_parts(parts, path)
 }
 
-/// The document, and the binary chunk of a `.glb`.
-fn document_of(bytes: &[u8]) -> Reading<(Document, Option<&[u8]>)> {
-    let (json, blob) = match bytes.starts_with(b"glTF") {
-        true => split_glb(bytes)?,
-        false => (bytes, None),
-    };
-    let document = serde_json::from_slice(json)
-        .map_err(|e| format!("the glTF JSON is malformed: {e}; export the mesh again"))?;
-    Ok((document, blob))
-}
+/// What is said of a file without surface.
+pub(super) const WITHOUT_TRIANGLES: &str =
+    "no triangle geometry in the scene; export the mesh with its triangles";
 
-/// The bytes of image `index` of a glTF file: a PNG or JPEG within or beside it.
-///
-/// # Errors
-/// If there is no such image, or its data are missing.
-pub fn image_bytes(bytes: &[u8], path: &Path, index: usize) -> Result<Vec<u8>> {
-    let fail = |m: String| Error::input(path, format!("image {index}: {m}; export the mesh again"));
-    let (document, blob) = document_of(bytes).map_err(fail)?;
-    let image = document.images.get(index);
-    let image = image.ok_or_else(|| fail("it does not exist".into()))?;
-    if let Some(data) = image.uri.as_ref().and_then(|u| u.strip_prefix("data:")) {
-        let encoded = data.split_once(";base64,").map_or("", |d| d.1);
-        return decode_base64(encoded).ok_or_else(|| fail("damaged base64".into()));
-    }
-    if let Some(uri) = &image.uri {
-        let file = beside(path, &decode_percent(uri));
-        let file = file.ok_or_else(|| fail(format!("it lies at {uri}, not beside the mesh")))?;
-        return read_input(&file, MOST_DATA);
-    }
-    let view = image.buffer_view.and_then(|v| document.buffer_views.get(v));
-    let view = view.ok_or_else(|| fail("it has no data".into()))?;
-    let buffer = document.buffers.get(view.buffer);
-    let buffer = buffer.ok_or_else(|| fail("its buffer does not exist".into()))?;
-    let buffer = load_buffer(view.buffer, buffer, blob, path)?;
-    let from = usize::try_from(view.byte_offset).unwrap_or(usize::MAX);
-    let length = usize::try_from(view.byte_length).unwrap_or(usize::MAX);
-    let inside = buffer.get(from..from.saturating_add(length));
-    inside
-        .map(<[u8]>::to_vec)
-        .ok_or_else(|| fail("its data lie beyond the end of the file".into()))
-}
-
-/// The JSON and binary chunks of a `.glb`.
-fn split_glb(bytes: &[u8]) -> std::result::Result<(&[u8], Option<&[u8]>), String> {
-    let word = |at: usize| -> Option<u32> {
-        Some(u32::from_le_bytes(
-            bytes.get(at..at.checked_add(4)?)?.try_into().ok()?,
-        ))
-    };
-    let truncated = || {
-        format!(
-            "truncated .glb ({} bytes); copy the file again",
-            bytes.len()
-        )
-    };
-    let version = word(4).ok_or_else(truncated)?;
-    if version != 2 {
-        return Err(format!(
-            "glTF binary version {version}; only version 2 is supported"
-        ));
-    }
-    if word(8).ok_or_else(truncated)? as usize > bytes.len() {
-        return Err(truncated());
-    }
-    let (mut at, mut json, mut blob) = (12usize, None, None);
-    while at + 8 <= bytes.len() {
-        let (length, kind) = (
-            word(at).ok_or_else(truncated)? as usize,
-            word(at + 4).ok_or_else(truncated)?,
-        );
-        let chunk = at
-            .checked_add(8)
-            .and_then(|b| bytes.get(b..b.checked_add(length)?))
-            .ok_or_else(truncated)?;
-        match kind {
-            0x4E4F_534A if json.is_none() => json = Some(chunk),
-            0x004E_4942 if blob.is_none() => blob = Some(chunk),
-            _ => {}
-        }
-        at += 8 + length;
-    }
-    Ok((
-        json.ok_or("the .glb has no JSON chunk; export the mesh again")?,
-        blob,
-    ))
-}
-
-fn load_buffer<'a>(
-    i: usize,
-    buffer: &Buffer,
-    blob: Option<&'a [u8]>,
-    path: &Path,
-) -> Result<Cow<'a, [u8]>> {
-    let fail = |m: String| Error::input(path, m);
-    if buffer
-        .extensions
-        .packed
-        .as_ref()
-        .is_some_and(|p| p.fallback)
-    {
-        return Ok(Cow::Borrowed(&[]));
-    }
-    let Some(uri) = &buffer.uri else {
-        return blob.map(Cow::Borrowed).ok_or_else(|| {
-            fail(format!(
-                "buffer {i} has neither a uri nor a binary chunk; export the mesh again"
-            ))
-        });
-    };
-    if let Some(data) = uri.strip_prefix("data:") {
-        let encoded = data
-            .split_once(";base64,")
-            .ok_or_else(|| fail(format!("buffer {i}: the data uri is not base64")))?
-            .1;
-        return decode_base64(encoded)
-            .map(Cow::Owned)
-            .ok_or_else(|| fail(format!("buffer {i}: damaged base64; export the mesh again")));
-    }
-    let name = decode_percent(uri);
-    let inside = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
-    // a scene from a stranger must not put the bytes of any file into what its user publishes
-    if uri.contains("://") || !Path::new(&name).components().all(inside) {
-        return Err(fail(format!(
-            "buffer {i} lies at {uri}; only files beside the mesh or below are read. Export with embedded buffers"
-        )));
-    }
-    read_input(&path.with_file_name("").join(name), MOST_DATA)
-        .map(Cow::Owned)
-        .map_err(|e| {
-            e.advise(&format!(
-                "it is buffer {i} of {}: keep it beside the .gltf or export a .glb",
-                path.display()
-            ))
-        })
-}
-
-/// Padding and line breaks as they come: what exporters write differs in both.
-fn decode_base64(text: &str) -> Option<Vec<u8>> {
-    use base64::alphabet::STANDARD;
-    use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
-    const LENIENT: GeneralPurpose = GeneralPurpose::new(
-        &STANDARD,
-        GeneralPurposeConfig::new()
-            .with_decode_padding_mode(DecodePaddingMode::Indifferent)
-            .with_decode_allow_trailing_bits(true),
-    );
-    let text: Vec<u8> = text
-        .bytes()
-        .filter(|c| !c.is_ascii_whitespace())
-        .map(|c| match c {
-            b'-' => b'+', // the alphabet for addresses
-            b'_' => b'/',
-            c => c,
-        })
-        .collect();
-    LENIENT.decode(text).ok()
-}
-
-fn decode_percent(uri: &str) -> String {
-    let (bytes, mut out, mut i) = (uri.as_bytes(), Vec::with_capacity(uri.len()), 0);
-    while i < bytes.len() {
-        let hex = |c: u8| (c as char).to_digit(16).map(|d| d as u8);
-        let escaped = (bytes[i] == b'%' && i + 2 < bytes.len())
-            .then(|| Some(hex(bytes[i + 1])? * 16 + hex(bytes[i + 2])?))
-            .flatten();
-        out.push(escaped.unwrap_or(bytes[i]));
-        i += if escaped.is_some() { 3 } else { 1 };
-    }
-    String::from_utf8_lossy(&out).into_owned()
-}
-
-struct Reader<'a> {
-    document: &'a Document,
+/// A file whose JSON is read and whose buffers are at hand.
+pub(super) struct Reader<'a> {
+    pub(super) document: Document,
     buffers: Vec<Cow<'a, [u8]>>,
     /// Packed views that were unpacked.
     views: Vec<OnceCell<Vec<u8>>>,
@@ -414,19 +75,66 @@ struct Reader<'a> {
 }
 
 /// A primitive with what Draco had of it.
-struct Source<'a> {
+pub(super) struct Source<'a> {
     primitive: &'a Primitive,
     draco: Option<Rc<Unpacked>>,
 }
 
-/// A mesh where a node of the scene puts it.
-struct Instance {
-    mesh: usize,
-    node: usize,
-    world: DMat4,
+/// A node of the scene.
+#[derive(Clone, Copy)]
+pub(super) struct Placed {
+    /// Its number.
+    pub(super) node: usize,
+    /// Its mesh, if it has one.
+    pub(super) mesh: Option<usize>,
+    /// Its transform.
+    pub(super) world: DMat4,
 }
 
-type Reading<T> = std::result::Result<T, String>;
+impl Source<'_> {
+    /// Whether Draco has an attribute.
+    pub(super) fn is_packed(&self, name: &str) -> bool {
+        let extension = self.primitive.extensions.draco.as_ref();
+        extension.is_some_and(|d| d.attributes.contains_key(name))
+    }
+}
+
+pub(super) type Reading<T> = std::result::Result<T, String>;
+
+impl<'a> Reader<'a> {
+    /// Reads the JSON of a file and its buffers.
+    ///
+    /// # Errors
+    /// The file is damaged, requires what is not understood, or a buffer of it is missing.
+    pub(super) fn open(bytes: &'a [u8], path: &Path) -> Result<Self> {
+        let fail = |m: String| Error::input(path, m);
+        let (json, blob) = split(bytes, path)?;
+        let document: Document = serde_json::from_slice(json).map_err(|e| {
+            fail(format!(
+                "the glTF JSON is malformed: {e}; export the mesh again"
+            ))
+        })?;
+        let known = |e: &&String| !UNDERSTOOD.iter().any(|u| e.starts_with(u));
+        if let Some(e) = document.extensions_required.iter().find(known) {
+            return Err(fail(format!(
+                "it requires the extension {e}, which is not supported; export without it"
+            )));
+        }
+        let load = |(i, b)| load_buffer(i, b, blob, path);
+        let buffers = document.buffers.iter().enumerate().map(load);
+        let buffers = buffers.collect::<Result<Vec<_>>>()?;
+        let views = document.buffer_views.iter().map(|_| OnceCell::new());
+        let reader = Self {
+            buffers,
+            views: views.collect(),
+            unpacked: Cell::new(0),
+            draco: RefCell::default(),
+            document,
+        };
+        reader.check_instances().map_err(fail)?;
+        Ok(reader)
+    }
+}
 
 impl Reader<'_> {
     /// Refuses node extensions that would put a mesh where it is not read.
@@ -466,25 +174,17 @@ impl Reader<'_> {
         ))
     }
 
-    /// All triangle primitives of the default scene, in world coordinates; counted before any is
-    /// read.
+    /// All triangle primitives of the default scene, in world coordinates.
     fn parts(&self) -> Reading<Vec<Part>> {
-        let instances = self.instances()?;
-        let mut asked = 0;
-        for instance in &instances {
-            for primitive in &self.mesh(instance.mesh)?.primitives {
-                self.count(primitive, &mut asked)?;
-            }
-        }
         let mut parts = Vec::new();
-        for instance in &instances {
-            let m = instance.mesh;
+        for placed in self.placed()? {
+            let Some(m) = placed.mesh else { continue };
             for (p, primitive) in self.mesh(m)?.primitives.iter().enumerate() {
                 let part = self
-                    .part(primitive, &instance.world)
+                    .part(primitive, &placed.world)
                     .map_err(|e| format!("mesh {m}, primitive {p}: {e}"))?;
                 parts.extend(part.map(|part| Part {
-                    names: self.names(instance, primitive),
+                    names: self.names(&placed, primitive),
                     look: self.look(primitive),
                     ..part
                 }));
@@ -494,25 +194,27 @@ impl Reader<'_> {
     }
 
     /// What the file calls a primitive's triangles: by its material, and by its node or mesh.
-    fn names(&self, instance: &Instance, primitive: &Primitive) -> Vec<(NameKind, String)> {
-        let material = primitive.material;
-        let material = material.and_then(|m| self.document.materials.get(m)?.name.clone());
-        let node = self.document.nodes.get(instance.node);
-        let mesh = self.document.meshes.get(instance.mesh);
-        let object = (node.and_then(|n| n.name.clone())).or(mesh.and_then(|m| m.name.clone()));
+    fn names(&self, placed: &Placed, primitive: &Primitive) -> Vec<(NameKind, String)> {
+        let d = &self.document;
+        let material = primitive.material.and_then(|m| d.materials.get(m));
+        let node = d.nodes.get(placed.node).and_then(|n| n.name.clone());
+        let mesh = placed.mesh.and_then(|m| d.meshes.get(m));
+        let object = node.or(mesh.and_then(|m| m.name.clone()));
+        let material = material.and_then(|m| m.name.clone());
         let material = material.map(|name| (NameKind::Material, name));
         let object = object.map(|name| (NameKind::Object, name));
         material.into_iter().chain(object).collect()
     }
 
-    fn mesh(&self, m: usize) -> Reading<&MeshEntry> {
+    pub(super) fn mesh(&self, m: usize) -> Reading<&MeshEntry> {
         let found = self.document.meshes.get(m);
         found.ok_or_else(|| format!("mesh {m} does not exist; export the mesh again"))
     }
 
-    /// Meshes of the default scene with their world transforms, in the order of the hierarchy.
-    fn instances(&self) -> Reading<Vec<Instance>> {
-        let d = self.document;
+    /// Nodes of the default scene with their world transforms, in the order of the hierarchy; what
+    /// their meshes ask for is counted.
+    pub(super) fn placed(&self) -> Reading<Vec<Placed>> {
+        let d = &self.document;
         let roots: Vec<usize> = match d.scenes.get(d.scene.unwrap_or(0)) {
             Some(scene) => scene.nodes.clone(),
             // no scene: the nodes nobody lists as a child
@@ -545,26 +247,32 @@ impl Reader<'_> {
                 .nodes
                 .get(index)
                 .ok_or_else(|| format!("node {index} does not exist; export the mesh again"))?;
-            let world = parent * local_transform(node);
+            let world = parent * node.transform();
             stack.extend(node.children.iter().rev().map(|&c| (c, world, depth + 1)));
-            found.extend(node.mesh.map(|mesh| Instance {
-                mesh,
+            found.push(Placed {
                 node: index,
+                mesh: node.mesh,
                 world,
-            }));
+            });
+        }
+        let mut asked = 0;
+        for m in found.iter().filter_map(|p| p.mesh) {
+            for primitive in &self.mesh(m)?.primitives {
+                self.count(primitive, &mut asked)?;
+            }
         }
         Ok(found)
     }
 
-    fn part(&self, primitive: &Primitive, world: &DMat4) -> Reading<Option<Part>> {
+    /// A primitive in world coordinates; `None` where it is no surface.
+    pub(super) fn part(&self, primitive: &Primitive, world: &DMat4) -> Reading<Option<Part>> {
         let mode = primitive.mode.unwrap_or(4);
         if mode < 4 {
             return Ok(None); // points and lines carry no surface
         }
         let position = primitive.attributes.get("POSITION");
         position.ok_or("no POSITION; export the mesh again")?;
-        let draco = self.draco(primitive)?;
-        let source = Source { primitive, draco };
+        let source = self.source(primitive)?;
         let positions: Vec<DVec3> = self
             .vectors::<3>(&source, "POSITION")?
             .unwrap_or_default()
@@ -619,14 +327,20 @@ impl Reader<'_> {
             uvs,
             triangles,
             names: Vec::new(),
-            colours,
+            colours: colours.map(|list| list.into_iter().map(Vec4::truncate).collect()),
             look: None,
         }))
     }
 
-    fn accessor(&self, index: usize) -> Reading<&Accessor> {
+    pub(super) fn accessor(&self, index: usize) -> Reading<&Accessor> {
         let found = self.document.accessors.get(index);
         found.ok_or_else(|| format!("accessor {index} does not exist; export the mesh again"))
+    }
+
+    /// Where a primitive's attributes are read.
+    pub(super) fn source<'p>(&self, primitive: &'p Primitive) -> Reading<Source<'p>> {
+        let draco = self.draco(primitive)?;
+        Ok(Source { primitive, draco })
     }
 
     /// The primitive unpacked, if Draco packed it.
@@ -652,7 +366,7 @@ impl Reader<'_> {
 
     /// The vectors of an attribute, from Draco or from its accessor; `None` where the primitive has
     /// no such attribute.
-    fn vectors<const N: usize>(
+    pub(super) fn vectors<const N: usize>(
         &self,
         from: &Source<'_>,
         name: &str,
@@ -676,7 +390,7 @@ impl Reader<'_> {
     fn uvs(&self, from: &Source<'_>) -> Reading<Option<Vec<Vec2>>> {
         let material = from.primitive.material;
         let material = material.and_then(|m| self.document.materials.get(m));
-        let source = material.map_or_else(UvSource::default, Material::uv_source);
+        let source = material.map_or_else(UvSource::default, |m| m.base_uv());
         let named = format!("TEXCOORD_{}", source.set);
         let has = from.primitive.attributes.contains_key(&named);
         let name = if has { named.as_str() } else { "TEXCOORD_0" };
@@ -684,38 +398,50 @@ impl Reader<'_> {
         Ok(read.map(|uv| uv.into_iter().map(|uv| source.sampled_at(uv)).collect()))
     }
 
-    /// Linear colours of the vertices; alpha is left out.
-    fn colours(&self, from: &Source<'_>) -> Reading<Option<Vec<Vec3>>> {
-        let accessor = from.primitive.attributes.get("COLOR_0");
-        let Some(accessor) = accessor.and_then(|a| self.document.accessors.get(*a)) else {
+    /// Linear colours of the vertices, with alpha; as the file has them, in range or not.
+    pub(super) fn colours(&self, from: &Source<'_>) -> Reading<Option<Vec<Vec4>>> {
+        let Some(&accessor) = from.primitive.attributes.get("COLOR_0") else {
             return Ok(None);
         };
-        let linear = |c: [f64; 3]| DVec3::from_array(c).as_vec3();
-        if accessor.shape == "VEC4" {
-            let read = self.vectors::<4>(from, "COLOR_0")?;
-            return Ok(read.map(|c| {
-                c.into_iter()
-                    .map(|[r, g, b, _]| linear([r, g, b]))
-                    .collect()
-            }));
-        }
-        let read = self.vectors::<3>(from, "COLOR_0")?;
-        Ok(read.map(|c| c.into_iter().map(linear).collect()))
+        let read = match self.accessor(accessor)?.shape.as_str() {
+            "VEC4" => self.vectors::<4>(from, "COLOR_0")?,
+            _ => self
+                .vectors::<3>(from, "COLOR_0")?
+                .map(|list| list.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect()),
+        };
+        let colour = |c: [f64; 4]| Vec4::from_array(c.map(|x| x as f32));
+        Ok(read.map(|list| list.into_iter().map(colour).collect()))
     }
 
-    /// What a primitive is painted with: its material's base colour.
+    /// A texture: its picture and how it goes on; of a picture in several formats the one that is
+    /// read.
+    pub(super) fn texture(&self, index: usize) -> Reading<GltfTexture> {
+        let missing = |what: &str| format!("texture {index} {what}; export again");
+        let texture = self.document.textures.get(index);
+        let texture = texture.ok_or_else(|| missing("does not exist"))?;
+        let webp = texture.extensions.webp.as_ref().and_then(|w| w.source);
+        let image = texture.source.or(webp);
+        let image = image.ok_or_else(|| {
+            missing("has neither a PNG, JPEG nor WebP picture (KTX2 is not read)")
+        })?;
+        let sampler = texture.sampler.and_then(|s| self.document.samplers.get(s));
+        Ok(GltfTexture::new(image, sampler))
+    }
+
+    /// The colour that a primitive is painted with: its material's, metal or not.
     fn look(&self, primitive: &Primitive) -> Option<Look> {
-        let d = self.document;
-        let material = d.materials.get(primitive.material?)?;
-        let texture = material.texture().and_then(|t| d.textures.get(t)?.source);
+        let material = self.document.materials.get(primitive.material?)?;
+        let base = GltfMaterial::from(material).base;
+        let [r, g, b, _] = base.factor;
+        let texture = base.texture.and_then(|t| self.texture(t.texture).ok());
         Some(Look {
-            factor: material.factor(),
-            texture: texture.map(TextureSource::Embedded),
+            factor: Vec3::new(r, g, b),
+            texture: texture.map(|t| TextureSource::Embedded(t.image)),
         })
     }
 
     /// The bytes of a buffer view, unpacked if they are packed.
-    fn view_bytes(&self, v: usize) -> Reading<&[u8]> {
+    pub(super) fn view_bytes(&self, v: usize) -> Reading<&[u8]> {
         let again = "export the mesh again";
         let view = self
             .document
@@ -754,7 +480,7 @@ impl Reader<'_> {
 
     /// The bytes of an accessor's elements: `(bytes from the first element, stride, count)`,
     /// checked to lie in the buffer.
-    fn elements(&self, index: usize, size: u64) -> Reading<(&[u8], usize, usize)> {
+    pub(super) fn elements(&self, index: usize, size: u64) -> Reading<(&[u8], usize, usize)> {
         let again = "export the mesh again";
         let a = self.accessor(index)?;
         if a.sparse.is_some() {
@@ -829,26 +555,6 @@ impl Reader<'_> {
     }
 }
 
-fn local_transform(node: &Node) -> DMat4 {
-    if let Some(m) = node.matrix {
-        return DMat4::from_cols_array(&m);
-    }
-    let rotation = node.rotation.map_or(DQuat::IDENTITY, |r| {
-        let q = DQuat::from_array(r);
-        if q.length_squared() > 0.0 {
-            q.normalize()
-        } else {
-            DQuat::IDENTITY
-        }
-    });
-    let scale = node.scale.map_or(DVec3::ONE, DVec3::from_array);
-    DMat4::from_scale_rotation_translation(
-        scale,
-        rotation,
-        node.translation.map_or(DVec3::ZERO, DVec3::from_array),
-    )
-}
-
 /// Triangles of an index list: mode 4 = list, 5 = strip, 6 = fan.
 fn triangulate(indices: &[u32], mode: u32) -> Reading<Vec<[u32; 3]>> {
     Ok(match mode {
@@ -886,6 +592,7 @@ fn triangulate(indices: &[u32], mode: u32) -> Reading<Vec<[u32; 3]>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use base64::engine::Engine;
 
     /// A `.gltf` of one triangle below two nodes, with the buffer embedded in base64.
     fn document(count: u64, matrix: &str) -> String {

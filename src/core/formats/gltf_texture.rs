@@ -1,29 +1,24 @@
-//! A glTF material's name and colour, and where it samples its base colour: which set of texture coordinates,
-//! moved by `KHR_texture_transform`. Called by `gltf`.
+//! Where a glTF material samples a texture: which set of texture coordinates, moved by
+//! `KHR_texture_transform`, and how the texture goes on beyond its borders. Called by `gltf` and
+//! `gltf_material`.
 
-use glam::{Vec2, Vec3};
+use glam::Vec2;
 use serde::Deserialize;
 
-/// A material, as far as its name and texture coordinates go.
-#[derive(Default, Deserialize)]
-#[serde(default, rename_all = "camelCase")]
-pub(super) struct Material {
-    pub name: Option<String>,
-    pbr_metallic_roughness: Textures,
+/// How a texture goes on beyond its borders, as the document has it.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Sampler {
+    wrap_s: Option<u32>,
+    wrap_t: Option<u32>,
 }
 
+/// A texture as a material names it.
 #[derive(Default, Deserialize)]
 #[serde(default, rename_all = "camelCase")]
-struct Textures {
-    base_color_texture: TextureInfo,
-    base_color_factor: Option<[f32; 4]>,
-}
-
-#[derive(Default, Deserialize)]
-#[serde(default, rename_all = "camelCase")]
-struct TextureInfo {
-    /// Absent in materials without a picture.
-    index: Option<usize>,
+pub(super) struct TextureInfo {
+    /// Its number.
+    pub index: Option<usize>,
     tex_coord: u32,
     extensions: Extensions,
 }
@@ -57,7 +52,7 @@ impl Default for Transform {
 
 /// A set of texture coordinates and the affine map to where the texture is sampled.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct UvSource {
+pub struct UvSource {
     /// The n of `TEXCOORD_n`.
     pub set: u32,
     offset: [f64; 2],
@@ -77,32 +72,17 @@ impl Default for UvSource {
     }
 }
 
-impl Material {
-    /// The texture of the base colour.
-    pub(super) fn texture(&self) -> Option<usize> {
-        self.pbr_metallic_roughness.base_color_texture.index
-    }
-
-    /// What the base colour's texture is multiplied with, linear RGB.
-    pub(super) fn factor(&self) -> Vec3 {
-        let [r, g, b, _] = self
-            .pbr_metallic_roughness
-            .base_color_factor
-            .unwrap_or([1.0; 4]);
-        Vec3::new(r, g, b)
-    }
-
-    /// The texture coordinates of the base colour.
+impl TextureInfo {
+    /// The texture coordinates it is sampled at.
     pub(super) fn uv_source(&self) -> UvSource {
-        let info = &self.pbr_metallic_roughness.base_color_texture;
-        let Some(t) = &info.extensions.transform else {
+        let Some(t) = &self.extensions.transform else {
             return UvSource {
-                set: info.tex_coord,
+                set: self.tex_coord,
                 ..UvSource::default()
             };
         };
         UvSource {
-            set: t.tex_coord.unwrap_or(info.tex_coord),
+            set: t.tex_coord.unwrap_or(self.tex_coord),
             offset: t.offset,
             turn: [t.rotation.cos(), t.rotation.sin()],
             scale: t.scale,
@@ -112,7 +92,8 @@ impl Material {
 
 impl UvSource {
     /// Scaled, then turned counter-clockwise as seen with v down, then moved.
-    pub(super) fn sampled_at(&self, uv: [f64; 2]) -> Vec2 {
+    #[must_use]
+    pub fn sampled_at(&self, uv: [f64; 2]) -> Vec2 {
         let [u, v] = [uv[0] * self.scale[0], uv[1] * self.scale[1]];
         let [c, s] = self.turn;
         Vec2::new(
@@ -122,22 +103,58 @@ impl UvSource {
     }
 }
 
+/// How a texture goes on beyond its border.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Border {
+    /// Again from the other side.
+    Repeat,
+    /// Again mirrored.
+    Mirror,
+    /// The border's own value.
+    Clamp,
+}
+
+/// A texture: a picture and how it goes on.
+#[derive(Clone, Debug)]
+pub struct GltfTexture {
+    /// Number of the picture.
+    pub image: usize,
+    /// Beyond the sides, beyond top and bottom.
+    pub border: [Border; 2],
+}
+
+impl GltfTexture {
+    /// Of a picture; without a sampler it repeats.
+    pub(super) fn new(image: usize, sampler: Option<&Sampler>) -> Self {
+        let border = |wrap: Option<u32>| match wrap {
+            Some(33071) => Border::Clamp,
+            Some(33648) => Border::Mirror,
+            _ => Border::Repeat,
+        };
+        let border = [
+            border(sampler.and_then(|s| s.wrap_s)),
+            border(sampler.and_then(|s| s.wrap_t)),
+        ];
+        Self { image, border }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn coordinates_are_scaled_turned_and_moved_in_this_order() {
-        let text = r#"{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "texCoord": 2,
+        let text = r#"{"index": 0, "texCoord": 2,
             "extensions": {"KHR_texture_transform":
-                {"offset": [0.25, 1.0], "rotation": 1.5707963267948966, "scale": [0.5, 2.0], "texCoord": 1}}}}}"#;
-        let material: Material = serde_json::from_str(text).expect("material");
-        let source = material.uv_source();
+                {"offset": [0.25, 1.0], "rotation": 1.5707963267948966, "scale": [0.5, 2.0], "texCoord": 1}}}"#;
+        let texture: TextureInfo = serde_json::from_str(text).expect("texture");
+        let source = texture.uv_source();
         assert_eq!(source.set, 1);
         // (1, 0) → (0.5, 0) → a quarter turn with v down → (0, −0.5)
         let at = source.sampled_at([1.0, 0.0]);
         assert!((at - Vec2::new(0.25, 0.5)).length() < 1e-6, "{at}");
-        let plain: Material = serde_json::from_str("{}").expect("material");
+        let plain: TextureInfo = serde_json::from_str("{}").expect("texture");
         assert_eq!(plain.uv_source(), UvSource::default());
     }
 }

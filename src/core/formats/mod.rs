@@ -7,8 +7,12 @@
 mod exr_header;
 mod glb;
 pub mod gltf;
+mod gltf_bytes;
 mod gltf_compressed;
+mod gltf_document;
+mod gltf_material;
 mod gltf_numbers;
+mod gltf_scene;
 mod gltf_texture;
 mod hdr;
 mod image_format;
@@ -31,7 +35,10 @@ mod whole;
 #[cfg(test)]
 mod tests;
 
-pub use glb::GlbWriter;
+pub use glb::{GlbWriter, glb_of};
+pub use gltf_material::{Alpha, GltfMaterial, TextureUse, Textured};
+pub use gltf_scene::{GltfFile, GltfLight, GltfLightKind, Piece, RawAttribute};
+pub use gltf_texture::{Border, GltfTexture, UvSource};
 pub use image_format::{ImageFormat, ImageInfo};
 pub use image_io::{
     Marked, read_plane, read_rgb, read_two_channels, write_plane_float, write_plane_half,
@@ -39,7 +46,9 @@ pub use image_io::{
 };
 pub use input::{MOST_DATA, MOST_TEXT, open_regular, read_input, read_input_text};
 pub use photograph::{ImageAccount, Photograph, image_account, read_photograph};
-pub use picture::{encode_grey8, encode_rgb8, encode_webp8, srgb8_from_linear};
+pub use picture::{
+    Picture8, decode_rgba8, encode_grey8, encode_rgb8, encode_webp8, srgb8_from_linear,
+};
 pub use png_io::{read_labels, read_ldr, read_mask, write_png_rgb8, write_png8, write_png16};
 pub use probe::{generation_mark, image_info};
 pub use raw_mesh::{NameKind, RawMesh, SurfaceNames};

@@ -1,6 +1,110 @@
-//! 8-bit PNG and WebP in memory, and the sRGB encoding.
+//! 8-bit pictures in memory (PNG, WebP; JPEG to read), and the sRGB encoding.
 
+use super::image_format::ImageFormat;
+use super::{MAX_PIXELS, image_io};
 use crate::error::{Error, Result};
+use std::io::{Cursor, Write};
+
+/// A display-referred picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture8 {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Red, green, blue and opacity, row-major from the top.
+    pub rgba: Vec<[u8; 4]>,
+}
+
+/// The picture in the bytes of a PNG, JPEG or WebP file; without transparency it is opaque.
+///
+/// # Errors
+/// The bytes are damaged or of another format; what is said has no name of a file.
+pub fn decode_rgba8(bytes: &[u8]) -> std::result::Result<Picture8, String> {
+    match bytes {
+        b if b.starts_with(b"\x89PNG") => decode_png(b),
+        [0xff, 0xd8, 0xff, ..] => decode_jpeg(bytes),
+        b if b.starts_with(b"RIFF") && b.get(8..12) == Some(b"WEBP") => decode_webp(b),
+        _ => Err("no picture that is read: expected PNG, JPEG or WebP; export it as one".into()),
+    }
+}
+
+fn damaged(e: &dyn std::fmt::Display) -> String {
+    format!("damaged or cut short: {e}; export it again")
+}
+
+/// Refuses sizes that nothing can be allocated for.
+fn fitting(width: u32, height: u32) -> std::result::Result<usize, String> {
+    let pixels = (width as usize).checked_mul(height as usize);
+    let fitting = pixels.filter(|n| (1..=MAX_PIXELS).contains(n));
+    fitting.ok_or_else(|| {
+        format!("{width} × {height} pixels; expected at most {MAX_PIXELS} in all: scale it down")
+    })
+}
+
+fn decode_png(bytes: &[u8]) -> std::result::Result<Picture8, String> {
+    let mut decoder = png::Decoder::new(Cursor::new(bytes));
+    let t = png::Transformations::EXPAND | png::Transformations::STRIP_16;
+    decoder.set_transformations(t);
+    let header = decoder.read_header_info().map_err(|e| damaged(&e))?;
+    fitting(header.width, header.height)?;
+    let mut reader = decoder.read_info().map_err(|e| damaged(&e))?;
+    let size = reader.output_buffer_size().ok_or("too large to be read")?;
+    let mut data = vec![0; size];
+    reader.next_frame(&mut data).map_err(|e| damaged(&e))?;
+    let (color, _) = reader.output_color_type();
+    let info = reader.info();
+    let pixel = |p: &[u8]| match *p {
+        [g] => [g, g, g, 255],
+        [g, a] => [g, g, g, a],
+        [r, g, b] => [r, g, b, 255],
+        [r, g, b, a, ..] => [r, g, b, a],
+        [] => [0; 4],
+    };
+    Ok(Picture8 {
+        width: info.width as usize,
+        height: info.height as usize,
+        rgba: data.chunks_exact(color.samples()).map(pixel).collect(),
+    })
+}
+
+/// JPEG is read by OpenImageIO, which reads files.
+fn decode_jpeg(bytes: &[u8]) -> std::result::Result<Picture8, String> {
+    let mut file = tempfile::NamedTempFile::new().map_err(|e| e.to_string())?;
+    file.write_all(bytes).map_err(|e| e.to_string())?;
+    let read = || {
+        let image = image_io::open(file.path(), ImageFormat::Jpeg)?;
+        let channels = if image.size().2 < 3 {
+            [0; 3]
+        } else {
+            [0, 1, 2]
+        };
+        image_io::read_rgb_channels(file.path(), image, channels)
+    };
+    let plane = read().map_err(|e| damaged(&e))?;
+    let byte = |x: f32| (x * 255.0 + 0.5) as u8;
+    let pixel = |p: &glam::Vec3| [byte(p.x), byte(p.y), byte(p.z), 255];
+    Ok(Picture8 {
+        width: plane.width,
+        height: plane.height,
+        rgba: plane.data.iter().map(pixel).collect(),
+    })
+}
+
+fn decode_webp(bytes: &[u8]) -> std::result::Result<Picture8, String> {
+    let mut decoder = image_webp::WebPDecoder::new(Cursor::new(bytes)).map_err(|e| damaged(&e))?;
+    let (width, height) = decoder.dimensions();
+    fitting(width, height)?;
+    let channels = if decoder.has_alpha() { 4 } else { 3 };
+    let mut data = vec![0; decoder.output_buffer_size().ok_or("too large to be read")?];
+    decoder.read_image(&mut data).map_err(|e| damaged(&e))?;
+    let pixel = |p: &[u8]| [p[0], p[1], p[2], p.get(3).copied().unwrap_or(255)];
+    Ok(Picture8 {
+        width: width as usize,
+        height: height as usize,
+        rgba: data.chunks_exact(channels).map(pixel).collect(),
+    })
+}
 
 /// IEC 61966-2-1 encoding of a linear value to 8 bits; clips to [0, 1], NaN becomes 0.
 #[must_use]

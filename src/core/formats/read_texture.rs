@@ -2,7 +2,7 @@
 //! `scene::scan`.
 
 use super::image_format::{ImageFormat, sniff};
-use super::{MOST_DATA, TextureSource, gltf, read_input, read_ldr, read_photograph};
+use super::{GltfFile, MOST_DATA, TextureSource, read_input, read_ldr, read_photograph};
 use crate::core::image::RgbPlane;
 use crate::{Error, Result};
 use std::io::Write;
@@ -26,7 +26,10 @@ pub fn read_texture(mesh: &Path, source: &TextureSource) -> Result<Texture> {
     match source {
         TextureSource::File(path) => read_texture_file(path),
         TextureSource::Embedded(image) => {
-            let bytes = gltf::image_bytes(&read_input(mesh, MOST_DATA)?, mesh, *image)?;
+            let bytes = read_input(mesh, MOST_DATA)?;
+            let bytes = GltfFile::open(&bytes, mesh)?
+                .image_bytes(*image)?
+                .into_owned();
             let failed = |e| Error::io(std::env::temp_dir(), e);
             let mut file = tempfile::NamedTempFile::new().map_err(failed)?;
             file.write_all(&bytes).map_err(failed)?;

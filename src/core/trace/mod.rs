@@ -1,13 +1,15 @@
-//! Rays against the mesh in batches: closest hit and occlusion through Embree, and a brute-force
-//! twin for tests.
+//! Rays against the mesh in batches: closest hit and occlusion through Embree, through surfaces
+//! with holes, and a brute-force twin for tests.
 
 mod brute;
+mod cut_out;
 mod embree;
 #[cfg(test)]
 mod tests;
 
 pub use crate::ffi::ray::{Hit, Ray};
 pub use brute::BruteForce;
+pub use cut_out::{Coverage, CutOut};
 pub use embree::{BATCH, EmbreeTracer, embree_version, rays_traced};
 
 /// Anything that answers visibility queries in batches.

@@ -38,7 +38,7 @@ pub(super) fn surface_light(name: &str, lamp: &Lamp, normals: Vec3) -> PunctualL
 /// An added light without extent; a measured luminaire sends as much light everywhere.
 pub(super) fn point_light(name: &str, light: &PointLight, origin: DVec3) -> PunctualLight {
     let intensity = match light.shape {
-        Shape::Bulb | Shape::Spot(_) => light.intensity,
+        Shape::Bulb | Shape::Spot(_) | Shape::Distant => light.intensity,
         Shape::Measured(..) => mean_intensity(light),
     };
     let cone = match light.shape {
@@ -46,7 +46,7 @@ pub(super) fn point_light(name: &str, light: &PointLight, origin: DVec3) -> Punc
             direction: light.axis.as_dvec3().to_array(),
             angles: cosines.map(|c| f64::from(c.clamp(-1.0, 1.0)).acos()),
         }),
-        Shape::Bulb | Shape::Measured(..) => None,
+        Shape::Bulb | Shape::Measured(..) | Shape::Distant => None,
     };
     PunctualLight {
         name: name.to_owned(),

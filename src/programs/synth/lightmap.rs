@@ -8,11 +8,11 @@
 //! nearly as sharp as the camera can tell.
 
 use super::atlas::Atlas;
-use super::model::buried;
+use super::model::BURIED;
 use crate::core::geometry::Mesh;
 use crate::core::image::{RgbPlane, Wrap};
 use crate::core::progress::Progress;
-use crate::render::{IndirectCache, LightmapSampling, LightmapTexels, PathTracer};
+use crate::render::{IndirectCache, LightmapSampling, LightmapTexels, PathTracer, buried};
 use glam::Vec3;
 use std::f32::consts::TAU;
 
@@ -75,7 +75,7 @@ impl<'a> Lightmap<'a> {
         let LightmapQuality { side, effort } = quality;
         let texels = LightmapTexels::new(mesh, side);
         // what lies under and inside of things must not darken the border of what can be seen
-        let hidden = buried(texels.points(), tracer);
+        let hidden = buried(texels.points(), BURIED, tracer);
         let sampling = LightmapSampling {
             paths_per_part: (SAMPLES * effort).round().max(2.0) as u32,
             parting: Some(PARTING),

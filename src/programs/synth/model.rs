@@ -5,11 +5,10 @@ use super::charts::Chart;
 use crate::core::brdf::Material;
 use crate::core::geometry::Mesh;
 use crate::core::image::{Plane, Wrap};
-use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
-use crate::core::trace::{Ray, Tracer};
+use crate::core::trace::Tracer;
 use crate::render::{
-    Environment, IndirectCache, IrradiancePoint, PathTracer, Surface, SurfaceModel,
+    Environment, IndirectCache, IrradiancePoint, PathTracer, Surface, SurfaceModel, buried,
 };
 use glam::{Vec3, Vec4};
 use std::collections::HashMap;
@@ -44,13 +43,11 @@ impl SurfaceModel for Textured<'_> {
         let texel = self
             .texture
             .bilinear(self.mesh.uv(triangle, u, v) * side, Wrap::Clamp);
-        Surface {
-            material: Material {
-                albedo: texel.truncate(),
-                roughness: texel.w,
-            },
-            emission: self.emission[triangle],
-        }
+        let material = Material {
+            albedo: texel.truncate(),
+            roughness: texel.w,
+        };
+        Surface::dielectric(material, self.emission[triangle])
     }
     fn mean_emission(&self, triangle: usize) -> Vec3 {
         self.emission[triangle]
@@ -112,7 +109,7 @@ impl IndirectCache for SurfaceIrradiance {
 /// before.
 const PASSES: [u32; 3] = [16, 32, 64];
 /// A node most of whose view is blocked nearer than this lies inside or under something; metres.
-const BURIED: f32 = 0.03;
+pub(super) const BURIED: f32 = 0.03;
 
 impl SurfaceIrradiance {
     /// The nodes of a mesh, without any light yet.
@@ -142,7 +139,7 @@ impl SurfaceIrradiance {
         progress: &Progress,
     ) -> Self {
         let points = receivers(mesh, &self.nodes, self.values.len());
-        let buried = buried(&points, tracer);
+        let buried = buried(&points, BURIED, tracer);
         for (pass, samples) in PASSES.into_iter().enumerate() {
             let samples = ((samples as f32 * effort) as u32).max(4);
             let cache = (pass > 0).then_some(&self as &dyn IndirectCache);
@@ -252,37 +249,6 @@ fn receivers(mesh: &Mesh, nodes: &[[u32; 6]], count: usize) -> Vec<IrradiancePoi
         }
     };
     sums.iter().map(point).collect()
-}
-
-/// Which points lie inside or under something.
-pub(super) fn buried(points: &[IrradiancePoint], tracer: &dyn Tracer) -> Vec<bool> {
-    const RAYS: usize = 16;
-    let parts = map_chunks(points.len(), 256, |range| {
-        let mut rays = Vec::with_capacity(range.len() * RAYS);
-        for point in &points[range.clone()] {
-            let frame = crate::core::math::Frame::from_normal(point.normal);
-            for k in 0..RAYS {
-                let u = crate::core::sampling::hammersley(k as u32, RAYS as u32);
-                let d =
-                    frame.world_from_local(crate::core::sampling::square_to_cosine_hemisphere([
-                        u[0] + 0.5 / RAYS as f32,
-                        u[1],
-                    ]));
-                rays.push(Ray::new(
-                    point.position + point.face_normal * 1e-4,
-                    d,
-                    BURIED,
-                ));
-            }
-        }
-        let mut occluded = vec![0u8; rays.len()];
-        tracer.occluded(&rays, &mut occluded);
-        occluded
-            .chunks(RAYS)
-            .map(|o| o.iter().map(|&x| usize::from(x)).sum::<usize>() > RAYS * 3 / 4)
-            .collect::<Vec<bool>>()
-    });
-    parts.into_iter().flatten().collect()
 }
 
 #[cfg(test)]

@@ -33,7 +33,7 @@ impl LightModel for TracedLights<'_> {
     }
 
     fn outward_normal(&self, triangle: usize) -> Vec3 {
-        if self.surfaces.emits_forward_only() {
+        if self.surfaces.emits_forward_only(triangle) {
             self.mesh.face_normal(triangle)
         } else {
             Vec3::ZERO

@@ -302,6 +302,7 @@ impl PathTracer<'_> {
                         albedo: Vec3::ONE,
                         roughness: 1.0,
                     },
+                    f0: Surface::DIELECTRIC,
                     lobes: Lobes::Diffuse,
                     reference: 0.0,
                 };

@@ -1,7 +1,7 @@
 //! What the path tracer renders: materials and emission of surfaces, the light from outside, known
 //! irradiance.
 
-use crate::core::brdf::{Material, Reflectance};
+use crate::core::brdf::{F0, Material, Reflectance};
 use glam::Vec3;
 
 /// What light meets at a surface point.
@@ -9,8 +9,26 @@ use glam::Vec3;
 pub struct Surface {
     /// Reflection.
     pub material: Material,
-    /// Emitted radiance, towards both sides.
+    /// Specular reflectance at normal incidence: [`Self::DIELECTRIC`] for anything but metal,
+    /// which has its colour here.
+    pub f0: Vec3,
+    /// Emitted radiance.
     pub emission: Vec3,
+}
+
+impl Surface {
+    /// Specular reflectance of what is no metal.
+    pub const DIELECTRIC: Vec3 = Vec3::splat(F0 as f32);
+
+    /// A surface that is no metal.
+    #[must_use]
+    pub fn dielectric(material: Material, emission: Vec3) -> Self {
+        Self {
+            material,
+            f0: Self::DIELECTRIC,
+            emission,
+        }
+    }
 }
 
 /// Materials and emission of a mesh.
@@ -26,8 +44,8 @@ pub trait SurfaceModel: Sync {
     fn reflectance(&self) -> Reflectance {
         Reflectance::Paper
     }
-    /// Whether triangles emit only towards the side their winding faces (false: towards both).
-    fn emits_forward_only(&self) -> bool {
+    /// Whether a triangle emits only towards the side its winding faces (false: towards both).
+    fn emits_forward_only(&self, _triangle: usize) -> bool {
         false
     }
 }

@@ -66,13 +66,11 @@ fn camera(width: usize, height: usize, position: Vec3) -> Camera {
 }
 
 fn surface(albedo: f32, roughness: f32, emission: f32) -> Surface {
-    Surface {
-        material: Material {
-            albedo: Vec3::splat(albedo),
-            roughness,
-        },
-        emission: Vec3::splat(emission),
-    }
+    let material = Material {
+        albedo: Vec3::splat(albedo),
+        roughness,
+    };
+    Surface::dielectric(material, Vec3::splat(emission))
 }
 
 #[test]

@@ -1,8 +1,9 @@
 //! Paths from bounce to bounce.
 
+use super::scene::Surface;
 use super::tracer::PathTracer;
 use super::wave::{Feature, Following, Lobes, Path, PathKey, ShadowRay, Sums, Vertex, Wave};
-use crate::core::brdf::{Material, Reflectance};
+use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
 use crate::core::sampling::{KeyedRng, SobolSequence};
 use crate::core::trace::{Hit, Ray};
@@ -80,7 +81,7 @@ impl Scattering<'_> {
         };
         Factors {
             diffuse,
-            specular: Vec3::splat(specular),
+            specular: specular * self.vertex.metal_share(v, l),
         }
     }
 
@@ -166,7 +167,7 @@ impl PathTracer<'_> {
                 let surface = self.surfaces.surface(triangle, hit.u, hit.v);
                 let emission = surface.emission;
                 self.add_emission(&arrival, emission, &mut wave.choice, &mut sums[slot]);
-                let mut vertex = self.vertex(hit, -arrival.direction, surface.material);
+                let mut vertex = self.vertex(hit, -arrival.direction, &surface);
                 if let Some(f) = features.as_deref_mut().filter(|_| bounce == 0) {
                     f[slot] = Some(Feature {
                         albedo: surface.material.albedo,
@@ -290,7 +291,8 @@ impl PathTracer<'_> {
 
     /// Whether a triangle's light leaves on the side that a ray along `direction` meets.
     fn emits_towards(&self, triangle: usize, direction: Vec3) -> bool {
-        !self.surfaces.emits_forward_only() || self.mesh.face_normal(triangle).dot(direction) < 0.0
+        !self.surfaces.emits_forward_only(triangle)
+            || self.mesh.face_normal(triangle).dot(direction) < 0.0
     }
 
     /// Adds radiance arriving along a path to the lobes of its first vertex.
@@ -308,7 +310,7 @@ impl PathTracer<'_> {
         OFFSET_ULPS * f32::EPSILON * p.abs().max_element().max(self.offset_floor)
     }
 
-    fn vertex(&self, hit: &Hit, view: Vec3, material: Material) -> Vertex {
+    fn vertex(&self, hit: &Hit, view: Vec3, surface: &Surface) -> Vertex {
         let t = hit.triangle as usize;
         let mut face_normal = self.mesh.face_normal(t);
         let mut normal = self.mesh.shading_normal(t, hit.u, hit.v);
@@ -330,7 +332,8 @@ impl PathTracer<'_> {
             face_normal,
             normal,
             view,
-            material,
+            material: surface.material,
+            f0: surface.f0,
             lobes,
             reference: 0.0,
         }
@@ -427,24 +430,27 @@ impl PathTracer<'_> {
         let Some((light, share)) = self.choose_point(&s.vertex.position, s.key, s.bounce) else {
             return;
         };
-        let d = light.position - s.origin;
-        let distance = d.length();
-        let l = d / distance.max(1e-9);
+        let arriving = light.arriving(s.origin);
+        let l = arriving.direction;
         if !s.above(l) {
             return;
         }
-        let radiance = light.towards(-l) / (distance * distance).max(1e-12);
         let next = s.advance(&s.factors(l, share));
         let mut sums = Sums::default();
-        self.deposit(&mut sums, &next, radiance, s.bounce + 1);
+        self.deposit(&mut sums, &next, arriving.irradiance, s.bounce + 1);
         if sums.diffuse + sums.specular != Vec3::ZERO {
             wave.shadow.push(ShadowRay {
                 slot: s.path.slot,
                 diffuse: sums.diffuse,
                 specular: sums.specular,
             });
-            let t_far = (distance * (1.0 - 1e-4)).max(0.0);
-            wave.shadow_rays.push(Ray::new(s.origin, l, t_far));
+            let t_far = (arriving.distance * (1.0 - 1e-4)).max(0.0);
+            // a start below 0 counts as 0: it only tells the rays of many paths apart, of which what
+            // covers a share stops a share
+            wave.shadow_rays.push(Ray {
+                t_near: -s.rng(0x7e_a4).next_f32(),
+                ..Ray::new(s.origin, l, t_far)
+            });
         }
     }
 
@@ -502,10 +508,7 @@ impl PathTracer<'_> {
 
     /// One of the lights without extent, chosen by what it could send to `p`, with its probability.
     fn choose_point(&self, p: &Vec3, key: PathKey, bounce: u32) -> Option<(&PointLight, f32)> {
-        let worth = |l: &PointLight| {
-            let d = *p - l.position;
-            luminance(l.towards(d.normalize_or_zero())) / d.length_squared().max(1e-6)
-        };
+        let worth = |l: &PointLight| luminance(l.arriving(*p).irradiance);
         let total: f32 = self.points.iter().map(worth).sum();
         if !(total > 0.0 && total.is_finite()) {
             return None;

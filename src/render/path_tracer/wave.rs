@@ -1,7 +1,7 @@
 //! What paths carry from bounce to bounce, and the buffers they are traced in.
 
-use super::scene::KnownLight;
-use crate::core::brdf::Material;
+use super::scene::{KnownLight, Surface};
+use crate::core::brdf::{Material, fresnel};
 use crate::core::trace::{Hit, Ray};
 use crate::lights::LightSampler;
 use glam::Vec3;
@@ -32,9 +32,25 @@ pub(super) struct Vertex {
     pub(super) normal: Vec3,
     pub(super) view: Vec3,
     pub(super) material: Material,
+    /// Specular reflectance at normal incidence.
+    pub(super) f0: Vec3,
     pub(super) lobes: Lobes,
     /// Luminance against which a shadow ray's worth is measured; 0 traces every one.
     pub(super) reference: f32,
+}
+
+impl Vertex {
+    /// What the specular lobe reflects over what the reflection model says, whose reflectance at
+    /// normal incidence is [`Surface::DIELECTRIC`]: both rise to 1 at grazing angles alike (Schlick 1994).
+    pub(super) fn metal_share(&self, view: Vec3, light: Vec3) -> Vec3 {
+        if self.f0 == Surface::DIELECTRIC {
+            return Vec3::ONE;
+        }
+        let h = (view + light).normalize_or(self.normal);
+        let model = fresnel(view.dot(h).clamp(0.0, 1.0));
+        let grazing = (model - Surface::DIELECTRIC.x) / (1.0 - Surface::DIELECTRIC.x);
+        (self.f0 + (1.0 - self.f0) * grazing) / model
+    }
 }
 
 /// A path on its way.

@@ -1,0 +1,67 @@
+//! Surfaces with holes, before any [`Tracer`]: leaves and fences whose texture says where nothing
+//! is, panes that let a share of the light through.
+
+use super::{Hit, Ray, Tracer};
+
+/// Layers that a ray may pass: a bound for rays along a stack of coincident surfaces.
+const MOST_LAYERS: usize = 256;
+
+/// What is there of a surface.
+pub trait Coverage: Sync {
+    /// Whether anything stops the ray where it hits. The answer for equal rays and hits is equal.
+    fn stops(&self, ray: &Ray, hit: &Hit) -> bool;
+}
+
+/// Rays that pass through holes.
+pub struct CutOut<'a> {
+    tracer: &'a dyn Tracer,
+    coverage: &'a dyn Coverage,
+}
+
+impl<'a> CutOut<'a> {
+    /// What `tracer` finds, where `coverage` says that it is there.
+    #[must_use]
+    pub fn new(tracer: &'a dyn Tracer, coverage: &'a dyn Coverage) -> Self {
+        Self { tracer, coverage }
+    }
+}
+
+impl Tracer for CutOut<'_> {
+    fn closest(&self, rays: &[Ray], hits: &mut [Hit]) {
+        self.tracer.closest(rays, hits);
+        let passes = |i: &usize, hits: &[Hit]| {
+            hits[*i].is_hit() && !self.coverage.stops(&rays[*i], &hits[*i])
+        };
+        let mut open: Vec<usize> = (0..rays.len()).filter(|i| passes(i, hits)).collect();
+        let mut beyond = Vec::new();
+        for _ in 0..MOST_LAYERS {
+            if open.is_empty() {
+                return;
+            }
+            let on = |&i: &usize| Ray {
+                // four units in the last place: the same hit is not found again
+                t_near: hits[i].t * (1.0 + 4.0 * f32::EPSILON),
+                ..rays[i]
+            };
+            let further: Vec<Ray> = open.iter().map(on).collect();
+            beyond.clear();
+            beyond.resize(further.len(), Hit::miss());
+            self.tracer.closest(&further, &mut beyond);
+            for (&i, hit) in open.iter().zip(&beyond) {
+                hits[i] = *hit;
+            }
+            open.retain(|i| passes(i, hits));
+        }
+    }
+
+    fn occluded(&self, rays: &[Ray], occluded: &mut [u8]) {
+        self.tracer.occluded(rays, occluded);
+        let doubtful: Vec<usize> = (0..rays.len()).filter(|&i| occluded[i] != 0).collect();
+        let again: Vec<Ray> = doubtful.iter().map(|&i| rays[i]).collect();
+        let mut hits = vec![Hit::miss(); again.len()];
+        self.closest(&again, &mut hits);
+        for (&i, hit) in doubtful.iter().zip(&hits) {
+            occluded[i] = u8::from(hit.is_hit());
+        }
+    }
+}

@@ -1,0 +1,232 @@
+//! Lightmaps of any glTF file: what its lamps, its luminous surfaces and an environment send to its
+//! surfaces, over all bounces.
+//!
+//! `scene` reads the file, `layout` gives every surface its place, `lightmap` samples, `seams`
+//! joins what the layout cut, `output` writes the file again with its lightmap.
+
+mod layout;
+mod lightmap;
+mod looks;
+mod options;
+mod output;
+mod record;
+mod scene;
+mod seams;
+mod sky;
+#[cfg(test)]
+mod tests;
+
+pub use layout::Layout;
+pub use options::BakeOptions;
+pub use record::{BAKE, BakeRecord};
+
+use crate::core::formats::{
+    GltfFile, MOST_DATA, atomic_write, read_input, read_rgb, write_rgb_float,
+};
+use crate::core::geometry::Mesh;
+use crate::core::progress::Progress;
+use crate::core::trace::{CutOut, EmbreeTracer, Tracer};
+use crate::error::{Error, Result};
+use crate::render::{LightmapTexels, PathTracer, PathTracerOptions, buried, inside};
+use lightmap::Baked;
+use looks::Looks;
+use scene::BakeScene;
+use seams::Seams;
+use sky::Sky;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+/// Names of the maps: irradiance, and with directions its mean and slopes.
+const MAPS: [&str; 5] = [
+    "lightmap.exr",
+    "lightmap_mean.exr",
+    "lightmap_slope_x.exr",
+    "lightmap_slope_y.exr",
+    "lightmap_slope_z.exr",
+];
+/// Name of the scene with its lightmap.
+const SCENE: &str = "scene.glb";
+
+/// What is to be baked.
+pub struct BakeJob<'a> {
+    /// A `.glb` or `.gltf` file.
+    pub scene: &'a Path,
+    /// How.
+    pub options: &'a BakeOptions,
+    /// Key of all random numbers.
+    pub seed: u64,
+}
+
+/// A scene with its light.
+struct Lit {
+    scene: BakeScene,
+    layout: Layout,
+    baked: Baked,
+    seams: [f32; 2],
+}
+
+/// Bakes the light of a file; writes the lightmap, the scene with it and `bake.json` into a folder.
+/// Returns what the latter holds and the names of the files.
+///
+/// # Errors
+/// Options out of range; a file that cannot be used or in which nothing shines; writing fails.
+pub fn bake_file(
+    job: &BakeJob<'_>,
+    out: &Path,
+    progress: &Progress,
+) -> Result<(BakeRecord, Vec<&'static str>)> {
+    let clock = std::time::Instant::now();
+    job.options.validate()?;
+    let bytes = read_input(job.scene, MOST_DATA)?;
+    let file = GltfFile::open(&bytes, job.scene)?;
+    let mut notes = BTreeSet::new();
+    let lit = light(job, &file, &mut notes, progress)?;
+    let (glb, shown) = output::lit_glb(&file, job.scene, &lit)?;
+    let mut files = vec![SCENE];
+    std::fs::create_dir_all(out).map_err(|e| Error::io(out, e))?;
+    for (name, map) in MAPS.iter().zip(&lit.baked.maps) {
+        write_rgb_float(out.join(name), map)?;
+        files.push(name);
+    }
+    atomic_write(out.join(SCENE), &glb)?;
+    let record = BakeRecord {
+        unbake: env!("CARGO_PKG_VERSION").into(),
+        scene: job.scene.display().to_string(),
+        options: job.options.clone(),
+        seed: job.seed,
+        triangles: lit.scene.mesh.triangles.len(),
+        lights: lit.scene.lights.len(),
+        layout: lit.layout,
+        samples: lit.baked.samples,
+        seconds: clock.elapsed().as_secs_f64(),
+        error: lit.baked.error,
+        error_of_halves: lit.baked.error_of_halves,
+        mean_irradiance: lit.baked.mean.to_array(),
+        step_at_seams: lit.seams[1],
+        step_at_seams_before: lit.seams[0],
+        picture: shown,
+        notes: notes.into_iter().collect(),
+    };
+    record.write(out)?;
+    files.push(BAKE);
+    Ok((record, files))
+}
+
+/// Reads, lays out and lights a file's scene.
+fn light(
+    job: &BakeJob<'_>,
+    file: &GltfFile<'_>,
+    notes: &mut BTreeSet<String>,
+    progress: &Progress,
+) -> Result<Lit> {
+    let options = job.options;
+    let mut scene = progress.stage("reading the scene", 1, |_| {
+        BakeScene::read(file, job.scene, notes)
+    })?;
+    let sky = read_sky(options)?;
+    scene.lights.extend(sky.suns.iter().cloned());
+    if !shines(&scene, &sky) {
+        return Err(Error::input(
+            job.scene,
+            "nothing shines: no emissive material, no light (KHR_lights_punctual); export the lamps with the scene, or give --environment FILE",
+        ));
+    }
+    let layout = progress.stage("laying out", 1, |_| layout::lay_out(&mut scene, options))?;
+    let largest = options.size.is_none() && layout.size == options::MOST_SIDE as usize;
+    if largest && layout.texels_per_metre < 0.9 * options.texels_per_metre {
+        notes.insert(format!(
+            "{:.1} texels per metre instead of {}: more would exceed {} texels a side; divide the scene, or give --size",
+            layout.texels_per_metre, options.texels_per_metre, options::MOST_SIDE
+        ));
+    }
+    let embree = EmbreeTracer::new(&scene.mesh)?;
+    let cut_out = CutOut::new(&embree, &scene.looks);
+    let tracer: &dyn Tracer = match scene.looks.has_holes() {
+        true => &cut_out,
+        false => &embree,
+    };
+    let settings = PathTracerOptions {
+        seed: job.seed,
+        ..PathTracerOptions::default()
+    };
+    let renderer = PathTracer::new(&scene.mesh, tracer, &scene.looks, &sky, settings)
+        .with_points(scene.lights.clone());
+    let texels = visible_texels(&scene.mesh, &layout, &scene.looks, tracer);
+    if texels.open().is_empty() {
+        return Err(Error::input(
+            job.scene,
+            "no texel of the lightmap sees anything: the surface is too small for it or faces inwards everywhere; raise --texels-per-metre or --size, or turn the faces",
+        ));
+    }
+    let mut baked = lightmap::bake(&texels, &renderer, options, progress);
+    let seams = progress.stage("joining seams", 1, |_| {
+        let seams = Seams::new(&scene.mesh, layout.size);
+        let before = seams.step(&baked.maps[0]);
+        baked.maps.iter_mut().for_each(|map| seams.close(map));
+        for value in &mut baked.maps[0].data {
+            *value = value.max(glam::Vec3::ZERO);
+        }
+        [before, seams.step(&baked.maps[0])]
+    });
+    Ok(Lit {
+        scene,
+        layout,
+        baked,
+        seams,
+    })
+}
+
+/// Which triangles lie on another one with the same corners: faces stored once per side, whose
+/// backs nobody sees.
+fn backed(mesh: &Mesh) -> Vec<bool> {
+    let key = |t: &[u32; 3]| {
+        let bits = |x: f32| (x + 0.0).to_bits(); // + 0.0 joins -0 and 0
+        let mut corners = t.map(|v| mesh.positions[v as usize].to_array().map(bits));
+        corners.sort_unstable();
+        corners
+    };
+    let mut count: BTreeMap<[[u32; 3]; 3], u32> = BTreeMap::new();
+    for t in &mesh.triangles {
+        *count.entry(key(t)).or_default() += 1;
+    }
+    mesh.triangles.iter().map(|t| count[&key(t)] > 1).collect()
+}
+
+fn read_sky(options: &BakeOptions) -> Result<Sky> {
+    let Some(path) = &options.environment else {
+        return Ok(Sky::black());
+    };
+    let panorama = read_rgb(path)?;
+    if panorama.data.iter().any(|p| !p.is_finite()) {
+        return Err(Error::input(
+            path,
+            "has NaN or infinite pixels; expected finite radiance. Save it anew, or paint over the sun",
+        ));
+    }
+    let turn = options.environment_turn.to_radians();
+    Ok(Sky::new(panorama, options.environment_scale, turn))
+}
+
+fn shines(scene: &BakeScene, sky: &Sky) -> bool {
+    use crate::render::Environment;
+    let light = scene.lights.iter().any(|l| l.intensity != glam::Vec3::ZERO);
+    light || scene.looks.shines() || !sky.is_black()
+}
+
+/// The texels of the map that can be seen; those inside of bodies or under things take the light
+/// beside them, for they would darken the borders of what is seen.
+fn visible_texels<'m>(
+    mesh: &'m Mesh,
+    layout: &Layout,
+    looks: &Looks,
+    tracer: &dyn Tracer,
+) -> LightmapTexels<'m> {
+    let texels = LightmapTexels::new(mesh, layout.size);
+    let texel = 1.0 / layout.texels_per_metre.max(f32::MIN_POSITIVE);
+    let under = buried(texels.points(), texel, tracer);
+    let backed = backed(mesh);
+    let one_sided = |t: usize| looks.is_one_sided(t) && !backed[t];
+    let within = inside(texels.points(), 1e-2 * texel, mesh, tracer, &one_sided);
+    let hidden: Vec<bool> = under.iter().zip(&within).map(|(a, b)| *a || *b).collect();
+    texels.without(&hidden)
+}
