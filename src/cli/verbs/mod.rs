@@ -23,6 +23,7 @@ mod view;
 use super::args::Verb;
 use super::context::Context;
 use crate::error::{Error, Result};
+use std::path::Path;
 
 /// Runs one verb and returns the exit code of a run that did not fail.
 ///
@@ -40,7 +41,7 @@ pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
             shard: Some(shard),
             ..
         } => shards::solve_shard(required(scene)?, required(out)?, *shard, context),
-        Verb::Solve { scene, out, .. } => solve::solve(required(scene)?, required(out)?, context),
+        Verb::Solve { scene, out, .. } => solve_here(required(scene)?, required(out)?, context),
         Verb::Merge { out, complete } => shards::merge(required(out)?, *complete, context),
         Verb::Delight { mesh, out, .. } => {
             delight::delight(required(mesh)?, required(out)?, context)
@@ -92,6 +93,15 @@ pub fn run(verb: &Verb, context: &Context) -> Result<u8> {
         Verb::Man { to } => shell::manual(to.as_deref(), context),
     }?;
     Ok(0)
+}
+
+/// Solves in this process, or with the ranks of an MPI run.
+fn solve_here(scene: &Path, out: &Path, context: &Context) -> Result<()> {
+    #[cfg(feature = "mpi")]
+    if ranks::solve_with_ranks(scene, out, context)? {
+        return Ok(());
+    }
+    solve::solve(scene, out, context)
 }
 
 /// clap guarantees presence unless `--print-config` was given, which never gets here.

@@ -18,10 +18,6 @@ use serde_json::json;
 use std::path::Path;
 
 pub(crate) fn solve(scene_path: &Path, out: &Path, context: &Context) -> Result<()> {
-    #[cfg(feature = "mpi")]
-    if super::ranks::solve_with_ranks(scene_path, out, context)? {
-        return Ok(());
-    }
     say(&solve_into(scene_path, out, context)?, out, context)
 }
 

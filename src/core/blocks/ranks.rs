@@ -108,12 +108,12 @@ struct Desk {
 }
 
 impl Desk {
-    fn on_rank_0(&self) -> Option<usize> {
+    fn at_rank_0(&self) -> Option<usize> {
         let next = self.given.fetch_add(1, Ordering::Relaxed);
         (next < self.count).then_some(next)
     }
 
-    fn from_rank_0(&self) -> Option<usize> {
+    fn elsewhere(&self) -> Option<usize> {
         let mut over = self.over.lock().unwrap_or_else(PoisonError::into_inner);
         if *over {
             return None;
@@ -139,7 +139,7 @@ impl Desk {
             };
             let who = world.process_at_rank(asked.source_rank());
             let _ = who.receive_with_tag::<u64>(ASK);
-            let next = self.on_rank_0();
+            let next = self.at_rank_0();
             dismissed += usize::from(next.is_none());
             who.send_with_tag(&next.map_or(NO_MORE, |b| b as u64), ANSWER);
         }
@@ -187,12 +187,12 @@ impl Transport for Ranks {
             std::thread::scope(|scope| {
                 scope.spawn(|| {
                     let _signal = Signal(&done);
-                    compute(work, &found, || desk.on_rank_0());
+                    compute(work, &found, || desk.at_rank_0());
                 });
                 desk.serve(self.size - 1, &done);
             });
         } else {
-            compute(work, &found, || desk.from_rank_0());
+            compute(work, &found, || desk.elsewhere());
         }
         for rank in 0..self.size {
             let mut bytes = match rank == self.rank {

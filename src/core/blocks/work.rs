@@ -74,7 +74,7 @@ mod tests {
             for b in 0..d.count() {
                 let r = d.range(b);
                 assert!(r.start == next && r.end > r.start, "{len}/{unit}: {r:?}");
-                assert!(r.end == len || r.end % unit.max(1) == 0);
+                assert!(r.end == len || r.end.is_multiple_of(unit.max(1)));
                 next = r.end;
             }
             assert_eq!(next, len);
