@@ -45,28 +45,16 @@ pub fn observe<'a>(
     leave_out_clipped_sky(&mut views, &read.ceilings);
     let camera_masks = mask_rigs(scene, &mut views, &orientation, options, progress);
     let balanced = balance_views(scene, &mut views, &orientation, options.exposure, progress);
-    let sizes = choose_sizes(
-        &Observer {
-            mesh: &scene.mesh,
-            views: &views,
-        },
-        &orientation,
-        options,
-        progress,
-    );
+    let observer = Observer {
+        mesh: &scene.mesh,
+        views: &views,
+    };
+    let sizes = choose_sizes(&observer, &orientation, options, progress);
     let texels = Texels::rasterize(&scene.mesh, sizes.albedo, sizes.albedo);
     let begin = Instant::now();
     let mut fusion = options.checkpoints.reuse("radiance", progress, || {
         progress.stage("radiance", texels.len() as u64, |p| {
-            fuse_radiance(
-                &Observer {
-                    mesh: &scene.mesh,
-                    views: &views,
-                },
-                &orientation,
-                &texels,
-                p,
-            )
+            fuse_radiance(&observer, &orientation, &texels, p)
         })
     });
     if let Some(budget) = &options.budget {

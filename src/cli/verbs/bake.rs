@@ -2,9 +2,9 @@
 
 use crate::cli::context::Context;
 use crate::cli::guard::keep_inputs;
+use crate::core::lock::OutputLock;
 use crate::error::Result;
 use crate::programs::bake::{BakeJob, bake_file};
-use crate::solution::OutputLock;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 

@@ -28,8 +28,8 @@ use crate::core::progress::Progress;
 use crate::core::trace::{CutOut, EmbreeTracer, Tracer};
 use crate::error::{Error, Result};
 use crate::render::{LightmapTexels, PathTracer, PathTracerOptions, buried, inside};
-use lightmap::Baked;
 use looks::Looks;
+use output::Lit;
 use scene::BakeScene;
 use seams::Seams;
 use sky::Sky;
@@ -55,14 +55,6 @@ pub struct BakeJob<'a> {
     pub options: &'a BakeOptions,
     /// Key of all random numbers.
     pub seed: u64,
-}
-
-/// A scene with its light.
-struct Lit {
-    scene: BakeScene,
-    layout: Layout,
-    baked: Baked,
-    seams: [f32; 2],
 }
 
 /// Bakes the light of a file; writes the lightmap, the scene with it and `bake.json` into a folder.

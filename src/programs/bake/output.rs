@@ -5,7 +5,9 @@
 //! meshes are written anew, one per node, for every copy has its own place on the lightmap. All
 //! data lie in the one buffer of a `.glb`, unpacked.
 
-use super::Lit;
+use super::layout::Layout;
+use super::lightmap::Baked;
+use super::scene::BakeScene;
 use crate::core::formats::{GltfFile, RawAttribute, encode_rgb8, glb_of, srgb8_from_linear};
 use crate::core::geometry::Mesh;
 use crate::core::image::RgbPlane;
@@ -15,6 +17,14 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+
+/// A scene with its light.
+pub(super) struct Lit {
+    pub(super) scene: BakeScene,
+    pub(super) layout: Layout,
+    pub(super) baked: Baked,
+    pub(super) seams: [f32; 2],
+}
 
 /// Share of the texels that the picture may clip: one lamp on a wall must not take all steps of
 /// eight bits.
