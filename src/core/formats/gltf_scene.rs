@@ -150,19 +150,17 @@ impl RawAttribute {
     pub fn bounds(&self, vertices: &[u32]) -> [Vec<f64>; 2] {
         let width = component_size(self.component_type).unwrap_or(self.size);
         let numbers = self.size / width;
-        let mut bounds = [
-            vec![f64::INFINITY; numbers],
-            vec![f64::NEG_INFINITY; numbers],
-        ];
+        let mut low = vec![f64::INFINITY; numbers];
+        let mut high = vec![f64::NEG_INFINITY; numbers];
         for &v in vertices {
-            for k in 0..numbers {
+            for (k, (low, high)) in low.iter_mut().zip(&mut high).enumerate() {
                 let at = v as usize * self.size + k * width;
                 let x = component(&self.bytes[at..at + width], self.component_type, false);
-                bounds[0][k] = bounds[0][k].min(x);
-                bounds[1][k] = bounds[1][k].max(x);
+                *low = low.min(x);
+                *high = high.max(x);
             }
         }
-        bounds
+        [low, high]
     }
 }
 

@@ -209,11 +209,12 @@ mod tests {
             .map(|k| normals.iter().map(|n| at(tilted_normals(*n)[k])).collect())
             .collect();
         let found = affine(&own, &tilted, &normals);
-        for i in 0..normals.len() {
-            assert!((found[0][i] - mean).length() < 1e-5);
-            for axis in 0..3 {
-                assert!((found[1 + axis][i] - slope[axis]).length() < 1e-5);
-            }
+        let near = |plane: &[Vec3], value: Vec3| {
+            plane.len() == normals.len() && plane.iter().all(|x| (*x - value).length() < 1e-5)
+        };
+        assert!(near(&found[0], mean));
+        for (plane, slope) in found[1..].iter().zip(slope) {
+            assert!(near(plane, Vec3::splat(slope)), "{plane:?} {slope}");
         }
     }
 }
