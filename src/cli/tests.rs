@@ -76,7 +76,8 @@ fn defaults_in_the_help_are_those_of_the_default_preset() {
 
 /// Arguments that say what to work on or how to run rather than how to compute: the only ones
 /// without a key.
-const WITHOUT_KEY: [&str; 13] = [
+const WITHOUT_KEY: [&str; 14] = [
+    "complete",
     "config",
     "print_config",
     "version",

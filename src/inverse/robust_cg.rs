@@ -331,7 +331,7 @@ mod tests {
         };
         let expected = |mean| Expected {
             mean: Vec3::splat(mean),
-            variance: 0.01,
+            variance: 0.09,
         };
         let prior = [expected(0.4), expected(0.8)];
         let start = vec![Vec3::splat(0.4), Vec3::splat(0.8)];
