@@ -2,7 +2,7 @@
 //! views of the observed radiance less the specular part.
 
 use super::TexelReflectance;
-use crate::core::blocks::{Columns, Packed, column, truths, values};
+use crate::core::blocks::{Columns, Packed, column, flags, truths, values};
 use crate::core::image::RgbPlane;
 use crate::core::math::luminance;
 use crate::core::progress::Progress;
@@ -137,7 +137,7 @@ impl Packed for AlbedoEstimate {
             error: values(error)?,
             looks: values(looks)?,
             specular_share: values(specular_share)?,
-            clean: clean.iter().map(|c| *c != 0).collect(),
+            clean: flags(clean),
             footprint: values(footprint)?,
         })
     }

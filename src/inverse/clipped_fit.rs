@@ -34,7 +34,7 @@ const LEAST_SPREAD: f32 = 0.03;
 /// A residual of this many spreads has a quarter of its weight.
 const NARROW: f32 = 2.0;
 const ITERATIONS: usize = 40;
-/// Fits, each with the design effects of the one before.
+/// Fits, each with the design effects and the spreads of the one before.
 const PASSES: usize = 3;
 /// Largest step of ln t per iteration. Derived: ln 2, a doubling.
 const MOST_STEP: f64 = 0.7;
@@ -133,12 +133,12 @@ pub fn fit_clipped(rows: &[ShadingRow], groups: &[LightGroup], classes: usize) -
         if pass > 0 {
             problem.worth = problem.worths(&problem.state(&phi));
         }
-        information = problem.descend(&mut phi);
-        if let Some(covariance) = information.clone().and_then(DMatrix::try_inverse) {
+        if let Some(covariance) = information.take().and_then(DMatrix::try_inverse) {
             problem.spread = (0..problem.kinds())
                 .map(|kind| problem.spread_of(kind, &phi, &covariance))
                 .collect();
         }
+        information = problem.descend(&mut phi);
     }
     problem.result(&phi, information)
 }
@@ -258,6 +258,23 @@ impl Problem<'_> {
     /// Where ln t of group `k`, channel `c` stands; after all groups, the kinds' means.
     const fn at(k: usize, c: usize) -> usize {
         3 * k + c
+    }
+
+    /// Where the mean of a kind stands.
+    fn mean_at(&self, kind: usize, c: usize) -> usize {
+        3 * (self.groups.len() + kind) + c
+    }
+
+    /// How far group `k` differs from its kind in channel `c` against the next: indices into φ and
+    /// factors.
+    fn colour_contrast(&self, k: usize, c: usize) -> [(usize, f64); 4] {
+        let (kind, next) = (self.groups[k].kind, (c + 1) % 3);
+        [
+            (Self::at(k, c), 1.0),
+            (Self::at(k, next), -1.0),
+            (self.mean_at(kind, c), -1.0),
+            (self.mean_at(kind, next), 1.0),
+        ]
     }
 
     /// Radiance of a group beyond its ceiling.
@@ -534,7 +551,6 @@ impl Problem<'_> {
 
     /// Lights of a kind are alike; a kind's mean is some way above the ceiling and near neutral.
     fn add_priors(&self, phi: &[f64], out: &mut Normal) {
-        let mean_at = |kind: usize, c: usize| 3 * self.groups.len() + 3 * kind + c;
         // each term: Σ coefficient · φ − target, with a standard deviation
         let mut term = |parts: &[(usize, f64)], target: f64, sd: f64| {
             let w = 1.0 / (sd * sd);
@@ -548,17 +564,12 @@ impl Problem<'_> {
         };
         for (k, group) in self.groups.iter().enumerate() {
             for c in 0..3 {
-                let (own, all) = (Self::at(k, c), mean_at(group.kind, c));
+                let (own, all) = (Self::at(k, c), self.mean_at(group.kind, c));
                 let spread = self.spread[group.kind];
                 // three channels share what is known of one light
                 term(&[(own, 1.0), (all, -1.0)], 0.0, spread.level * 3f64.sqrt());
-                let next = (c + 1) % 3;
-                let (other, others) = (Self::at(k, next), mean_at(group.kind, next));
-                term(
-                    &[(own, 1.0), (other, -1.0), (all, -1.0), (others, 1.0)],
-                    0.0,
-                    spread.colour * 3f64.sqrt(),
-                );
+                let contrast = self.colour_contrast(k, c);
+                term(&contrast, 0.0, spread.colour * 3f64.sqrt());
             }
         }
         for kind in 0..self.kinds() {
@@ -569,10 +580,11 @@ impl Problem<'_> {
                 f64::from(median(of).unwrap_or(1.0).max(1e-9)).ln()
             };
             for c in 0..3 {
-                let own = mean_at(kind, c);
+                let own = self.mean_at(kind, c);
                 term(&[(own, 1.0)], ceiling(c) + KIND.0, KIND.1 * 3f64.sqrt());
                 let next = (c + 1) % 3;
-                term(&[(own, 1.0), (mean_at(kind, next), -1.0)], 0.0, NEUTRAL);
+                let other = self.mean_at(kind, next);
+                term(&[(own, 1.0), (other, -1.0)], 0.0, NEUTRAL);
             }
         }
     }
@@ -581,7 +593,6 @@ impl Problem<'_> {
     /// deviations from the kind's mean given all rows (a step of expectation maximisation, Dempster
     /// et al. 1977), with one light more that differs as lights usually do.
     fn spread_of(&self, kind: usize, phi: &[f64], covariance: &DMatrix<f64>) -> Spread {
-        let mean_at = |c: usize| 3 * self.groups.len() + 3 * kind + c;
         // expected square of Σ factor · φ
         let square = |parts: &[(usize, f64)]| {
             let value: f64 = parts.iter().map(|(i, f)| f * phi[*i]).sum();
@@ -598,21 +609,13 @@ impl Problem<'_> {
             }
             let share = 1.0 / free.len() as f64;
             let off: Vec<(usize, f64)> = (free.iter())
-                .flat_map(|&c| [(Self::at(k, c), share), (mean_at(c), -share)])
+                .flat_map(|&c| [(Self::at(k, c), share), (self.mean_at(kind, c), -share)])
                 .collect();
             lights += 1.0;
             level += square(&off);
             colour += if free.len() == 3 {
-                let pair = |c: usize| {
-                    let next = (c + 1) % 3;
-                    [
-                        (Self::at(k, c), 1.0),
-                        (Self::at(k, next), -1.0),
-                        (mean_at(c), -1.0),
-                        (mean_at(next), 1.0),
-                    ]
-                };
-                (0..3).map(|c| square(&pair(c))).sum::<f64>() / 3.0
+                let squares = (0..3).map(|c| square(&self.colour_contrast(k, c)));
+                squares.sum::<f64>() / 3.0
             } else {
                 USUAL.colour.powi(2)
             };

@@ -6,7 +6,7 @@
 //! weighted median finds the view-independent level and a one-step Huber mean around it uses all
 //! consistent views.
 
-use crate::core::blocks::{Columns, Packed, column, truths, values};
+use crate::core::blocks::{Columns, Packed, column, flags, truths, values};
 use crate::core::math::luminance;
 use crate::core::progress::Progress;
 use crate::core::stats::weighted_median;
@@ -118,7 +118,7 @@ impl Packed for Fusion {
         };
         Some(Self {
             radiance: values(radiance)?,
-            clean: clean.iter().map(|c| *c != 0).collect(),
+            clean: flags(clean),
             peak: values(peak)?,
             views: views.clone(),
             label: values(label)?,

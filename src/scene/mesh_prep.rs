@@ -4,7 +4,7 @@
 use super::unwrap::{UnwrapStats, unwrap_mesh};
 use super::{LoadOptions, transforms::y_up_from_z_up};
 use crate::core::formats::RawMesh;
-use crate::core::geometry::Mesh;
+use crate::core::geometry::{Mesh, triangle_normal, vector_key};
 use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use std::collections::BTreeMap;
@@ -55,8 +55,6 @@ const OVERLAP_SIDE: usize = 2048;
 const MOST_OVERLAP: f64 = 0.1;
 /// Texture coordinates this far outside [0, 1] are rounding and clamped.
 const UV_SLACK: f32 = 1e-3;
-/// A triangle whose height is this small against its longest edge has no direction in f32.
-const DEGENERATE: f32 = 1e-7;
 /// Faces meeting at a flatter angle share a computed normal; sharper edges stay sharp.
 const CREASE_DEGREES: f32 = 40.0;
 
@@ -215,31 +213,17 @@ fn centre(raw: &RawMesh, used: &[bool]) -> std::result::Result<DVec3, String> {
 }
 
 fn has_area(mesh: &Mesh, t: usize) -> bool {
-    let [a, b, c] = mesh.corners(t);
-    let longest = (b - a)
-        .length_squared()
-        .max((c - a).length_squared())
-        .max((c - b).length_squared());
-    let double_area = (b - a).cross(c - a).length();
-    double_area > DEGENERATE * longest && mesh.face_normal(t) != Vec3::ZERO
+    triangle_normal(mesh.corners(t)).is_some()
 }
 
 /// Marks one triangle of those with the same three corners, whatever their winding. Which side counts
 /// is found from the views; two surfaces in one place would share rays and cut every chart into
 /// single triangles.
 fn first_of_coincident(mesh: &Mesh) -> Vec<bool> {
-    let bits = |v: u32| {
-        mesh.positions[v as usize]
-            .to_array()
-            .map(|x| (x + 0.0).to_bits())
-    };
     let mut seen = std::collections::HashSet::new();
-    let first = |t: &[u32; 3]| {
-        let mut corners = t.map(bits);
-        corners.sort_unstable();
-        seen.insert(corners)
-    };
-    mesh.triangles.iter().map(first).collect()
+    (0..mesh.triangles.len())
+        .map(|t| seen.insert(mesh.corner_key(t)))
+        .collect()
 }
 
 /// Drops vertices no triangle uses, keeping the order.
@@ -301,12 +285,11 @@ fn complete_normals(mesh: &mut Mesh) -> usize {
 /// A plain vertex mean would round off every corner of a room whose walls share vertices, and with
 /// it the light on them.
 fn split_at_creases(mesh: &mut Mesh) {
-    let bits = |p: Vec3| p.to_array().map(|x| (x + 0.0).to_bits()); // + 0.0 joins -0 and 0
     let mut around: BTreeMap<[u32; 3], Vec<u32>> = BTreeMap::new();
     for (t, corners) in mesh.triangles.iter().enumerate() {
         for &v in corners {
             around
-                .entry(bits(mesh.positions[v as usize]))
+                .entry(vector_key(mesh.positions[v as usize]))
                 .or_default()
                 .push(t as u32);
         }
@@ -322,7 +305,7 @@ fn split_at_creases(mesh: &mut Mesh) {
         for k in 0..3 {
             let v = mesh.triangles[t][k];
             let p = mesh.positions[v as usize];
-            let faces = &around[&bits(p)];
+            let faces = &around[&vector_key(p)];
             // a vertex shared by thousands of faces (a fan's hub) would cost the square of that:
             // its own face must do
             let sum: Vec3 = if faces.len() > 256 {
@@ -336,7 +319,7 @@ fn split_at_creases(mesh: &mut Mesh) {
             };
             let normal = sum.normalize_or(own);
             let next = positions.len() as u32;
-            let index = *made.entry((v, bits(normal))).or_insert(next);
+            let index = *made.entry((v, vector_key(normal))).or_insert(next);
             if index == next {
                 positions.push(p);
                 normals.push(normal);

@@ -1,7 +1,7 @@
 //! An atlas for meshes that bring none.
 
-use crate::core::geometry::Mesh;
-use glam::{Vec2, Vec3};
+use crate::core::geometry::{Mesh, vector_key};
+use glam::Vec2;
 use std::collections::BTreeMap;
 
 /// What unwrapping produced.
@@ -130,8 +130,7 @@ fn one_page(
 /// not cut the new charts, while sharp edges (two normals) may.
 fn weld(mesh: &Mesh) -> Vec<u32> {
     let mut first = BTreeMap::new();
-    let bits = |v: Vec3| v.to_array().map(|x| (x + 0.0).to_bits()); // + 0.0 joins -0 and 0
-    let key = |i: usize| (bits(mesh.positions[i]), bits(mesh.normals[i]));
+    let key = |i: usize| (vector_key(mesh.positions[i]), vector_key(mesh.normals[i]));
     (0..mesh.positions.len())
         .map(|i| *first.entry(key(i)).or_insert(i as u32))
         .collect()
@@ -197,6 +196,7 @@ mod tests {
     use super::super::atlas_overlap;
     use super::*;
     use crate::core::sampling::KeyedRng;
+    use glam::Vec3;
 
     /// A closed ball of `rows` × `columns` quads.
     fn ball(rows: u32, columns: u32, scale: f32) -> Mesh {

@@ -8,7 +8,7 @@ mod ranks;
 mod work;
 
 pub use folder::{BlockFolder, CallState, Shard};
-pub use packed::{Columns, Packed, column, opened, sealed, truths, values};
+pub use packed::{Columns, Packed, column, flags, opened, sealed, truths, values};
 #[cfg(feature = "mpi")]
 pub use ranks::Ranks;
 pub use work::{Division, Transport, Work};

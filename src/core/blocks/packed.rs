@@ -91,6 +91,12 @@ pub fn truths(values: &[bool]) -> Vec<u8> {
     values.iter().map(|v| u8::from(*v)).collect()
 }
 
+/// The truths of a column.
+#[must_use]
+pub fn flags(column: &[u8]) -> Vec<bool> {
+    column.iter().map(|c| *c != 0).collect()
+}
+
 /// The numbers of a column; `None` if it holds no whole number of them.
 #[must_use]
 pub fn values<T: Pod>(column: &[u8]) -> Option<Vec<T>> {

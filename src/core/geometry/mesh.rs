@@ -18,11 +18,41 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
+/// A triangle whose height is this small against its longest edge has no direction in f32.
+const DEGENERATE: f32 = 1e-7;
+
+/// A position or direction as a key of maps: equal for equal vectors, -0 being 0.
+#[must_use]
+pub fn vector_key(p: Vec3) -> [u32; 3] {
+    (p + Vec3::ZERO).to_array().map(f32::to_bits)
+}
+
+/// Unit normal of a triangle by its winding; `None` if its corners' precision cannot tell that it has
+/// an area.
+#[must_use]
+pub fn triangle_normal([a, b, c]: [Vec3; 3]) -> Option<Vec3> {
+    let longest = (b - a)
+        .length_squared()
+        .max((c - a).length_squared())
+        .max((c - b).length_squared());
+    let cross = (b - a).cross(c - a);
+    let has_area = cross.length() > DEGENERATE * longest;
+    cross.try_normalize().filter(|_| has_area)
+}
+
 impl Mesh {
     /// The three corner positions of triangle `t`.
     #[must_use]
     pub fn corners(&self, t: usize) -> [Vec3; 3] {
         self.triangles[t].map(|i| self.positions[i as usize])
+    }
+
+    /// Key of triangle `t`: equal for triangles with the same three corners, whatever their winding.
+    #[must_use]
+    pub fn corner_key(&self, t: usize) -> [[u32; 3]; 3] {
+        let mut corners = self.corners(t).map(vector_key);
+        corners.sort_unstable();
+        corners
     }
 
     /// The three atlas coordinates of triangle `t`.

@@ -7,7 +7,7 @@ mod shells;
 
 pub use camera::{Camera, Lens, Projection};
 pub use clusters::{clusters, numbered, pieces, smooth_patches, touching};
-pub use mesh::Mesh;
+pub use mesh::{Mesh, triangle_normal, vector_key};
 pub use shells::{Neighbour, Shells};
 
 /// Normals closer than this cosine belong to one smooth surface, whose points see nearly the same light.

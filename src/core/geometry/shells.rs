@@ -4,7 +4,7 @@
 //! are one, whatever texture seams and creases made of them. Two neighbours wound alike run through
 //! their edge in opposite directions. Called by [`crate::gbuffer::Orientation`].
 
-use super::Mesh;
+use super::{Mesh, vector_key};
 use glam::Vec3;
 
 /// A triangle across a manifold edge.
@@ -144,7 +144,7 @@ fn manifold_pairs(mesh: &Mesh) -> Vec<(u32, u32, bool)> {
 
 /// For every vertex the number of the first at the same place.
 fn welded(positions: &[Vec3]) -> Vec<u32> {
-    let bits = |i: u32| (positions[i as usize] + 0.0).to_array().map(f32::to_bits);
+    let bits = |i: u32| vector_key(positions[i as usize]);
     let mut order: Vec<u32> = (0..positions.len() as u32).collect();
     order.sort_unstable_by_key(|&i| (bits(i), i));
     let mut place = vec![0u32; positions.len()];

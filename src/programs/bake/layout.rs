@@ -47,7 +47,9 @@ pub(super) fn lay_out(scene: &mut BakeScene, options: &BakeOptions) -> Result<La
     if !options.unwrap
         && let Some(mesh) = with_own_uvs(scene)
     {
-        let share: f64 = (0..mesh.triangles.len()).map(|t| uv_area(&mesh, t)).sum();
+        let share: f64 = (0..mesh.triangles.len())
+            .map(|t| f64::from(mesh.chart_area(t)))
+            .sum();
         // side² · share texels over the area
         let per_side = (share / area).sqrt() as f32;
         let wanted = (options.texels_per_metre / per_side).ceil().max(16.0) as u32;
@@ -137,15 +139,9 @@ fn with_own_uvs(scene: &BakeScene) -> Option<Mesh> {
     for t in 0..mesh.triangles.len() {
         let area = f64::from(mesh.area(t));
         whole += area;
-        without += if uv_area(&mesh, t) > 0.0 { 0.0 } else { area };
+        without += if mesh.chart_area(t) > 0.0 { 0.0 } else { area };
     }
     let (covered, shared) = atlas_overlap(&mesh, OVERLAP_SIDE);
     let serves = shared as f64 <= ROUNDING * covered as f64 && without <= ROUNDING * whole;
     serves.then_some(mesh)
-}
-
-/// Area of a triangle on the lightmap as a share of it.
-fn uv_area(mesh: &Mesh, t: usize) -> f64 {
-    let [a, b, c] = mesh.corner_uvs(t);
-    f64::from(0.5 * (b - a).perp_dot(c - a).abs())
 }

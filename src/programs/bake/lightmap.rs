@@ -51,6 +51,7 @@ pub(super) fn bake(
     let in_passes = options.budget.is_some() || options.target_error.is_some();
     let mut done = 0;
     let mut sums: Vec<Vec<Parts>> = Vec::new();
+    let mut judged = None;
     for pass in 0.. {
         let started = clock.elapsed().as_secs_f64();
         let paths = match in_passes {
@@ -73,14 +74,15 @@ pub(super) fn bake(
         let late = options
             .budget
             .is_some_and(|b| spent + (spent - started) > b);
-        let good = options
-            .target_error
-            .is_some_and(|e| Judged::new(&filter, &sums[0], &areas).error <= e);
+        judged = (options.target_error).map(|_| Judged::new(&filter, &sums[0], &areas));
+        let good = (judged.as_ref().zip(options.target_error)).is_some_and(|(j, e)| j.error <= e);
         if done >= most || late || good {
             break;
         }
     }
-    let judged = progress.stage("filtering", 1, |_| Judged::new(&filter, &sums[0], &areas));
+    let judged = progress.stage("filtering", 1, |_| {
+        judged.unwrap_or_else(|| Judged::new(&filter, &sums[0], &areas))
+    });
     let mut maps = vec![texels.spread(&judged.value)];
     if options.directional {
         let tilted = sums[1..].iter().map(|parts| smoothed(&filter, parts).value);

@@ -171,17 +171,14 @@ fn light(
 /// Which triangles lie on another one with the same corners: faces stored once per side, whose
 /// backs nobody sees.
 fn backed(mesh: &Mesh) -> Vec<bool> {
-    let key = |t: &[u32; 3]| {
-        let bits = |x: f32| (x + 0.0).to_bits(); // + 0.0 joins -0 and 0
-        let mut corners = t.map(|v| mesh.positions[v as usize].to_array().map(bits));
-        corners.sort_unstable();
-        corners
-    };
+    let keys: Vec<[[u32; 3]; 3]> = (0..mesh.triangles.len())
+        .map(|t| mesh.corner_key(t))
+        .collect();
     let mut count: BTreeMap<[[u32; 3]; 3], u32> = BTreeMap::new();
-    for t in &mesh.triangles {
-        *count.entry(key(t)).or_default() += 1;
+    for key in &keys {
+        *count.entry(*key).or_default() += 1;
     }
-    mesh.triangles.iter().map(|t| count[&key(t)] > 1).collect()
+    keys.iter().map(|key| count[key] > 1).collect()
 }
 
 fn read_sky(options: &BakeOptions) -> Result<Sky> {

@@ -2,7 +2,7 @@
 
 use super::looks::Looks;
 use crate::core::formats::{GltfFile, GltfLight, GltfLightKind, Piece};
-use crate::core::geometry::Mesh;
+use crate::core::geometry::{Mesh, triangle_normal};
 use crate::error::{Error, Result};
 use crate::render::{PointLight, Shape};
 use glam::{DVec3, Vec3};
@@ -57,13 +57,13 @@ impl BakeScene {
             mesh.normals.extend(smooth.as_ref().unwrap_or(&spare));
             for triangle in 0..piece.triangles.len() {
                 let mut corners = piece.triangles[triangle].map(|v| first + v);
-                let [a, b, c] = corners.map(|v| mesh.positions[v as usize]);
-                let Some(normal) = face_normal(a, b, c) else {
+                let own = corners.map(|v| mesh.positions[v as usize]);
+                let Some(normal) = triangle_normal(own) else {
                     continue;
                 };
                 if smooth.is_none() {
                     let next = mesh.positions.len() as u32;
-                    mesh.positions.extend([a, b, c]);
+                    mesh.positions.extend(own);
                     mesh.normals.extend([normal; 3]);
                     corners = [next, next + 1, next + 2];
                 }
@@ -118,17 +118,6 @@ fn middle(pieces: &[Piece], path: &Path) -> Result<DVec3> {
 fn usable_normals(piece: &Piece) -> Option<Vec<Vec3>> {
     let unit = |n: &Vec3| n.try_normalize().filter(|n| n.is_finite());
     piece.normals.as_ref()?.iter().map(unit).collect()
-}
-
-/// Unit normal of a triangle; `None` if it has no area that its corners' precision can tell.
-fn face_normal(a: Vec3, b: Vec3, c: Vec3) -> Option<Vec3> {
-    let cross = (b - a).cross(c - a);
-    let longest = (b - a)
-        .length_squared()
-        .max((c - a).length_squared())
-        .max((c - b).length_squared());
-    let has_area = cross.length() > 1e-7 * longest;
-    cross.try_normalize().filter(|_| has_area)
 }
 
 fn point_light(light: &GltfLight, origin: DVec3) -> PointLight {

@@ -7,7 +7,7 @@
 //! the difference of the two lookups at a point of the cut, by conjugate gradients on
 //! (I + λ AᵀA) x = x₀ (Iwanicki, "Lighting Technology of The Last of Us", SIGGRAPH 2013).
 
-use crate::core::geometry::Mesh;
+use crate::core::geometry::{Mesh, SMOOTH, vector_key};
 use crate::core::image::{RgbPlane, Wrap, bilinear_taps};
 use glam::{Vec2, Vec3};
 use std::collections::BTreeMap;
@@ -18,8 +18,6 @@ const STIFFNESS: f32 = 100.0;
 /// Most steps of the conjugate gradients, and the share of the residual at which they end.
 const STEPS: usize = 200;
 const ENOUGH: f32 = 1e-5;
-/// Cosine between normals above which a surface goes on across an edge.
-const SMOOTH: f32 = 0.95;
 
 /// A point of a cut: the difference of its two lookups, as weights of texels.
 type Difference = Vec<(u32, f32)>;
@@ -158,13 +156,12 @@ fn ratio(a: Vec3, b: Vec3) -> Vec3 {
 
 /// The edges along which a smooth surface is cut into charts.
 fn cuts(mesh: &Mesh) -> Vec<Cut> {
-    let bits = |p: Vec3| p.to_array().map(|x| (x + 0.0).to_bits()); // + 0.0 joins -0 and 0
     // a side of an edge: its ends from the lower position to the higher
     let mut edges: BTreeMap<[[u32; 3]; 2], Vec<[u32; 2]>> = BTreeMap::new();
     for corners in &mesh.triangles {
         for k in 0..3 {
             let (a, b) = (corners[k], corners[(k + 1) % 3]);
-            let [pa, pb] = [a, b].map(|v| bits(mesh.positions[v as usize]));
+            let [pa, pb] = [a, b].map(|v| vector_key(mesh.positions[v as usize]));
             let side = if pa <= pb { [a, b] } else { [b, a] };
             edges
                 .entry([pa.min(pb), pa.max(pb)])

@@ -11,7 +11,7 @@ use crate::core::math::luminance;
 use crate::radiance::Environment;
 use crate::render::{self, PointLight, Shape};
 use glam::{Mat3, Vec2, Vec3};
-use std::f32::consts::{PI, TAU};
+use std::f32::consts::TAU;
 
 /// Share of a panorama's light above which a pixel's is a light of its own. Derived: with less,
 /// a thousand samples meet it.
@@ -74,10 +74,8 @@ fn cut_out_suns(panorama: &mut RgbPlane, world_from_map: Mat3) -> Vec<PointLight
         world_from_camera: Mat3::IDENTITY,
         position: Vec3::ZERO,
     };
-    let solid = |i: usize| {
-        let theta = PI * ((i / w) as f32 + 0.5) / h as f32;
-        theta.sin() * (PI / h as f32) * (TAU / w as f32)
-    };
+    let centre = |i: usize| Vec2::new((i % w) as f32 + 0.5, (i / w) as f32 + 0.5);
+    let solid = |i: usize| camera.pixel_solid_angle(centre(i));
     let flux = |p: &RgbPlane, i: usize| luminance(p.data[i]) * solid(i);
     let total: f64 = (0..w * h).map(|i| f64::from(flux(panorama, i))).sum();
     let outstanding = |i: &usize| f64::from(flux(panorama, *i)) > f64::from(OUTSTANDING) * total;
@@ -97,8 +95,7 @@ fn cut_out_suns(panorama: &mut RgbPlane, world_from_map: Mat3) -> Vec<PointLight
     });
     let mut suns: Vec<(Vec3, Vec3)> = Vec::new();
     for i in bright {
-        let centre = Vec2::new((i % w) as f32 + 0.5, (i / w) as f32 + 0.5);
-        let towards = world_from_map * camera.direction(centre);
+        let towards = world_from_map * camera.direction(centre(i));
         let kept = (ceiling / luminance(panorama.data[i]).max(f32::MIN_POSITIVE)).min(1.0);
         let cut = panorama.data[i] * (1.0 - kept) * solid(i);
         panorama.data[i] *= kept;
@@ -121,6 +118,7 @@ mod tests {
     use super::*;
     use crate::core::image::Plane;
     use crate::render::Environment as _;
+    use std::f32::consts::PI;
 
     /// A sun on an even sky: what is cut off and what stays is what was there, and lies where the
     /// turn brings it.

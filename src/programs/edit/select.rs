@@ -2,7 +2,7 @@
 
 use super::Edit;
 use crate::core::formats::read_ldr;
-use crate::core::geometry::Mesh;
+use crate::core::geometry::{Mesh, vector_key};
 use crate::core::image::RgbPlane;
 use crate::error::{Error, Result};
 use crate::solution::Solution;
@@ -180,14 +180,12 @@ fn surface_around(solution: &Solution, p: Vec3) -> Option<Vec<bool>> {
 /// Triangles that share two vertex positions with each triangle.
 fn neighbours(mesh: &Mesh) -> Vec<Vec<u32>> {
     let mut ids: BTreeMap<[u32; 3], u32> = BTreeMap::new();
-    // -0.0 and 0.0 are one place
-    let key = |p: Vec3| (p + Vec3::ZERO).to_array().map(f32::to_bits);
     let weld: Vec<u32> = mesh
         .positions
         .iter()
         .map(|&p| {
             let next = ids.len() as u32;
-            *ids.entry(key(p)).or_insert(next)
+            *ids.entry(vector_key(p)).or_insert(next)
         })
         .collect();
     let mut of_edge: BTreeMap<(u32, u32), Vec<u32>> = BTreeMap::new();
