@@ -220,6 +220,42 @@ fn visibility_is_that_of_brute_force() {
     assert!(clean * 2 > seen, "{clean} of {seen} looks are clean");
 }
 
+/// A step in the ceiling, seen at grazing angles: its upright face covers a pixel or two, and none
+/// of them is the ceiling behind it.
+#[test]
+fn a_step_does_not_lend_its_face_to_the_ceiling() {
+    let mut quads = box_quads(Vec3::ZERO, Vec3::new(10.0, 2.7, 4.0), 1.0);
+    let step = box_quads(Vec3::new(4.0, 2.5, 0.0), Vec3::new(6.0, 2.7, 4.0), 5.0);
+    quads.extend(step.into_iter().map(Quad::flipped));
+    let ceiling = quads[1];
+    let mesh = mesh_of(&quads);
+    let tracer = EmbreeTracer::new(&mesh).expect("Embree");
+    let views: Vec<ObservedView> = [0.5, 1.5, 2.5, 7.5, 8.5, 9.5]
+        .into_iter()
+        .map(|x| panorama(Vec3::new(x, 1.5, 2.1), 512))
+        .map(|c| photograph(&mesh, &quads, &tracer, c, c))
+        .collect();
+    let observer = Observer {
+        mesh: &mesh,
+        views: &views,
+    };
+    let (mut looks, mut clean) = (Vec::new(), 0);
+    for k in 0..4000u32 {
+        let [u, v] = unbake::core::sampling::hammersley(k, 4000);
+        let x = if k % 2 == 0 {
+            3.6 + 0.4 * u
+        } else {
+            6.0 + 0.4 * u
+        };
+        observer.observe(Vec3::new(x, 2.7, 4.0 * v), ceiling.normal(), &mut looks);
+        for look in looks.iter().filter(|o| o.clean) {
+            clean += 1;
+            assert_eq!(look.radiance, ceiling.radiance, "{look:?} at {x}");
+        }
+    }
+    assert!(clean > 1000, "{clean} clean looks");
+}
+
 /// Poses wrong by a few millimetres: clean looks may show another wall only within the error of an
 /// edge. The wall behind a picture that hangs a millimetre before it is as hidden as one a metre
 /// behind.

@@ -5,6 +5,7 @@
 //! own first hits.
 
 use super::ViewBuffer;
+use super::view_buffer::SAME_SURFACE_COSINE;
 use crate::core::geometry::{Camera, Mesh};
 use crate::core::image::{Plane, RgbPlane, bilinear_taps};
 use glam::Vec3;
@@ -29,6 +30,9 @@ pub struct ObservedView {
 const LAYER: f32 = 5e-5;
 /// Cosine of the angle up to which triangles count as parallel.
 const PARALLEL: f32 = 0.999_99;
+
+/// Pixels of one smooth surface may leave the plane of a point by this share of their distance to it.
+const BEND: f32 = 0.15;
 
 /// One view's look at a surface point.
 #[derive(Clone, Copy, Debug)]
@@ -100,19 +104,23 @@ impl Observer<'_> {
                 + camera.direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5)) * t
                 - position;
             let off_plane = face_normal.dot(offset).abs();
-            if off_plane > lift + 0.15 * offset.length() || offset.length() > reach {
+            let turned = self
+                .mesh
+                .face_normal(view.buffer.triangle.data[k] as usize)
+                .dot(face_normal)
+                .abs();
+            // a wall that meets a ceiling leaves its plane faster than the ceiling itself can
+            let bend = if turned < SAME_SURFACE_COSINE {
+                0.0
+            } else {
+                BEND
+            };
+            if off_plane > lift + bend * offset.length() || offset.length() > reach {
                 continue;
             }
             // what lies parallel at a distance is another layer: a lamp's glass before its frame, a
             // picture before its wall
-            if off_plane > LAYER * t
-                && self
-                    .mesh
-                    .face_normal(view.buffer.triangle.data[k] as usize)
-                    .dot(face_normal)
-                    .abs()
-                    > PARALLEL
-            {
+            if off_plane > LAYER * t && turned > PARALLEL {
                 continue;
             }
             clean &= view.clean.data[k];

@@ -9,7 +9,7 @@ use glam::{Vec2, Vec3};
 /// Two neighbouring hits lie on one surface if they leave each other's tangent plane by less than
 /// this share of their distance (30°), and their normals agree to about 45°.
 const SAME_SURFACE_SINE: f32 = 0.5;
-const SAME_SURFACE_COSINE: f32 = 0.7;
+pub(super) const SAME_SURFACE_COSINE: f32 = 0.7;
 
 /// Rays through the centres of n × n equal squares of each of some pixels in row `y`, to infinity:
 /// pixel by pixel, row-major within the pixel.

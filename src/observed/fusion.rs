@@ -61,7 +61,6 @@ pub fn fuse_radiance(
             let t = texels.point[i].triangle as usize;
             let n = observer.mesh.face_normal(t) * orientation.sign(t);
             observer.observe(texels.position(observer.mesh, i), n, &mut seen);
-            out.label.push(vote_label(&seen));
             let peak = seen
                 .iter()
                 .map(|o| o.radiance)
@@ -69,6 +68,7 @@ pub fn fuse_radiance(
             out.peak.push(peak.unwrap_or(Vec3::ZERO));
             out.clean.push(seen.iter().any(|o| o.clean));
             prefer_clean(&mut seen);
+            out.label.push(vote_label(&seen));
             out.radiance.push(robust_mean(&seen));
             out.views.push(seen.len().min(255) as u8);
             out.floor.push(
@@ -139,14 +139,13 @@ pub(crate) fn sharpness(o: &Observation) -> f32 {
     1.0 / (o.footprint * o.footprint).max(f32::MIN_POSITIVE)
 }
 
-/// The label most observing views agree on, weighted by sharpness; ties go to the smaller id.
+/// The label most of these looks agree on, those from in front first; ties go to the smaller id.
 fn vote_label(seen: &[Observation]) -> u32 {
     let mut ballot: Vec<(u32, f32)> = Vec::new();
     for o in seen {
-        let w = o.n_v * if o.clean { 1.0 } else { 0.1 };
         match ballot.iter_mut().find(|b| b.0 == u32::from(o.label)) {
-            Some(b) => b.1 += w,
-            None => ballot.push((o.label.into(), w)),
+            Some(b) => b.1 += o.n_v,
+            None => ballot.push((o.label.into(), o.n_v)),
         }
     }
     ballot.sort_by_key(|b| b.0);
