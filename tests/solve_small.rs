@@ -12,6 +12,7 @@ use unbake::Error;
 use unbake::core::formats;
 use unbake::core::image::Plane;
 use unbake::core::progress::Progress;
+use unbake::core::sampling::KeyedRng;
 use unbake::irradiance::Estimator;
 use unbake::pipeline::{
     Checkpoints, Fit, SolveOptions, Solved, observe, reconstruct, reconstruct_light,
@@ -489,23 +490,38 @@ fn scale_and_place_do_not_change_materials() {
     }
 }
 
-/// Architectural models have their windings outwards. (A half of them at random is not met yet:
-/// docs/lab/verdict.md.)
+/// Architectural models have their windings outwards, merged ones anyhow.
 #[test]
 fn windings_do_not_change_materials() {
-    let mut scene = load();
-    for corners in &mut scene.mesh.triangles {
-        corners.swap(1, 2);
+    let another_seed = SolveOptions {
+        seed: 5,
+        ..small_textures()
+    };
+    let again = reconstruct(&load(), &another_seed, &Progress::silent()).expect("reconstructs");
+    let (_, chance) = albedo_difference(&reference().solution, &again.solution);
+    let mut rng = KeyedRng::new(5, 1);
+    for turned in [1.0, 0.5] {
+        let mut scene = load();
+        for corners in &mut scene.mesh.triangles {
+            if rng.next_f32() < turned {
+                corners.swap(1, 2);
+            }
+        }
+        let solved = solve(&scene);
+        let (median, off) = albedo_difference(&reference().solution, &solved.solution);
+        println!("{turned}: median {median}, {off} beyond 0.02, {chance} with another seed");
+        // of windings turned with their normals only roundings are left, which move single samples
+        assert!(
+            median < 2e-3 && off < 0.5 * chance,
+            "{turned}: {median} {off} {chance}"
+        );
+        // and what nobody sees faces the same way: both meshes come out wound alike
+        let (a, b) = (&reference().solution.mesh, &solved.solution.mesh);
+        let away = (0..a.triangles.len())
+            .filter(|&t| a.face_normal(t).dot(b.face_normal(t)) < 0.0)
+            .count();
+        assert!(50 * away < a.triangles.len(), "{turned}: {away} triangles");
     }
-    let solved = solve(&scene);
-    let (median, off) = albedo_difference(&reference().solution, &solved.solution);
-    assert!(median < 2e-3 && off < 0.03, "{median} {off}");
-    // and what nobody sees faces the same way: both meshes come out wound alike
-    let (a, b) = (&reference().solution.mesh, &solved.solution.mesh);
-    let away = (0..a.triangles.len())
-        .filter(|&t| a.face_normal(t).dot(b.face_normal(t)) < 0.0)
-        .count();
-    assert!(50 * away < a.triangles.len(), "{away} triangles");
 }
 
 /// A run that stopped after its light was computed goes on from there, and nobody can tell.

@@ -10,7 +10,7 @@ use glam::Vec3;
 pub(super) const FLAT_AROUND: i64 = 4;
 /// Such texels from which texture and noise of a class are known.
 pub(super) const ENOUGH_FLAT: usize = 200;
-/// Cosine between normals of one plane.
+/// Cosine between normals of one plane, whichever way its triangles are wound.
 const COPLANAR: f32 = 0.999;
 
 /// The atlas, asked for neighbours.
@@ -68,7 +68,7 @@ impl<'a> FlatSurface<'a> {
     /// As [`Self::at`], if that texel is of the class and in the plane of texel `i`.
     pub(super) fn alike(&self, i: usize, dx: i64, dy: i64) -> Option<usize> {
         self.at(i, dx, dy).filter(|&j| {
-            self.labels[j] == self.labels[i] && self.normal(j).dot(self.normal(i)) > COPLANAR
+            self.labels[j] == self.labels[i] && self.normal(j).dot(self.normal(i)).abs() > COPLANAR
         })
     }
 
