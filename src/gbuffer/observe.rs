@@ -31,9 +31,6 @@ const LAYER: f32 = 5e-5;
 /// Cosine of the angle up to which triangles count as parallel.
 const PARALLEL: f32 = 0.999_99;
 
-/// Pixels of one smooth surface may leave the plane of a point by this share of their distance to it.
-const BEND: f32 = 0.15;
-
 /// One view's look at a surface point.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation {
@@ -109,11 +106,13 @@ impl Observer<'_> {
                 .face_normal(view.buffer.triangle.data[k] as usize)
                 .dot(face_normal)
                 .abs();
-            // a wall that meets a ceiling leaves its plane faster than the ceiling itself can
+            // between two points of a smooth surface, whose normals differ by an angle of sine s,
+            // it leaves the tangent plane by s times their distance at most; a wall that meets a
+            // ceiling is another surface
             let bend = if turned < SAME_SURFACE_COSINE {
                 0.0
             } else {
-                BEND
+                (1.0 - turned * turned).max(0.0).sqrt()
             };
             if off_plane > lift + bend * offset.length() || offset.length() > reach {
                 continue;
