@@ -18,6 +18,8 @@ mod scan;
 mod staged;
 pub mod transforms;
 mod unwrap;
+mod wall_ends;
+mod wall_map;
 
 pub use check::{
     CheckReport, ClassShare, ImageKind, MeshSummary, RadianceRange, RoomSummary, Summary, check,

@@ -8,29 +8,17 @@
 //! gives the same rooms.
 
 use super::input_error::as_input;
+use super::wall_ends::{HALF_WALL, parted};
+use super::wall_map::{Plan, storey};
 use super::{RoomGrid, Scene};
 use crate::core::formats;
 use crate::core::image::Plane;
-use crate::core::trace::{Hit, Ray, Tracer};
+use crate::core::trace::Tracer;
 use crate::{Error, Result};
-use glam::{DVec3, Vec2, Vec3};
+use glam::{DVec3, Vec3};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// Storey height that fixes the unit of the lengths below, metres.
-const STOREY: f32 = 2.6;
-/// Cell of the occupancy grid.
-const CELL: f32 = 0.06;
-/// Most cells along one side; a larger plan gets larger cells.
-const MAX_SIDE: usize = 2048;
-/// Doors end below this height above the floor.
-const DOOR: f32 = 2.12;
-/// Slices cut between door height and ceiling.
-const SLICES: usize = 7;
-/// Heights between which a partition stands: above tables, sofas and worktops, below its own top.
-const PARTITION: [f32; 2] = [1.1, 1.5];
-/// A cell is wall if the mesh crosses it in this many slices: hanging lamps and rods cross fewer.
-const WALL_SLICES: u8 = 3;
 /// Openings whose half width exceeds this join rooms rather than dividing them.
 const WIDE: f32 = 0.8;
 /// An opening this wide against the smaller side's own half width is a shape of the room, not a
@@ -42,10 +30,6 @@ const NARROW: f32 = 0.3;
 const MIN_AREA: f32 = 2.0;
 /// How far room ids reach beyond the free floor, to cover the surfaces of walls and cupboards.
 const REACH: f32 = 1.0;
-/// How far they reach on a drawn plan. Derived: half a thick inner wall, as in the plans that
-/// `prepare` rasterises.
-const DRAWN_REACH: f32 = 0.15;
-
 #[derive(Deserialize)]
 struct RoomsFile {
     cell: f64,
@@ -149,7 +133,7 @@ pub fn find_rooms(scene: &Scene, tracer: &dyn Tracer) -> RoomGrid {
 /// The same rooms as a plan shows them: ids end half a wall beyond the free floor.
 #[must_use]
 pub fn floor_plan(scene: &Scene, tracer: &dyn Tracer) -> RoomGrid {
-    rooms_reaching(scene, tracer, DRAWN_REACH)
+    rooms_reaching(scene, tracer, HALF_WALL)
 }
 
 fn rooms_reaching(scene: &Scene, tracer: &dyn Tracer, reach: f32) -> RoomGrid {
@@ -158,8 +142,10 @@ fn rooms_reaching(scene: &Scene, tracer: &dyn Tracer, reach: f32) -> RoomGrid {
     let walls = plan.walls(scene, &storey);
     let inside = plan.roofed(tracer, &storey);
     let free: Vec<bool> = walls.iter().zip(&inside).map(|(&w, &i)| !w && i).collect();
+    let free = parted(&plan, &walls, free, storey.unit);
     let mut labels = watershed(&plan, &free, storey.unit);
-    merge_small(&plan, &mut labels, storey.unit);
+    let faced = plan.faced(scene, tracer, &storey);
+    merge_small(&plan, &mut labels, &faced, storey.unit);
     renumber(&mut labels);
     if labels.iter().all(|&l| l == 0) {
         // no enclosed floor found: everything is one room, which is always a valid answer
@@ -185,197 +171,6 @@ fn rooms_reaching(scene: &Scene, tracer: &dyn Tracer, reach: f32) -> RoomGrid {
         x_min: plan.min.x,
         z_min: plan.min.y,
     }
-}
-
-/// Heights of the storey the cameras stand in, and the unit its lengths are measured in.
-struct Storey {
-    floor: f32,
-    ceiling: f32,
-    unit: f32,
-    roofed: bool,
-}
-
-fn storey(scene: &Scene, tracer: &dyn Tracer) -> Storey {
-    let (lo, hi) = scene.mesh.bounds();
-    let cameras: Vec<Vec3> = scene.views.iter().map(|v| v.camera.position).collect();
-    let along = |direction: Vec3| -> Vec<f32> {
-        let rays: Vec<Ray> = cameras
-            .iter()
-            .map(|&c| Ray::new(c, direction, f32::INFINITY))
-            .collect();
-        let mut hits = vec![Hit::miss(); rays.len()];
-        tracer.closest(&rays, &mut hits);
-        let mut y: Vec<f32> = hits
-            .iter()
-            .zip(&cameras)
-            .filter(|(h, _)| h.is_hit())
-            .map(|(h, c)| c.y + direction.y * h.t)
-            .collect();
-        y.sort_by(f32::total_cmp);
-        y
-    };
-    // furniture below and lamps above the cameras pull to the middle: take the outer quartiles
-    let (below, above) = (along(Vec3::NEG_Y), along(Vec3::Y));
-    let floor = below.get(below.len() / 4).copied().unwrap_or(lo.y);
-    let roofed = 2 * above.len() > cameras.len();
-    let ceiling = if roofed {
-        above[(3 * above.len() / 4).min(above.len() - 1)]
-    } else {
-        hi.y
-    };
-    let height = (ceiling - floor).max(1e-6);
-    // storeys are 2.2 to 4 m high; anything else means other units
-    let unit = if (2.0..=4.5).contains(&height) {
-        1.0
-    } else {
-        height / STOREY
-    };
-    Storey {
-        floor,
-        ceiling: floor + height,
-        unit,
-        roofed,
-    }
-}
-
-/// The floor plan's grid.
-struct Plan {
-    min: Vec2,
-    cell: f32,
-    width: usize,
-    height: usize,
-}
-
-impl Plan {
-    fn new(scene: &Scene, storey: &Storey) -> Self {
-        let (lo, hi) = scene.mesh.bounds();
-        let extent = Vec2::new(hi.x - lo.x, hi.z - lo.z);
-        let cell = (CELL * storey.unit)
-            .max(extent.max_element() / (MAX_SIDE - 4) as f32)
-            .max(f32::MIN_POSITIVE);
-        let side = |length: f32| ((length / cell).ceil() as usize + 4).min(MAX_SIDE);
-        Self {
-            min: Vec2::new(lo.x, lo.z) - 2.0 * cell,
-            cell,
-            width: side(extent.x),
-            height: side(extent.y),
-        }
-    }
-
-    fn len(&self) -> usize {
-        self.width * self.height
-    }
-
-    /// World x, z of a cell's centre.
-    fn centre(&self, i: usize) -> Vec2 {
-        self.min
-            + Vec2::new((i % self.width) as f32 + 0.5, (i / self.width) as f32 + 0.5) * self.cell
-    }
-
-    /// The up to four edge neighbours of a cell.
-    fn neighbours(&self, i: usize) -> impl Iterator<Item = usize> + use<> {
-        let (w, x, y, h) = (self.width, i % self.width, i / self.width, self.height);
-        [
-            (x > 0).then(|| i - 1),
-            (x + 1 < w).then(|| i + 1),
-            (y > 0).then(|| i - w),
-            (y + 1 < h).then(|| i + w),
-        ]
-        .into_iter()
-        .flatten()
-    }
-
-    /// Cells of walls, which the mesh crosses in several slices between door height and ceiling,
-    /// and of partitions, which it crosses in all slices at eye level.
-    fn walls(&self, scene: &Scene, storey: &Storey) -> Vec<bool> {
-        let height = storey.ceiling - storey.floor;
-        let top = storey.floor + height - 0.1 * storey.unit.min(height);
-        let bottom = (storey.floor + DOOR * storey.unit).min(top - 0.12 * height);
-        let high = self.crossings(scene, bottom, top);
-        let at = |metres: f32| storey.floor + (metres * storey.unit).min(metres / STOREY * height);
-        let eye = self.crossings(scene, at(PARTITION[0]), at(PARTITION[1]));
-        high.into_iter()
-            .zip(eye)
-            .map(|(h, e)| h >= WALL_SLICES || e as usize == SLICES)
-            .collect()
-    }
-
-    /// In how many of [`SLICES`] slices between two heights the mesh crosses each cell.
-    fn crossings(&self, scene: &Scene, bottom: f32, top: f32) -> Vec<u8> {
-        let heights: Vec<f32> = (0..SLICES)
-            .map(|k| bottom + (top - bottom) * (k as f32 + 0.5) / SLICES as f32)
-            .collect();
-        let mut count = vec![0u8; self.len()];
-        let mut last = vec![u8::MAX; self.len()];
-        for (k, &y) in heights.iter().enumerate() {
-            for t in 0..scene.mesh.triangles.len() {
-                let corners = scene.mesh.corners(t);
-                if let Some((a, b)) = slice(&corners, y) {
-                    self.line(a, b, |i| {
-                        if last[i] != k as u8 {
-                            last[i] = k as u8;
-                            count[i] += 1;
-                        }
-                    });
-                }
-            }
-        }
-        count
-    }
-
-    /// Visits the cells a segment passes, in steps of half a cell.
-    fn line(&self, a: Vec2, b: Vec2, mut visit: impl FnMut(usize)) {
-        let steps = (((b - a).length() / (0.5 * self.cell)).ceil() as usize).clamp(1, 4 * MAX_SIDE);
-        for s in 0..=steps {
-            let p = (a + (b - a) * (s as f32 / steps as f32) - self.min) / self.cell;
-            if p.x >= 0.0
-                && p.y >= 0.0
-                && (p.x as usize) < self.width
-                && (p.y as usize) < self.height
-            {
-                visit(p.y as usize * self.width + p.x as usize);
-            }
-        }
-    }
-
-    /// Cells with a floor below and, in a roofed scene, a ceiling above.
-    fn roofed(&self, tracer: &dyn Tracer, storey: &Storey) -> Vec<bool> {
-        let y = storey.floor + 0.9 * (storey.ceiling - storey.floor);
-        let trace = |direction: Vec3| -> Vec<bool> {
-            let rays: Vec<Ray> = (0..self.len())
-                .map(|i| {
-                    let c = self.centre(i);
-                    Ray::new(Vec3::new(c.x, y, c.y), direction, f32::INFINITY)
-                })
-                .collect();
-            let mut occluded = vec![0u8; rays.len()];
-            tracer.occluded(&rays, &mut occluded);
-            occluded.into_iter().map(|o| o != 0).collect()
-        };
-        let mut inside = trace(Vec3::NEG_Y);
-        if storey.roofed {
-            inside
-                .iter_mut()
-                .zip(trace(Vec3::Y))
-                .for_each(|(i, above)| *i &= above);
-        }
-        inside
-    }
-}
-
-/// The segment (x, z) in which a triangle crosses height `y`.
-fn slice(corners: &[Vec3; 3], y: f32) -> Option<(Vec2, Vec2)> {
-    let mut points = [Vec2::ZERO; 2];
-    let mut n = 0;
-    for k in 0..3 {
-        let (a, b) = (corners[k], corners[(k + 1) % 3]);
-        if (a.y <= y) != (b.y <= y) && n < 2 {
-            let p = a + (b - a) * ((y - a.y) / (b.y - a.y));
-            points[n] = Vec2::new(p.x, p.z);
-            n += 1;
-        }
-    }
-    (n == 2).then_some((points[0], points[1]))
 }
 
 /// Euclidean distance to the nearest cell that is not free, in cells (Felzenszwalb and Huttenlocher
@@ -504,10 +299,11 @@ fn root(parent: &mut [u32], mut i: u32) -> u32 {
     i
 }
 
-/// Joins regions too small for a room with the neighbour they share the longest border with; lonely
-/// ones vanish.
-fn merge_small(plan: &Plan, labels: &mut [u32], unit: f32) {
+/// Joins regions too small for a room with the neighbour they share the longest border with. Of those
+/// that nothing borders on, closets stay, whose walls face them, and the insides of solids vanish.
+fn merge_small(plan: &Plan, labels: &mut [u32], faced: &[bool], unit: f32) {
     let min_cells = (MIN_AREA * unit * unit / (plan.cell * plan.cell)) as usize;
+    let mut closets = std::collections::BTreeSet::new();
     loop {
         let mut area = std::collections::BTreeMap::<u32, usize>::new();
         labels
@@ -516,7 +312,7 @@ fn merge_small(plan: &Plan, labels: &mut [u32], unit: f32) {
             .for_each(|l| *area.entry(*l).or_default() += 1);
         let Some((&small, _)) = area
             .iter()
-            .filter(|(_, a)| **a < min_cells)
+            .filter(|(l, a)| **a < min_cells && !closets.contains(*l))
             .min_by_key(|(l, a)| (**a, **l))
         else {
             return;
@@ -530,10 +326,18 @@ fn merge_small(plan: &Plan, labels: &mut [u32], unit: f32) {
                     .for_each(|l| *border.entry(l).or_default() += 1);
             }
         }
-        let target = border
+        let longest = border
             .iter()
-            .max_by_key(|(l, n)| (**n, std::cmp::Reverse(**l)))
-            .map_or(0, |(l, _)| *l);
+            .max_by_key(|(l, n)| (**n, std::cmp::Reverse(**l)));
+        let own = || labels.iter().zip(faced).filter(|(l, _)| **l == small);
+        let target = match longest {
+            Some((l, _)) => *l,
+            None if 2 * own().filter(|(_, f)| **f).count() > own().count() => {
+                closets.insert(small);
+                continue;
+            }
+            None => 0,
+        };
         labels
             .iter_mut()
             .filter(|l| **l == small)

@@ -227,7 +227,7 @@ fn up_is_z(keys: &Keys<'_>, key: &str, issues: &mut Vec<String>) -> Option<bool>
 fn frames(keys: &Keys<'_>, world: &FileWorld, issues: &mut Vec<String>) -> Vec<Frame> {
     let mut frames = Vec::new();
     match keys.map.get("frames") {
-        Some(Value::Array(entries)) if entries.is_empty() => issues.push("frames: empty; list at least one posed image".into()),
+        Some(Value::Array(entries)) if entries.is_empty() => issues.push("frames: empty; list at least one posed image (a scan without photographs: `unbake delight MESH`)".into()),
         Some(Value::Array(entries)) => {
             for (index, entry) in entries.iter().enumerate() {
                 match entry {

@@ -1,7 +1,10 @@
 //! A mesh from depth images, for captures that bring none: their signed distances are
 //! averaged on a grid of voxels (Curless and Levoy 1996, "A Volumetric Method for Building Complex
-//! Models from Range Images"), the surface is where the mean is zero, and it ends where no image
-//! looks. It is then decimated to what the photographs resolve. Called by `write`.
+//! Models from Range Images"), and the surface is where the mean is zero. What every image sees only
+//! behind something is taken for solid (their section 4, hole filling): so a lamp seen from below has
+//! an upper side, from which it shines as well, and no light leaks in behind a cupboard. Where an image
+//! looks and has no depth (a window), nothing is closed. The surface is then decimated to what the
+//! photographs resolve. Called by `write`.
 
 use super::account::Account;
 use super::capture::{LabelledMesh, Shot};
@@ -91,7 +94,7 @@ pub fn mesh_of_depth(
     let error = (UNSEEN_ERROR * grid.resolved).max(NOISE * grid.voxel);
     let mesh = progress.stage("decimation", 1, |_| decimated(&net, &grid, error));
     account.converted(format!(
-        "no mesh: surface from {} depth images, voxels of {:.1} cm, {} triangles, decimated to {} at {:.0} mm; it ends where no depth was seen",
+        "no mesh: surface from {} depth images, voxels of {:.1} cm, {} triangles, decimated to {} at {:.0} mm; what all of them see only behind something is closed",
         ranges.len(),
         100.0 * grid.voxel,
         grouped(fused),
@@ -160,22 +163,40 @@ impl Range {
         Some(((depth - along) * cosine, cosine / (depth * depth)))
     }
 
-    /// Depth between the pixels' centres: its inverse is linear on planes. `None` at jumps.
-    fn depth_at(&self, pixel: Vec2) -> Option<f32> {
+    /// What the image says of a place about which it measures no distance; `None` where it does not look, or
+    /// within `band` metres of what it sees.
+    fn sight(&self, place: Vec3, band: f32) -> Option<Sight> {
+        let depths = self.depths(self.camera.project(place)?);
+        let along = (place - self.camera.position).length();
+        // at an outline the nearest pixel decides
+        let (_, depth) = depths.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        if depth <= 0.0 {
+            return Some(Sight::NoDepth);
+        }
+        match (along < depth - band, along > depth + band) {
+            (true, _) => Some(Sight::Empty),
+            (_, true) => Some(Sight::Behind),
+            _ => None,
+        }
+    }
+
+    /// The four pixels around a place of the image: weight and depth.
+    fn depths(&self, pixel: Vec2) -> [(f32, f32); 4] {
         let (w, h) = (self.depth.width, self.depth.height);
         let wrap = match self.camera.projection {
             Projection::Equirectangular => Wrap::Repeat,
             Projection::Pinhole(_) => Wrap::Clamp,
         };
-        let taps = bilinear_taps(w, h, pixel, wrap);
-        let depths = taps.map(|(k, _)| self.depth.data[k]);
-        let least = depths.iter().copied().fold(f32::INFINITY, f32::min);
-        let most = depths.iter().copied().fold(0.0, f32::max);
+        bilinear_taps(w, h, pixel, wrap).map(|(k, weight)| (weight, self.depth.data[k]))
+    }
+
+    /// Depth between the pixels' centres: its inverse is linear on planes. `None` at jumps.
+    fn depth_at(&self, pixel: Vec2) -> Option<f32> {
+        let depths = self.depths(pixel);
+        let (least, most) = extremes(depths.map(|(_, d)| d));
         // across the diagonal of a pixel, on a surface that is seen as grazing as counts
         let slope = std::f32::consts::SQRT_2 * self.camera.pixel_angle(pixel) / GRAZING;
-        let inverse: f32 = (taps.iter().zip(depths))
-            .map(|((_, weight), d)| weight / d)
-            .sum();
+        let inverse: f32 = depths.iter().map(|(weight, d)| weight / d).sum();
         (least > 0.0 && most - least <= slope * most).then_some(1.0 / inverse)
     }
 
@@ -193,8 +214,26 @@ impl Range {
     }
 }
 
+fn extremes(depths: [f32; 4]) -> (f32, f32) {
+    let least = depths.iter().copied().fold(f32::INFINITY, f32::min);
+    (least, depths.iter().copied().fold(0.0, f32::max))
+}
+
+/// What an image says of a place.
+#[derive(Clone, Copy, PartialEq)]
+enum Sight {
+    /// The image sees through it.
+    Empty,
+    /// It lies behind what the image sees.
+    Behind,
+    /// The image looks there and has no depth.
+    NoDepth,
+}
+
 /// The grid that distances are averaged on.
 struct Grid {
+    /// What the depth shows lies between these, metres.
+    bounds: [Vec3; 2],
     /// Side of a voxel, metres.
     voxel: f32,
     /// What a pixel of the photographs is wide on the surface, metres.
@@ -219,6 +258,7 @@ impl Grid {
         }
         let voxel = median(spacing)?.max((hi - lo).length() / FINEST);
         (voxel > 0.0).then_some(Self {
+            bounds: [lo, hi],
             voxel,
             resolved: median(resolved)?,
         })
@@ -231,13 +271,18 @@ impl Grid {
 
     /// Mean distance of every voxel near the surface, in voxels.
     fn fused(&self, ranges: &[Range]) -> BTreeMap<[i32; 3], f32> {
-        let blocks: Vec<[i32; 3]> = self.blocks(ranges).into_iter().collect();
+        let mut blocks = self.blocks(ranges);
+        blocks.extend(self.frontier(ranges));
+        let blocks: Vec<[i32; 3]> = blocks.into_iter().collect();
         let fuse = |b: &[i32; 3]| {
             let first = IVec3::from_array(*b) * BLOCK;
             let voxels = (0..BLOCK.pow(3))
                 .map(move |k| first + IVec3::new(k / BLOCK / BLOCK, k / BLOCK % BLOCK, k % BLOCK));
-            let mean = |v: IVec3| Some((v.to_array(), self.mean(v, ranges)?));
-            voxels.filter_map(mean).collect::<Vec<_>>()
+            let value = |v: IVec3| {
+                let value = self.mean(v, ranges).or_else(|| self.graded(v, ranges))?;
+                Some((v.to_array(), value))
+            };
+            voxels.filter_map(value).collect::<Vec<_>>()
         };
         let fused: Vec<Vec<([i32; 3], f32)>> = blocks.par_iter().map(fuse).collect();
         fused.into_iter().flatten().collect()
@@ -256,6 +301,59 @@ impl Grid {
         };
         let found: Vec<BTreeSet<[i32; 3]>> = ranges.par_iter().map(of_image).collect();
         found.into_iter().flatten().collect()
+    }
+
+    /// Blocks that what is seen through and what is hidden share.
+    fn frontier(&self, ranges: &[Range]) -> Vec<[i32; 3]> {
+        let [lo, hi] = self.bounds.map(|p| IVec3::from_array(self.block_of(p)));
+        let size = (hi - lo + 1).as_usizevec3();
+        let block = |k: usize| {
+            let at = [k / size.y / size.z, k / size.z % size.y, k % size.z];
+            lo + IVec3::from_array(at.map(|v| v as i32))
+        };
+        let shared = |b: &IVec3| {
+            // its corners, and halfway between them
+            let at = (0..27).map(|k| IVec3::new(k / 9, k / 3 % 3, k % 3) * (BLOCK / 2));
+            let sights = at.map(|o| self.sight((*b * BLOCK + o).as_vec3(), ranges));
+            let found: Vec<Sight> = sights.flatten().collect();
+            found.contains(&Sight::Empty) && found.contains(&Sight::Behind)
+        };
+        let all = (0..size.x * size.y * size.z).into_par_iter().map(block);
+        all.filter(shared).map(|b| b.to_array()).collect()
+    }
+
+    /// What the images together say of a place, in voxels: empty if one sees through it, hidden if it lies
+    /// behind something for all that look; `None` if nobody says.
+    fn sight(&self, place: Vec3, ranges: &[Range]) -> Option<Sight> {
+        let band = BAND * self.voxel;
+        let mut together = None;
+        for sight in (ranges.iter()).filter_map(|r| r.sight(place * self.voxel, band)) {
+            match sight {
+                Sight::Empty => return Some(Sight::Empty),
+                Sight::Behind if together.is_none() => together = Some(Sight::Behind),
+                Sight::Behind => {}
+                Sight::NoDepth => together = Some(Sight::NoDepth),
+            }
+        }
+        together
+    }
+
+    /// A distance where none was measured: the mean over the places around, so that the frontier of what
+    /// is hidden runs smoothly between voxels.
+    fn graded(&self, voxel: IVec3, ranges: &[Range]) -> Option<f32> {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for k in 0..8 {
+            let corner = IVec3::new(k / 4, k / 2 % 2, k % 2) * 2 - 1;
+            match self.sight((voxel + corner).as_vec3(), ranges) {
+                Some(Sight::Empty) => sum += BAND,
+                Some(Sight::Behind) => sum -= BAND,
+                Some(Sight::NoDepth) => return None,
+                // beside something that is seen too grazing to be measured
+                None => continue,
+            }
+            count += 1.0;
+        }
+        (count > 0.0).then(|| sum / count)
     }
 
     fn mean(&self, voxel: IVec3, ranges: &[Range]) -> Option<f32> {

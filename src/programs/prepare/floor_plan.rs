@@ -39,11 +39,15 @@ pub fn write_floor_plan(path: &Path, out: &Path, progress: &Progress) -> Result<
     let grid = progress.stage("finding rooms", 1, |_| -> Result<RoomGrid> {
         Ok(floor_plan(&scene, &EmbreeTracer::new(&scene.mesh)?))
     })?;
-    let out = match out.is_dir() {
-        true => out,
+    let out = match out.is_file() {
         // the scene may be named by its transforms.json
-        false => out.parent().unwrap_or(Path::new(".")),
+        true => out.parent().unwrap_or(Path::new(".")),
+        false => out,
     };
+    std::fs::create_dir_all(out).map_err(|source| Error::Io {
+        path: out.into(),
+        source,
+    })?;
     formats::write_png16(out.join(GRID), &grid.cells)?;
     let (width, height, rgb) = picture(&grid, &scene);
     formats::write_png_rgb8(out.join(PICTURE), width, height, &rgb)?;

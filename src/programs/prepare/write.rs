@@ -105,7 +105,7 @@ pub fn write_scene(
     }
     if frames.is_empty() {
         account.ignored(
-            "nothing, but there are no photographs: so this folder holds geometry and labels only",
+            "nothing, but there are no photographs: the folder holds geometry and classes only. Add posed images to its transforms.json; where there will be none, `unbake delight` takes the mesh's own colours as the light",
         );
     }
     let scene = transforms(&capture, frames, mesh_name.as_deref(), rooms > 0);
