@@ -1,0 +1,64 @@
+//! `unbake.solve`: a scene to its result.
+
+use crate::options::Keywords;
+use crate::scene::Scene;
+use crate::solution::Solution;
+use crate::watch::Watch;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::PathBuf;
+use unbake::Progress;
+use unbake::programs::run::{Run, RunRequest};
+
+/// A scene, or where one lies.
+#[derive(FromPyObject)]
+pub(crate) enum SceneOrPath {
+    Read(Py<Scene>),
+    Path(PathBuf),
+}
+
+/// Reconstructs a scene and writes the result.
+#[pyfunction]
+#[pyo3(signature = (scene, out, *, progress=None, note=None, seed=0, threads=None, **options))]
+#[expect(clippy::too_many_arguments, reason = "keywords of a function of Python")]
+pub(crate) fn solve<'py>(
+    py: Python<'py>,
+    scene: SceneOrPath,
+    out: PathBuf,
+    progress: Option<Bound<'py, PyAny>>,
+    note: Option<Bound<'py, PyAny>>,
+    seed: u64,
+    threads: Option<usize>,
+    options: Option<&Bound<'py, PyDict>>,
+) -> PyResult<Solution> {
+    let mut keywords = Keywords::new(py, "solve", options)?;
+    let (path, load) = match scene {
+        SceneOrPath::Read(scene) => {
+            let scene = scene.get();
+            (scene.path().to_path_buf(), scene.options().clone())
+        }
+        SceneOrPath::Path(path) => (path, keywords.take()?),
+    };
+    let request = RunRequest {
+        load,
+        alignment: keywords.take()?,
+        solve: keywords.take()?,
+        seed,
+    };
+    keywords.finish()?;
+    let command = vec![
+        "unbake.solve".to_owned(),
+        path.display().to_string(),
+        out.display().to_string(),
+    ];
+    let watch = Watch {
+        progress,
+        note,
+        threads,
+    };
+    let inner = watch.run(py, |observer| {
+        Run::new(request, command, vec![observer]).solve(&path, &out)?;
+        Solution::load(&out, &Progress::silent())
+    })?;
+    Ok(Solution::new(out, inner))
+}
