@@ -1,6 +1,6 @@
 //! Cameras in the coordinates of a scene's file.
 
-use crate::errors::{Raised, usage};
+use crate::said::{Raised, usage};
 use glam::{DVec3, Mat3, Vec3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -44,9 +44,11 @@ impl Image {
         }
         match self.fov {
             None => Ok(Projection::Equirectangular),
-            Some(fov) if (1.0..=170.0).contains(&fov) => {
-                Ok(Projection::Pinhole(Lens::centred(self.width, self.height, fov)))
-            }
+            Some(fov) if (1.0..=170.0).contains(&fov) => Ok(Projection::Pinhole(Lens::centred(
+                self.width,
+                self.height,
+                fov,
+            ))),
             Some(fov) => Err(usage(
                 py,
                 format!("Camera: fov={fov}: expected 1 to 170 degrees, or None for a panorama"),
@@ -88,7 +90,10 @@ impl Camera {
     ) -> PyResult<Self> {
         let position = DVec3::from_array(position);
         let off = world_from_camera.transpose() * world_from_camera - Mat3::IDENTITY;
-        let off = off.to_cols_array().iter().fold(0.0f32, |m, v| m.max(v.abs()));
+        let off = off
+            .to_cols_array()
+            .iter()
+            .fold(0.0f32, |m, v| m.max(v.abs()));
         let right_handed = world_from_camera.determinant() > 0.0;
         if !(position.is_finite() && off <= ROTATION_ERROR && right_handed) {
             return Err(usage(
@@ -201,7 +206,11 @@ impl Camera {
     }
 
     fn __repr__(&self) -> String {
-        let kind = if self.panorama() { "panorama" } else { "pinhole" };
+        let kind = if self.panorama() {
+            "panorama"
+        } else {
+            "pinhole"
+        };
         format!(
             "<unbake.Camera {:?}: {kind} {}x{} at {}>",
             self.name, self.posed.width, self.posed.height, self.position

@@ -4,8 +4,8 @@
 
 mod buffer;
 mod camera;
-mod errors;
 mod options;
+mod said;
 mod scene;
 mod solution;
 mod solve;

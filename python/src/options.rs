@@ -1,7 +1,7 @@
 //! Keyword arguments as the library's options: every flag of a verb is a keyword of the same name
 //! with underscores, and takes the values that its key of the configuration takes.
 
-use crate::errors::usage;
+use crate::said::usage;
 use clap::{Args, Command};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

@@ -2,8 +2,8 @@
 
 use crate::buffer;
 use crate::camera::Camera;
-use crate::errors::{Raised, usage};
 use crate::options::Keywords;
+use crate::said::{Raised, dictionary, usage};
 use crate::watch::Watch;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -149,9 +149,14 @@ pub(crate) fn check<'py>(
         threads,
     };
     let checked = watch.run(py, |observer| {
-        Ok(run::check_scene(&scene, &load, &alignment, &Progress::new(observer)))
+        Ok(run::check_scene(
+            &scene,
+            &load,
+            &alignment,
+            &Progress::new(observer),
+        ))
     })?;
-    let found = pythonize::pythonize(py, &checked)?;
+    let found = dictionary(py, &checked)?;
     found.set_item("text", checked.to_string())?;
     Ok(found)
 }

@@ -2,8 +2,8 @@
 
 use crate::buffer;
 use crate::camera::{Camera, Cameras};
-use crate::errors::{Raised, usage};
 use crate::options::Keywords;
+use crate::said::{Raised, dictionary, usage};
 use crate::watch::Watch;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -86,22 +86,22 @@ impl Solution {
     }
     #[getter]
     fn reflectance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        Ok(pythonize::pythonize(py, &self.inner.reflectance)?)
+        dictionary(py, &self.inner.reflectance)
     }
     #[getter]
     fn lamps<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        Ok(pythonize::pythonize(py, &self.inner.lamps)?)
+        dictionary(py, &self.inner.lamps)
     }
     #[getter]
     fn portals<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        Ok(pythonize::pythonize(py, &self.inner.portals)?)
+        dictionary(py, &self.inner.portals)
     }
 
     /// What `manifest.json` says.
     #[getter]
     fn manifest<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let record = RunRecord::of_result(&self.path).raised(py)?;
-        Ok(pythonize::pythonize(py, &record)?)
+        dictionary(py, &record)
     }
 
     /// How far the result is to be trusted.
@@ -112,7 +112,7 @@ impl Solution {
             return Ok(None);
         };
         let verdict = findings.verdict();
-        let said = pythonize::pythonize(py, &verdict)?;
+        let said = dictionary(py, &verdict)?;
         said.set_item("text", verdict.to_string())?;
         Ok(Some(said))
     }
@@ -242,7 +242,10 @@ impl Solution {
         threads: Option<usize>,
         options: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let lighting = lighting(py, [("lamp", lamps), ("add", add), ("environment", environment)])?;
+        let lighting = lighting(
+            py,
+            [("lamp", lamps), ("add", add), ("environment", environment)],
+        )?;
         let mut keywords = Keywords::new(py, "relight", options)?;
         let frames: FrameOptions = keywords.take_only(&FRAMES)?;
         let names = ["samples", "max_samples", "error", "no_denoise"];
@@ -287,10 +290,7 @@ impl Solution {
 }
 
 /// A lighting from the tables of a lighting file.
-fn lighting(
-    py: Python<'_>,
-    tables: [(&str, Option<&Bound<'_, PyAny>>); 3],
-) -> PyResult<Lighting> {
+fn lighting(py: Python<'_>, tables: [(&str, Option<&Bound<'_, PyAny>>); 3]) -> PyResult<Lighting> {
     let mut all = json!({});
     for (name, table) in tables {
         if let Some(table) = table {

@@ -20,7 +20,10 @@ pub(crate) enum SceneOrPath {
 /// Reconstructs a scene and writes the result.
 #[pyfunction]
 #[pyo3(signature = (scene, out, *, progress=None, note=None, seed=0, threads=None, **options))]
-#[expect(clippy::too_many_arguments, reason = "keywords of a function of Python")]
+#[expect(
+    clippy::too_many_arguments,
+    reason = "keywords of a function of Python"
+)]
 pub(crate) fn solve<'py>(
     py: Python<'py>,
     scene: SceneOrPath,

@@ -1,7 +1,7 @@
 //! Long work beside Python: it runs on a thread of its own, while the calling thread lets Python's
 //! other threads run, passes events on to callbacks, and hears Ctrl-C.
 
-use crate::errors::{exception, usage};
+use crate::said::{exception, usage};
 use pyo3::prelude::*;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -48,7 +48,9 @@ impl Watcher {
 
     /// The next event, or nothing for a tick.
     fn next(&self) -> Option<Event> {
-        let waited = self.rings.wait_timeout_while(self.events(), TICK, |e| e.is_empty());
+        let waited = self
+            .rings
+            .wait_timeout_while(self.events(), TICK, |e| e.is_empty());
         let (mut events, _) = waited.unwrap_or_else(PoisonError::into_inner);
         events.pop_front()
     }
@@ -110,7 +112,9 @@ impl Watch<'_> {
                 .name("unbake".into())
                 .stack_size(STACK)
                 .spawn_scoped(scope, task)
-                .map_err(|e| exception(py, &Error::Failed(format!("cannot start a thread: {e}"))))?;
+                .map_err(|e| {
+                    exception(py, &Error::Failed(format!("cannot start a thread: {e}")))
+                })?;
             let heard = self.listen(py, &watcher, || worker.is_finished());
             watcher.stop.store(heard.is_err(), Ordering::Relaxed);
             Ok::<_, PyErr>((heard, py.detach(|| worker.join())))

@@ -1,6 +1,8 @@
-//! The library's errors as exceptions of `unbake.errors`, with the same text.
+//! What the library says, to Python: errors as exceptions of `unbake.errors` with the same text, records
+//! as dictionaries.
 
 use pyo3::prelude::*;
+use serde::Serialize;
 use unbake::Error;
 
 /// The exception that says what `error` says.
@@ -32,4 +34,14 @@ impl<T> Raised<T> for unbake::Result<T> {
     fn raised(self, py: Python<'_>) -> PyResult<T> {
         self.map_err(|e| exception(py, &e))
     }
+}
+
+/// A record as dictionaries and lists, as its JSON has them.
+pub(crate) fn dictionary<'py>(
+    py: Python<'py>,
+    record: &impl Serialize,
+) -> PyResult<Bound<'py, PyAny>> {
+    let json = serde_json::to_value(record)
+        .map_err(|e| exception(py, &Error::Failed(format!("cannot be written down: {e}"))))?;
+    Ok(pythonize::pythonize(py, &json)?)
 }
