@@ -15,7 +15,7 @@ const MOST_PIXELS: usize = 16_384;
 /// written with four decimals are exact to 1e-4.
 const ROTATION_ERROR: f32 = 1e-3;
 
-/// A posed camera: a panorama, or a pinhole camera.
+/// A posed camera: a panorama, or a pinhole camera. Values do not change.
 #[pyclass(frozen)]
 pub(crate) struct Camera {
     name: String,
@@ -134,6 +134,7 @@ impl Camera {
         Self::new(py, name, position, rotation, &Image { width, height, fov })
     }
 
+    /// A camera at `position` that looks at `target`, +y up in its image. Raises UsageError as the constructor does.
     #[staticmethod]
     #[pyo3(signature = (position, target, width, height, *, fov=None, name="camera".to_owned()))]
     fn look_at(
@@ -157,30 +158,37 @@ impl Camera {
         Self::new(py, name, position, rotation, &Image { width, height, fov })
     }
 
+    /// The name of what is made of it: of a scene's camera, its image without the ending.
     #[getter]
     fn name(&self) -> &str {
         &self.name
     }
+    /// Pixels.
     #[getter]
     fn width(&self) -> usize {
         self.posed.width
     }
+    /// Pixels.
     #[getter]
     fn height(&self) -> usize {
         self.posed.height
     }
+    /// Whether it sees all directions.
     #[getter]
     fn panorama(&self) -> bool {
         self.posed.projection == Projection::Equirectangular
     }
+    /// Metres, coordinates of the scene's file.
     #[getter]
     fn position(&self) -> (f64, f64, f64) {
         self.position.into()
     }
+    /// Rows of the rotation.
     #[getter]
     fn world_from_camera(&self) -> [[f32; 3]; 3] {
         self.posed.world_from_camera.transpose().to_cols_array_2d()
     }
+    /// None of a panorama.
     #[getter]
     fn lens<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
         let Projection::Pinhole(lens) = self.posed.projection else {

@@ -14,7 +14,7 @@ use unbake::programs::run;
 use unbake::render::{NamedCamera, Views};
 use unbake::scene::Split;
 
-/// A validated scene.
+/// A validated scene: mesh, cameras, classes. Photographs are read on demand.
 #[pyclass(frozen)]
 pub(crate) struct Scene {
     path: PathBuf,
@@ -48,20 +48,23 @@ impl Scene {
         })
     }
 
+    /// Where it was read from.
     #[getter(path)]
     fn shown_path(&self) -> PathBuf {
         self.path.clone()
     }
+    /// What should be known although the scene is usable.
     #[getter]
     fn warnings(&self) -> Vec<String> {
         self.inner.warnings.clone()
     }
+    /// What `positions` are relative to: a point in the coordinates of the scene's file.
     #[getter]
     fn origin(&self) -> (f64, f64, f64) {
         self.inner.origin.into()
     }
 
-    /// Ids and names.
+    /// Names of the classes by the ids of label images.
     #[getter]
     fn classes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let classes = PyDict::new(py);
@@ -71,6 +74,7 @@ impl Scene {
         Ok(classes)
     }
 
+    /// The cameras of the views, named after their images, in the order of the file.
     #[pyo3(signature = (views="all"))]
     fn cameras<'py>(&self, py: Python<'py>, views: &str) -> PyResult<Bound<'py, PyList>> {
         let wanted = match views {
@@ -90,6 +94,8 @@ impl Scene {
         PyList::new(py, cameras?)
     }
 
+    /// (height, width, 3): the radiance that a view's photograph shows. Raises UsageError for a name that no view has, InputError
+    /// for an image that cannot be read.
     fn photograph<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         let Some(view) = self.inner.views.iter().find(|v| v.stem == name) else {
             let message = format!("photograph: there is no view {name:?}; cameras() names them");
@@ -99,18 +105,22 @@ impl Scene {
         buffer::plane(py, &Arc::new(image), |image| image)
     }
 
+    /// (vertices, 3), metres relative to `origin`.
     #[getter]
     fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::list(py, &self.inner, |s| &s.mesh.positions)
     }
+    /// (vertices, 3), unit vectors.
     #[getter]
     fn normals<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::list(py, &self.inner, |s| &s.mesh.normals)
     }
+    /// (vertices, 2), places in the atlas in [0, 1], v down the rows.
     #[getter]
     fn uvs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::list(py, &self.inner, |s| &s.mesh.uvs)
     }
+    /// (triangles, 3), rows of `positions`.
     #[getter]
     fn triangles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::list(py, &self.inner, |s| &s.mesh.triangles)
@@ -128,7 +138,10 @@ impl Scene {
     }
 }
 
-/// Everything that is wrong with a scene.
+/// What is understood of a scene and everything that is wrong with it, as `unbake check --json` says it: "problems" and "warnings"
+/// (lists of sentences), "alignment", …; "text" is the same for people. A bad scene is a result and no exception.
+///
+/// Options are the flags of `unbake check`. Raises UsageError for an option.
 #[pyfunction]
 #[pyo3(signature = (scene, *, progress=None, note=None, threads=None, **options))]
 pub(crate) fn check<'py>(

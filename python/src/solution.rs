@@ -8,19 +8,19 @@ use crate::watch::Watch;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use unbake::programs::edit::load_edited;
 use unbake::programs::report::RunRecord;
 use unbake::render::{
     FrameOptions, Lighting, PathTracedScene, RelightOptions, RenderOptions, read_cameras,
 };
-use unbake::{Progress, Result, RgbPlane};
+use unbake::{Progress, RgbPlane};
 
 /// Options of frames that say which pictures are made; the others say how they are stored.
 const FRAMES: [&str; 4] = ["width", "height", "fov", "path"];
 
-/// A result, as read from its folder.
+/// A result of `solve`: textures, lamps, stated errors, verdict.
 #[pyclass(frozen)]
 pub(crate) struct Solution {
     path: PathBuf,
@@ -34,11 +34,6 @@ impl Solution {
             path,
             inner: Arc::new(inner),
         }
-    }
-
-    /// Reads a folder, with its edits if it has any.
-    pub(crate) fn load(path: &Path, progress: &Progress) -> Result<unbake::Solution> {
-        load_edited(path, progress)
     }
 
     fn pictures<'py>(
@@ -72,39 +67,44 @@ impl Solution {
             note,
             threads: None,
         };
-        let inner = watch.run(py, |observer| Self::load(&path, &Progress::new(observer)))?;
+        let inner = watch.run(py, |observer| load_edited(&path, &Progress::new(observer)))?;
         Ok(Self::new(path, inner))
     }
 
+    /// Its folder.
     #[getter(path)]
     fn shown_path(&self) -> PathBuf {
         self.path.clone()
     }
+    /// What `positions` are relative to: a point in the coordinates of the scene's file.
     #[getter]
     fn origin(&self) -> (f64, f64, f64) {
         self.inner.origin.into()
     }
+    /// The reflection model that albedo and roughness belong to.
     #[getter]
     fn reflectance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         dictionary(py, &self.inner.reflectance)
     }
+    /// Luminous surfaces, most powerful first.
     #[getter]
     fn lamps<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         dictionary(py, &self.inner.lamps)
     }
+    /// Openings to the environment, numbered on from the lamps.
     #[getter]
     fn portals<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         dictionary(py, &self.inner.portals)
     }
 
-    /// What `manifest.json` says.
+    /// What `manifest.json` says of the run (docs/outputs.md).
     #[getter]
     fn manifest<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let record = RunRecord::of_result(&self.path).raised(py)?;
         dictionary(py, &record)
     }
 
-    /// How far the result is to be trusted.
+    /// How far the result is to be trusted; None of a folder without a manifest. Raises InputError for a manifest of another run.
     #[getter]
     fn verdict<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         let record = RunRecord::of_result(&self.path).raised(py)?;
@@ -117,64 +117,78 @@ impl Solution {
         Ok(Some(said))
     }
 
+    /// (rows, columns): relative standard error of the irradiance's luminance; None where nothing states it.
     #[getter]
     fn irradiance_error<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         buffer::optional_plane(py, &self.inner, |s| s.irradiance_error.as_ref())
     }
+    /// (rows, columns, 3), linear RGB in [0, 1].
     #[getter]
     fn albedo<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::plane(py, &self.inner, |s| &s.albedo)
     }
+    /// (rows, columns), R in [0, 1]; alpha = R².
     #[getter]
     fn roughness<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::plane(py, &self.inner, |s| &s.roughness)
     }
+    /// (rows, columns, 3), radiance unit times steradian.
     #[getter]
     fn irradiance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::plane(py, &self.inner, |s| &s.irradiance)
     }
+    /// (rows, columns, 3): what leaves the surface, as observed.
     #[getter]
     fn radiance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::plane(py, &self.inner, |s| &s.radiance)
     }
+    /// (rows, columns, 3): emitted radiance, 0 where none.
     #[getter]
     fn emission<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::plane(py, &self.inner, |s| &s.emission)
     }
+    /// (rows, columns, 2): standard errors of albedo and of roughness; 10000 = unobserved.
     #[getter]
     fn confidence<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::plane(py, &self.inner, |s| &s.confidence)
     }
+    /// (rows, columns): class ids, 0 = unlabelled.
     #[getter]
     fn labels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::plane(py, &self.inner, |s| &s.labels)
     }
+    /// (rows, columns): room ids, 0 = outside.
     #[getter]
     fn rooms<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::plane(py, &self.inner, |s| &s.rooms)
     }
+    /// (rows, columns, 3): radiance from directions without geometry, an equirectangular map in world axes.
     #[getter]
     fn environment<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::plane(py, &self.inner, |s| &s.environment)
     }
+    /// (vertices, 3), metres relative to `origin`.
     #[getter]
     fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::list(py, &self.inner, |s| &s.mesh.positions)
     }
+    /// (vertices, 3), unit vectors.
     #[getter]
     fn normals<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::list(py, &self.inner, |s| &s.mesh.normals)
     }
+    /// (vertices, 2), places in the atlas in [0, 1], v down the rows.
     #[getter]
     fn uvs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::list(py, &self.inner, |s| &s.mesh.uvs)
     }
+    /// (triangles, 3), rows of `positions`.
     #[getter]
     fn triangles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::list(py, &self.inner, |s| &s.mesh.triangles)
     }
 
-    /// The cameras of a file like `transforms.json`.
+    /// The cameras of a file in the form of transforms.json. Raises InputError for all that is wrong with it.
     #[pyo3(signature = (path))]
     fn read_cameras(&self, py: Python<'_>, path: PathBuf) -> PyResult<Vec<Camera>> {
         let origin = self.inner.origin;
@@ -183,7 +197,11 @@ impl Solution {
         Ok(read.cameras.into_iter().map(camera).collect())
     }
 
-    /// Pictures in the photographed light.
+    /// Pictures in the photographed light, (height, width, 3) radiance each: an array for one camera, a list for several.
+    ///
+    /// Options are flags of `unbake render`: renderer ("hybrid", "path"), show ("light", "albedo", "roughness"), supersampling (1 to
+    /// 16), samples, no_denoise, diffuse_only, flat, and width, height, fov, path, which change the cameras; with `path` the result is
+    /// a list. Raises UsageError for an option or camera out of range.
     #[pyo3(signature = (cameras, *, progress=None, note=None, seed=0, threads=None, **options))]
     #[expect(clippy::too_many_arguments, reason = "keywords of a method of Python")]
     fn render<'py>(
@@ -226,7 +244,13 @@ impl Solution {
         Self::pictures(py, images, cameras.is_one() && frames.path == 0)
     }
 
-    /// Pictures in changed light.
+    /// Pictures in changed light, as `render` gives them, by the path tracer.
+    ///
+    /// `lamps`, `add` and `environment` are the tables of a lighting file of `unbake relight` (docs/outputs.md): changes of lamps
+    /// (group or near; off, scale, colour, move), new lamps (kind = quad, sphere, point, spot, ies), the light from outside (off,
+    /// file, constant, scale, colour). Files are relative to the current folder. Options: samples, max_samples, error (relative
+    /// standard error at which a part of the picture is done), no_denoise, width, height, fov, path. Raises UsageError for what does
+    /// not exist or is no light, InputError for a file that cannot be read.
     #[pyo3(signature = (cameras, *, lamps=None, add=None, environment=None, progress=None, note=None, seed=0, threads=None, **options))]
     #[expect(clippy::too_many_arguments, reason = "keywords of a method of Python")]
     fn relight<'py>(

@@ -7,7 +7,6 @@ use crate::watch::Watch;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
-use unbake::Progress;
 use unbake::programs::run::{Run, RunRequest};
 
 /// A scene, or where one lies.
@@ -24,6 +23,14 @@ pub(crate) enum SceneOrPath {
     clippy::too_many_arguments,
     reason = "keywords of a function of Python"
 )]
+/// Reconstructs a scene, writes what `unbake solve` writes into the folder `out`, the same bits, and reads it back.
+///
+/// Options are the flags of `unbake solve` with underscores: quality ("draft", "standard", "high"; default "standard"), albedo_size,
+/// roughness_size, irradiance_size (texels), budget (seconds), edges ("auto", "on", "off", or True and False), fix_alignment, force, …
+/// A `Scene` keeps the options that it was read with; of a path, they may be given here.
+///
+/// Raises InputError for a scene that cannot be used or whose photographs do not fit its mesh, UsageError for an option, FileError if
+/// `out` cannot be written to.
 pub(crate) fn solve<'py>(
     py: Python<'py>,
     scene: SceneOrPath,
@@ -61,7 +68,7 @@ pub(crate) fn solve<'py>(
     };
     let inner = watch.run(py, |observer| {
         Run::new(request, command, vec![observer]).solve(&path, &out)?;
-        Solution::load(&out, &Progress::silent())
+        unbake::Solution::load(&out)
     })?;
     Ok(Solution::new(out, inner))
 }

@@ -15,8 +15,8 @@ use unbake::{Error, Result};
 /// Derived: the longest delay that does not feel like one (Nielsen 1993, 0.1 s).
 const TICK: Duration = Duration::from_millis(100);
 
-/// The stack of the working thread. Derived: that of a program's first thread on Linux, on which the
-/// same work runs otherwise.
+/// The stack of working threads. Derived: that of a program's first thread on Linux, on which the same
+/// work runs otherwise.
 const STACK: usize = 8 << 20;
 
 /// What the work reports.
@@ -134,7 +134,10 @@ impl Watch<'_> {
             let message = format!("threads={threads}: expected 1 to 4096, or None for every core");
             return Err(usage(py, message));
         }
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .stack_size(STACK)
+            .build();
         pool.map(Some).map_err(|e| {
             let message = format!("cannot start {threads} threads: {e}");
             exception(py, &Error::Failed(message))

@@ -1,5 +1,6 @@
 """The module against the files it reads and writes, and against the program's own."""
 
+import ast
 import gc
 import json
 import os
@@ -8,6 +9,7 @@ import signal
 import subprocess
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -15,6 +17,22 @@ import pytest
 
 import unbake
 from conftest import SMALL
+
+
+def test_help_says_what_the_stub_says():
+    stub = ast.parse((Path(unbake.__file__).parent / "unbake_native.pyi").read_text())
+    words = lambda text: (text or "").split()
+    members = 0
+    for node in stub.body:
+        if not isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            continue
+        assert words(getattr(unbake, node.name).__doc__) == words(ast.get_docstring(node)) != [], node.name
+        for member in getattr(node, "body", []) if isinstance(node, ast.ClassDef) else []:
+            said = ast.get_docstring(member) if isinstance(member, ast.FunctionDef) else None
+            if said and member.name != "__new__":
+                assert words(getattr(getattr(unbake, node.name), member.name).__doc__) == words(said), member.name
+                members += 1
+    assert members > 30
 
 
 def test_textures_have_shapes_and_types(solved):

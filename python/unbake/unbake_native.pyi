@@ -1,26 +1,15 @@
-"""unbake takes the light out of photographs of rooms.
-
-Spaces: positions are metres in the coordinates of the scene's file (y up; a file that is z up is turned on reading), rotations are
-`world_from_camera` with OpenGL's axes (x right, y up, looking along -z). Colours are linear RGB with Rec. 709 primaries; radiance is in
-the unit of the photographs, irradiance in that unit times steradian. Textures are arrays of rows, columns and components: row 0 is v = 0,
-texel centres lie at +0.5, all of a result's textures share one atlas. Arrays are read-only views of memory that they keep alive.
-
-`progress(stage, done, steps)` and `note(sentence)` are called in the calling thread, at most ten times a second between a stage's
-beginning and end. An exception that they raise, and Ctrl-C, stop the work, leave no partial result and are passed on; the same call then
-goes on where it was stopped. Python's other threads run meanwhile. `threads` limits the worker threads and never changes the result.
-"""
+"""The compiled part of unbake; its names are those of the package."""
 
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
-from typing import Any, Literal, TypedDict, overload
+from pathlib import Path
+from typing import Any, Literal, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import Self
 
-from .errors import Error as Error
-from .errors import FileError as FileError
-from .errors import InputError as InputError
-from .errors import UsageError as UsageError
+from .records import Lamp, Lens, Verdict
 
 __version__: str
 
@@ -29,64 +18,12 @@ _Progress = Callable[[str, int, int], object]
 _Note = Callable[[str], object]
 _Vector = Sequence[float]
 
-class Lens(TypedDict):
-    """Pinhole intrinsics in pixels with OpenCV's distortion coefficients."""
-
-    fl_x: float
-    fl_y: float
-    cx: float
-    cy: float
-    k1: float
-    k2: float
-    p1: float
-    p2: float
-
-class Lamp(TypedDict):
-    """A light, as `lights.json` has it."""
-
-    id: int
-    """The number by which it is named, 1 for the most powerful."""
-    kind: Literal["lamp", "window", "portal"]
-    centre: list[float]
-    """Metres, coordinates of the scene's file."""
-    size: list[float]
-    """Extent of its bounding box, metres."""
-    area: float
-    """m²."""
-    power: list[float]
-    """Emitted power RGB: pi times the integral of radiance over the area, radiance units times m²."""
-    radiance: list[float]
-    """Mean emitted radiance RGB."""
-    clipped: bool
-    """Its radiance was clipped in the photographs and is estimated."""
-    standard_error: float
-    """Relative standard error of the power; 0 where nothing states one."""
-    triangles: list[int]
-    """Rows of `Solution.triangles`."""
-
-class Reason(TypedDict):
-    """One reason against a result."""
-
-    what: str
-    weight: float
-    """Error in albedo that it must be expected to make."""
-    place: str
-
-class Verdict(TypedDict):
-    """How far a result is to be trusted."""
-
-    level: Literal["good", "limited", "untrusted"]
-    expected_error: float
-    """Expected error in albedo (root mean square over the seen surface, albedo in [0, 1])."""
-    reasons: list[Reason]
-    text: str
-    """The same for people."""
-
+@final
 class Camera:
     """A posed camera: a panorama, or a pinhole camera. Values do not change."""
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         position: _Vector,
         world_from_camera: Sequence[Sequence[float]],
         width: int,
@@ -94,7 +31,7 @@ class Camera:
         *,
         fov: float | None = None,
         name: str = "camera",
-    ) -> None:
+    ) -> Self:
         """A camera at `position` (3) whose rotation has the rows `world_from_camera` (3 x 3), for images of `width` x `height` pixels
         (1 to 16384). `fov` is the horizontal angle of view in degrees (1 to 170); None makes a panorama of all directions.
 
@@ -108,15 +45,25 @@ class Camera:
         """A camera at `position` that looks at `target`, +y up in its image. Raises UsageError as the constructor does."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """The name of what is made of it: of a scene's camera, its image without the ending."""
+
     @property
-    def width(self) -> int: ...
+    def width(self) -> int:
+        """Pixels."""
+
     @property
-    def height(self) -> int: ...
+    def height(self) -> int:
+        """Pixels."""
+
     @property
-    def panorama(self) -> bool: ...
+    def panorama(self) -> bool:
+        """Whether it sees all directions."""
+
     @property
-    def position(self) -> tuple[float, float, float]: ...
+    def position(self) -> tuple[float, float, float]:
+        """Metres, coordinates of the scene's file."""
+
     @property
     def world_from_camera(self) -> list[list[float]]:
         """Rows of the rotation."""
@@ -125,21 +72,24 @@ class Camera:
     def lens(self) -> Lens | None:
         """None of a panorama."""
 
+@final
 class Scene:
     """A validated scene: mesh, cameras, classes. Photographs are read on demand."""
 
-    def __init__(self, path: _Path, **options: Any) -> None:
+    def __new__(cls, path: _Path, **options: Any) -> Self:
         """Reads a scene folder (or its transforms.json). Options are the flags of `unbake check` under "Scene" with underscores.
 
         Raises InputError that names every unusable file and key; UsageError for an option.
         """
 
     @property
-    def path(self) -> Any:
-        """Where it was read from, a `pathlib.Path`."""
+    def path(self) -> Path:
+        """Where it was read from."""
 
     @property
-    def warnings(self) -> list[str]: ...
+    def warnings(self) -> list[str]:
+        """What should be known although the scene is usable."""
+
     @property
     def classes(self) -> dict[int, str]:
         """Names of the classes by the ids of label images."""
@@ -171,15 +121,16 @@ class Scene:
         """(height, width, 3): the radiance that a view's photograph shows. Raises UsageError for a name that no view has, InputError
         for an image that cannot be read."""
 
+@final
 class Solution:
     """A result of `solve`: textures, lamps, stated errors, verdict."""
 
-    def __init__(self, path: _Path, *, progress: _Progress | None = None, note: _Note | None = None) -> None:
+    def __new__(cls, path: _Path, *, progress: _Progress | None = None, note: _Note | None = None) -> Self:
         """Reads an output folder, with what `unbake edit` changed in it. Raises InputError for a folder that is no whole result."""
 
     @property
-    def path(self) -> Any:
-        """Its folder, a `pathlib.Path`."""
+    def path(self) -> Path:
+        """Its folder."""
 
     @property
     def albedo(self) -> NDArray[np.float32]:
