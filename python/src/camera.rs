@@ -83,7 +83,7 @@ impl Camera {
 
     fn new(
         py: Python<'_>,
-        name: String,
+        name: &str,
         position: [f64; 3],
         world_from_camera: Mat3,
         image: &Image,
@@ -103,7 +103,7 @@ impl Camera {
             ));
         }
         Ok(Self {
-            name,
+            name: name.to_owned(),
             position,
             posed: Posed {
                 projection: image.projection(py)?,
@@ -119,7 +119,7 @@ impl Camera {
 #[pymethods]
 impl Camera {
     #[new]
-    #[pyo3(signature = (position, world_from_camera, width, height, *, fov=None, name="camera".to_owned()))]
+    #[pyo3(signature = (position, world_from_camera, width, height, *, fov=None, name="camera"))]
     fn make(
         py: Python<'_>,
         position: [f64; 3],
@@ -127,7 +127,7 @@ impl Camera {
         width: usize,
         height: usize,
         fov: Option<f32>,
-        name: String,
+        name: &str,
     ) -> PyResult<Self> {
         // rows, as numpy prints a matrix
         let rotation = Mat3::from_cols_array_2d(&world_from_camera).transpose();
@@ -136,7 +136,7 @@ impl Camera {
 
     /// A camera at `position` that looks at `target`, +y up in its image. Raises UsageError as the constructor does.
     #[staticmethod]
-    #[pyo3(signature = (position, target, width, height, *, fov=None, name="camera".to_owned()))]
+    #[pyo3(signature = (position, target, width, height, *, fov=None, name="camera"))]
     fn look_at(
         py: Python<'_>,
         position: [f64; 3],
@@ -144,7 +144,7 @@ impl Camera {
         width: usize,
         height: usize,
         fov: Option<f32>,
-        name: String,
+        name: &str,
     ) -> PyResult<Self> {
         let sight = (DVec3::from_array(position) - DVec3::from_array(target)).as_vec3();
         let back = sight.normalize_or_zero();

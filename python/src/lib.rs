@@ -17,8 +17,6 @@ use pyo3::prelude::*;
 #[pymodule]
 mod unbake_native {
     #[pymodule_export]
-    use super::buffer::Buffer;
-    #[pymodule_export]
     use super::camera::Camera;
     #[pymodule_export]
     use super::scene::{Scene, check};

@@ -16,13 +16,6 @@ pub(crate) enum SceneOrPath {
     Path(PathBuf),
 }
 
-/// Reconstructs a scene and writes the result.
-#[pyfunction]
-#[pyo3(signature = (scene, out, *, progress=None, note=None, seed=0, threads=None, **options))]
-#[expect(
-    clippy::too_many_arguments,
-    reason = "keywords of a function of Python"
-)]
 /// Reconstructs a scene, writes what `unbake solve` writes into the folder `out`, the same bits, and reads it back.
 ///
 /// Options are the flags of `unbake solve` with underscores: quality ("draft", "standard", "high"; default "standard"), albedo_size,
@@ -31,6 +24,12 @@ pub(crate) enum SceneOrPath {
 ///
 /// Raises InputError for a scene that cannot be used or whose photographs do not fit its mesh, UsageError for an option, FileError if
 /// `out` cannot be written to.
+#[pyfunction]
+#[pyo3(signature = (scene, out, *, progress=None, note=None, seed=0, threads=None, **options))]
+#[expect(
+    clippy::too_many_arguments,
+    reason = "keywords of a function of Python"
+)]
 pub(crate) fn solve<'py>(
     py: Python<'py>,
     scene: SceneOrPath,

@@ -11,6 +11,8 @@ from typing_extensions import Self
 
 from .records import Lamp, Lens, Verdict
 
+__all__ = ["Camera", "Scene", "Solution", "__version__", "check", "solve"]
+
 __version__: str
 
 _Path = str | PathLike[str]
