@@ -85,12 +85,12 @@ def middle(mesh_object):
 
 
 def lamps():
-    scene = fresh(64)
+    scene = fresh(128)
     mesh, count = addon.import_result(result, "SURFACES")
     assert count == 0
     matte()
     surfaces = shoot(scene, "surfaces", middle(mesh))
-    scene = fresh(64)
+    scene = fresh(128)
     assert bpy.ops.import_scene.unbake(filepath=str(result / "scene.glb"), lamps="LIGHTS") == {"FINISHED"}
     matte()
     stated = [x for x in json.loads((result / "lights.json").read_text())["lights"] if x["triangles"]]
@@ -131,7 +131,7 @@ def panorama():
 
 
 def baked():
-    scene = fresh(64)
+    scene = fresh(128)
     mesh, _ = addon.import_result(result, "SURFACES", environment=False)
     matte()
     place = middle(mesh)
