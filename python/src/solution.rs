@@ -235,7 +235,7 @@ impl Solution {
         let images = watch.run(py, |observer| {
             let progress = Progress::new(observer);
             let mut images = Vec::with_capacity(placed.len());
-            options.render(&self.inner, &placed, seed, &progress, |_, image| {
+            options.render(&self.inner, &placed, seed, &progress, |_, image, _| {
                 images.push(image.clone());
                 Ok(())
             })?;

@@ -10,6 +10,7 @@ use crate::core::image::RgbPlane;
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
 use crate::solution::Solution;
+use std::time::Instant;
 
 impl RenderOptions {
     /// Whether numbers are in range.
@@ -25,8 +26,8 @@ impl RenderOptions {
         Ok(())
     }
 
-    /// Renders frames one after another; `done(i, image)` takes each, linear RGB in the unit of the
-    /// photographs (or what `show` says).
+    /// Renders frames one after another; `done(i, image, seconds)` takes each, linear RGB in the unit of
+    /// the photographs (or what `show` says), with the time it took after all preparation.
     ///
     /// # Errors
     /// Numbers out of range, Embree cannot be used, what `done` returns.
@@ -36,14 +37,20 @@ impl RenderOptions {
         cameras: &[NamedCamera],
         seed: u64,
         progress: &Progress,
-        mut done: impl FnMut(usize, &RgbPlane) -> Result<()>,
+        mut done: impl FnMut(usize, &RgbPlane, f64) -> Result<()>,
     ) -> Result<()> {
         self.validate()?;
         if self.renderer == Renderer::Path {
             let world = EditableScene::new(solution);
             let stage = progress.stage("preparing", 1, |_| PathTracedScene::new(&world))?;
             let settings = self.tracing(seed);
-            return stage.render(cameras, &settings, progress, |_, _| Ok(()), done);
+            let mut clock = Instant::now();
+            let timed = |i, image: &RgbPlane| {
+                done(i, image, clock.elapsed().as_secs_f64())?;
+                clock = Instant::now();
+                Ok(())
+            };
+            return stage.render(cameras, &settings, progress, |_, _| Ok(()), timed);
         }
         let options = HybridOptions {
             supersampling: self.supersampling,
@@ -55,7 +62,10 @@ impl RenderOptions {
             progress.stage("preparing", 1, |_| HybridRenderer::new(solution, options))?;
         progress.stage("rendering", cameras.len() as u64, |p| {
             cameras.iter().enumerate().try_for_each(|(i, c)| {
-                done(i, &self.show.of(renderer.render(&c.camera)?))?;
+                let clock = Instant::now();
+                let view = renderer.render(&c.camera)?;
+                let seconds = clock.elapsed().as_secs_f64();
+                done(i, &self.show.of(view), seconds)?;
                 p.advance(1);
                 Ok(())
             })
