@@ -58,6 +58,10 @@ pub enum Error {
     /// A computation could not be carried out: exit code 1.
     #[error("{0}")]
     Failed(String),
+    /// Whoever watches the work stopped it: exit code 1. Nothing was written; what long stages had
+    /// finished is kept, and the same call goes on from there.
+    #[error("stopped on request; the same call goes on where this one was")]
+    Stopped,
 }
 
 /// [`printable`] for texts of several lines.
@@ -105,7 +109,7 @@ impl Error {
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Input { .. } | Self::Inputs(_) | Self::Usage(_) => 2,
-            Self::Io { .. } | Self::Native(_) | Self::Failed(_) => 1,
+            Self::Io { .. } | Self::Native(_) | Self::Failed(_) | Self::Stopped => 1,
         }
     }
 }

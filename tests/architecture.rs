@@ -66,6 +66,18 @@ const TABLE: &[(&str, &[&str])] = &[
         ],
     ),
     ("batch", &["report", "solution", "vocabulary"]),
+    (
+        "run",
+        &[
+            "alignment",
+            "scene",
+            "report",
+            "pipeline",
+            "render",
+            "solution",
+            "vocabulary",
+        ],
+    ),
     ("shards", &["vocabulary"]),
     ("evaluate", &["render", "scene", "solution", "vocabulary"]),
     (

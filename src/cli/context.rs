@@ -1,10 +1,10 @@
 //! What every verb works with: configuration, progress, the record of the run, and where results go.
 
 use super::config::Config;
-use super::progress::{Bars, LogLines, Tee};
+use super::progress::{Bars, LogLines};
 use crate::core::progress::{Observer, Progress};
 use crate::error::{Error, Result, printable_lines};
-use crate::programs::report::Recorder;
+use crate::programs::run::{Run, RunRequest};
 use std::io::{IsTerminal, Write};
 use std::sync::Arc;
 
@@ -14,19 +14,15 @@ pub struct Context {
     pub config: Config,
     /// Where long work reports to.
     pub progress: Progress,
-    /// Measures the run.
-    pub recorder: Arc<Recorder>,
-    /// The arguments as typed.
-    pub command: Vec<String>,
+    /// The run that this is, as far as it reconstructs: its request, command and record.
+    pub run: Run,
 }
 
 impl Context {
     /// A run that begins now, watched by `others` besides its own recorder and the terminal.
     #[must_use]
     pub fn new(config: Config, command: Vec<String>, others: Vec<Arc<dyn Observer>>) -> Self {
-        let recorder = Arc::new(Recorder::new(crate::core::trace::rays_traced));
-        let mut observers: Vec<Arc<dyn Observer>> = vec![recorder.clone()];
-        observers.extend(others);
+        let mut observers = others;
         if !config.quiet {
             observers.push(if std::io::stderr().is_terminal() {
                 Arc::new(Bars::new())
@@ -34,18 +30,24 @@ impl Context {
                 Arc::new(LogLines::new())
             });
         }
+        let request = RunRequest {
+            load: config.scene.clone(),
+            alignment: config.alignment.clone(),
+            solve: config.solve.clone(),
+            seed: config.seed.unwrap_or(0),
+        };
+        let run = Run::new(request, command, observers);
         Self {
             config,
-            progress: Progress::new(Arc::new(Tee(observers))),
-            recorder,
-            command,
+            progress: run.progress.clone(),
+            run,
         }
     }
 
     /// The seed of a verb that has none of its own.
     #[must_use]
     pub fn seed(&self) -> u64 {
-        self.config.seed.unwrap_or(0)
+        self.run.request.seed
     }
 
     /// Prints a verb's result: `text` for people or `json` for machines.

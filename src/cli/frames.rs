@@ -1,13 +1,13 @@
 //! Where frames come from and go to: the options that all verbs share that make pictures.
 
+use super::camera_files::files_of_cameras;
 use super::context::Context;
-use super::guard::{files_of_cameras, keep_inputs};
 use super::inputs::read_solved_scene;
 use crate::Result;
-use crate::core::geometry::Camera;
 use crate::core::lock::OutputLock;
 use crate::core::trace::EmbreeTracer;
 use crate::programs::export::FrameWriter;
+use crate::programs::run::keep_inputs;
 use crate::render::{FrameOptions, NamedCamera, cameras_of_scene, read_cameras, viewpoints};
 use crate::solution::Solution;
 use serde_json::json;
@@ -79,11 +79,6 @@ impl FrameSource {
         let lock = OutputLock::acquire(&folder, &[])?;
         Ok((folder, lock))
     }
-}
-
-/// Names and cameras, for a tracer.
-pub(super) fn traced(cameras: &[NamedCamera]) -> Vec<(String, Camera)> {
-    cameras.iter().map(|c| (c.name.clone(), c.camera)).collect()
 }
 
 /// Prints what was rendered, and makes the film.

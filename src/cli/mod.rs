@@ -6,13 +6,12 @@
 //! pipe early is not a failure.
 
 mod args;
+mod camera_files;
 mod config;
 mod context;
 mod frames;
-mod guard;
 mod inputs;
 mod progress;
-mod run_record;
 mod tape;
 mod verb_args;
 mod verbs;
@@ -22,7 +21,7 @@ pub use config::Config;
 pub use context::Context;
 use context::print;
 pub use frames::FrameSource;
-pub use progress::{Bars, LogLines, Tee};
+pub use progress::{Bars, LogLines};
 pub use verb_args::BenchVerb;
 
 use crate::core::progress::Observer;

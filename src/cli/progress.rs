@@ -1,32 +1,11 @@
 //! Drawing progress: bars on a terminal, log lines in a pipe.
 
-use crate::core::progress::{Decision, Observer};
+use crate::core::progress::Observer;
 use crate::error::printable;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::Write;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-
-/// Passes every event on to several observers.
-pub struct Tee(pub Vec<Arc<dyn Observer>>);
-
-impl Observer for Tee {
-    fn stage_started(&self, name: &str, steps: u64) {
-        self.0.iter().for_each(|o| o.stage_started(name, steps));
-    }
-    fn stage_advanced(&self, done: u64) {
-        self.0.iter().for_each(|o| o.stage_advanced(done));
-    }
-    fn stage_finished(&self) {
-        self.0.iter().for_each(|o| o.stage_finished());
-    }
-    fn note(&self, message: &str) {
-        self.0.iter().for_each(|o| o.note(message));
-    }
-    fn decided(&self, decision: &Decision) {
-        self.0.iter().for_each(|o| o.decided(decision));
-    }
-}
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)

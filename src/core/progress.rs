@@ -2,9 +2,11 @@
 
 use super::blocks::{Columns, Division, Packed, Transport, Work};
 use super::parallel;
+use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::Range;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
@@ -48,6 +50,52 @@ pub trait Observer: Send + Sync {
     /// A choice and its reason.
     fn decided(&self, decision: &Decision) {
         self.note(&decision.to_string());
+    }
+    /// Whether the work is to stop; asked at the beginning of stages and at every advance. Only for
+    /// work under [`stoppable`].
+    fn stopped(&self) -> bool {
+        false
+    }
+}
+
+/// Passes every event on to several observers; any of them may stop the work.
+pub struct Tee(pub Vec<Arc<dyn Observer>>);
+
+impl Observer for Tee {
+    fn stage_started(&self, name: &str, steps: u64) {
+        self.0.iter().for_each(|o| o.stage_started(name, steps));
+    }
+    fn stage_advanced(&self, done: u64) {
+        self.0.iter().for_each(|o| o.stage_advanced(done));
+    }
+    fn stage_finished(&self) {
+        self.0.iter().for_each(|o| o.stage_finished());
+    }
+    fn note(&self, message: &str) {
+        self.0.iter().for_each(|o| o.note(message));
+    }
+    fn decided(&self, decision: &Decision) {
+        self.0.iter().for_each(|o| o.decided(decision));
+    }
+    fn stopped(&self) -> bool {
+        self.0.iter().any(|o| o.stopped())
+    }
+}
+
+/// What work unwinds with that its observer stopped: a payload of its own, so that it is told from
+/// a defect. Unwinding leaves every loop and thread of a computation, most of which cannot fail,
+/// and drops what it holds: files in the making, locks.
+struct Stop;
+
+/// Runs `work`, which its observer may stop.
+///
+/// # Errors
+/// Those of `work`, and [`Error::Stopped`].
+pub fn stoppable<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
+    match catch_unwind(AssertUnwindSafe(work)) {
+        Ok(result) => result,
+        Err(payload) if payload.is::<Stop>() => Err(Error::Stopped),
+        Err(defect) => resume_unwind(defect),
     }
 }
 
@@ -98,6 +146,7 @@ impl Progress {
     pub fn stage<T>(&self, name: &str, steps: u64, f: impl FnOnce(&Self) -> T) -> T {
         self.done.store(0, Ordering::Relaxed);
         self.observer.stage_started(name, steps);
+        self.leave_if_stopped();
         if let Some(others) = &self.others {
             others.enter(name);
         }
@@ -110,6 +159,13 @@ impl Progress {
     pub fn advance(&self, n: u64) {
         let done = self.done.fetch_add(n, Ordering::Relaxed) + n;
         self.observer.stage_advanced(done);
+        self.leave_if_stopped();
+    }
+
+    fn leave_if_stopped(&self) {
+        if self.observer.stopped() {
+            resume_unwind(Box::new(Stop));
+        }
     }
 
     /// The results of `compute` for consecutive runs that cover `0..len`, in order. Alone, it is one
@@ -184,5 +240,53 @@ impl Progress {
             why: why.into(),
             forced,
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use parallel::prelude::*;
+
+    /// Stops the work after so many steps.
+    struct Patience(u64, AtomicU64);
+    impl Observer for Patience {
+        fn stage_started(&self, _: &str, _: u64) {}
+        fn stage_advanced(&self, done: u64) {
+            self.1.fetch_max(done, Ordering::Relaxed);
+        }
+        fn stage_finished(&self) {}
+        fn note(&self, _: &str) {}
+        fn stopped(&self) -> bool {
+            self.1.load(Ordering::Relaxed) >= self.0
+        }
+    }
+
+    fn count(patience: u64, steps: u64) -> Result<u64> {
+        let observer: Arc<dyn Observer> = Arc::new(Patience(patience, AtomicU64::new(0)));
+        let progress = Progress::new(Arc::new(Tee(vec![Arc::new(Silent), observer])));
+        stoppable(|| {
+            let sum = progress.stage("counting", steps, |p| {
+                let step = |_| {
+                    p.advance(1);
+                    1
+                };
+                (0..steps as usize).into_par_iter().map(step).sum::<u64>()
+            });
+            Ok(sum)
+        })
+    }
+
+    #[test]
+    fn an_observer_stops_the_work_of_all_threads() {
+        assert_eq!(count(u64::MAX, 10_000).expect("nobody stops it"), 10_000);
+        assert!(matches!(count(50, 10_000), Err(Error::Stopped)));
+        assert!(matches!(count(0, 10_000), Err(Error::Stopped)));
+    }
+
+    #[test]
+    fn a_defect_is_no_stop() {
+        let caught = catch_unwind(|| stoppable::<()>(|| resume_unwind(Box::new("defect"))));
+        assert!(caught.is_err_and(|payload| payload.is::<&str>()));
     }
 }

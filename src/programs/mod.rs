@@ -9,6 +9,7 @@ pub mod evaluate;
 pub mod export;
 pub mod prepare;
 pub mod report;
+pub mod run;
 pub mod shards;
 pub mod synth;
 pub mod view;

@@ -7,6 +7,7 @@
 mod cameras;
 pub mod denoise;
 mod edges;
+mod frames;
 mod hybrid;
 mod ies;
 mod lighting_change;

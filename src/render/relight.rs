@@ -2,7 +2,9 @@
 
 use super::denoise::{self, Purpose};
 use super::path_tracer::Frame;
-use super::{Adaptive, EditableScene, FrameOptions, KnownLight, PathTracer, PathTracerOptions};
+use super::{
+    Adaptive, EditableScene, FrameOptions, KnownLight, NamedCamera, PathTracer, PathTracerOptions,
+};
 use crate::Result;
 use crate::core::geometry::Camera;
 use crate::core::image::RgbPlane;
@@ -94,7 +96,7 @@ impl<'w, 's> PathTracedScene<'w, 's> {
     /// What the callbacks return.
     pub fn render(
         &self,
-        cameras: &[(String, Camera)],
+        cameras: &[NamedCamera],
         settings: &TraceSettings,
         progress: &Progress,
         mut refined: impl FnMut(usize, &RgbPlane) -> Result<()>,
@@ -115,7 +117,7 @@ impl<'w, 's> PathTracedScene<'w, 's> {
                 frame.radiance()
             }
         };
-        for (i, (name, camera)) in cameras.iter().enumerate() {
+        for (i, NamedCamera { name, camera }) in cameras.iter().enumerate() {
             let pixels = (camera.width * camera.height) as u64;
             let frame = progress.stage(&format!("tracing {name}"), pixels, |p| {
                 renderer.render_adaptive(

@@ -27,7 +27,7 @@ pub(super) fn as_input(e: Error, path: &Path, place: &str) -> Error {
             path,
             message: format!("{source}; the file is named by {place}"),
         },
-        e @ (Error::Native(_) | Error::Failed(_)) => {
+        e @ (Error::Native(_) | Error::Failed(_) | Error::Stopped) => {
             Error::input(path, format!("{e} (named by {place})"))
         }
         e => e,

@@ -1,10 +1,10 @@
 //! `unbake bake`.
 
 use crate::cli::context::Context;
-use crate::cli::guard::keep_inputs;
 use crate::core::lock::OutputLock;
 use crate::error::Result;
 use crate::programs::bake::{BakeJob, bake_file};
+use crate::programs::run::keep_inputs;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 

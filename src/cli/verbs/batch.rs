@@ -1,17 +1,15 @@
 //! `unbake batch`: many scenes, each solved as `unbake solve` does, shared by all processes that
 //! have the same output folder.
 
-use super::solve::solve_into;
 use crate::cli::args::Cli;
 use crate::cli::config::{Config, tables_of};
 use crate::cli::context::Context;
-use crate::cli::guard::keep_inputs;
-use crate::cli::run_record::run_key;
 use crate::cli::verb_args::BatchIndex;
 use crate::core::lock::Claim;
 use crate::error::{Error, Result};
 use crate::programs::batch::{Board, Item, SceneRecord, State, Table, read_list};
 use crate::programs::report::restart_peak;
+use crate::programs::run::{Run, keep_inputs};
 use clap::parser::ValueSource;
 use clap::{CommandFactory, FromArgMatches};
 use std::collections::HashMap;
@@ -240,9 +238,9 @@ impl Batch<'_> {
                 )));
             }
         };
-        let command = self.context.command.clone();
-        let run = Context::new(self.configs[i].clone(), command, Vec::new());
-        let (before, key) = (self.board.record(item), run_key(&[], &run)?);
+        let command = self.context.run.command.clone();
+        let run = Context::new(self.configs[i].clone(), command, Vec::new()).run;
+        let (before, key) = (self.board.record(item), run.key()?);
         let out = self.board.result(item);
         if before.still_holds(&key, &item.scene, &out) {
             note("finished already");
@@ -267,10 +265,10 @@ impl Batch<'_> {
 }
 
 /// Solves a scene; whatever goes wrong is put down.
-fn solve_item(item: &Item, out: &Path, run: &Context, begun: SceneRecord) -> SceneRecord {
+fn solve_item(item: &Item, out: &Path, run: &Run, begun: SceneRecord) -> SceneRecord {
     restart_peak();
     let (start, began) = (Instant::now(), SystemTime::now());
-    let outcome = catch_unwind(AssertUnwindSafe(|| solve_into(&item.scene, out, run)));
+    let outcome = catch_unwind(AssertUnwindSafe(|| run.solve(&item.scene, out)));
     let seconds = start.elapsed().as_secs_f64();
     match outcome {
         Ok(Ok(solved)) => begun.finished(&solved.record, &solved.verdict, &item.scene, began),

@@ -293,7 +293,7 @@ fn solve_options(context: &Context) -> SolveOptions {
     context
         .config
         .solve
-        .options(context.seed(), context.recorder.started())
+        .options(context.seed(), context.run.recorder.started())
 }
 
 /// After the verb `bench`, turns `--json FILE` into `--json-file FILE`: everywhere else `--json` is

@@ -1,21 +1,20 @@
 //! `unbake delight`.
 
-use super::result::RunResult;
+use super::solve::say;
 use crate::cli::context::Context;
-use crate::cli::guard::keep_inputs;
 use crate::core::lock::OutputLock;
 use crate::error::{Error, Result};
 use crate::programs::report::hash_inputs;
+use crate::programs::run::{RunResult, keep_inputs};
 use crate::scene::Scan;
 use crate::solution::AsideFolder;
-use serde_json::json;
 use std::path::Path;
 
 pub(super) fn delight(mesh: &Path, out: &Path, context: &Context) -> Result<()> {
     let config = &context.config;
     let options = config
         .solve
-        .options(context.seed(), context.recorder.started());
+        .options(context.seed(), context.run.recorder.started());
     if options.budget.is_some() || options.published.is_some() {
         return Err(Error::Usage(
             "delight: --budget and --quality paper are for photographs; choose --quality draft, standard or high".into(),
@@ -39,9 +38,5 @@ pub(super) fn delight(mesh: &Path, out: &Path, context: &Context) -> Result<()> 
         alignment: None,
         inputs,
     };
-    let run = result.write(&scan.scene, out, context)?;
-    context.result(
-        &run.text,
-        &json!({"out": out, "run": run.record, "verdict": run.verdict}),
-    )
+    say(&result.write(&scan.scene, out, &context.run)?, out, context)
 }

@@ -1,13 +1,12 @@
 //! `unbake eval`.
 
 use crate::cli::context::Context;
-use crate::cli::guard::keep_inputs;
-use crate::cli::inputs::{manifest_of, read_solved_scene};
-use crate::cli::run_record::record;
+use crate::cli::inputs::read_solved_scene;
 use crate::core::lock::OutputLock;
 use crate::error::{Error, Result};
 use crate::programs::evaluate::{evaluate, terminal_table};
-use crate::programs::report::{self, Photographer, Reported, hash_inputs, write_report};
+use crate::programs::report::{self, Photographer, Reported, RunRecord, hash_inputs, write_report};
+use crate::programs::run::keep_inputs;
 use crate::render::{HybridOptions, HybridRenderer};
 use crate::solution::Solution;
 use std::path::Path;
@@ -60,9 +59,9 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
     )?;
     failed.map_or(Ok(()), Err)?;
     // the report tells of the run that made the solution; without its manifest, of this one
-    let record = match manifest_of(out)? {
+    let record = match RunRecord::of_result(out)? {
         Some(record) => record,
-        None => record(&scene, hash_inputs(&scene)?, context)?,
+        None => context.run.record(&scene, hash_inputs(&scene)?)?,
     };
     context.progress.stage("report", 1, |_| {
         let reported = Reported {

@@ -2,11 +2,11 @@
 
 use crate::cli::context::Context;
 use crate::cli::frames::FrameSource;
-use crate::cli::guard::keep_inputs;
-use crate::cli::inputs::{manifest_of, read_scene, read_solution};
+use crate::cli::inputs::{read_scene, read_solution};
 use crate::error::Result;
 use crate::programs::export::{ClassName, Exported, Lightings, Split, export_lightings};
-use crate::programs::report::class_names;
+use crate::programs::report::{RunRecord, class_names};
+use crate::programs::run::keep_inputs;
 use crate::solution::Solution;
 use serde_json::json;
 use std::path::Path;
@@ -68,7 +68,7 @@ fn read_lightings(
 /// The names of the classes as the run wrote them down; of older results, those of the scene that
 /// is given.
 fn names_of_classes(out: &Path, places: &FrameSource, context: &Context) -> Result<Vec<ClassName>> {
-    let written = manifest_of(out)?.map_or_else(Vec::new, |m| m.scene.class_names);
+    let written = RunRecord::of_result(out)?.map_or_else(Vec::new, |m| m.scene.class_names);
     match &places.scene {
         Some(scene) if written.is_empty() => Ok(class_names(&read_scene(scene, context)?)),
         None if written.is_empty() => {

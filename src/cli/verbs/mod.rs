@@ -13,7 +13,6 @@ mod prepare;
 mod ranks;
 mod relight;
 mod render;
-mod result;
 mod shards;
 mod shell;
 mod solve;

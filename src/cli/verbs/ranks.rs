@@ -1,12 +1,13 @@
 //! `mpirun -n N unbake solve`: one scene solved by the ranks of an MPI run; rank 0 writes the result.
 
 use super::shards::refuse_budget;
-use super::solve::{Job, say};
+use super::solve::say;
 use crate::cli::config::Config;
 use crate::cli::context::Context;
 use crate::core::blocks::Ranks;
 use crate::core::lock::OutputLock;
 use crate::error::{Result, printable_lines};
+use crate::programs::run::Job;
 use crate::solution::AsideFolder;
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -45,21 +46,21 @@ fn solve(scene: &Path, out: &Path, ranks: &Arc<Ranks>, context: &Context) -> Res
             quiet: true,
             ..context.config.clone()
         },
-        context.command.clone(),
+        context.run.command.clone(),
         Vec::new(),
     );
     let first = ranks.rank == 0;
     let context = if first { context } else { &quiet };
-    let job = Job::read(scene, out, context)?;
+    let job = Job::read(scene, out, &context.run)?;
     refuse_budget(&job)?;
-    ranks.expect_same(&job.key(context)?)?;
+    ranks.expect_same(&job.key(&context.run)?)?;
     let _lock = first.then(|| OutputLock::acquire(out, &[])).transpose()?;
     if first {
         drop(AsideFolder::new(out)?);
     }
     let solved = job.solve(&context.progress.shared(ranks.clone()))?;
     match first {
-        true => say(&solved.write(out, context)?, out, context),
+        true => say(&solved.write(out, &context.run)?, out, context),
         false => Ok(()),
     }
 }

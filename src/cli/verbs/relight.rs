@@ -1,15 +1,15 @@
 //! `unbake relight`.
 
 use crate::cli::context::Context;
-use crate::cli::frames::{FrameSource, report, traced};
+use crate::cli::frames::{FrameSource, report};
 use crate::cli::inputs::read_solution;
 use crate::core::image::RgbPlane;
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
 use crate::programs::export::FrameWriter;
 use crate::render::{
-    Adaptive, EditableScene, Exposure, LampChange, Lighting, NamedCamera, Noise, PathTracedScene,
-    PathTracerOptions, RelightOptions, TraceSettings, daylight, mean_luminance,
+    EditableScene, Exposure, LampChange, Lighting, NamedCamera, PathTracedScene, TraceSettings,
+    daylight, mean_luminance,
 };
 use crate::solution::{Lamp, Solution};
 use glam::{DVec3, Vec3};
@@ -28,7 +28,7 @@ pub(crate) fn relight(
 ) -> Result<()> {
     let options = &context.config.relight;
     let progress = &context.progress;
-    check(options)?;
+    let settings = options.tracing(context.seed())?;
     let solution = read_solution(out, progress)?;
     if list {
         return list_lamps(&solution.lamps, context);
@@ -39,7 +39,7 @@ pub(crate) fn relight(
     let relit = Relit {
         solution: &solution,
         lighting,
-        settings: settings(options, context.seed()),
+        settings,
         progress,
     };
     if let Some(truth) = against {
@@ -55,35 +55,6 @@ pub(crate) fn relight(
     report(&writer, &options.frames, &folder, &seconds, context)
 }
 
-fn check(options: &RelightOptions) -> Result<()> {
-    if options.samples < 2
-        || options.max_samples < options.samples
-        || options.error.is_nan()
-        || options.error < 0.0
-    {
-        return Err(Error::Usage(
-            "--samples must be at least 2, --max-samples not less, --error not negative".into(),
-        ));
-    }
-    Ok(())
-}
-
-fn settings(options: &RelightOptions, seed: u64) -> TraceSettings {
-    TraceSettings {
-        tracer: PathTracerOptions {
-            seed,
-            ..PathTracerOptions::default()
-        },
-        goal: Adaptive {
-            first: options.samples,
-            most: options.max_samples,
-            error: options.error,
-            noise: Noise::Reflected,
-        },
-        denoise: !options.no_denoise,
-    }
-}
-
 /// A solution under changed light, and how it is rendered.
 struct Relit<'a> {
     solution: &'a Solution,
@@ -95,9 +66,7 @@ struct Relit<'a> {
 impl<'a> Relit<'a> {
     /// The solution with its light changed.
     fn world(&self) -> Result<EditableScene<'a>> {
-        let mut world = EditableScene::new(self.solution);
-        self.lighting.apply(&mut world, &self.solution.lamps)?;
-        Ok(world)
+        self.lighting.world(self.solution)
     }
 
     /// Renders `count` hours of a day from one camera; returns the seconds of each.
@@ -123,8 +92,12 @@ impl<'a> Relit<'a> {
             let stage = PathTracedScene::new(&world)?;
             let clock = Instant::now();
             let name = format!("{i:04}");
+            let hour = NamedCamera {
+                name: name.clone(),
+                camera: camera.camera,
+            };
             stage.render(
-                &[(name.clone(), camera.camera)],
+                &[hour],
                 &self.settings,
                 self.progress,
                 |_, _| Ok(()),
@@ -149,7 +122,7 @@ impl<'a> Relit<'a> {
         let mut clock = Instant::now();
         let shared = std::cell::RefCell::new(writer);
         stage.render(
-            &traced(cameras),
+            cameras,
             &self.settings,
             self.progress,
             |i, image| shared.borrow_mut().preview(&cameras[i].name, image),
@@ -168,9 +141,9 @@ impl<'a> Relit<'a> {
         let world = self.world()?;
         let stage = PathTracedScene::new(&world)?;
         let shift = (origin - self.solution.origin).as_vec3();
-        let mut placed = traced(cameras);
-        for (_, camera) in &mut placed {
-            camera.position += shift;
+        let mut placed = cameras.to_vec();
+        for placed in &mut placed {
+            placed.camera.position += shift;
         }
         let mut images = Vec::new();
         stage.render(
@@ -202,7 +175,7 @@ fn compare_relit(
     let relit_truth = Relit {
         solution: truth,
         lighting,
-        settings: settings(options, context.seed() + 1),
+        settings: options.tracing(context.seed() + 1)?,
         progress: relit.progress,
     };
     let ours = relit.images(cameras, origin)?;

@@ -1,12 +1,13 @@
 //! `unbake solve --shard I/N` and `unbake merge`: one scene solved by several processes that share
 //! blocks over a folder beside the result.
 
-use super::solve::Job;
+use super::solve::summary;
 use crate::cli::config::Config;
 use crate::cli::context::Context;
 use crate::core::blocks::Shard;
 use crate::core::lock::OutputLock;
 use crate::error::{Error, Result};
+use crate::programs::run::Job;
 use crate::programs::shards::{Plan, ShardedRun};
 use crate::solution::AsideFolder;
 use serde_json::json;
@@ -19,14 +20,14 @@ pub(super) fn solve_shard(scene: &Path, out: &Path, shard: Shard, context: &Cont
         let message = "is a file where a folder is to be made; give another name";
         return Err(Error::input(out, message));
     }
-    let job = Job::read(scene, out, context)?;
+    let job = Job::read(scene, out, &context.run)?;
     refuse_budget(&job)?;
     let plan = Plan {
         scene: std::path::absolute(scene).map_err(|e| Error::io(scene, e))?,
         config: serde_json::to_value(&context.config)
             .map_err(|e| Error::Failed(format!("options: {e}")))?,
     };
-    let run = ShardedRun::begin(out, &job.key(context)?, &plan)?;
+    let run = ShardedRun::begin(out, &job.key(&context.run)?, &plan)?;
     let _at_work = run.at_work()?;
     let blocks = Arc::new(run.blocks(shard)?);
     job.solve(&context.progress.shared(blocks.clone()))?;
@@ -72,21 +73,21 @@ pub(super) fn merge(out: &Path, complete: bool, context: &Context) -> Result<()>
         json: context.config.json,
         ..config
     };
-    let context = &Context::new(config, context.command.clone(), Vec::new());
-    let job = Job::read(&plan.scene, out, context)?;
-    run.expect_key(&job.key(context)?)?;
+    let context = &Context::new(config, context.run.command.clone(), Vec::new());
+    let job = Job::read(&plan.scene, out, &context.run)?;
+    run.expect_key(&job.key(&context.run)?)?;
     let _lock = OutputLock::acquire(out, &[])?;
     drop(AsideFolder::new(out)?);
     let blocks = Arc::new(run.blocks(Shard { index: 1, of: 1 })?);
     let solved = job.solve(&context.progress.shared(blocks.clone()))?;
-    let written = solved.write(out, context)?;
+    let written = solved.write(out, &context.run)?;
     run.remove();
     let computed = match blocks.computed() {
         0 => String::new(),
         n => format!("{n} blocks were missing or damaged and were computed here\n"),
     };
     context.result(
-        &format!("{computed}{}", written.text),
+        &format!("{computed}{}", summary(&written, out)),
         &json!({"out": out, "run": written.record, "verdict": written.verdict, "blocks": blocks.computed()}),
     )
 }

@@ -11,7 +11,7 @@ pub(crate) fn synthesise(out: &Path, context: &Context) -> Result<()> {
     let mut options = context.config.synth.clone();
     options.seed = context.config.seed.unwrap_or(options.seed);
     let made = generate(&options, out, &context.progress)?;
-    let run = context.recorder.record();
+    let run = context.run.recorder.record();
     let text = format!(
         "{}: {} triangles, {} classes, {} training and {} held-out panoramas of {}x{}, {:.0} true texels per metre, in {}\n",
         out.display(),

@@ -1,8 +1,9 @@
 //! `unbake view`.
 
 use crate::cli::context::Context;
-use crate::cli::inputs::{manifest_of, read_solved_scene};
+use crate::cli::inputs::read_solved_scene;
 use crate::error::{Error, Result};
+use crate::programs::report::RunRecord;
 use crate::programs::view;
 use crate::solution::Solution;
 use serde_json::json;
@@ -19,7 +20,7 @@ pub(crate) fn view_in_browser(
     let scene = scene_path
         .map(|path| read_solved_scene(path, out, context))
         .transpose()?;
-    let manifest = manifest_of(out)?;
+    let manifest = RunRecord::of_result(out)?;
     let content = context.progress.stage("preparing the page", 1, |_| {
         view::Content::new(solution, scene, manifest.as_ref())
     })?;

@@ -6,6 +6,7 @@ use crate::core::progress::{Decision, Observer};
 use crate::error::{Error, Result};
 use crate::programs::export::ClassName;
 use crate::scene::{Class, Scene, Split};
+use crate::solution::check_generation;
 use crate::verdict::Findings;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -192,6 +193,18 @@ impl RunRecord {
         let json = serde_json::to_vec_pretty(self)
             .map_err(|e| Error::Failed(format!("manifest.json: {e}")))?;
         atomic_write(&path, &json)
+    }
+
+    /// The manifest beside a solution, if there is one.
+    ///
+    /// # Errors
+    /// A manifest of another run than the solution's files.
+    pub fn of_result(out: &Path) -> Result<Option<Self>> {
+        let manifest = Self::read_manifest(out);
+        if let Some(m) = &manifest {
+            check_generation(out, "manifest.json", &m.generation)?;
+        }
+        Ok(manifest)
     }
 
     /// Reads the `manifest.json` of an output folder; `None` where there is none that this version

@@ -97,7 +97,7 @@ mod tests {
     use crate::core::trace::EmbreeTracer;
     use crate::render::{Adaptive, Noise};
     use crate::render::{
-        EditableScene, PathTracedScene, PathTracer, PathTracerOptions, TraceSettings,
+        EditableScene, NamedCamera, PathTracedScene, PathTracer, PathTracerOptions, TraceSettings,
     };
 
     /// The same pictures come from the apartment's own model and from its truth as a solution:
@@ -143,9 +143,13 @@ mod tests {
             noise: Noise::Reflected,
         };
         let mut image = None;
+        let view = NamedCamera {
+            name: "x".into(),
+            camera,
+        };
         stage
             .render(
-                &[("x".into(), camera)],
+                &[view],
                 &TraceSettings {
                     tracer: settings,
                     goal,

@@ -1,9 +1,8 @@
 //! What `solve` and `delight` leave behind: the textures, the report and the manifest, and what is
-//! said of them.
+//! to be said of them.
 
+use super::Run;
 use crate::alignment::Alignment;
-use crate::cli::context::Context;
-use crate::cli::run_record::record;
 use crate::error::Result;
 use crate::programs::report::{InputFile, Reported, RunRecord, write_report};
 use crate::render::{HybridOptions, HybridRenderer};
@@ -11,37 +10,42 @@ use crate::scene::Scene;
 use crate::solution::{SaveOptions, Solution};
 use crate::verdict::{Findings, Verdict};
 use std::path::Path;
-use std::time::Duration;
 
 /// A reconstruction that is to be written.
-pub(super) struct RunResult {
+pub struct RunResult {
     /// What was reconstructed.
     pub solution: Solution,
+    /// What was found of its faults.
     pub findings: Findings,
     /// Whether photographs and mesh fitted, where there are photographs.
     pub alignment: Option<Alignment>,
+    /// The files it was made from.
     pub inputs: Vec<InputFile>,
 }
 
 /// A run that wrote its result.
-pub(super) struct SolvedRun {
+pub struct SolvedRun {
+    /// What was reconstructed, at the precision of the computation; files hold less.
+    pub solution: Solution,
     /// What `manifest.json` says.
     pub record: RunRecord,
     /// What to think of it.
     pub verdict: Verdict,
-    /// Sizes, time and verdict for people.
-    pub text: String,
 }
 
 impl RunResult {
     /// Writes everything into `out`; `scene` is what it was reconstructed from.
-    pub(super) fn write(self, scene: &Scene, out: &Path, context: &Context) -> Result<SolvedRun> {
-        let (progress, solution) = (&context.progress, &self.solution);
+    ///
+    /// # Errors
+    /// Textures that are not finite, views that cannot be read for the report, a folder that cannot
+    /// be written to.
+    pub fn write(self, scene: &Scene, out: &Path, run: &Run) -> Result<SolvedRun> {
+        let (progress, solution) = (&run.progress, &self.solution);
         let generation = progress.stage("writing the textures", 1, |_| {
             solution.save(out, &SaveOptions::default())
         })?;
         let verdict = self.findings.verdict();
-        let mut record = record(scene, self.inputs, context)?;
+        let mut record = run.record(scene, self.inputs)?;
         record.generation = generation;
         record.findings = Some(self.findings);
         record.alignment = self.alignment;
@@ -63,27 +67,12 @@ impl RunResult {
             };
             write_report(out, reported, &renderer, Vec::new())
         })?;
-        record.measure(&context.recorder);
+        record.measure(&run.recorder);
         record.write_manifest(out)?;
-        let s = solution;
-        let text = format!(
-            "albedo {}x{}, roughness {}x{}, irradiance {}x{} in {} ({:.2} GiB at most, {} threads)\n{} lights in lights.json\nreport: {}\n{verdict}\n",
-            s.albedo.width,
-            s.albedo.height,
-            s.roughness.width,
-            s.roughness.height,
-            s.irradiance.width,
-            s.irradiance.height,
-            crate::cli::progress::seconds(Duration::from_secs_f64(record.wall_seconds)),
-            record.peak_bytes as f64 / (1u64 << 30) as f64,
-            record.machine.threads,
-            s.lamps.len(),
-            out.join("report.html").display()
-        );
         Ok(SolvedRun {
+            solution: self.solution,
             record,
             verdict,
-            text,
         })
     }
 }
