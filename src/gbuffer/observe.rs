@@ -31,6 +31,42 @@ const LAYER: f32 = 5e-5;
 /// Cosine of the angle up to which triangles count as parallel.
 const PARALLEL: f32 = 0.999_99;
 
+/// The plane of a surface point, and how far what belongs to its surface may leave it.
+struct Tangent {
+    /// Unit normal.
+    normal: Vec3,
+    /// Distance from which parallel surface is another layer, metres.
+    layer: f32,
+    /// Distance that a third of a pixel explains, metres.
+    lift: f32,
+}
+
+impl Tangent {
+    /// Whether what is seen at `offset` from the point, with the unit normal that `normal_there`
+    /// gives, is the point's own surface.
+    fn holds(&self, offset: Vec3, normal_there: impl FnOnce() -> Vec3) -> bool {
+        let off_plane = self.normal.dot(offset).abs();
+        if off_plane <= self.layer {
+            return true;
+        }
+        let alike = normal_there().dot(self.normal).abs();
+        // what lies parallel at a distance is another layer: a lamp's glass before its frame, a
+        // picture before its wall
+        if alike > PARALLEL {
+            return false;
+        }
+        // between two points of a smooth surface, whose normals differ by an angle of sine s, it
+        // leaves the tangent plane by s times their distance at most; a wall that meets a ceiling
+        // is another surface
+        let bend = if alike < SAME_SURFACE_COSINE {
+            0.0
+        } else {
+            (1.0 - alike * alike).max(0.0).sqrt()
+        };
+        off_plane <= self.lift + bend * offset.length()
+    }
+}
+
 /// One view's look at a surface point.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation {
@@ -100,26 +136,16 @@ impl Observer<'_> {
             let offset = camera.position
                 + camera.direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5)) * t
                 - position;
-            let off_plane = face_normal.dot(offset).abs();
-            let turned = self
-                .mesh
-                .face_normal(view.buffer.triangle.data[k] as usize)
-                .dot(face_normal)
-                .abs();
-            // between two points of a smooth surface, whose normals differ by an angle of sine s,
-            // it leaves the tangent plane by s times their distance at most; a wall that meets a
-            // ceiling is another surface
-            let bend = if turned < SAME_SURFACE_COSINE {
-                0.0
-            } else {
-                (1.0 - turned * turned).max(0.0).sqrt()
-            };
-            if off_plane > lift + bend * offset.length() || offset.length() > reach {
+            if offset.length() > reach {
                 continue;
             }
-            // what lies parallel at a distance is another layer: a lamp's glass before its frame, a
-            // picture before its wall
-            if off_plane > LAYER * t && turned > PARALLEL {
+            let triangle = view.buffer.triangle.data[k] as usize;
+            let plane = Tangent {
+                normal: face_normal,
+                layer: LAYER * t,
+                lift,
+            };
+            if !plane.holds(offset, || self.mesh.face_normal(triangle)) {
                 continue;
             }
             clean &= view.clean.data[k];
