@@ -5,6 +5,7 @@
 //! and cupboards along a wall are no such stubs. Called by `rooms`.
 
 use super::wall_map::Plan;
+use crate::core::parallel::prelude::*;
 use glam::Vec2;
 
 /// Half a thick inner wall, metres: pieces within it of one line are one partition.
@@ -43,13 +44,15 @@ pub(super) fn parted(plan: &Plan, walls: &[bool], mut free: Vec<bool>, unit: f32
         unit,
     };
     let main = map.direction();
-    let mut closed = Vec::new();
-    for along in [main, main.perp()] {
-        for line in map.lines(along) {
-            closed.extend(map.openings(&line));
-        }
-    }
-    closed.into_iter().for_each(|i: usize| free[i] = false);
+    let lines: Vec<Line> = [main, main.perp()]
+        .into_iter()
+        .flat_map(|along| map.lines(along))
+        .collect();
+    let closed: Vec<usize> = lines
+        .par_iter()
+        .flat_map_iter(|line| map.openings(line))
+        .collect();
+    closed.into_iter().for_each(|i| free[i] = false);
     free
 }
 
