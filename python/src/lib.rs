@@ -1,5 +1,5 @@
 //! The Python module `unbake`: scenes, reconstruction, results and pictures, by the library and not
-//! by running the program. `python/unbake/__init__.pyi` is its face with all descriptions; this crate
+//! by running the program. `python/unbake/unbake_native.pyi` is its face with all descriptions; this crate
 //! converts arguments, lets Python's threads run while it works, and lends textures to numpy.
 
 mod buffer;

@@ -3,6 +3,7 @@
 mod check;
 mod check_text;
 mod clipping;
+mod closets;
 mod frame_account;
 mod frame_change;
 mod input_error;

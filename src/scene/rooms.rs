@@ -7,6 +7,7 @@
 //! the widest places down. All lengths scale with the storey's height, so a scene in other units
 //! gives the same rooms.
 
+use super::closets::{Surroundings, closets};
 use super::input_error::as_input;
 use super::wall_ends::{HALF_WALL, parted};
 use super::wall_map::{Plan, storey};
@@ -17,6 +18,7 @@ use crate::core::trace::Tracer;
 use crate::{Error, Result};
 use glam::{DVec3, Vec3};
 use serde::Deserialize;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Openings whose half width exceeds this join rooms rather than dividing them.
@@ -144,8 +146,16 @@ fn rooms_reaching(scene: &Scene, tracer: &dyn Tracer, reach: f32) -> RoomGrid {
     let free: Vec<bool> = walls.iter().zip(&inside).map(|(&w, &i)| !w && i).collect();
     let free = parted(&plan, &walls, free, storey.unit);
     let mut labels = watershed(&plan, &free, storey.unit);
-    let faced = plan.faced(scene, tracer, &storey);
-    merge_small(&plan, &mut labels, &faced, storey.unit);
+    let lonely = merge_small(&plan, &mut labels, storey.unit);
+    let around = Surroundings {
+        plan: &plan,
+        storey: &storey,
+        mesh: &scene.mesh,
+        tracer,
+    };
+    let closets = closets(&around, &labels, &lonely);
+    let vanish = |l: &&mut u32| lonely.contains(*l) && !closets.contains(*l);
+    labels.iter_mut().filter(vanish).for_each(|l| *l = 0);
     renumber(&mut labels);
     if labels.iter().all(|&l| l == 0) {
         // no enclosed floor found: everything is one room, which is always a valid answer
@@ -299,11 +309,11 @@ fn root(parent: &mut [u32], mut i: u32) -> u32 {
     i
 }
 
-/// Joins regions too small for a room with the neighbour they share the longest border with. Of those
-/// that nothing borders on, closets stay, whose walls face them, and the insides of solids vanish.
-fn merge_small(plan: &Plan, labels: &mut [u32], faced: &[bool], unit: f32) {
+/// Joins regions too small for a room with the neighbour they share the longest border with; those that
+/// nothing borders on.
+fn merge_small(plan: &Plan, labels: &mut [u32], unit: f32) -> BTreeSet<u32> {
     let min_cells = (MIN_AREA * unit * unit / (plan.cell * plan.cell)) as usize;
-    let mut closets = std::collections::BTreeSet::new();
+    let mut lonely = BTreeSet::new();
     loop {
         let mut area = std::collections::BTreeMap::<u32, usize>::new();
         labels
@@ -312,10 +322,10 @@ fn merge_small(plan: &Plan, labels: &mut [u32], faced: &[bool], unit: f32) {
             .for_each(|l| *area.entry(*l).or_default() += 1);
         let Some((&small, _)) = area
             .iter()
-            .filter(|(l, a)| **a < min_cells && !closets.contains(*l))
+            .filter(|(l, a)| **a < min_cells && !lonely.contains(*l))
             .min_by_key(|(l, a)| (**a, **l))
         else {
-            return;
+            return lonely;
         };
         let mut border = std::collections::BTreeMap::<u32, usize>::new();
         for i in 0..labels.len() {
@@ -329,14 +339,9 @@ fn merge_small(plan: &Plan, labels: &mut [u32], faced: &[bool], unit: f32) {
         let longest = border
             .iter()
             .max_by_key(|(l, n)| (**n, std::cmp::Reverse(**l)));
-        let own = || labels.iter().zip(faced).filter(|(l, _)| **l == small);
-        let target = match longest {
-            Some((l, _)) => *l,
-            None if 2 * own().filter(|(_, f)| **f).count() > own().count() => {
-                closets.insert(small);
-                continue;
-            }
-            None => 0,
+        let Some((&target, _)) = longest else {
+            lonely.insert(small);
+            continue;
         };
         labels
             .iter_mut()

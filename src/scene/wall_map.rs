@@ -19,12 +19,21 @@ const SLICES: usize = 7;
 const PARTITION: [f32; 2] = [1.1, 1.5];
 /// A cell is wall if the mesh crosses it in this many slices: hanging lamps and rods cross fewer.
 const WALL_SLICES: u8 = 3;
+
 /// Heights of the storey the cameras stand in, and the unit its lengths are measured in.
 pub(super) struct Storey {
     floor: f32,
     ceiling: f32,
     pub(super) unit: f32,
     roofed: bool,
+}
+
+impl Storey {
+    /// Height at which partitions stand and little else.
+    pub(super) fn eye(&self) -> f32 {
+        let share = 0.5 * (PARTITION[0] + PARTITION[1]) / STOREY;
+        self.floor + share * (self.ceiling - self.floor)
+    }
 }
 
 pub(super) fn storey(scene: &Scene, tracer: &dyn Tracer) -> Storey {
@@ -195,28 +204,6 @@ impl Plan {
                 .for_each(|(i, above)| *i &= above);
         }
         inside
-    }
-
-    /// Cells around which the mesh shows its outer side at eye level: from within a solid it shows its
-    /// inner one.
-    pub(super) fn faced(&self, scene: &Scene, tracer: &dyn Tracer, storey: &Storey) -> Vec<bool> {
-        let eye = 0.5 * (PARTITION[0] + PARTITION[1]) / STOREY;
-        let y = storey.floor + eye * (storey.ceiling - storey.floor);
-        let mut facing = vec![0u8; self.len()];
-        for direction in [Vec3::X, Vec3::NEG_X, Vec3::Z, Vec3::NEG_Z] {
-            let ray = |i: usize| {
-                let c = self.centre(i);
-                Ray::new(Vec3::new(c.x, y, c.y), direction, f32::INFINITY)
-            };
-            let rays: Vec<Ray> = (0..self.len()).map(ray).collect();
-            let mut hits = vec![Hit::miss(); rays.len()];
-            tracer.closest(&rays, &mut hits);
-            for (n, hit) in facing.iter_mut().zip(&hits).filter(|(_, h)| h.is_hit()) {
-                let normal = scene.mesh.face_normal(hit.triangle as usize);
-                *n += u8::from(normal.dot(direction) < 0.0);
-            }
-        }
-        facing.into_iter().map(|n| n > 2).collect()
     }
 }
 

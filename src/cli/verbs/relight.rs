@@ -142,8 +142,8 @@ impl<'a> Relit<'a> {
         let stage = PathTracedScene::new(&world)?;
         let shift = (origin - self.solution.origin).as_vec3();
         let mut placed = cameras.to_vec();
-        for placed in &mut placed {
-            placed.camera.position += shift;
+        for view in &mut placed {
+            view.camera.position += shift;
         }
         let mut images = Vec::new();
         stage.render(
