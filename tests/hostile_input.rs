@@ -561,3 +561,44 @@ fn a_mesh_that_is_mostly_ground_is_named() {
     assert!(said.contains("remove ground planes"), "{report}");
     assert!(said.contains("texels per metre of surface"), "{report}");
 }
+
+/// An 8-bit picture saved as OpenEXR without undoing its curve is known by its levels.
+#[test]
+fn eight_bit_pictures_saved_as_openexr_are_taken_as_encoded() {
+    let scene = SceneDir::box_room();
+    let level = |i: usize| ((7 * i) % 200 + 40) as f32 / 255.0;
+    let picture = |off: f32| {
+        let mut plane = Plane::filled(WIDTH, HEIGHT, Vec3::ZERO);
+        for (i, p) in plane.data.iter_mut().enumerate() {
+            *p = Vec3::splat(level(i) + off);
+        }
+        plane
+    };
+    let read = || {
+        let report = check(scene.folder(), &LoadOptions::default());
+        assert!(report.is_usable(), "{report}");
+        let said = report.warnings.join("\n").contains("8-bit picture");
+        let loaded =
+            unbake::scene::Scene::load(scene.folder(), &LoadOptions::default()).expect("scene");
+        let view = loaded.train_views().next().expect("view");
+        (said, loaded.load_radiance(view).expect("image").data[3].x)
+    };
+    let raw = level(3);
+    let linear = ((raw + 0.055) / 1.055).powf(2.4);
+    for half in [true, false] {
+        let write = |plane: &Plane<Vec3>| match half {
+            true => formats::write_rgb_half(scene.path("a.exr"), plane).map(drop),
+            false => formats::write_rgb_float(scene.path("a.exr"), plane),
+        };
+        write(&picture(0.0)).expect("image");
+        let (said, value) = read();
+        assert!(said && (value - linear).abs() < 1e-3, "{value} {linear}");
+        write(&picture(0.3 / 255.0)).expect("image");
+        let (said, value) = read();
+        assert!(!said && (value - raw).abs() < 2e-3, "{value} {raw}");
+    }
+    formats::write_rgb_float(scene.path("a.exr"), &picture(0.0)).expect("image");
+    scene.edit(|t| t["color_space"] = json!("rec709"));
+    let (said, value) = read();
+    assert!(!said && value == raw, "the scene says that they are linear");
+}

@@ -8,6 +8,7 @@ Axes: glTF's (x, y, z), y up, is Blender's (x, -z, y). Power: Blender's watts of
 what lights.json calls power; radiance keeps the unit of the photographs.
 """
 
+import contextlib
 import json
 import math
 import shutil
@@ -35,6 +36,8 @@ bl_info = {
 FLAT = 0.75
 # How far before its surface a flat lamp's light stands, metres: a light within the surface is hidden by it.
 GAP = 0.002
+# Name of the node that lets a lamp shine to the front.
+FRONT = "unbake front"
 
 
 def z_up(points):
@@ -107,15 +110,12 @@ def light_of(lamp, corners, world):
     return light
 
 
-def lamps_as_lights(folder, mesh_object, collection):
-    """Puts a light in the place of each lamp. The lamps' faces become an object of their own, which the camera sees and which neither
-    lights anything nor hides a light. Returns how many lights there are."""
+def lamps_of(folder, mesh_object):
+    """The lamps that have power and triangles, the corners of all triangles, and which of these are luminous."""
     lamps = json.loads((folder / "lights.json").read_text())["lights"]
     lamps = [lamp for lamp in lamps if lamp["triangles"] and max(lamp["power"]) > 0]
     corners = triangles_of(folder / "scene.glb")
     mesh = mesh_object.data
-    if not lamps:
-        return 0
     centres = np.empty(len(mesh.polygons) * 3, np.float32)
     mesh.polygons.foreach_get("center", centres)
     centres = centres.reshape(-1, 3)
@@ -124,6 +124,50 @@ def lamps_as_lights(folder, mesh_object, collection):
     luminous = np.zeros(len(corners), bool)
     for lamp in lamps:
         luminous[lamp["triangles"]] = True
+    return lamps, corners, luminous
+
+
+def shine_forward(mesh_object, luminous):
+    """Gives the luminous faces a material that shines to the front only, as lamps of unbake do: Cycles lets double-sided ones shine into
+    the ceiling that they hang below."""
+    if not luminous.any():
+        return
+    mesh = mesh_object.data
+    own = mesh.materials[0].copy()
+    own.name = "lamps"
+    # exported as single-sided, which `unbake bake` takes for the same
+    own.use_backface_culling = True
+    mesh.materials.append(own)
+    mesh.polygons.foreach_set("material_index", np.where(luminous, len(mesh.materials) - 1, 0).astype(np.int32))
+    nodes, links = own.node_tree.nodes, own.node_tree.links
+    shader = next(n for n in nodes if n.type == "BSDF_PRINCIPLED")
+    strength = shader.inputs["Emission Strength"]
+    front = nodes.new("ShaderNodeMath")
+    front.name, front.operation = FRONT, "MULTIPLY_ADD"
+    front.inputs[1].default_value, front.inputs[2].default_value = -strength.default_value, strength.default_value
+    links.new(nodes.new("ShaderNodeNewGeometry").outputs["Backfacing"], front.inputs[0])
+    links.new(front.outputs[0], strength)
+
+
+@contextlib.contextmanager
+def plain_strength():
+    """Strengths of emission as numbers, which is all that Blender's exporter reads."""
+    trees = [m.node_tree for m in bpy.data.materials if m.node_tree and FRONT in m.node_tree.nodes]
+    ends = [(tree, tree.nodes[FRONT].outputs[0], tree.nodes[FRONT].outputs[0].links[0].to_socket) for tree in trees]
+    for tree, out, _ in ends:
+        tree.links.remove(out.links[0])
+    try:
+        yield
+    finally:
+        for tree, out, strength in ends:
+            tree.links.new(out, strength)
+
+
+def lamps_as_lights(lamps, corners, luminous, mesh_object, collection):
+    """Puts a light in the place of each lamp. The lamps' faces become an object of their own, which the camera sees and which neither
+    lights anything nor hides a light."""
+    mesh = mesh_object.data
+    for lamp in lamps:
         collection.objects.link(light_of(lamp, corners[lamp["triangles"]], mesh_object.matrix_world))
     shown = mesh_object.copy()
     shown.data = mesh.copy()
@@ -132,7 +176,6 @@ def lamps_as_lights(folder, mesh_object, collection):
     keep_faces(mesh, ~luminous)
     keep_faces(shown.data, luminous)
     shown.visible_diffuse = shown.visible_glossy = shown.visible_transmission = shown.visible_shadow = False
-    return len(lamps)
 
 
 def keep_faces(mesh, keep):
@@ -176,8 +219,12 @@ def import_result(folder, lamps="SURFACES", environment=True):
     bpy.context.view_layer.update()
     if environment:
         surround(folder)
-    count = lamps_as_lights(folder, mesh_object, bpy.context.collection) if lamps == "LIGHTS" else 0
-    return mesh_object, count
+    found, corners, luminous = lamps_of(folder, mesh_object)
+    if lamps == "LIGHTS" and found:
+        lamps_as_lights(found, corners, luminous, mesh_object, bpy.context.collection)
+        return mesh_object, len(found)
+    shine_forward(mesh_object, luminous)
+    return mesh_object, 0
 
 
 def lightmapped(image, material):
@@ -228,9 +275,10 @@ def bake(program, folder, samples=256, size=0):
     with tempfile.TemporaryDirectory() as aside:
         source = Path(aside) / "scene.glb"
         # lights in the unit of emission: no lumens
-        bpy.ops.export_scene.gltf(
-            filepath=str(source), export_lights=True, export_import_convert_lighting_mode="COMPAT", use_visible=True, export_apply=True
-        )
+        with plain_strength():
+            bpy.ops.export_scene.gltf(
+                filepath=str(source), export_lights=True, export_import_convert_lighting_mode="COMPAT", use_visible=True, export_apply=True
+            )
         command = [program, "bake", str(source), "-o", str(folder), "--quiet", "--samples", str(samples)]
         command += ["--size", str(size)] if size else []
         done = subprocess.run(command, capture_output=True, text=True)

@@ -373,7 +373,8 @@ const LEAVING: f32 = 1.0 / 16.0;
 
 /// Triangles that are lamps by their label. One that no view itself calls a lamp, having its label
 /// from neighbours, must belong to the shell of one that is called so; and one that nobody sees at
-/// all must have a way for its light to leave: the back of a panel has none.
+/// all must have a way for its light to leave: the back of a panel has none. Of a shell that is a lamp
+/// where it is seen, all that nobody sees is one, whatever label it has from other shells nearby.
 fn witnessed(surface: &Surface, votes: &[Votes]) -> Vec<bool> {
     let mesh = &surface.scene.mesh;
     let claimed = |t: usize| votes[t].light > 0 && 2 * votes[t].light >= votes[t].all;
@@ -381,9 +382,7 @@ fn witnessed(surface: &Surface, votes: &[Votes]) -> Vec<bool> {
     let mut known: Vec<bool> = (0..votes.len())
         .map(|t| claimed(t) && !doubtful(t))
         .collect();
-    if !(0..votes.len()).any(doubtful) {
-        return known;
-    }
+    let unseen = |t: usize| votes[t].seen == 0;
     let probe = Probe {
         mesh,
         tracer: &surface.tracer,
@@ -396,11 +395,20 @@ fn witnessed(surface: &Surface, votes: &[Votes]) -> Vec<bool> {
         orientation.open_share(&probe, t as u32, side, LEAVING_RAYS) >= LEAVING
     };
     for shell in Shells::of(mesh).iter() {
-        if !shell.iter().any(|&t| known[t as usize]) {
+        let of_shell = || shell.iter().map(|&t| t as usize);
+        if !of_shell().any(|t| known[t]) {
             continue;
         }
-        for t in shell.iter().map(|&t| t as usize).filter(|&t| doubtful(t)) {
-            known[t] = votes[t].seen > 0 || leaves(t);
+        let seen = |lamp: bool| -> u32 {
+            (of_shell().filter(|&t| known[t] || !lamp))
+                .map(|t| votes[t].seen)
+                .sum()
+        };
+        let lamp = 2 * seen(true) > seen(false);
+        for t in of_shell().collect::<Vec<_>>() {
+            if doubtful(t) || lamp && unseen(t) {
+                known[t] = !unseen(t) || leaves(t);
+            }
         }
     }
     known

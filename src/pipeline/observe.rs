@@ -16,7 +16,7 @@ use crate::observed::{
     Contradictions, Fusion, Surface, balance_views, complete_labels, find_camera_rigs,
     fuse_radiance, leave_out_clipped_sky,
 };
-use crate::scene::{MeshClasses, Scene, Shortfall, View, all_black, clipped_channels};
+use crate::scene::{EIGHT_BIT, MeshClasses, Scene, Shortfall, View, all_black, clipped_channels};
 use glam::Vec3;
 use std::time::Instant;
 
@@ -86,7 +86,7 @@ pub fn observe<'a>(
         back,
         contradictions,
         clipped: Vec::new(),
-        encoded: (scene.train_views()).all(|v| v.encoded_ceiling().is_some()),
+        encoded: read.encoded,
         ambient: Vec3::ZERO,
         camera_masks,
         offset,
@@ -110,6 +110,8 @@ struct ReadViews {
     ceilings: Vec<Option<Plane<u8>>>,
     /// What of the light the files may lack.
     shortfalls: Vec<Shortfall>,
+    /// All of them are made for a screen.
+    encoded: bool,
 }
 
 /// Reads the training views and traces what their pixels see.
@@ -122,11 +124,13 @@ fn read_views(
     let train: Vec<&View> = scene.train_views().collect();
     let mut ceilings = Vec::with_capacity(train.len());
     let mut shortfalls = Vec::with_capacity(train.len());
+    let mut encoded = true;
     let views = progress.stage("views", train.len() as u64, |p| {
         let read = |view: &&View| {
             let read = read_view(scene, view, tracer, options, p)?;
             ceilings.push(read.ceiling);
             shortfalls.push(read.shortfall);
+            encoded &= read.encoded;
             p.advance(1);
             Ok(read.view)
         };
@@ -140,6 +144,7 @@ fn read_views(
         views,
         ceilings,
         shortfalls,
+        encoded,
     })
 }
 
@@ -149,6 +154,8 @@ struct ReadView {
     /// Its pixels at the sensor's ceiling, if it has one.
     ceiling: Option<Plane<u8>>,
     shortfall: Shortfall,
+    /// It is made for a screen.
+    encoded: bool,
 }
 
 fn read_view(
@@ -159,7 +166,11 @@ fn read_view(
     progress: &Progress,
 ) -> Result<ReadView> {
     let (full, stats) = scene.load_radiance_with_stats(view)?;
-    let ceiling = clipped_channels(&full, view.encoded_ceiling())
+    if stats.eight_bit {
+        progress.note(format!("{}: {EIGHT_BIT}", view.stem));
+    }
+    let top = view.encoded_ceiling(&stats);
+    let ceiling = clipped_channels(&full, top)
         .map(|c| blocks(&c, options.photo_reduction.max(1), |a, b| a | b));
     let radiance = reduced(full, options.photo_reduction);
     let buffer = ViewBuffer::trace(
@@ -199,6 +210,7 @@ fn read_view(
         view: observed,
         ceiling,
         shortfall,
+        encoded: top.is_some(),
     })
 }
 

@@ -407,7 +407,13 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
         clipped: ClippedView::default(),
         votes: BTreeMap::new(),
     };
-    f.clipped = clipped_view(view, &image, labels.as_ref(), (&pixels, &rays, &hits));
+    let ceiling = clipped_channels(&image, view.encoded_ceiling(&stats));
+    f.clipped = clipped_view(
+        view,
+        ceiling.as_ref(),
+        labels.as_ref(),
+        (&pixels, &rays, &hits),
+    );
     let seen = pixels.iter().zip(&hits).filter(|(_, h)| h.is_hit());
     let sizes = seen.map(|(&p, h)| h.t * camera.pixel_solid_angle(p).sqrt());
     f.pixel_size = median(sizes.collect()).unwrap_or(0.0);
@@ -436,11 +442,10 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
 /// What rays through pixels find at the file's ceiling: nothing where it has none.
 fn clipped_view(
     view: &View,
-    image: &RgbPlane,
+    ceiling: Option<&Plane<u8>>,
     labels: Option<&Plane<u16>>,
     (pixels, rays, hits): (&[Vec2], &[Ray], &[Hit]),
 ) -> ClippedView {
-    let ceiling = clipped_channels(image, view.encoded_ceiling());
     let camera = &view.camera;
     let size = Vec2::new(camera.width as f32, camera.height as f32);
     let mut out = ClippedView {
@@ -450,8 +455,8 @@ fn clipped_view(
     for ((&p, ray), hit) in pixels.iter().zip(rays).zip(hits) {
         let angle = f64::from(camera.pixel_solid_angle(p));
         out.whole += angle;
-        let of_image = Vec2::new(image.width as f32, image.height as f32) / size;
-        let at_ceiling = |c: &Plane<u8>| *c.nearest(p * of_image) != 0;
+        let at_ceiling =
+            |c: &&Plane<u8>| *c.nearest(p * Vec2::new(c.width as f32, c.height as f32) / size) != 0;
         if ceiling.as_ref().is_some_and(at_ceiling) {
             let class = labels.map_or(0, |l| {
                 *l.nearest(p * Vec2::new(l.width as f32, l.height as f32) / size)

@@ -25,6 +25,9 @@ pub struct FrameAccount {
     pub shortfall: Shortfall,
 }
 
+/// What is said of [`PixelStats::eight_bit`].
+pub const EIGHT_BIT: &str = "its values are the 256 levels of an 8-bit picture, taken as gamma-encoded (\"color_space\": \"rec709\" in transforms.json says that they are linear)";
+
 /// Light that a linear file does not hold although its values look like any others.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Shortfall {
@@ -50,7 +53,8 @@ impl Shortfall {
             Some(labels) if stats.infinite > 0 => infinite_on_lights(scene, view, labels)?,
             _ => stats.infinite,
         };
-        let linear = !view.account.is_display_referred() && view.colour_space.is_none();
+        let linear =
+            !view.account.is_display_referred() && view.colour_space.is_none() && !stats.eight_bit;
         Ok(Self {
             infinite_on_lights,
             ends_at_one: linear && stats.at_one > 0,
@@ -79,9 +83,18 @@ pub(super) fn account(
             ),
         ));
     }
+    let mut image = view.account.clone();
+    if stats.eight_bit {
+        image.transfer = "sRGB";
+        let done = format!("{EIGHT_BIT}, the sRGB curve undone");
+        image.converted = Some(match image.converted {
+            Some(others) => format!("{done}; {others}"),
+            None => done,
+        });
+    }
     Ok(FrameAccount {
         stem: view.stem.clone(),
-        image: view.account.clone(),
+        image,
         exposure_ev: view.exposure_ev,
         masked_share: out as f64 / count as f64,
         shortfall: Shortfall::of(scene, view, stats, labels)?,

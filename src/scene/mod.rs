@@ -27,7 +27,7 @@ pub use check::{
     check_loaded, check_scene, load_for_check,
 };
 pub use clipping::clipped_channels;
-pub use frame_account::{FrameAccount, Shortfall};
+pub use frame_account::{EIGHT_BIT, FrameAccount, Shortfall};
 pub use mesh_classes::{ClassesByName, MeshClasses};
 pub use mesh_prep::{MeshStats, PreparedMesh, atlas_overlap, prepare_mesh};
 pub use pixels::{PixelStats, all_black};

@@ -21,6 +21,8 @@ pub struct PixelStats {
     pub infinite: usize,
     /// Pixels that reach exactly 1 in an image that nowhere goes beyond; 0 if they are no plateau.
     pub at_one: usize,
+    /// The sRGB curve was undone, since the file's numbers are the levels of an 8-bit picture.
+    pub eight_bit: bool,
 }
 
 /// Pixels at exactly 1 that make a plateau. Derived: a lamp of 4 × 4 pixels; one highlight may end
@@ -52,11 +54,15 @@ impl Scene {
         let Photograph {
             pixels: mut image,
             alpha,
+            eight_bit,
         } = self.read_image(view)?;
         let gain = view.exposure_ev.exp2();
-        let mut stats = PixelStats::default();
+        let mut stats = PixelStats {
+            at_one: at_one(&image),
+            eight_bit,
+            ..PixelStats::default()
+        };
         let (mut bad, mut brightest) = (Vec::new(), 0f32);
-        stats.at_one = at_one(&image);
         for (i, p) in image.data.iter_mut().enumerate() {
             let scaled = *p * gain;
             if !scaled.is_finite() {
@@ -148,6 +154,7 @@ impl Scene {
         let Photograph {
             pixels: image,
             alpha,
+            ..
         } = self.read_image(view)?;
         let mask = joined(mask, alpha.as_ref());
         if !self.options.clamp_nan {
@@ -217,12 +224,14 @@ impl Scene {
             return Ok(Photograph {
                 pixels: half_turned(photograph.pixels),
                 alpha: photograph.alpha.map(half_turned),
+                ..photograph
             });
         }
         let mirrored = self.mirror != Mirror::None;
         Ok(Photograph {
             pixels: turned_back(photograph.pixels, mirrored),
             alpha: photograph.alpha.map(|a| turned_back(a, mirrored)),
+            ..photograph
         })
     }
 
@@ -282,8 +291,6 @@ fn joined(mask: Option<Plane<bool>>, alpha: Option<&Plane<f32>>) -> Option<Plane
     Some(mask)
 }
 
-/// Refuses images of which nothing can be learnt: nothing finite, nothing but negative values, or
-/// values that no photograph has.
 /// The refusal of a scene whose training images are black throughout.
 #[must_use]
 pub fn all_black(scene: &Scene) -> Error {
@@ -304,6 +311,8 @@ fn at_one(image: &RgbPlane) -> usize {
     if count < PLATEAU { 0 } else { count }
 }
 
+/// Refuses images of which nothing can be learnt: nothing finite, nothing but negative values, or
+/// values that no photograph has.
 fn sane(path: &Path, image: &RgbPlane, stats: &PixelStats, brightest: f32) -> Result<()> {
     let count = image.data.len();
     let refuse = |m: String| Err(Error::input(path, m));

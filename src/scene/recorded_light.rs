@@ -5,7 +5,7 @@
 //! throw; before, it is not known, and not claimed. Views that between them show most of the clipped
 //! surface are named: brackets of those would record it (greedy set cover, Chvátal 1979).
 
-use super::View;
+use super::{PixelStats, View};
 use crate::core::formats::image_info;
 use crate::core::math::linear_from_srgb;
 use glam::Vec3;
@@ -24,11 +24,12 @@ const VIEWS: usize = 3;
 const LEAST: f64 = 1e-4;
 
 impl View {
-    /// From which radiance on a display-referred file is at its ceiling; `None` for linear files.
+    /// From which radiance on a display-referred file, read with `stats`, is at its ceiling; `None`
+    /// for linear files.
     #[must_use]
-    pub fn encoded_ceiling(&self) -> Option<f32> {
+    pub fn encoded_ceiling(&self, stats: &PixelStats) -> Option<f32> {
         let info = image_info(&self.image_path).ok()?;
-        (!info.format.is_linear()).then(|| ceiling(self.exposure_ev))
+        (stats.eight_bit || !info.format.is_linear()).then(|| ceiling(self.exposure_ev))
     }
 }
 

@@ -59,6 +59,9 @@ pub struct Photograph {
     pub pixels: RgbPlane,
     /// Alpha, where the file has any that is not 0 everywhere.
     pub alpha: Option<Plane<f32>>,
+    /// The file's numbers were the 256 levels of an 8-bit picture, which nothing called linear: its
+    /// sRGB curve was undone.
+    pub eight_bit: bool,
 }
 
 impl Photograph {
@@ -68,6 +71,7 @@ impl Photograph {
         Self {
             pixels,
             alpha: None,
+            eight_bit: false,
         }
     }
 }
@@ -89,6 +93,8 @@ struct Plan {
     space: Chromaticities,
     neutral: Option<DVec2>,
     curve: bool,
+    /// The scene says how values are encoded.
+    declared: bool,
     account: ImageAccount,
 }
 
@@ -242,6 +248,7 @@ impl Plan {
             // the override speaks of the whole encoding
             neutral: neutral.filter(|_| space.is_none()),
             curve: space == Some(ColourSpace::Srgb),
+            declared: space.is_some(),
             account: ImageAccount::default(),
         }
     }
@@ -286,13 +293,36 @@ impl Plan {
             pixels.data.par_iter_mut().for_each(|p| *p = rgb(*p));
         }
         if self.curve {
-            let linear = |p: Vec3| p.map(linear_from_srgb_beyond);
-            pixels.data.par_iter_mut().for_each(|p| *p = linear(*p));
+            undo_curve(pixels);
         }
         if let Some(m) = self.matrix() {
             pixels.data.par_iter_mut().for_each(|p| *p = m * *p);
         }
     }
+}
+
+fn undo_curve(pixels: &mut RgbPlane) {
+    let linear = |p: Vec3| p.map(linear_from_srgb_beyond);
+    pixels.data.par_iter_mut().for_each(|p| *p = linear(*p));
+}
+
+/// Whether all values are k/255, as of an 8-bit picture that was saved as OpenEXR without undoing its
+/// curve: linear light would show bands in steps of that size, and nobody stores it so.
+fn has_eight_bit_levels(pixels: &RgbPlane) -> bool {
+    // half precision rounds values below 1 by 2⁻¹² at most: 0.062 of a level, which an eighth of all
+    // numbers keep by chance
+    const ROUNDED: f32 = 255.0 / 4096.0 + 1e-3;
+    // a few levels are a drawing (a mask, a test card), which says nothing
+    const LEVELS: usize = 32;
+    let mut met = [false; 256];
+    for v in pixels.data.iter().flat_map(|p| p.to_array()) {
+        let level = (v * 255.0).round();
+        if !(0.0..=255.0).contains(&level) || (v * 255.0 - level).abs() > ROUNDED {
+            return false;
+        }
+        met[level as usize] = true;
+    }
+    met.iter().filter(|m| **m).count() >= LEVELS
 }
 
 /// The sRGB curve's inverse continued above 1 and, mirrored, below 0.
@@ -318,8 +348,16 @@ fn read_exr(path: &Path, plan: &Plan, mut image: OpenImage) -> Result<Photograph
     let chroma = matches!(plan.channels, Channels::LuminanceChroma(_));
     let mut pixels = image_io::read_rgb_channels(path, image, three)
         .map_err(|e| if chroma { unread_chroma(path, &e) } else { e })?;
+    let eight_bit = !plan.declared && !chroma && has_eight_bit_levels(&pixels);
+    if eight_bit {
+        undo_curve(&mut pixels);
+    }
     plan.convert(&mut pixels);
-    Ok(Photograph { pixels, alpha })
+    Ok(Photograph {
+        pixels,
+        alpha,
+        eight_bit,
+    })
 }
 
 /// Luminance and chroma that are sampled at every pixel are read by OpenImageIO 2.4 (Debian 12),
