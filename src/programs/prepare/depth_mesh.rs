@@ -361,14 +361,21 @@ impl Grid {
         let (mut sum, mut whole) = (0.0f32, 0.0f32);
         for (distance, weight) in ranges.iter().filter_map(|r| r.distance(place)) {
             let voxels = distance / self.voxel;
-            // what lies behind a surface by more is another's, or nobody's
-            if voxels > -BAND {
+            let weight = weight * trust(voxels);
+            if weight > 0.0 {
                 sum += voxels.min(BAND) * weight;
                 whole += weight;
             }
         }
         (whole > 0.0).then(|| sum / whole)
     }
+}
+
+/// What a distance weighs, in voxels: behind a surface by more than a voxel it may be another's, or nobody's,
+/// and gives way to an image that sees through; behind by the band it says nothing (the drop-off of
+/// Oleynikova et al. 2017, "Voxblox").
+fn trust(distance: f32) -> f32 {
+    ((BAND + distance) / (BAND - 1.0)).clamp(0.0, 1.0)
 }
 
 /// The surface in metres without specks, and with no more triangles than an error of `error` metres
