@@ -332,6 +332,7 @@ impl Copy<'_> {
             frame.remove("exposure_ev");
         }
         if !camera.eight_bit {
+            frame["color_space"] = json!("rec709");
             return write_rgb_float(self.place(&path.with_extension("exr"))?, image)
                 .map(|()| frame["file_path"] = json!(path.with_extension("exr")));
         }
