@@ -100,11 +100,16 @@ fn pixels_that_are_not_finite_are_counted_and_can_be_ignored() {
         .load_radiance_with_stats(&loaded.views[0])
         .expect("pixels");
     assert!(stats.not_finite == 2 && image.data.iter().all(|p| p.is_finite()));
+    // infinite is a lower bound: as bright as the middle pixel, and known to be more
+    assert!(stats.infinite == 1 && (image[(6, 9)] - Vec3::splat(0.5)).length() < 1e-6);
+    let bits = loaded.ceiling_bits(&loaded.views[0], (&image, &stats));
+    let bits = bits.expect("read").expect("a ceiling");
+    assert!(bits[(6, 9)] == 7 && bits.data.iter().filter(|b| **b != 0).count() == 1);
     let mask = loaded
         .load_mask(&loaded.views[0])
         .expect("mask")
         .expect("some pixels are out");
-    assert_eq!(mask.data.iter().filter(|m| !**m).count(), 2);
+    assert!(!mask[(5, 3)] && mask.data.iter().filter(|m| !**m).count() == 1);
     assert!(loaded.load_mask(&loaded.views[1]).expect("mask").is_none());
     // masked by the user: no error either
     let mut mask = Plane::filled(WIDTH, HEIGHT, 255u16);

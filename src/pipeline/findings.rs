@@ -97,17 +97,6 @@ const ENCODED: f64 = 0.21;
 /// What the files' values give reason to doubt, though each could be right.
 fn doubts_of_files(files: &[Shortfall]) -> Vec<Reason> {
     let mut doubts = Vec::new();
-    let infinite: usize = files.iter().map(|s| s.infinite_on_lights).sum();
-    if infinite > 0 {
-        doubts.push(Reason {
-            what: format!(
-                "{infinite} infinite pixels on lights are left out, and with them the brightest light: save the images in single precision"
-            ),
-            // nobody knows how much: no better than a guess
-            weight: GUESS,
-            place: String::new(),
-        });
-    }
     let ending = files.iter().filter(|s| s.ends_at_one).count();
     if ending > 0 {
         doubts.push(Reason {

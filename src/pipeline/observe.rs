@@ -16,7 +16,7 @@ use crate::observed::{
     Contradictions, Fusion, Surface, balance_views, complete_labels, find_camera_rigs,
     fuse_radiance, leave_out_clipped_sky,
 };
-use crate::scene::{EIGHT_BIT, MeshClasses, Scene, Shortfall, View, all_black, clipped_channels};
+use crate::scene::{EIGHT_BIT, MeshClasses, Scene, Shortfall, View, all_black};
 use glam::Vec3;
 use std::time::Instant;
 
@@ -169,8 +169,8 @@ fn read_view(
     if stats.eight_bit {
         progress.note(format!("{}: {EIGHT_BIT}", view.stem));
     }
-    let top = view.encoded_ceiling(&stats);
-    let ceiling = clipped_channels(&full, top)
+    let ceiling = scene
+        .ceiling_bits(view, (&full, &stats))?
         .map(|c| blocks(&c, options.photo_reduction.max(1), |a, b| a | b));
     let radiance = reduced(full, options.photo_reduction);
     let buffer = ViewBuffer::trace(
@@ -210,7 +210,7 @@ fn read_view(
         view: observed,
         ceiling,
         shortfall,
-        encoded: top.is_some(),
+        encoded: view.encoded_ceiling(&stats).is_some(),
     })
 }
 

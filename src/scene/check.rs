@@ -3,10 +3,7 @@
 
 use super::frame_account;
 use super::recorded_light::{ClippedView, RecordedLight};
-use super::{
-    FrameAccount, LoadOptions, MeshClasses, RoomGrid, Scene, Split, View, clipped_channels,
-    find_rooms,
-};
+use super::{FrameAccount, LoadOptions, MeshClasses, RoomGrid, Scene, Split, View, find_rooms};
 use crate::core::geometry::{Camera, Projection};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::luminance;
@@ -407,7 +404,7 @@ fn look_at(scene: &Scene, view: &View, tracer: &dyn Tracer) -> Result<ViewFindin
         clipped: ClippedView::default(),
         votes: BTreeMap::new(),
     };
-    let ceiling = clipped_channels(&image, view.encoded_ceiling(&stats));
+    let ceiling = scene.ceiling_bits(view, (&image, &stats))?;
     f.clipped = clipped_view(
         view,
         ceiling.as_ref(),
@@ -668,7 +665,7 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
     }
     if s.radiance.not_finite > 0 {
         warnings.push(format!(
-            "{} pixels are NaN or infinite and left out",
+            "{} pixels are NaN, and left out, or infinite, and taken for clipped light",
             s.radiance.not_finite
         ));
     }

@@ -165,7 +165,7 @@ pub(super) fn warnings(frames: &[FrameAccount]) -> Vec<String> {
             .map(|f| f.shortfall.infinite_on_lights)
             .sum();
         notes.push(format!(
-            "{count} infinite pixels lie on classes of kind light (first: {}): the brightest light of the scene is left out; save the images in single precision",
+            "{count} infinite pixels lie on classes of kind light (first: {}): how bright the brightest light is will be estimated from the shading it throws; images in single precision would hold it",
             first.stem
         ));
     }

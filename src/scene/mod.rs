@@ -77,7 +77,7 @@ pub struct LoadOptions {
     /// lower bounds of the light, off = refused.
     #[arg(long, value_name = "WHEN", num_args = 0..=1, default_missing_value = "on", default_value = "auto")]
     pub ldr: LdrImages,
-    /// Ignore NaN and infinite pixels instead of refusing the image.
+    /// Ignore NaN pixels and take infinite ones for clipped light, instead of refusing the image.
     #[arg(long)]
     pub clamp_nan: bool,
     /// Classes that the mesh names by its materials, objects or numbers, where no photograph has

@@ -1,10 +1,13 @@
 //! Pixels of a view on demand: radiance, class ids and masks, checked as they are read.
 
+use super::clipping::clipped_channels;
 use super::input_error::as_input;
 use super::{LdrImages, Mirror, Scene, View};
 use crate::core::formats::{self, Photograph};
 use crate::core::geometry::Projection;
 use crate::core::image::{Plane, RgbPlane};
+use crate::core::math::luminance;
+use crate::core::stats::median;
 use crate::{Error, Result};
 use glam::{Vec2, Vec3};
 use std::path::Path;
@@ -12,12 +15,14 @@ use std::path::Path;
 /// What was mended while an image was read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct PixelStats {
-    /// NaN or infinite pixels set to black; only under a mask or with `clamp_nan`.
+    /// NaN or infinite pixels; only under a mask or with `clamp_nan`.
     pub not_finite: usize,
     /// Pixels with a negative channel, which was set to 0 (ringing of a resampling filter, as a
     /// rule).
     pub negative: usize,
-    /// Infinite pixels among those that are not finite: lamps beyond half precision, as a rule.
+    /// Infinite pixels among those that are not finite: lamps beyond half precision, as a rule. They
+    /// become as bright as the image's middle pixel, which any light is at least; other pixels that
+    /// are not finite become black.
     pub infinite: usize,
     /// Pixels that reach exactly 1 in an image that nowhere goes beyond; 0 if they are no plateau.
     pub at_one: usize,
@@ -77,8 +82,8 @@ impl Scene {
                     ));
                 }
                 bad.push(i);
-                stats.infinite += usize::from(!p.is_nan());
-                *p = Vec3::ZERO;
+                stats.infinite += usize::from(is_beyond(*p));
+                *p = if is_beyond(*p) { scaled } else { Vec3::ZERO };
                 continue;
             }
             brightest = brightest.max(scaled.max_element());
@@ -105,7 +110,41 @@ impl Scene {
         }
         stats.not_finite = bad.len();
         sane(path, &image, &stats, brightest)?;
+        if stats.infinite > 0 {
+            let finite = image.data.iter().filter(|p| p.is_finite());
+            let middle = median(finite.map(|p| luminance(*p)).collect()).unwrap_or(0.0);
+            for i in bad {
+                image.data[i] = image.data[i].map(|v| if v.is_finite() { v } else { middle });
+            }
+        }
         Ok((image, stats))
+    }
+
+    /// Channels of the view's `image`, read with `stats`, that are at a ceiling: a bit for each, per
+    /// pixel; `None` where it has none. Infinite channels are.
+    ///
+    /// # Errors
+    /// The image cannot be read a second time.
+    pub fn ceiling_bits(
+        &self,
+        view: &View,
+        (image, stats): (&RgbPlane, &PixelStats),
+    ) -> Result<Option<Plane<u8>>> {
+        let clipped = clipped_channels(image, view.encoded_ceiling(stats));
+        if stats.infinite == 0 {
+            return Ok(clipped);
+        }
+        let infinite = self.read_image(view)?.pixels.map(|p| match is_beyond(*p) {
+            true => (0..3).map(|c| u8::from(p[c].is_infinite()) << c).sum(),
+            false => 0,
+        });
+        Ok(Some(match clipped {
+            Some(mut bits) => {
+                (bits.data.iter_mut().zip(&infinite.data)).for_each(|(b, i)| *b |= i);
+                bits
+            }
+            None => infinite,
+        }))
     }
 
     /// The view's class ids at the resolution of the file; `None` without labels. 0 is unlabelled.
@@ -142,7 +181,7 @@ impl Scene {
     /// Which pixels of the view may be used (`true`), at the image's size; `None` if all may.
     ///
     /// Joins the mask file, the camera's own mask, the image's alpha (pixels it does not wholly
-    /// cover) and, with `clamp_nan`, the pixels that are not finite.
+    /// cover) and, with `clamp_nan`, the pixels that are not a number.
     ///
     /// # Errors
     /// If the file cannot be read or does not fit the view.
@@ -160,12 +199,13 @@ impl Scene {
         if !self.options.clamp_nan {
             return Ok(mask);
         }
-        if image.data.iter().all(|p| p.is_finite()) {
+        let usable = |p: &Vec3| p.is_finite() || is_beyond(*p);
+        if image.data.iter().all(usable) {
             return Ok(mask);
         }
         let mut mask = mask.unwrap_or_else(|| Plane::filled(image.width, image.height, true));
         for (m, p) in mask.data.iter_mut().zip(&image.data) {
-            *m &= p.is_finite();
+            *m &= usable(p);
         }
         Ok(Some(mask))
     }
@@ -254,6 +294,11 @@ impl Scene {
             data,
         }))
     }
+}
+
+/// Whether a pixel is infinitely bright: a lower bound, as a clipped one is.
+fn is_beyond(p: Vec3) -> bool {
+    !p.is_nan() && !p.is_finite() && p.min_element() > f32::NEG_INFINITY
 }
 
 /// The plane upside down.
