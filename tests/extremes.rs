@@ -584,20 +584,7 @@ proptest! {
         labelled in any::<bool>(),
         seed in any::<u64>(),
     ) {
-        let dir = common::SceneDir::box_room();
-        let noise = |k: usize| Plane {
-            width: common::WIDTH,
-            height: common::HEIGHT,
-            data: (0..common::WIDTH * common::HEIGHT).map(|i| Vec3::new(pixels[(i * 7 + k) % 64], pixels[(i * 3 + k) % 64], pixels[(i + k) % 64])).collect(),
-        };
-        for (k, stem) in ["a", "b"].into_iter().enumerate() {
-            formats::write_rgb_float(dir.path(&format!("{stem}.exr")), &noise(k)).expect("image");
-        }
-        if !labelled {
-            dir.edit(|json| {
-                json["frames"].as_array_mut().expect("frames").iter_mut().for_each(|f| drop(f.as_object_mut().expect("frame").remove("label_path")));
-            });
-        }
+        let dir = room_of_noise(&pixels, labelled);
         let scene = Scene::load(dir.folder(), &LoadOptions::default()).expect("usable");
         let switch = |k: usize| [Switch::Auto, Switch::On, Switch::Off][forced[k]];
         let options = SolveOptions {
@@ -631,6 +618,74 @@ proptest! {
         prop_assert!(options.emission != Switch::Off || s.emission.data.iter().all(|e| *e == Vec3::ZERO));
         prop_assert_eq!((s.albedo.width, s.roughness.width, s.irradiance.width), (sizes[0], sizes[1], sizes[2]));
     }
+}
+
+/// A room whose two photographs repeat 64 values.
+fn room_of_noise(pixels: &[f32], labelled: bool) -> common::SceneDir {
+    let dir = common::SceneDir::box_room();
+    let value = |i: usize| pixels[i % pixels.len()];
+    for (k, stem) in ["a", "b"].into_iter().enumerate() {
+        let image = Plane {
+            width: common::WIDTH,
+            height: common::HEIGHT,
+            data: (0..common::WIDTH * common::HEIGHT)
+                .map(|i| Vec3::new(value(i * 7 + k), value(i * 3 + k), value(i + k)))
+                .collect(),
+        };
+        formats::write_rgb_float(dir.path(&format!("{stem}.exr")), &image).expect("image");
+    }
+    if !labelled {
+        dir.edit(|json| {
+            let frames = json["frames"].as_array_mut().expect("frames");
+            for frame in frames {
+                frame.as_object_mut().expect("frame").remove("label_path");
+            }
+        });
+    }
+    dir
+}
+
+/// Surfaces at the photographs' ceiling are lights, and none where nothing may emit.
+#[test]
+fn no_light_is_emission_where_emission_is_off() {
+    let mut pixels = [0.0f32; 64];
+    let bright = [
+        0.203_873_87,
+        988_456.7,
+        267_421.78,
+        0.0,
+        988_096.25,
+        381_831.34,
+        0.310_734_6,
+        833_284.8,
+    ];
+    pixels[54..62].copy_from_slice(&bright);
+    let dir = room_of_noise(&pixels, false);
+    let scene = Scene::load(dir.folder(), &LoadOptions::default()).expect("usable");
+    let emitting = |emission| {
+        let options = SolveOptions {
+            albedo_size: 68,
+            roughness_size: 59,
+            irradiance_size: 20,
+            photo_reduction: 2,
+            irradiance_rays: 3,
+            emitter_samples: 3,
+            irradiance_rounds: 2,
+            evidence_points: 20,
+            evidence_rays: 4,
+            roughness_levels: 7,
+            specular_rays: 8,
+            emission,
+            rooms: Switch::Off,
+            seed: 17_668_992_816_828_570_824,
+            ..SolveOptions::default()
+        };
+        let solved = reconstruct(&scene, &options, &Progress::silent()).expect("reconstructs");
+        let emission = solved.solution.emission;
+        emission.data.iter().filter(|e| **e != Vec3::ZERO).count()
+    };
+    assert!(emitting(Switch::Auto) > 0, "found where it may be");
+    assert_eq!(emitting(Switch::Off), 0);
 }
 
 /// What was tested above is also what a mesh of quads holds: two triangles each, facing as stated.

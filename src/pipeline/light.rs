@@ -350,7 +350,18 @@ pub(super) fn known_lights(surface: &Surface, options: &SolveOptions) -> Vec<boo
         v.own += u32::from(own);
         v.seen += u32::from(surface.fusion.views[i] > 0);
     }
-    witnessed(surface, &votes)
+    let mesh = &surface.scene.mesh;
+    let probe = Probe {
+        mesh,
+        tracer: &surface.tracer,
+        offset: surface.offset,
+        beyond: lamp_gap(mesh),
+    };
+    let orientation = &surface.orientation;
+    witnessed(mesh, &votes, &|t| {
+        let side = orientation.sign(t);
+        orientation.open_share(&probe, t as u32, side, LEAVING_RAYS) >= LEAVING
+    })
 }
 
 /// What the texels of a triangle say of its being a lamp.
@@ -373,40 +384,30 @@ const LEAVING: f32 = 1.0 / 16.0;
 
 /// Triangles that are lamps by their label. One that no view itself calls a lamp, having its label
 /// from neighbours, must belong to the shell of one that is called so; and one that nobody sees at
-/// all must have a way for its light to leave: the back of a panel has none. Of a shell that is a lamp
-/// where it is seen, all that nobody sees is one, whatever label it has from other shells nearby.
-fn witnessed(surface: &Surface, votes: &[Votes]) -> Vec<bool> {
-    let mesh = &surface.scene.mesh;
+/// all must have a way for its light to leave (`leaves`): the back of a panel has none. Of a shell
+/// that is a lamp where it is seen, all that nobody sees is one, whatever label lies nearest.
+fn witnessed(mesh: &Mesh, votes: &[Votes], leaves: &dyn Fn(usize) -> bool) -> Vec<bool> {
     let claimed = |t: usize| votes[t].light > 0 && 2 * votes[t].light >= votes[t].all;
     let doubtful = |t: usize| claimed(t) && votes[t].own == 0;
     let mut known: Vec<bool> = (0..votes.len())
         .map(|t| claimed(t) && !doubtful(t))
         .collect();
+    if !known.contains(&true) {
+        return known;
+    }
     let unseen = |t: usize| votes[t].seen == 0;
-    let probe = Probe {
-        mesh,
-        tracer: &surface.tracer,
-        offset: surface.offset,
-        beyond: lamp_gap(mesh),
-    };
-    let orientation = &surface.orientation;
-    let leaves = |t: usize| {
-        let side = orientation.sign(t);
-        orientation.open_share(&probe, t as u32, side, LEAVING_RAYS) >= LEAVING
-    };
     for shell in Shells::of(mesh).iter() {
         let of_shell = || shell.iter().map(|&t| t as usize);
         if !of_shell().any(|t| known[t]) {
             continue;
         }
-        let seen = |lamp: bool| -> u32 {
-            (of_shell().filter(|&t| known[t] || !lamp))
-                .map(|t| votes[t].seen)
-                .sum()
-        };
-        let lamp = 2 * seen(true) > seen(false);
-        for t in of_shell().collect::<Vec<_>>() {
-            if doubtful(t) || lamp && unseen(t) {
+        let (mut seen, mut lamp) = (0, 0);
+        for t in of_shell() {
+            seen += votes[t].seen;
+            lamp += if known[t] { votes[t].seen } else { 0 };
+        }
+        for t in of_shell() {
+            if doubtful(t) || 2 * lamp > seen && unseen(t) {
                 known[t] = !unseen(t) || leaves(t);
             }
         }
@@ -681,6 +682,31 @@ fn complete_radiance(surface: &Surface, labels: &[u16], light: LightSoFar<'_>) -
 mod tests {
     use super::*;
     use crate::observed::surface_tests::{box_scene, unseen};
+
+    /// Two faces of a closed shell are seen: as lamps, what nobody sees of it is one wherever light
+    /// can leave, whatever its label; as a wall with a lamp on it, only what has the label.
+    #[test]
+    fn what_nobody_sees_of_a_lamp_is_a_lamp() {
+        let scene = box_scene();
+        let votes = |lamp: u32| {
+            let of = |t: usize| {
+                let seen = if t < 4 { 10 } else { 0 };
+                let own = if t == 0 { seen } else { seen.min(lamp) };
+                Votes {
+                    all: 10,
+                    light: own,
+                    own,
+                    seen,
+                }
+            };
+            (0..12).map(of).collect::<Vec<_>>()
+        };
+        let open = |t: usize| t != 7;
+        let all = witnessed(&scene.mesh, &votes(10), &open);
+        assert_eq!(all, (0..12).map(open).collect::<Vec<_>>());
+        let one = witnessed(&scene.mesh, &votes(0), &open);
+        assert_eq!(one, (0..12).map(|t| t == 0).collect::<Vec<_>>());
+    }
 
     /// What nobody sees sends out its class's share of what it receives: all of it at most,
     /// whatever glints its class shows elsewhere, and nothing in the dark.

@@ -57,6 +57,9 @@ pub(super) fn settle(
         forget_lit(&mut albedo, &short.lamps);
         lights.append(&mut short.lamps);
     }
+    if options.emission == Switch::Off {
+        lights.iter_mut().for_each(|light| light.emits = false);
+    }
     rays += unseen_light(
         surface,
         &mut light,
