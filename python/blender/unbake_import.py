@@ -111,16 +111,21 @@ def light_of(lamp, corners, world):
 
 
 def lamps_of(folder, mesh_object):
-    """The lamps that have power and triangles, the corners of all triangles, and which of these are luminous."""
+    """The lamps that have power and triangles, the corners of all triangles, and which of these are luminous; no lamp, no triangles."""
     lamps = json.loads((folder / "lights.json").read_text())["lights"]
     lamps = [lamp for lamp in lamps if lamp["triangles"] and max(lamp["power"]) > 0]
+    if not lamps:
+        return [], None, None
     corners = triangles_of(folder / "scene.glb")
     mesh = mesh_object.data
     centres = np.empty(len(mesh.polygons) * 3, np.float32)
     mesh.polygons.foreach_get("center", centres)
     centres = centres.reshape(-1, 3)
     if len(centres) != len(corners) or np.abs(centres - corners.mean(1)).max() > 1e-3 * np.ptp(corners):
-        raise ValueError(f"{folder / 'scene.glb'}: Blender read other triangles than the file has; import lamps as surfaces instead")
+        raise ValueError(
+            f"{folder / 'scene.glb'}: Blender read other triangles than the file has, so that its lamps are not found; File > Import > "
+            "glTF takes it with lamps that shine to both sides"
+        )
     luminous = np.zeros(len(corners), bool)
     for lamp in lamps:
         luminous[lamp["triangles"]] = True
@@ -130,8 +135,6 @@ def lamps_of(folder, mesh_object):
 def shine_forward(mesh_object, luminous):
     """Gives the luminous faces a material that shines to the front only, as lamps of unbake do: Cycles lets double-sided ones shine into
     the ceiling that they hang below."""
-    if not luminous.any():
-        return
     mesh = mesh_object.data
     own = mesh.materials[0].copy()
     own.name = "lamps"
@@ -220,10 +223,11 @@ def import_result(folder, lamps="SURFACES", environment=True):
     if environment:
         surround(folder)
     found, corners, luminous = lamps_of(folder, mesh_object)
-    if lamps == "LIGHTS" and found:
+    if found and lamps == "LIGHTS":
         lamps_as_lights(found, corners, luminous, mesh_object, bpy.context.collection)
         return mesh_object, len(found)
-    shine_forward(mesh_object, luminous)
+    if found:
+        shine_forward(mesh_object, luminous)
     return mesh_object, 0
 
 

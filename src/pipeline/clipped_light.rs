@@ -10,7 +10,8 @@
 
 use super::clipped_looks::{ClippedLooks, Restored, SECTORS, sector};
 use super::clipped_texels::ClippedTexels;
-use super::light::{first_radiance, known_lights, light_field, texture_of, trusted_radiance};
+use super::known_lights::known_lights;
+use super::light::{first_radiance, light_field, texture_of, trusted_radiance};
 use super::{SolveOptions, Switch};
 use crate::core::image::RgbPlane;
 use crate::core::math::luminance;

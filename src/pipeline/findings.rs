@@ -94,6 +94,19 @@ pub(super) fn findings(
 /// (`synth --rooms 1 --views 6 --width 256`, sRGB-encoded and cut off at 1, draft; 2026-11-25).
 const ENCODED: f64 = 0.21;
 
+/// The doubt about infinite pixels on lights whose radiance is not estimated.
+pub(super) fn doubt_of_infinite(files: &[Shortfall]) -> Option<Reason> {
+    let infinite: usize = files.iter().map(|s| s.infinite_on_lights).sum();
+    (infinite > 0).then(|| Reason {
+        what: format!(
+            "{infinite} infinite pixels on lights count as no brighter than the room, since light beyond the ceiling is not estimated: save the images in single precision"
+        ),
+        // nobody knows how much: no better than a guess
+        weight: GUESS,
+        place: String::new(),
+    })
+}
+
 /// What the files' values give reason to doubt, though each could be right.
 fn doubts_of_files(files: &[Shortfall]) -> Vec<Reason> {
     let mut doubts = Vec::new();

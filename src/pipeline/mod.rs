@@ -12,6 +12,7 @@ mod doubt;
 mod energy_balance;
 mod findings;
 mod highlights;
+mod known_lights;
 mod lamp_surfaces;
 mod light;
 mod missing_light;

@@ -7,7 +7,7 @@ use super::assemble::assemble;
 use super::clipped_light::{ClippedLights, FoundLight};
 use super::doubt::Doubt;
 use super::energy_balance::{Balanced, balance_rooms};
-use super::findings::{findings, spread_of_looks};
+use super::findings::{doubt_of_infinite, findings, spread_of_looks};
 use super::missing_light::add_missing_light;
 use super::painted::{Estimate, settle_palettes};
 use super::solved::Solved;
@@ -91,6 +91,11 @@ pub(super) fn settle(
     findings
         .others
         .extend(doubts.into_iter().map(|d| d.reason(mean)));
+    if clipped.is_none() {
+        findings
+            .others
+            .extend(doubt_of_infinite(&surface.shortfalls));
+    }
     findings.light_missing = MissingLight::both(clipped, short.map(|s: Balanced| s.missing));
     // what no texel knows of by itself
     let model_error = findings.model_error() as f32;

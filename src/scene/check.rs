@@ -452,17 +452,18 @@ fn clipped_view(
     for ((&p, ray), hit) in pixels.iter().zip(rays).zip(hits) {
         let angle = f64::from(camera.pixel_solid_angle(p));
         out.whole += angle;
-        let at_ceiling =
-            |c: &&Plane<u8>| *c.nearest(p * Vec2::new(c.width as f32, c.height as f32) / size) != 0;
-        if ceiling.as_ref().is_some_and(at_ceiling) {
-            let class = labels.map_or(0, |l| {
-                *l.nearest(p * Vec2::new(l.width as f32, l.height as f32) / size)
-            });
+        if ceiling.is_some_and(|c| *at(c, p, size) != 0) {
+            let class = labels.map_or(0, |l| *at(l, p, size));
             let place = || Vec3::from(ray.origin) + Vec3::from(ray.direction) * hit.t;
             out.add(angle, hit.is_hit().then(place), class);
         }
     }
     out
+}
+
+/// What `plane` has where a camera of `size` pixels has pixel `p`.
+fn at<T>(plane: &Plane<T>, p: Vec2, size: Vec2) -> &T {
+    plane.nearest(p * Vec2::new(plane.width as f32, plane.height as f32) / size)
 }
 
 fn subsampled(image: &RgbPlane) -> Vec<f32> {

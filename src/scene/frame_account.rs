@@ -1,5 +1,6 @@
 //! What `check` says of each photograph: how it was understood, and what of it is left out.
 
+use super::pixels::is_beyond;
 use super::{PixelStats, Scene, View};
 use crate::core::formats::ImageAccount;
 use crate::core::image::Plane;
@@ -113,9 +114,9 @@ fn infinite_on_lights(scene: &Scene, view: &View, labels: &Plane<u16>) -> Result
         let class = scene.class(*labels.nearest(p * scale));
         class.is_some_and(|c| c.is_light)
     };
-    let infinite = |i: &usize| image.data[*i].is_finite() || image.data[*i].is_nan();
+    let infinite = |i: &usize| is_beyond(image.data[*i]);
     Ok((0..image.data.len())
-        .filter(|i| !infinite(i))
+        .filter(infinite)
         .filter(|i| on_light(*i))
         .count())
 }

@@ -141,9 +141,7 @@ impl Scene {
 
     /// Says what display-referred photographs are taken for.
     fn with_ldr_note(mut self) -> Self {
-        let referred = |v: &&View| {
-            formats::image_info(&v.image_path).is_ok_and(|info| !info.format.is_linear())
-        };
+        let referred = |v: &&View| v.account.is_display_referred();
         let names: Vec<&str> = (self.views.iter().filter(referred))
             .map(|v| v.stem.as_str())
             .collect();

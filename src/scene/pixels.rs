@@ -297,7 +297,7 @@ impl Scene {
 }
 
 /// Whether a pixel is infinitely bright: a lower bound, as a clipped one is.
-fn is_beyond(p: Vec3) -> bool {
+pub(super) fn is_beyond(p: Vec3) -> bool {
     !p.is_nan() && !p.is_finite() && p.min_element() > f32::NEG_INFINITY
 }
 

@@ -6,7 +6,6 @@
 //! surface are named: brackets of those would record it (greedy set cover, Chvátal 1979).
 
 use super::{PixelStats, View};
-use crate::core::formats::image_info;
 use crate::core::math::linear_from_srgb;
 use glam::Vec3;
 use serde::Serialize;
@@ -28,8 +27,8 @@ impl View {
     /// for linear files.
     #[must_use]
     pub fn encoded_ceiling(&self, stats: &PixelStats) -> Option<f32> {
-        let info = image_info(&self.image_path).ok()?;
-        (stats.eight_bit || !info.format.is_linear()).then(|| ceiling(self.exposure_ev))
+        let encoded = stats.eight_bit || self.account.is_display_referred();
+        encoded.then(|| ceiling(self.exposure_ev))
     }
 }
 

@@ -138,7 +138,7 @@ pub fn read_photograph(path: &Path, space: Option<ColourSpace>) -> Result<Photog
     match sniff(path)? {
         ImageFormat::Exr => {
             let (plan, image) = exr_plan(path, space)?;
-            read_exr(path, &plan, image)
+            read_exr(path, plan, image)
         }
         ImageFormat::Hdr => {
             let (mut pixels, header) = hdr::read(path)?;
@@ -293,17 +293,13 @@ impl Plan {
             pixels.data.par_iter_mut().for_each(|p| *p = rgb(*p));
         }
         if self.curve {
-            undo_curve(pixels);
+            let linear = |p: Vec3| p.map(linear_from_srgb_beyond);
+            pixels.data.par_iter_mut().for_each(|p| *p = linear(*p));
         }
         if let Some(m) = self.matrix() {
             pixels.data.par_iter_mut().for_each(|p| *p = m * *p);
         }
     }
-}
-
-fn undo_curve(pixels: &mut RgbPlane) {
-    let linear = |p: Vec3| p.map(linear_from_srgb_beyond);
-    pixels.data.par_iter_mut().for_each(|p| *p = linear(*p));
 }
 
 /// Whether all values are k/255, as of an 8-bit picture that was saved as OpenEXR without undoing its
@@ -335,7 +331,7 @@ fn linear_from_srgb_beyond(v: f32) -> f32 {
     linear.copysign(v)
 }
 
-fn read_exr(path: &Path, plan: &Plan, mut image: OpenImage) -> Result<Photograph> {
+fn read_exr(path: &Path, mut plan: Plan, mut image: OpenImage) -> Result<Photograph> {
     let alpha = match plan.alpha {
         None => None,
         Some(c) => {
@@ -349,9 +345,7 @@ fn read_exr(path: &Path, plan: &Plan, mut image: OpenImage) -> Result<Photograph
     let mut pixels = image_io::read_rgb_channels(path, image, three)
         .map_err(|e| if chroma { unread_chroma(path, &e) } else { e })?;
     let eight_bit = !plan.declared && !chroma && has_eight_bit_levels(&pixels);
-    if eight_bit {
-        undo_curve(&mut pixels);
-    }
+    plan.curve |= eight_bit;
     plan.convert(&mut pixels);
     Ok(Photograph {
         pixels,
