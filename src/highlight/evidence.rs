@@ -7,7 +7,7 @@
 
 use super::{Candidate, LOBES};
 use crate::core::blocks::{Columns, Packed, column, values};
-use crate::core::brdf::Reflectance;
+use crate::core::brdf::{DIELECTRIC, Reflectance, SpecularLobe};
 use crate::core::image::bilinear_taps;
 use crate::core::math::luminance;
 use crate::core::progress::Progress;
@@ -49,15 +49,17 @@ pub struct ViewSample {
 }
 
 /// Evidence points, their sights, and per sight the specular radiance at every level of a table.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Evidence {
     /// Roughness levels of the table, ascending.
     pub levels: Vec<f32>,
+    /// Lobes of the table.
+    pub lobes: [SpecularLobe; 2],
     /// Points.
     pub points: Vec<EvidencePoint>,
     /// Sights of all points, point by point.
     pub sights: Vec<ViewSample>,
-    /// `sights.len() × MODELS.len() × levels.len()` specular radiances: means of two independent
+    /// `sights.len() × lobes.len() × levels.len()` specular radiances: means of two independent
     /// estimates.
     pub specular: Vec<Vec3>,
     /// Half the difference of the luminance of the two estimates: what the mean is off by, but for
@@ -70,8 +72,23 @@ pub struct Evidence {
     pub rays: u64,
 }
 
+impl Default for Evidence {
+    fn default() -> Self {
+        Self {
+            levels: Vec::new(),
+            lobes: DIELECTRICS,
+            points: Vec::new(),
+            sights: Vec::new(),
+            specular: Vec::new(),
+            noise: Vec::new(),
+            diffuse: Vec::new(),
+            rays: 0,
+        }
+    }
+}
+
 impl Evidence {
-    /// Takes over the points of `more`, tabulated at the same levels, behind its own.
+    /// Takes over the points of `more`, tabulated for the same lobes and levels, behind its own.
     pub fn append(&mut self, more: Self) {
         let base = self.sights.len() as u32;
         self.points
@@ -96,7 +113,16 @@ impl Evidence {
         }
     }
 
-    /// Specular radiance of sight `s` at all levels under [`MODELS`]`[m]`.
+    /// Which of the lobes is that of a dielectric under a model (0 if none is: its answers would
+    /// mean nothing).
+    #[must_use]
+    pub fn dielectric(&self, model: Reflectance) -> usize {
+        let masking = |m: Reflectance| m == Reflectance::Paper;
+        let is = |l: &SpecularLobe| l.f0 == DIELECTRIC && masking(l.model) == masking(model);
+        self.lobes.iter().position(is).unwrap_or(0)
+    }
+
+    /// Specular radiance of sight `s` at all levels of its `m`-th lobe.
     #[must_use]
     pub fn response(&self, s: usize, m: usize) -> &[Vec3] {
         &self.specular[self.row(s, m)]
@@ -133,7 +159,7 @@ impl Evidence {
 
     fn row(&self, s: usize, m: usize) -> Range<usize> {
         let n = self.levels.len();
-        (s * MODELS.len() + m) * n..(s * MODELS.len() + m + 1) * n
+        (s * self.lobes.len() + m) * n..(s * self.lobes.len() + m + 1) * n
     }
 }
 
@@ -161,6 +187,8 @@ impl Packed for Evidence {
             column(&self.noise),
             column(&self.diffuse),
             column(&[self.rays]),
+            column(&self.lobes.map(|l| l.model as u32)),
+            column(&self.lobes.map(|l| l.f0)),
         ]
     }
 
@@ -171,9 +199,15 @@ impl Packed for Evidence {
         let [view, radiance, n_v, weight, tables @ ..] = sights else {
             return None;
         };
-        let [levels, specular, noise, diffuse, rays] = tables else {
+        let [levels, specular, noise, diffuse, rays, models, f0] = tables else {
             return None;
         };
+        let (models, f0): (Vec<u32>, Vec<Vec3>) = (values(models)?, values(f0)?);
+        let lobe = |(m, f0): (&u32, &Vec3)| {
+            let model = *Reflectance::ALL.get(*m as usize)?;
+            Some(SpecularLobe { model, f0: *f0 })
+        };
+        let lobes: Option<Vec<SpecularLobe>> = models.iter().zip(&f0).map(lobe).collect();
         let (class, triangle): (Vec<u32>, Vec<u32>) = (values(class)?, values(triangle)?);
         let (first, count): (Vec<u32>, Vec<u32>) = (values(first)?, values(count)?);
         let position: Vec<Vec3> = values(position)?;
@@ -200,6 +234,7 @@ impl Packed for Evidence {
             points: (0..class.len()).map(point).collect::<Option<_>>()?,
             sights: (0..view.len()).map(sight).collect::<Option<_>>()?,
             levels: values(levels)?,
+            lobes: lobes?.try_into().ok()?,
             specular: values(specular)?,
             noise: values(noise)?,
             diffuse: values(diffuse)?,
@@ -208,14 +243,19 @@ impl Packed for Evidence {
     }
 }
 
-/// Specular models tabulated: the masking terms to choose from. Diffuse parts need no rays.
-pub const MODELS: [Reflectance; 2] = [Reflectance::Paper, Reflectance::Smith];
+/// Lobes to choose the reflection model by: the masking terms. Diffuse parts need no rays.
+pub const DIELECTRICS: [SpecularLobe; 2] = [
+    SpecularLobe::dielectric(Reflectance::Paper),
+    SpecularLobe::dielectric(Reflectance::Smith),
+];
 
 /// How finely responses are tabulated.
 #[derive(Clone, Copy, Debug)]
 pub struct Tabulation<'a> {
     /// Roughness levels, ascending.
     pub levels: &'a [f32],
+    /// Lobes tabulated at each.
+    pub lobes: [SpecularLobe; 2],
     /// Rays for each of [`LOBES`], spread over 16 places of the pixel: the next multiple of that.
     pub rays_per_lobe: u32,
 }
@@ -257,12 +297,13 @@ pub fn gather_evidence(
         for i in range.clone() {
             out.push(surface, &observer, (i, &candidates[i]), &mut seen);
         }
-        let evidence = out.trace(surface, &reflector, tabulation.levels);
+        let evidence = out.trace(surface, &reflector, tabulation);
         progress.advance(range.len() as u64);
         evidence
     });
     let mut all = Evidence {
         levels: tabulation.levels.to_vec(),
+        lobes: tabulation.lobes,
         ..Evidence::default()
     };
     parts.into_iter().for_each(|p| all.append(p));
@@ -321,18 +362,18 @@ impl Observed {
         }
     }
 
-    /// Traces the specular responses of all sights at `levels`.
-    fn trace(self, surface: &Surface, reflector: &Reflector, levels: &[f32]) -> Evidence {
+    /// Traces the specular responses of all sights.
+    fn trace(self, surface: &Surface, reflector: &Reflector, table: Tabulation) -> Evidence {
         let gazes = self.footprints.gazes(reflector.lit, surface);
-        let row = MODELS.len() * levels.len();
+        let row = table.lobes.len() * table.levels.len();
         let mut specular = vec![Vec3::ZERO; gazes.len() * row];
         let mut diffuse = vec![[0.0; 3]; gazes.len()];
-        let table = Levels::Shared {
+        let levels = Levels::Shared {
             lobes: &LOBES,
-            evaluate: levels,
-            models: &MODELS,
+            evaluate: table.levels,
+            models: &table.lobes,
         };
-        let traced = reflector.reflect_and_spread(&gazes, table, &mut specular, &mut diffuse);
+        let traced = reflector.reflect_and_spread(&gazes, levels, &mut specular, &mut diffuse);
         let mut out = self.evidence;
         out.fill(&specular, &diffuse, row);
         out.rays = traced + gazes.len() as u64;

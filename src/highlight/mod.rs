@@ -4,7 +4,7 @@
 mod evidence;
 mod select;
 
-pub use evidence::{Evidence, EvidencePoint, MODELS, Tabulation, ViewSample, gather_evidence};
+pub use evidence::{DIELECTRICS, Evidence, EvidencePoint, Tabulation, ViewSample, gather_evidence};
 pub use select::{Candidate, SelectOptions, select_points};
 
 /// Roughness levels at which specular responses are tabulated; closer where lobes change fastest.

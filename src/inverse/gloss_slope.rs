@@ -14,7 +14,7 @@ use super::group_fit::GroupFit;
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
 use crate::core::stats::{median, passing_weight};
-use crate::highlight::{Evidence, MODELS};
+use crate::highlight::Evidence;
 use glam::Vec3;
 use std::collections::BTreeMap;
 
@@ -145,7 +145,7 @@ impl Slopes {
 
 /// A point's moments: weighted over its views, relative to their median luminance.
 fn moments(evidence: &Evidence, model: Reflectance, point: usize) -> Moments {
-    let m = usize::from(model != Reflectance::Paper).min(MODELS.len() - 1);
+    let m = evidence.dielectric(model);
     let p = &evidence.points[point];
     let views = p.first as usize..(p.first + p.count) as usize;
     let bright = |j: usize| luminance(evidence.sights[j].radiance);

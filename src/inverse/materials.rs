@@ -441,7 +441,7 @@ fn divide(colours: &[Vec3]) -> Option<(Axis, f64)> {
 mod tests {
     use super::*;
     use crate::core::sampling::KeyedRng;
-    use crate::highlight::{EvidencePoint, LEVELS, MODELS, ViewSample};
+    use crate::highlight::{DIELECTRICS, EvidencePoint, LEVELS, ViewSample};
     use crate::inverse::fit_groups;
 
     /// `n` albedos of normal scatter around a colour, relative standard deviation `spread`.
@@ -502,10 +502,10 @@ mod tests {
                     weight: 1.0,
                 });
                 out.diffuse.push([1.0, 0.0, 0.0]);
-                MODELS
+                DIELECTRICS
                     .iter()
                     .for_each(|_| out.specular.extend(LEVELS.map(response)));
-                MODELS
+                DIELECTRICS
                     .iter()
                     .for_each(|_| out.noise.extend(LEVELS.map(|_| 0.0)));
             }

@@ -8,7 +8,7 @@ use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::stats::{median, weighted_median};
-use crate::highlight::{Evidence, MODELS};
+use crate::highlight::Evidence;
 use glam::Vec3;
 use std::collections::BTreeMap;
 
@@ -168,10 +168,7 @@ impl<'a> Looks<'a> {
     /// The diffuse radiance the views agree on best if the roughness is that of level `k`.
     fn centre(&mut self, k: usize) -> Vec3 {
         let (evidence, model) = (self.evidence, self.model);
-        let m = MODELS
-            .iter()
-            .position(|m| (*m == Reflectance::Paper) == (model == Reflectance::Paper))
-            .unwrap_or(0);
+        let m = evidence.dielectric(model);
         self.diffuse.clear();
         self.noise.clear();
         for &j in &self.sights {
@@ -259,7 +256,7 @@ fn robust_centre(values: &[(Vec3, f32)], scale: f32, share: &mut Vec<f32>) -> Ve
 mod tests {
     use super::*;
     use crate::core::sampling::KeyedRng;
-    use crate::highlight::{EvidencePoint, LEVELS, ViewSample};
+    use crate::highlight::{DIELECTRICS, EvidencePoint, LEVELS, ViewSample};
     use crate::inverse::fit_groups;
 
     /// Points of roughness 0.62, six views each, whose traced responses are the noisier the
@@ -285,7 +282,7 @@ mod tests {
                 });
                 out.diffuse.push([1.0, 0.0, 0.0]);
                 let halves = [rng.next_f32(), rng.next_f32()].map(|u| 2.0 * u - 1.0);
-                for r in MODELS.iter().flat_map(|_| LEVELS) {
+                for r in DIELECTRICS.iter().flat_map(|_| LEVELS) {
                     let [a, b] = halves.map(|h| response(strength, r) + 0.03 * (1.2 - r) * h);
                     out.specular.push(Vec3::splat(0.5 * (a + b)));
                     out.noise.push(if known { 0.5 * (a - b) } else { 0.0 });

@@ -8,7 +8,7 @@
 use crate::core::math::Frame;
 use crate::core::sampling::{KeyedRng, hash_u64, square_to_cosine_hemisphere};
 use crate::core::trace::{Hit, Ray};
-use crate::specular::{Levels, Reflector, ShadingPoint};
+use crate::specular::{Levels, Own, Reflector, ShadingPoint};
 use glam::Vec3;
 
 /// A glossy surface point.
@@ -71,9 +71,9 @@ impl NextBounce<'_> {
         } = buffers;
         radiance.clear();
         radiance.resize(gazes.len(), Vec3::ZERO);
-        let traced = self
-            .reflector
-            .reflect(gazes, Levels::Own(roughness), radiance);
+        let traced =
+            self.reflector
+                .reflect(gazes, Levels::Own(Own::dielectric(roughness)), radiance);
         ray.iter()
             .zip(radiance)
             .for_each(|(k, l)| add(*k as usize, *l * self.one_in as f32));

@@ -5,7 +5,7 @@ use super::decisions::{choose_matte, report_matte};
 use super::{Light, SolveOptions};
 use crate::core::progress::Progress;
 use crate::highlight::{
-    Candidate, Evidence, SelectOptions, Tabulation, gather_evidence, roughness_levels,
+    Candidate, DIELECTRICS, Evidence, SelectOptions, Tabulation, gather_evidence, roughness_levels,
     select_points,
 };
 use crate::observed::{ClassMap, Surface};
@@ -46,6 +46,7 @@ pub fn gather_highlights(
         let levels = roughness_levels(options.roughness_levels);
         let tabulation = Tabulation {
             levels: &levels,
+            lobes: DIELECTRICS,
             rays_per_lobe: options.evidence_rays,
         };
         let gather =

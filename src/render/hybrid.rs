@@ -14,7 +14,7 @@ use crate::gbuffer::pixel_rays;
 use crate::lights::{Emitters, LitScene};
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use crate::solution::Solution;
-use crate::specular::{Levels, Reflector, ShadingPoint};
+use crate::specular::{Levels, Own, Reflector, ShadingPoint};
 use crate::{Error, Result};
 use glam::{Vec2, Vec3};
 use std::f32::consts::FRAC_1_PI;
@@ -229,7 +229,7 @@ impl<'a> HybridRenderer<'a> {
             model,
             seed,
         }
-        .reflect(&gazes, Levels::Own(&levels), &mut specular);
+        .reflect(&gazes, Levels::Own(Own::dielectric(&levels)), &mut specular);
         points
             .iter_mut()
             .filter(|p| p.gaze.is_some())

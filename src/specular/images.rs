@@ -1,6 +1,6 @@
 //! The specular part of the photographs: what every pixel's surface mirrors, given its roughness.
 
-use super::{DirectionalAlbedo, Levels, Reflector, ShadingPoint, WIDE};
+use super::{DirectionalAlbedo, Levels, Own, Reflector, ShadingPoint, WIDE};
 use crate::core::blocks::{Columns, Packed, column, values};
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::parallel::prelude::*;
@@ -165,7 +165,7 @@ impl SpecularImages<'_> {
                 }
                 let mut out = vec![Vec3::ZERO; gazes.len()];
                 rays.fetch_add(
-                    reflector.reflect(&gazes, Levels::Own(&levels), &mut out),
+                    reflector.reflect(&gazes, Levels::Own(Own::dielectric(&levels)), &mut out),
                     Ordering::Relaxed,
                 );
                 for (x, value) in columns.into_iter().zip(out) {

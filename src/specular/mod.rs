@@ -7,4 +7,4 @@ mod reflector;
 
 pub use directional_albedo::{DirectionalAlbedo, WIDE};
 pub use images::{SpecularImages, TracedImage, WideRule};
-pub use reflector::{Levels, Reflector, ShadingPoint};
+pub use reflector::{Levels, Own, Reflector, ShadingPoint};

@@ -5,7 +5,10 @@
 //! heuristic), so that one set of traced rays serves any number of roughness levels R (method §12.3
 //! point 6); the radiance along a ray is averaged over the cone the ray stands for.
 
-use crate::core::brdf::{MIN_ROUGHNESS, Reflectance, sample_vndf, vndf_reflection_pdf};
+use crate::core::brdf::{
+    DIELECTRIC, MIN_ROUGHNESS, Reflectance, SpecularLobe, over_dielectric, sample_vndf,
+    vndf_reflection_pdf,
+};
 use crate::core::math::{Frame, luminance};
 use crate::core::sampling::SobolSequence;
 use crate::core::trace::{Hit, Ray};
@@ -14,6 +17,7 @@ use crate::lights::LitScene;
 use crate::lights::SamplerCache;
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
+use std::ops::Range;
 
 /// Gazes per batch of rays.
 const BATCH: usize = 48;
@@ -35,7 +39,7 @@ pub struct ShadingPoint {
     pub turn: u32,
 }
 
-/// The roughness values (and models) rays are drawn for and responses evaluated at.
+/// The roughness values (and lobes) rays are drawn for and responses evaluated at.
 #[derive(Clone, Copy, Debug)]
 pub enum Levels<'a> {
     /// All gazes share the lobes and the evaluated roughness levels.
@@ -44,11 +48,40 @@ pub enum Levels<'a> {
         lobes: &'a [f32],
         /// Roughness levels evaluated.
         evaluate: &'a [f32],
-        /// Reflection models evaluated: the output of a gaze is models × levels.
-        models: &'a [Reflectance],
+        /// What is evaluated at every level: the output of a gaze is models × levels.
+        models: &'a [SpecularLobe],
     },
-    /// Gaze i has its own roughness `values[i]`, sampled and evaluated.
-    Own(&'a [f32]),
+    /// Every gaze has its own roughness, sampled and evaluated.
+    Own(Own<'a>),
+}
+
+/// Lobes gaze by gaze, of the reflector's model.
+#[derive(Clone, Copy, Debug)]
+pub struct Own<'a> {
+    /// Roughness.
+    pub roughness: &'a [f32],
+    /// Reflectance at normal incidence; empty where there is no metal.
+    pub f0: &'a [Vec3],
+}
+
+impl<'a> Own<'a> {
+    /// Gazes at no metal.
+    #[must_use]
+    pub fn dielectric(roughness: &'a [f32]) -> Self {
+        Self { roughness, f0: &[] }
+    }
+
+    /// Those of some gazes.
+    fn part(&self, range: Range<usize>) -> Self {
+        Self {
+            roughness: &self.roughness[range.clone()],
+            f0: if self.f0.is_empty() {
+                &[]
+            } else {
+                &self.f0[range]
+            },
+        }
+    }
 }
 
 /// Estimates specular reflection.
@@ -107,7 +140,7 @@ impl Reflector<'_> {
         for (b, group) in gazes.chunks(BATCH).enumerate() {
             let first = b * BATCH;
             let own = match levels {
-                Levels::Own(values) => Levels::Own(&values[first..first + group.len()]),
+                Levels::Own(own) => Levels::Own(own.part(first..first + group.len())),
                 shared @ Levels::Shared { .. } => shared,
             };
             let spread = if diffuse.is_empty() {
@@ -310,7 +343,7 @@ impl Spread {
 fn lobes<'a>(levels: &Levels<'a>, i: usize) -> &'a [f32] {
     match levels {
         Levels::Shared { lobes, .. } => lobes,
-        Levels::Own(values) => std::slice::from_ref(&values[i]),
+        Levels::Own(own) => std::slice::from_ref(&own.roughness[i]),
     }
 }
 
@@ -325,8 +358,16 @@ fn accumulate(
     if half.n_l <= 0.0 || weighted == Vec3::ZERO {
         return;
     }
-    let term = |m: Reflectance, r: f32| {
-        weighted
+    // light times what it counts for beside a dielectric's
+    let coloured = |f0: Vec3| {
+        if f0 == DIELECTRIC {
+            weighted
+        } else {
+            weighted * over_dielectric(f0, half.v_h.min(1.0))
+        }
+    };
+    let term = |light: Vec3, m: Reflectance, r: f32| {
+        light
             * (m.specular(
                 half.n_l,
                 half.n_v,
@@ -341,12 +382,16 @@ fn accumulate(
         } => {
             let k = evaluate.len();
             let row = &mut out[i * k * models.len()..(i + 1) * k * models.len()];
-            for (part, &m) in row.chunks_mut(k).zip(*models) {
+            for (part, lobe) in row.chunks_mut(k).zip(*models) {
+                let light = coloured(lobe.f0);
                 for (value, &r) in part.iter_mut().zip(*evaluate) {
-                    *value += term(m, r);
+                    *value += term(light, lobe.model, r);
                 }
             }
         }
-        Levels::Own(values) => out[i] += term(model, values[i]),
+        Levels::Own(own) => {
+            let f0 = own.f0.get(i).copied().unwrap_or(DIELECTRIC);
+            out[i] += term(coloured(f0), model, own.roughness[i]);
+        }
     }
 }

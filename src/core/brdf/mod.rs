@@ -10,16 +10,19 @@
 //!   survives f32;
 //! * `vndf`: sampling of visible normals and its density;
 //! * [`material`]: a surface's parameters with evaluation, sampling and density in world space;
+//! * [`lobe`]: what metals reflect in place of dielectrics;
 //! * [`chunk`]: the same value and derivative over structure-of-arrays slices, vectorised.
 
 pub mod chunk;
 pub mod ggx;
+pub mod lobe;
 pub mod material;
 pub mod reflectance;
 mod vndf;
 
 pub use chunk::{SpecularChunk, specular_chunk};
 pub use ggx::{F0, fresnel, ggx_d, smith_g1, specular, specular_d_roughness};
+pub use lobe::{DIELECTRIC, SpecularLobe, over_dielectric};
 pub use material::{BrdfSample, MIN_ROUGHNESS, Material};
 pub use reflectance::Reflectance;
 pub use vndf::{ggx_g1_exact, sample_vndf, vndf_reflection_pdf};

@@ -4,7 +4,7 @@
 //! metal has no diffuse part and mirrors its colour. Alpha is coverage: `MASK` cuts out, `BLEND`
 //! and `KHR_materials_transmission` stop a share of the rays.
 
-use crate::core::brdf::{Material, Reflectance};
+use crate::core::brdf::{DIELECTRIC, Material, Reflectance};
 use crate::core::formats::{
     Alpha, Border, GltfFile, GltfMaterial, GltfTexture, Picture8, Piece, TextureUse,
 };
@@ -251,7 +251,7 @@ impl SurfaceModel for Looks {
                 albedo: base * (1.0 - metal),
                 roughness,
             },
-            f0: Surface::DIELECTRIC.lerp(base, metal),
+            f0: DIELECTRIC.lerp(base, metal),
             emission,
         }
     }

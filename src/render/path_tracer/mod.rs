@@ -27,7 +27,7 @@ pub use options::{Adaptive, Noise, PathTracerOptions};
 pub use scene::{BlackEnvironment, Environment, IndirectCache, KnownLight, Surface, SurfaceModel};
 pub use tracer::PathTracer;
 
-use crate::core::brdf::Material;
+use crate::core::brdf::{DIELECTRIC, Material};
 use crate::core::geometry::Camera;
 use crate::core::parallel::map_chunks;
 use crate::core::parallel::prelude::*;
@@ -302,7 +302,7 @@ impl PathTracer<'_> {
                         albedo: Vec3::ONE,
                         roughness: 1.0,
                     },
-                    f0: Surface::DIELECTRIC,
+                    f0: DIELECTRIC,
                     lobes: Lobes::Diffuse,
                     reference: 0.0,
                 };

@@ -1,7 +1,7 @@
 //! What the path tracer renders: materials and emission of surfaces, the light from outside, known
 //! irradiance.
 
-use crate::core::brdf::{F0, Material, Reflectance};
+use crate::core::brdf::{DIELECTRIC, Material, Reflectance};
 use glam::Vec3;
 
 /// What light meets at a surface point.
@@ -9,7 +9,7 @@ use glam::Vec3;
 pub struct Surface {
     /// Reflection.
     pub material: Material,
-    /// Specular reflectance at normal incidence: [`Self::DIELECTRIC`] for anything but metal,
+    /// Specular reflectance at normal incidence: [`DIELECTRIC`] for anything but metal,
     /// which has its colour here.
     pub f0: Vec3,
     /// Emitted radiance.
@@ -17,15 +17,12 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// Specular reflectance of what is no metal.
-    pub const DIELECTRIC: Vec3 = Vec3::splat(F0 as f32);
-
     /// A surface that is no metal.
     #[must_use]
     pub fn dielectric(material: Material, emission: Vec3) -> Self {
         Self {
             material,
-            f0: Self::DIELECTRIC,
+            f0: DIELECTRIC,
             emission,
         }
     }

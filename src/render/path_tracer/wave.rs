@@ -1,7 +1,7 @@
 //! What paths carry from bounce to bounce, and the buffers they are traced in.
 
-use super::scene::{KnownLight, Surface};
-use crate::core::brdf::{Material, fresnel};
+use super::scene::KnownLight;
+use crate::core::brdf::{DIELECTRIC, Material, over_dielectric};
 use crate::core::trace::{Hit, Ray};
 use crate::lights::LightSampler;
 use glam::Vec3;
@@ -40,16 +40,13 @@ pub(super) struct Vertex {
 }
 
 impl Vertex {
-    /// What the specular lobe reflects over what the reflection model says, whose reflectance at
-    /// normal incidence is [`Surface::DIELECTRIC`]: both rise to 1 at grazing angles alike (Schlick 1994).
+    /// What the specular lobe reflects over a dielectric's.
     pub(super) fn metal_share(&self, view: Vec3, light: Vec3) -> Vec3 {
-        if self.f0 == Surface::DIELECTRIC {
+        if self.f0 == DIELECTRIC {
             return Vec3::ONE;
         }
         let h = (view + light).normalize_or(self.normal);
-        let model = fresnel(view.dot(h).clamp(0.0, 1.0));
-        let grazing = (model - Surface::DIELECTRIC.x) / (1.0 - Surface::DIELECTRIC.x);
-        (self.f0 + (1.0 - self.f0) * grazing) / model
+        over_dielectric(self.f0, view.dot(h).clamp(0.0, 1.0))
     }
 }
 

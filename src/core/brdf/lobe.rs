@@ -1,0 +1,76 @@
+//! The specular lobe of any opaque surface: how it masks, and what it reflects at normal incidence.
+
+use super::ggx::{F0, fresnel};
+use super::reflectance::Reflectance;
+use glam::Vec3;
+
+/// Specular reflectance at normal incidence of what is no metal.
+pub const DIELECTRIC: Vec3 = Vec3::splat(F0 as f32);
+
+/// What a lobe of reflectance `f0` at normal incidence reflects over what one of [`DIELECTRIC`]
+/// does, at the cosine `v_h` between view and half vector, [0, 1]: both rise to 1 at grazing angles
+/// alike (Schlick 1994).
+#[inline]
+#[must_use]
+pub fn over_dielectric(f0: Vec3, v_h: f32) -> Vec3 {
+    if f0 == DIELECTRIC {
+        return Vec3::ONE;
+    }
+    let model = fresnel(v_h);
+    let grazing = (model - DIELECTRIC.x) / (1.0 - DIELECTRIC.x);
+    (f0 + (1.0 - f0) * grazing) / model
+}
+
+/// A specular lobe but for its roughness.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpecularLobe {
+    /// Which masking it has.
+    pub model: Reflectance,
+    /// What it reflects at normal incidence, linear Rec. 709, [0, 1].
+    pub f0: Vec3,
+}
+
+impl SpecularLobe {
+    /// That of plastic, wood, paint, stone.
+    #[must_use]
+    pub const fn dielectric(model: Reflectance) -> Self {
+        Self {
+            model,
+            f0: DIELECTRIC,
+        }
+    }
+
+    /// That of a metal which reflects everything: with the dielectric's it makes any lobe, as the
+    /// model is linear in `f0`.
+    #[must_use]
+    pub const fn white_metal(model: Reflectance) -> Self {
+        Self {
+            model,
+            f0: Vec3::ONE,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_metal_lies_between_the_dielectric_and_the_white_one() {
+        let gold = Vec3::new(1.0, 0.77, 0.34);
+        for v_h in [0.02f32, 0.3, 0.7, 1.0] {
+            let white = over_dielectric(Vec3::ONE, v_h);
+            assert!((white.x * fresnel(v_h) - 1.0).abs() < 1e-6, "all of it");
+            let t = (gold - DIELECTRIC) / (1.0 - DIELECTRIC);
+            let mixed = Vec3::ONE + t * (white - Vec3::ONE);
+            let own = over_dielectric(gold, v_h);
+            assert!(
+                (own / mixed - 1.0).abs().max_element() < 1e-5,
+                "{own} {mixed}"
+            );
+        }
+        let head_on = over_dielectric(gold, 1.0) * fresnel(1.0f32);
+        assert!((head_on - gold).abs().max_element() < 1e-3, "{head_on}");
+        assert_eq!(over_dielectric(DIELECTRIC, 0.3), Vec3::ONE);
+    }
+}
