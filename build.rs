@@ -196,6 +196,8 @@ fn build_image_shim(out: &Path) -> Result<(), String> {
         .std("c++17")
         .opt_level(2)
         .pic(true)
+        // a sanitizer of rustc's is not this compiler's: scripts/fuzz
+        .inherit_rustflags(false)
         .cargo_metadata(false)
         .includes(&oiio.include_paths);
     let failed = |e: &dyn std::fmt::Display| {

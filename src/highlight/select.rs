@@ -43,6 +43,20 @@ pub struct Candidate {
     order: u64,
 }
 
+impl Candidate {
+    /// A point that was selected otherwise.
+    #[must_use]
+    pub fn at(triangle: u32, position: Vec3, class: u16) -> Self {
+        Self {
+            triangle,
+            position,
+            class,
+            strength: 0.0,
+            order: 0,
+        }
+    }
+}
+
 /// Selects points per class; surfaces without material (emitters) have none.
 #[must_use]
 pub fn select_points(

@@ -98,6 +98,13 @@ struct TexelAlbedo {
 }
 
 impl AlbedoEstimate {
+    /// Nothing is known of texel `i` any more.
+    pub fn forget(&mut self, i: usize) {
+        self.value[i] = Vec3::ZERO;
+        self.error[i] = f32::INFINITY;
+        self.clean[i] = false;
+    }
+
     fn push(&mut self, texel: &TexelAlbedo) {
         self.value.push(texel.value);
         self.error.push(texel.error);

@@ -176,6 +176,14 @@ impl Materials {
         }
     }
 
+    /// With one roughness for each of some classes more.
+    #[must_use]
+    pub fn with(mut self, fits: impl IntoIterator<Item = GroupFit>) -> Self {
+        self.classes
+            .extend(Self::undivided(fits.into_iter().collect()).classes);
+        self
+    }
+
     /// Roughness of a class in a room at a `place` of albedo `colour` (`None`: unknown) and its
     /// standard error; `None` for a class without evidence.
     #[must_use]

@@ -19,7 +19,7 @@ const KNEE: f32 = 0.02;
 /// Relative noise of a response that can be taken out. Beyond, halves that both miss a highlight
 /// would agree on there being none.
 /// Measured: ×½ roughness +0.8 dB, ×2 little (docs/constants.md).
-const KNOWN_NOISE: f32 = 0.05;
+pub(super) const KNOWN_NOISE: f32 = 0.05;
 
 /// How far the views of one point disagree at every level of the evidence.
 type Row = Vec<f64>;
@@ -213,7 +213,7 @@ impl<'a> Looks<'a> {
 
 /// Root of a robust loss with the residual's sign: the loss is square where residuals are small and
 /// linear beyond, up to [`OUTLIER`].
-fn damped(residual: Vec3) -> Vec3 {
+pub(super) fn damped(residual: Vec3) -> Vec3 {
     residual.map(|r| (r / (r.abs() + KNEE).sqrt()).clamp(-OUTLIER.sqrt(), OUTLIER.sqrt()))
 }
 

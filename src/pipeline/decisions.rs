@@ -11,7 +11,7 @@ use crate::core::sampling::{Discrete, KeyedRng};
 use crate::core::trace::{Hit, Tracer};
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::highlight::Evidence;
-use crate::inverse::{ClassPalette, Materials, choose_model, fit_groups};
+use crate::inverse::{ClassPalette, Materials, Metal, choose_model, fit_groups};
 use crate::observed::{Surface, TextureSizes};
 use crate::radiance::Environment;
 use crate::scene::{RoomGrid, Scene};
@@ -403,6 +403,34 @@ pub(super) fn report_model(
         )
     };
     progress.decide("reflection model", format!("{model:?}"), why, forced);
+}
+
+/// Says which classes are metal.
+pub(super) fn report_metals(scene: &Scene, metals: &[Metal], progress: &Progress) {
+    let what = "metals";
+    if metals.is_empty() {
+        let why = "no class is explained better without a diffuse part";
+        progress.decide(what, "none", why, false);
+    } else {
+        let one = |m: &Metal| {
+            format!(
+                "{} (F0 {:.2} {:.2} {:.2} ± {:.2}, roughness {:.2} ± {:.2})",
+                class_name(scene, m.fit.class),
+                m.f0.x,
+                m.f0.y,
+                m.f0.z,
+                m.f0_error,
+                m.fit.roughness,
+                m.fit.error
+            )
+        };
+        let list: Vec<String> = metals.iter().map(one).collect();
+        let why = format!(
+            "views are explained better by a coloured lobe alone: {}",
+            list.join("; ")
+        );
+        progress.decide(what, format!("{} classes", metals.len()), why, false);
+    }
 }
 
 /// Says which classes have more than one roughness.

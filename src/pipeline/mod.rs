@@ -15,6 +15,7 @@ mod highlights;
 mod known_lights;
 mod lamp_surfaces;
 mod light;
+mod metals;
 mod missing_light;
 mod neural;
 mod observe;

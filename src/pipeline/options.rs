@@ -74,6 +74,8 @@ pub struct SolveOptions {
     /// Whether a class may have several roughness values, by room, by colour or by place: `Auto` =
     /// where held-out views ask for them.
     pub divide: Switch,
+    /// Whether classes may be metal: where views are explained better so.
+    pub metals: Switch,
     /// Whether texels that no view sees clean are solved for from how much of each pixel they
     /// cover.
     pub edges: Switch,

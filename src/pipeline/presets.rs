@@ -39,6 +39,7 @@ impl SolveOptions {
             specular_rays: 4,
             matte: Switch::Auto,
             divide: Switch::Auto,
+            metals: Switch::Auto,
             edges: Switch::Auto,
             missing_light: Switch::Auto,
             clipped_light: Switch::Auto,
@@ -177,6 +178,10 @@ pub struct SolveRequest {
     /// are explained better so: on = wherever they differ, off = one per class.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub divide_classes: Switch,
+    /// Look for classes that are metal, without a diffuse part, where views are explained better
+    /// so: off = everything is a dielectric.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub metals: Switch,
     /// Solve for the albedo of texels that no view sees clean from how much of each pixel they
     /// cover: off = what those pixels show.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
@@ -306,6 +311,7 @@ impl SolveRequest {
             specular_rays: self.specular_rays.unwrap_or(preset.specular_rays),
             matte: self.matte,
             divide: self.divide_classes,
+            metals: self.metals,
             edges: self.edges,
             missing_light: self.missing_light,
             clipped_light: self.clipped_light,

@@ -1,7 +1,8 @@
 //! Stage "roughness": the reflection model, the roughness of every class and of the materials
 //! within, and from them the roughness of every texel.
 
-use super::decisions::{choose_rooms, report_materials, report_model};
+use super::decisions::{choose_rooms, report_materials, report_metals, report_model};
+use super::metals::look_for_metals;
 use super::{Light, SolveOptions};
 use crate::core::brdf::F0;
 use crate::core::image::{Plane, Wrap};
@@ -10,7 +11,9 @@ use crate::core::progress::Progress;
 use crate::core::switch::Switch;
 use crate::core::texture::Texels;
 use crate::highlight::Evidence;
-use crate::inverse::{Materials, Places, SPLIT_GAIN, TexelReflectance, choose_model, fit_groups};
+use crate::inverse::{
+    Materials, Metal, Places, SPLIT_GAIN, TexelReflectance, choose_model, fit_groups,
+};
 use crate::observed::Surface;
 use glam::{Vec2, Vec3};
 use std::f32::consts::PI;
@@ -23,6 +26,8 @@ pub(super) const ROUGHNESS_PRIOR: f32 = 0.8;
 pub struct Roughness {
     /// Fits per class and material.
     pub materials: Materials,
+    /// Classes that are metal: without a diffuse part.
+    pub metals: Vec<Metal>,
     /// Room ids on the atlas.
     pub rooms: Plane<u16>,
     /// The model and the roughness per covered texel.
@@ -47,11 +52,19 @@ pub fn fit_roughness(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Roughness {
-    let (model, fits, scores) = progress.stage("roughness", 1, |_| match options.reflectance {
+    let (model, mut fits, scores) = progress.stage("roughness", 1, |_| match options.reflectance {
         Some(model) => (model, fit_groups(evidence, model), Vec::new()),
         None => choose_model(evidence),
     });
     report_model(model, &scores, options, progress);
+    let metals = if options.metals == Switch::Off || evidence.points.is_empty() {
+        Vec::new()
+    } else {
+        let found = look_for_metals(surface, light, evidence, model, options, progress);
+        report_metals(surface.scene, &found, progress);
+        found
+    };
+    fits.retain(|f| metals.iter().all(|m| m.fit.class != f.class));
     let irradiance_at = |t: u32, p: Vec3| {
         let size = Vec2::new(
             light.irradiance.width as f32,
@@ -66,11 +79,13 @@ pub fn fit_roughness(
         irradiance: &irradiance_at,
         room: &|t, p| surface.nearest(&rooms, t, p),
     };
-    let materials = progress.stage("materials", 1, |_| match options.divide {
-        Switch::Off => Materials::undivided(fits),
-        Switch::Auto => Materials::find(evidence, fits, model, &places, SPLIT_GAIN),
-        Switch::On => Materials::find(evidence, fits, model, &places, f64::NEG_INFINITY),
-    });
+    let materials = progress
+        .stage("materials", 1, |_| match options.divide {
+            Switch::Off => Materials::undivided(fits),
+            Switch::Auto => Materials::find(evidence, fits, model, &places, SPLIT_GAIN),
+            Switch::On => Materials::find(evidence, fits, model, &places, f64::NEG_INFINITY),
+        })
+        .with(metals.iter().map(|m| m.fit.clone()));
     report_materials(surface.scene, &materials, options, progress);
     let roughness = first_albedo(surface, light)
         .into_par_iter()
@@ -86,6 +101,7 @@ pub fn fit_roughness(
         .collect();
     Roughness {
         materials,
+        metals,
         rooms,
         reflectance: TexelReflectance::new(model, roughness),
     }

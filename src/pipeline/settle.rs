@@ -14,7 +14,9 @@ use super::solved::Solved;
 use super::{Light, Roughness, SolveOptions};
 use crate::core::progress::Progress;
 use crate::core::switch::Switch;
-use crate::inverse::{AlbedoEstimate, Ground, StatedErrors, TexelReflectance, settle_contradicted};
+use crate::inverse::{
+    AlbedoEstimate, Ground, Metal, StatedErrors, TexelReflectance, settle_contradicted,
+};
 use crate::observed::Surface;
 use crate::verdict::MissingLight;
 
@@ -49,6 +51,8 @@ pub(super) fn settle(
     let clipped = clipped_light.as_ref().map(|c| c.missing);
     let mut lights = clipped_light.map_or_else(Vec::new, |c| c.lights);
     forget_lit(&mut albedo, &lights);
+    let metals = metal_texels(surface, &light, &roughness.metals);
+    metals.iter().for_each(|(i, _)| albedo.forget(*i as usize));
     let rooms = roughness.texel_rooms(&surface.texels);
     let mut short = progress.stage("energy balance", 0, |p| {
         balance_rooms(surface, &mut light, &mut albedo, &rooms, options, p)
@@ -85,6 +89,11 @@ pub(super) fn settle(
     progress.stage("paint", 0, |p| {
         settle_palettes(surface, &mut light, estimate, options, p);
     });
+    for (i, metal) in metals {
+        let i = i as usize;
+        (albedo.value[i], albedo.error[i]) = (metal.f0, metal.f0_error);
+        errors[i] = metal.f0_error;
+    }
     let mut findings = findings(surface, &light, &albedo, &errors, &spread);
     findings.unexplained = f64::from(unexplained);
     let mean = findings.mean_albedo;
@@ -152,11 +161,26 @@ fn add_error(errors: &mut [f32], error: impl Fn(usize) -> f32) {
     }
 }
 
+/// The texels of metals: what they show is no diffuse light, so that nothing may be concluded from
+/// it as if it were.
+fn metal_texels<'a>(
+    surface: &Surface,
+    light: &Light,
+    metals: &'a [Metal],
+) -> Vec<(u32, &'a Metal)> {
+    let metal = |i: usize| {
+        let shines = light.emissive[surface.texels.point[i].triangle as usize];
+        let class = surface.labels[i];
+        metals.iter().find(|m| m.fit.class == class && !shines)
+    };
+    (0..surface.texels.len())
+        .filter_map(|i| Some((i as u32, metal(i)?)))
+        .collect()
+}
+
 /// What a clipped light hides of its surface is unknown: lamps, and what the sun shines on.
 fn forget_lit(albedo: &mut AlbedoEstimate, lights: &[FoundLight]) {
     for &i in lights.iter().flat_map(|l| &l.texels) {
-        albedo.value[i as usize] = glam::Vec3::ZERO;
-        albedo.error[i as usize] = f32::INFINITY;
-        albedo.clean[i as usize] = false;
+        albedo.forget(i as usize);
     }
 }
