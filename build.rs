@@ -196,8 +196,8 @@ fn build_image_shim(out: &Path) -> Result<(), String> {
         .std("c++17")
         .opt_level(2)
         .pic(true)
-        // a sanitizer of rustc's is not this compiler's: scripts/fuzz
-        .inherit_rustflags(false)
+        // a shared library would bring this compiler's sanitizer beside rustc's (scripts/fuzz)
+        .flag_if_supported("-fno-sanitize=address")
         .cargo_metadata(false)
         .includes(&oiio.include_paths);
     let failed = |e: &dyn std::fmt::Display| {

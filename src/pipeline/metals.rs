@@ -9,7 +9,7 @@ use crate::observed::Surface;
 use std::collections::BTreeMap;
 
 /// Points per class that tell whether it is metal.
-const POINTS: usize = 300;
+const POINTS: usize = 100;
 
 /// Looks for metals among the classes with evidence.
 #[must_use]
