@@ -5,10 +5,10 @@ mod common;
 
 use common::lit::{Lit, Quad, box_quads, quad};
 use glam::Vec3;
-use unbake::core::brdf::specular_d_roughness;
+use unbake::core::brdf::{Reflectance, SpecularLobe, specular_d_roughness};
 use unbake::highlight::{LEVELS, LOBES};
 use unbake::radiance::Environment;
-use unbake::specular::{Levels, Reflector, ShadingPoint};
+use unbake::specular::{Levels, Own, Reflector, ShadingPoint};
 
 const ROUGHNESS: [f32; 5] = [0.05, 0.2, 0.5, 0.8, 1.0];
 
@@ -111,7 +111,11 @@ fn converged_reflection_is_the_quadrature_of_the_model() {
         let all = gazes(target, 400);
         for r in ROUGHNESS {
             let mut own = vec![Vec3::ZERO; all.len()];
-            let rays = reflector.reflect(&all, Levels::Own(&vec![r; all.len()]), &mut own);
+            let rays = reflector.reflect(
+                &all,
+                Levels::Own(Own::dielectric(&vec![r; all.len()])),
+                &mut own,
+            );
             assert!(rays > 0);
             let (mean, error) = mean_and_error(&column(&own, 0, 1));
             let (expected, _) = quadrature(&all[0], r, if r < 0.1 { 1600 } else { 400 });
@@ -147,7 +151,7 @@ fn one_set_of_rays_serves_every_level() {
             Levels::Shared {
                 lobes: &LOBES,
                 evaluate: &LEVELS,
-                models: &[unbake::core::brdf::Reflectance::Paper],
+                models: &[SpecularLobe::dielectric(Reflectance::Paper)],
             },
             &mut table,
         );
@@ -161,7 +165,11 @@ fn one_set_of_rays_serves_every_level() {
                 "R {r}: {mean} ± {error} against {expected}"
             );
             let mut own = vec![Vec3::ZERO; all.len()];
-            reflector.reflect(&all, Levels::Own(&vec![*r; all.len()]), &mut own);
+            reflector.reflect(
+                &all,
+                Levels::Own(Own::dielectric(&vec![*r; all.len()])),
+                &mut own,
+            );
             let (single, single_error) = mean_and_error(&column(&own, 0, 1));
             let joint = (error * error + single_error * single_error).sqrt();
             assert!(
@@ -202,7 +210,7 @@ fn the_diffuse_factor_is_that_of_the_light_that_arrives() {
         let mut diffuse = vec![[0.0; 3]; all.len()];
         reflector.reflect_and_spread(
             &all,
-            Levels::Own(&vec![0.8; all.len()]),
+            Levels::Own(Own::dielectric(&vec![0.8; all.len()])),
             &mut specular,
             &mut diffuse,
         );
@@ -259,7 +267,7 @@ fn differences_of_the_table_are_the_kernels_derivative() {
                 Levels::Shared {
                     lobes: &LOBES,
                     evaluate: &levels,
-                    models: &[unbake::core::brdf::Reflectance::Paper],
+                    models: &[SpecularLobe::dielectric(Reflectance::Paper)],
                 },
                 &mut table,
             );
@@ -297,7 +305,11 @@ fn extremes_of_roughness_and_view_stay_finite() {
     }
     for r in [0.0, 1e-4, 0.01, 0.8, 1.0] {
         let mut out = vec![Vec3::ZERO; all.len()];
-        reflector.reflect(&all, Levels::Own(&vec![r; all.len()]), &mut out);
+        reflector.reflect(
+            &all,
+            Levels::Own(Own::dielectric(&vec![r; all.len()])),
+            &mut out,
+        );
         assert!(
             out.iter().all(|v| v.is_finite() && v.min_element() >= 0.0),
             "R {r}: {out:?}"
@@ -308,11 +320,14 @@ fn extremes_of_roughness_and_view_stay_finite() {
             Levels::Shared {
                 lobes: &[r, 1.0],
                 evaluate: &[r, 0.5],
-                models: &[unbake::core::brdf::Reflectance::Paper],
+                models: &[SpecularLobe::dielectric(Reflectance::Paper)],
             },
             &mut table,
         );
         assert!(table.iter().all(|v| v.is_finite()), "R {r}: {table:?}");
     }
-    assert_eq!(reflector.reflect(&[], Levels::Own(&[]), &mut []), 0);
+    assert_eq!(
+        reflector.reflect(&[], Levels::Own(Own::dielectric(&[])), &mut []),
+        0
+    );
 }

@@ -122,7 +122,12 @@ impl Solution {
     fn irradiance_error<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         buffer::optional_plane(py, &self.inner, |s| s.irradiance_error.as_ref())
     }
-    /// (rows, columns, 3), linear RGB in [0, 1].
+    /// (rows, columns): share of metal in [0, 1], of the albedo's shape; None where the scene has none.
+    #[getter]
+    fn metallic<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        buffer::optional_plane(py, &self.inner, |s| s.metallic.as_ref())
+    }
+    /// (rows, columns, 3), linear RGB in [0, 1]; where there is metal, what it reflects at normal incidence.
     #[getter]
     fn albedo<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         buffer::plane(py, &self.inner, |s| &s.albedo)

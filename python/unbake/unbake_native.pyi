@@ -136,7 +136,7 @@ class Solution:
 
     @property
     def albedo(self) -> NDArray[np.float32]:
-        """(rows, columns, 3), linear RGB in [0, 1]."""
+        """(rows, columns, 3), linear RGB in [0, 1]; where there is metal, what it reflects at normal incidence."""
 
     @property
     def roughness(self) -> NDArray[np.float32]:
@@ -161,6 +161,10 @@ class Solution:
     @property
     def irradiance_error(self) -> NDArray[np.float32] | None:
         """(rows, columns): relative standard error of the irradiance's luminance; None where nothing states it."""
+
+    @property
+    def metallic(self) -> NDArray[np.float32] | None:
+        """(rows, columns): share of metal in [0, 1], of the albedo's shape; None where the scene has none."""
 
     @property
     def labels(self) -> NDArray[np.uint16]:

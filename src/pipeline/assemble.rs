@@ -57,6 +57,7 @@ pub(super) fn assemble(
         radiance: light.radiance.clone(),
         emission,
         confidence: texels.scatter(&confidence, Vec2::splat(1e4)),
+        metallic: None,
         irradiance_error: Some(light.texels.scatter(&light.error, 0.0)),
         camera_masks: surface.camera_masks.clone(),
         rooms: roughness.rooms.clone(),

@@ -610,6 +610,7 @@ mod tests {
             specular: zero,
             variance,
             class_albedo: albedo.clone(),
+            class_metallic: Plane::filled(w, h, 0.0),
             albedo,
             normal,
             depth,

@@ -4,6 +4,7 @@
 
 use super::denoise::{SpecularFeature, filter_specular};
 use super::edges::pixels_at_edges;
+use crate::core::brdf::BaseColour;
 use crate::core::geometry::Camera;
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::luminance;
@@ -28,6 +29,8 @@ pub struct RenderedView {
     pub albedo: RgbPlane,
     /// Roughness R of the surface seen, 0 where there is none.
     pub roughness: Plane<f32>,
+    /// Share of metal of the surface seen, 0 where there is none.
+    pub metallic: Plane<f32>,
     /// Class id of the surface seen, 0 where there is none.
     pub labels: Plane<u16>,
     /// Emitted part of the radiance, 0 where nothing emits.
@@ -209,10 +212,17 @@ impl<'a> HybridRenderer<'a> {
     /// Traces the specular part of some points with that many rays along the lobe and emitter
     /// samples each.
     fn add_specular(&self, points: &mut [Point], [rays_per_lobe, emitter_samples]: [u32; 2]) {
-        let (gazes, levels): (Vec<ShadingPoint>, Vec<f32>) = points
-            .iter()
-            .filter_map(|p| Some((p.gaze?, p.roughness)))
-            .unzip();
+        let seen = || points.iter().filter(|p| p.gaze.is_some());
+        let gazes: Vec<ShadingPoint> = seen().filter_map(|p| p.gaze).collect();
+        let roughness: Vec<f32> = seen().map(|p| p.roughness).collect();
+        let f0: Vec<Vec3> = match &self.solution.metallic {
+            Some(_) => seen().map(|p| p.base().f0()).collect(),
+            None => Vec::new(),
+        };
+        let own = Own {
+            roughness: &roughness,
+            f0: &f0,
+        };
         let mut specular = vec![Vec3::ZERO; gazes.len()];
         let lit = LitScene {
             mesh: &self.solution.mesh,
@@ -229,7 +239,7 @@ impl<'a> HybridRenderer<'a> {
             model,
             seed,
         }
-        .reflect(&gazes, Levels::Own(Own::dielectric(&levels)), &mut specular);
+        .reflect(&gazes, Levels::Own(own), &mut specular);
         points
             .iter_mut()
             .filter(|p| p.gaze.is_some())
@@ -258,6 +268,7 @@ impl<'a> HybridRenderer<'a> {
         let roughness = s
             .roughness
             .bilinear(at(s.roughness.width, s.roughness.height), Wrap::Clamp);
+        let metallic = s.metal_at(uv);
         let confidence = *s
             .confidence
             .nearest(at(s.confidence.width, s.confidence.height));
@@ -269,6 +280,7 @@ impl<'a> HybridRenderer<'a> {
                 radiance,
                 depth,
                 albedo,
+                metallic,
                 roughness,
                 label,
                 emission: radiance,
@@ -287,14 +299,10 @@ impl<'a> HybridRenderer<'a> {
             (normal, face_normal) = (-normal, -face_normal);
         }
         let position = Vec3::from_array(ray.origin) + direction * depth;
-        Point {
-            radiance: albedo
-                * irradiance
-                * (FRAC_1_PI
-                    * s.reflectance
-                        .diffuse_factor(-normal.dot(direction), roughness)),
+        let point = Point {
             depth,
             albedo,
+            metallic,
             roughness,
             label,
             confidence,
@@ -307,6 +315,13 @@ impl<'a> HybridRenderer<'a> {
                 turn: 0,
             }),
             ..Point::default()
+        };
+        let view_factor = s
+            .reflectance
+            .diffuse_factor(-normal.dot(direction), roughness);
+        Point {
+            radiance: point.base().diffuse() * irradiance * (FRAC_1_PI * view_factor),
+            ..point
         }
     }
 }
@@ -395,6 +410,11 @@ impl HybridRenderer<'_> {
                 height: h,
                 data: Vec::with_capacity(w * h),
             },
+            metallic: Plane {
+                width: w,
+                height: h,
+                data: Vec::with_capacity(w * h),
+            },
             labels: Plane {
                 width: w,
                 height: h,
@@ -423,6 +443,7 @@ impl HybridRenderer<'_> {
             out.radiance.data.extend(r.radiance);
             out.albedo.data.extend(r.albedo);
             out.roughness.data.extend(r.roughness);
+            out.metallic.data.extend(r.metallic);
             out.labels.data.extend(r.labels);
             out.emission.data.extend(r.emission);
             out.confidence.data.extend(r.confidence);
@@ -445,11 +466,21 @@ struct Point {
     specular: Vec3,
     depth: f32,
     albedo: Vec3,
+    metallic: f32,
     roughness: f32,
     label: u16,
     emission: Vec3,
     confidence: Vec2,
     gaze: Option<ShadingPoint>,
+}
+
+impl Point {
+    const fn base(&self) -> BaseColour {
+        BaseColour {
+            colour: self.albedo,
+            metallic: self.metallic,
+        }
+    }
 }
 
 /// What is known of the pixels of a picture before they are shaded.
@@ -500,6 +531,7 @@ struct Row {
     features: Vec<SpecularFeature>,
     albedo: Vec<Vec3>,
     roughness: Vec<f32>,
+    metallic: Vec<f32>,
     labels: Vec<u16>,
     emission: Vec<Vec3>,
     confidence: Vec<Vec2>,
@@ -530,6 +562,8 @@ impl Row {
                 .push(same.iter().map(|p| p.albedo).sum::<Vec3>() * share);
             row.roughness
                 .push(same.iter().map(|p| p.roughness).sum::<f32>() * share);
+            row.metallic
+                .push(same.iter().map(|p| p.metallic).sum::<f32>() * share);
             row.labels.push(label);
             row.specular
                 .push(pixel.iter().map(|p| p.specular).sum::<Vec3>() / samples as f32);
@@ -608,6 +642,48 @@ mod tests {
             sky,
         ];
         assert!(others.iter().all(|o| shows_edge(&[wall, wall, *o, wall])));
+    }
+
+    /// Under an even environment L a smooth metal shows F0·L head-on, whatever irradiance the
+    /// textures hold; half a metal, its share of both lobes.
+    #[test]
+    fn metal_mirrors_its_colour_and_has_no_diffuse_part() {
+        let mut solution = crate::solution::tests::small_solution();
+        let f0 = Vec3::new(0.91, 0.78, 0.42);
+        solution.emission.data.fill(Vec3::ZERO);
+        solution.albedo.data.fill(f0);
+        solution.roughness.data.fill(0.1);
+        solution.environment.data.fill(Vec3::splat(2.0));
+        solution.irradiance.data.fill(Vec3::splat(300.0));
+        let camera = Camera {
+            projection: crate::core::geometry::Projection::Equirectangular,
+            width: 8,
+            height: 32,
+            world_from_camera: glam::Mat3::IDENTITY,
+            position: Vec3::new(0.0, 1.1, 0.7),
+        };
+        let shown = |metallic: Option<f32>| {
+            let mut solution = solution.clone();
+            solution.metallic = metallic.map(|m| solution.albedo.map(|_| m));
+            let options = HybridOptions {
+                specular_rays: 64,
+                ..HybridOptions::default()
+            };
+            let view = HybridRenderer::new(&solution, options)
+                .expect("embree")
+                .render(&camera)
+                .expect("renders");
+            let row = &view.radiance.data[31 * 8..];
+            row.iter().sum::<Vec3>() / row.len() as f32
+        };
+        let close = |shown: Vec3, expected: Vec3| {
+            let off = (shown / expected - 1.0).abs().max_element();
+            assert!(off < 0.02, "{shown} instead of {expected}");
+        };
+        close(shown(Some(1.0)), 2.0 * f0);
+        let diffuse = f0 * 300.0 * FRAC_1_PI * solution.reflectance.diffuse_factor(1.0, 0.1);
+        close(shown(Some(0.5)), 0.5 * diffuse + (f0 + 0.04));
+        assert_eq!(shown(None), shown(Some(0.0)), "no metal, to the bit");
     }
 
     #[test]

@@ -3,7 +3,7 @@
 
 use super::path_tracer::{self, Surface, SurfaceModel};
 use super::{IesProfile, PointLight, Shape};
-use crate::core::brdf::{Material, Reflectance};
+use crate::core::brdf::{BaseColour, Material, Reflectance};
 use crate::core::geometry::Mesh;
 use crate::core::image::{RgbPlane, Wrap};
 use crate::error::Result;
@@ -332,7 +332,14 @@ impl SurfaceModel for EditableScene<'_> {
         } else {
             gain * *s.emission.nearest(at(s.emission.width, s.emission.height))
         };
-        Surface::dielectric(Material { albedo, roughness }, emission)
+        Surface {
+            base: BaseColour {
+                colour: albedo,
+                metallic: s.metal_at(uv),
+            },
+            roughness,
+            emission,
+        }
     }
 
     fn mean_emission(&self, triangle: usize) -> Vec3 {
@@ -398,6 +405,7 @@ fn unit_sphere(around: u32, rings: u32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::brdf::DIELECTRIC;
     use crate::solution::tests::small_solution;
 
     #[test]
@@ -462,6 +470,31 @@ mod tests {
                 < 1e-6
         );
         assert_eq!(world.mean_emission(0), Vec3::ZERO);
+    }
+
+    #[test]
+    fn metal_is_metal_to_the_path_tracer() {
+        let mut solution = small_solution();
+        let gold = Vec3::new(1.0, 0.78, 0.34);
+        solution.albedo.data.fill(gold);
+        let plain = EditableScene::new(&solution).surface(0, 0.2, 0.2);
+        let close = |a: Vec3, b: Vec3| assert!((a - b).length() < 1e-6, "{a} instead of {b}");
+        close(plain.base.diffuse(), gold);
+        assert_eq!(plain.base.f0(), DIELECTRIC);
+        let mut metallic = solution.albedo.map(|_| 0.0);
+        let uv = solution.mesh.uv(0, 0.2, 0.2) * metallic.width as f32;
+        for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+            let corner = uv - 0.5;
+            metallic[(corner.x as usize + x, corner.y as usize + y)] = 1.0;
+        }
+        solution.metallic = Some(metallic);
+        let world = EditableScene::new(&solution);
+        let metal = world.surface(0, 0.2, 0.2).base;
+        close(metal.diffuse(), Vec3::ZERO);
+        close(metal.f0(), gold);
+        let beside = world.surface(0, 0.4, 0.4).base;
+        close(beside.diffuse(), gold);
+        assert_eq!(beside.f0(), DIELECTRIC);
     }
 
     #[test]

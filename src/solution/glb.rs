@@ -1,7 +1,7 @@
 //! `scene.glb`: the reconstruction as one file that glTF viewers and engines open.
 //!
 //! One mesh with its atlas; base colour in sRGB, a full occlusion-roughness-metallic texture (R =
-//! 255, G = roughness, B = 0) and, where the scene emits, an emissive texture normalised by its
+//! 255, G = roughness, B = share of metal) and, where the scene emits, an emissive texture normalised by its
 //! maximum, which `KHR_materials_emissive_strength` carries. Geometry is stored bit-exactly; the
 //! scene's origin is the node's translation and, in f64, its extras, so that a solution can be
 //! loaded back from this file without loss. An export may divide the mesh into objects: they are
@@ -14,7 +14,7 @@ use crate::core::formats::{
     GlbWriter, MOST_DATA, encode_rgb8, encode_webp8, read_input, srgb8_from_linear,
 };
 use crate::core::geometry::Mesh;
-use crate::core::image::{Plane, RgbPlane};
+use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::error::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use serde_json::{Value, json};
@@ -236,10 +236,7 @@ pub fn material_textures(solution: &Solution, options: &GlbOptions) -> Result<Ve
     let named = |name: &'static str, bytes: Vec<u8>| NamedImage { name, bytes };
     Ok(vec![
         named("BaseColor", base_colour(&solution.albedo, options)?),
-        named(
-            "ORM",
-            occlusion_roughness_metallic(&solution.roughness, options)?,
-        ),
+        named("ORM", occlusion_roughness_metallic(solution, options)?),
     ])
 }
 
@@ -264,9 +261,8 @@ fn encode_pictures(solution: &Solution, options: &GlbOptions) -> Result<Pictures
         || {
             crate::core::parallel::join(
                 || {
-                    known("ORM", options).unwrap_or_else(|| {
-                        occlusion_roughness_metallic(&solution.roughness, options)
-                    })
+                    known("ORM", options)
+                        .unwrap_or_else(|| occlusion_roughness_metallic(solution, options))
                 },
                 || {
                     strength
@@ -369,10 +365,33 @@ fn base_colour(albedo: &RgbPlane, options: &GlbOptions) -> Result<Vec<u8>> {
     picture(albedo, options, |v| v.to_array().map(srgb8_from_linear))
 }
 
-fn occlusion_roughness_metallic(roughness: &Plane<f32>, options: &GlbOptions) -> Result<Vec<u8>> {
-    picture(roughness, options, |r| {
-        [255, (r.clamp(0.0, 1.0) * 255.0 + 0.5) as u8, 0]
-    })
+fn occlusion_roughness_metallic(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
+    let byte = |x: f32| (x.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+    let roughness = &solution.roughness;
+    let Some(metallic) = &solution.metallic else {
+        return picture(roughness, options, |r| [255, byte(*r), 0]);
+    };
+    // the finer of the two decides the size
+    let (width, height) = (
+        roughness.width.max(metallic.width),
+        roughness.height.max(metallic.height),
+    );
+    let at = |plane: &Plane<f32>, i: usize| {
+        let centre = Vec2::new((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
+        let scale = Vec2::new(
+            plane.width as f32 / width as f32,
+            plane.height as f32 / height as f32,
+        );
+        plane.bilinear(centre * scale, Wrap::Clamp)
+    };
+    let both = Plane {
+        width,
+        height,
+        data: (0..width * height)
+            .map(|i| Vec2::new(at(roughness, i), at(metallic, i)))
+            .collect(),
+    };
+    picture(&both, options, |v| [255, byte(v.x), byte(v.y)])
 }
 
 /// Light as a share of its peak.
@@ -567,6 +586,31 @@ mod tests {
         let emissive = material.emissive_texture().expect("emissive").texture();
         let (_, _, pixels) = decoded(image_bytes(&gltf, &emissive.source()));
         assert!(pixels.contains(&255), "normalised to its maximum");
+    }
+
+    #[test]
+    fn metal_is_the_third_channel_at_the_finer_size() {
+        let mut solution = small_solution();
+        let (w, h) = (solution.albedo.width, solution.albedo.height);
+        let mut metallic = Plane::filled(w, h, 0.0);
+        metallic.data[w + 2] = 1.0;
+        solution.metallic = Some(metallic.clone());
+        for side in [32, 8] {
+            let size = Plane::filled(side, side, 0.4);
+            solution.roughness = size;
+            let images = png_textures(&solution, 4096).expect("encodes");
+            let orm = images.iter().find(|i| i.name == "ORM").expect("there");
+            let (width, height, pixels) = decoded(&orm.bytes);
+            assert_eq!((width, height), (side.max(w), side.max(h)));
+            let metal = |x: usize, y: usize| pixels[3 * (y * width + x) + 2];
+            let k = width / w;
+            assert!(metal(2 * k, k) > 127 && metal(6 * k, k) == 0 && metal(2 * k, 5 * k) == 0);
+            assert!(pixels.chunks(3).all(|p| p[0] == 255 && p[1] == 102));
+            if k == 1 {
+                let expected = metallic.data.iter().map(|m| (m * 255.0) as u8);
+                assert!(pixels.chunks(3).map(|p| p[2]).eq(expected));
+            }
+        }
     }
 
     #[test]

@@ -20,7 +20,7 @@ pub use store::{FILES, SaveOptions};
 
 use crate::core::brdf::Reflectance;
 use crate::core::geometry::Mesh;
-use crate::core::image::{CameraMask, Plane, RgbPlane};
+use crate::core::image::{CameraMask, Plane, RgbPlane, Wrap};
 use glam::{DVec3, Vec2};
 
 /// A reconstructed scene. Every texture covers the same atlas; sizes differ. Texture coordinates
@@ -32,8 +32,10 @@ pub struct Solution {
     pub mesh: Mesh,
     /// File coordinates of the internal coordinate origin.
     pub origin: DVec3,
-    /// Linear RGB in [0, 1].
+    /// Linear RGB in [0, 1]; where there is metal, what it reflects at normal incidence.
     pub albedo: RgbPlane,
+    /// Share of metal in [0, 1], size and layout of the albedo; `None` where the scene has none.
+    pub metallic: Option<Plane<f32>>,
     /// Roughness R in [0, 1], α = R².
     pub roughness: Plane<f32>,
     /// Irradiance E, same radiance unit as the images times steradian.
@@ -72,6 +74,14 @@ impl Solution {
     pub fn class_at(&self, uv: Vec2) -> u16 {
         let size = Vec2::new(self.labels.width as f32, self.labels.height as f32);
         *self.labels.nearest(uv * size)
+    }
+
+    /// The share of metal at a place of the atlas, [0, 1].
+    #[must_use]
+    pub fn metal_at(&self, uv: Vec2) -> f32 {
+        self.metallic.as_ref().map_or(0.0, |m| {
+            m.bilinear(uv * Vec2::new(m.width as f32, m.height as f32), Wrap::Clamp)
+        })
     }
 }
 
@@ -120,6 +130,7 @@ pub(crate) mod tests {
                 height: 16,
                 data: (0..256).map(|i| Vec2::new(i as f32 * 0.01, 1e4)).collect(),
             },
+            metallic: None,
             irradiance_error: Some(Plane {
                 width: 16,
                 height: 16,

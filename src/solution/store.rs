@@ -13,7 +13,7 @@ use super::lamps::{self, LIGHTS};
 use crate::core::formats::{
     Marked, generation_mark, read_labels, read_plane, read_rgb, read_two_channels,
 };
-use crate::core::image::RgbPlane;
+use crate::core::image::{Plane, RgbPlane};
 use crate::error::{Error, Result};
 use std::path::Path;
 
@@ -35,6 +35,9 @@ pub const FILES: [&str; 11] = [
 
 /// A file that only solutions with a stated error of their irradiance have.
 const IRRADIANCE_ERROR: &str = "irradiance_error.exr";
+
+/// A file that only solutions with metal have.
+const METALLIC: &str = "metallic.exr";
 
 /// The largest finite half-precision value.
 const HALF_MAX: f32 = 65_504.0;
@@ -71,8 +74,10 @@ impl Solution {
             write_radiometric(&marked, &at("radiance.exr"), &self.radiance)?;
             write_radiometric(&marked, &at("emission.exr"), &self.emission)?;
             marked.two_channels_half(&at("confidence.exr"), &self.confidence)?;
-            if let Some(error) = &self.irradiance_error {
-                marked.plane_half(&at(IRRADIANCE_ERROR), error)?;
+            for (name, plane) in self.optional_planes() {
+                if let Some(plane) = plane {
+                    marked.plane_half(&at(name), plane)?;
+                }
             }
             marked.png16(&at("labels.png"), &self.labels)?;
             marked.png16(&at("rooms.png"), &self.rooms)?;
@@ -87,13 +92,23 @@ impl Solution {
         };
         let (glb, textures) = crate::core::parallel::join(glb, textures);
         textures.and(glb)?;
-        match &self.irradiance_error {
-            Some(_) => aside.publish(folder, &[IRRADIANCE_ERROR])?,
-            None => remove_if_there(&folder.join(IRRADIANCE_ERROR))?,
+        for (name, plane) in self.optional_planes() {
+            match plane {
+                Some(_) => aside.publish(folder, &[name])?,
+                None => remove_if_there(&folder.join(name))?,
+            }
         }
         replace_camera_masks(&aside, folder)?;
         aside.publish(folder, &FILES)?;
         Ok(generation)
+    }
+
+    /// Textures that not every solution has, under the names of their files.
+    const fn optional_planes(&self) -> [(&'static str, Option<&Plane<f32>>); 2] {
+        [
+            (IRRADIANCE_ERROR, self.irradiance_error.as_ref()),
+            (METALLIC, self.metallic.as_ref()),
+        ]
     }
 
     /// What tells this solution from any other: a hash of all it consists of, so that the same
@@ -123,6 +138,10 @@ impl Solution {
         }
         if let Some(error) = &self.irradiance_error {
             hash.update_rayon(bytemuck::cast_slice(&error.data));
+        }
+        if let Some(metallic) = &self.metallic {
+            hash.update(METALLIC.as_bytes());
+            hash.update_rayon(bytemuck::cast_slice(&metallic.data));
         }
         hash.update(format!("{:?} {:?}", self.origin, self.reflectance).as_bytes());
         hash.finalize().to_hex()[..32].to_owned()
@@ -157,19 +176,26 @@ impl Solution {
         let glb = read_glb(&folder.join("scene.glb"))?;
         one_generation(folder, glb.generation.as_deref())?;
         let rgb = |name: &str| read_rgb(folder.join(name));
+        let optional = |name: &str| match folder.join(name) {
+            path if path.is_file() => read_plane(path).map(Some),
+            _ => Ok(None),
+        };
+        let albedo = rgb("albedo.exr")?;
+        let metallic = optional(METALLIC)?;
+        if let Some(plane) = &metallic {
+            check_metallic(&folder.join(METALLIC), plane, &albedo)?;
+        }
         let mut solution = Self {
             mesh: glb.mesh,
             origin: glb.origin,
-            albedo: rgb("albedo.exr")?,
+            albedo,
+            metallic,
             roughness: read_plane(folder.join("roughness.exr"))?,
             irradiance: rgb("irradiance.exr")?,
             radiance: rgb("radiance.exr")?,
             emission: rgb("emission.exr")?,
             confidence: read_two_channels(folder.join("confidence.exr"))?,
-            irradiance_error: match folder.join(IRRADIANCE_ERROR) {
-                path if path.is_file() => Some(read_plane(path)?),
-                _ => None,
-            },
+            irradiance_error: optional(IRRADIANCE_ERROR)?,
             labels: read_labels(folder.join("labels.png"))?,
             rooms: read_labels(folder.join("rooms.png"))?,
             environment: rgb("environment.exr")?,
@@ -213,6 +239,11 @@ impl Solution {
                 let error = self.irradiance_error.as_ref()?;
                 let i = error.data.iter().position(|v| !v.is_finite())?;
                 Some(("irradiance error", i, error.width))
+            })
+            .or_else(|| {
+                let metallic = self.metallic.as_ref()?;
+                let i = metallic.data.iter().position(|v| !v.is_finite())?;
+                Some(("metallic", i, metallic.width))
             });
         match first {
             None => Ok(()),
@@ -225,13 +256,40 @@ impl Solution {
     }
 }
 
+/// Refuses a metallic texture that is not of the albedo's size, or not of shares in [0, 1].
+fn check_metallic(path: &Path, metallic: &Plane<f32>, albedo: &RgbPlane) -> Result<()> {
+    let (w, h) = (metallic.width, metallic.height);
+    if (w, h) != (albedo.width, albedo.height) {
+        return Err(Error::input(
+            path,
+            format!(
+                "is {w}x{h}, expected {}x{}, the size of albedo.exr; write it at that size, or delete it for a scene without metal",
+                albedo.width, albedo.height
+            ),
+        ));
+    }
+    let wrong = |m: &f32| !(0.0..=1.0).contains(m);
+    if let Some(i) = metallic.data.iter().position(wrong) {
+        return Err(Error::input(
+            path,
+            format!(
+                "is {} at texel ({}, {}), expected a share of metal from 0 to 1; mend it, or delete it for a scene without metal",
+                metallic.data[i],
+                i % w,
+                i / w
+            ),
+        ));
+    }
+    Ok(())
+}
+
 /// Refuses a folder whose files come from different runs: one that was killed between two renames,
 /// or copied together. Files without a mark (of an older version, or changed by hand) are accepted.
 fn one_generation(folder: &Path, of_glb: Option<&str>) -> Result<()> {
     let Some(expected) = of_glb else {
         return Ok(());
     };
-    for name in FILES.iter().chain([&IRRADIANCE_ERROR]) {
+    for name in FILES.iter().chain(&[IRRADIANCE_ERROR, METALLIC]) {
         let path = folder.join(name);
         if ["scene.glb", LIGHTS].contains(name) || !path.is_file() {
             continue;
@@ -275,7 +333,7 @@ fn remove_if_there(path: &Path) -> Result<()> {
 mod tests {
     use super::*;
     use crate::solution::tests::small_solution;
-    use glam::Vec3;
+    use glam::{Vec2, Vec3};
 
     #[test]
     fn a_solution_survives_the_disk() {
@@ -419,6 +477,67 @@ mod tests {
                 .is_none(),
             "nobody's error"
         );
+    }
+
+    #[test]
+    fn metal_is_kept_and_an_old_solutions_removed() {
+        let folder = tempfile::tempdir().expect("temp");
+        let path = folder.path().join(METALLIC);
+        let options = SaveOptions::default();
+        let mut solution = small_solution();
+        let without = solution.generation();
+        let (w, h) = (solution.albedo.width, solution.albedo.height);
+        let mut metallic = Plane::filled(w, h, 0.0);
+        metallic.data[7] = 1.0;
+        metallic.data[40] = 0.25;
+        solution.metallic = Some(metallic.clone());
+        assert_ne!(solution.generation(), without);
+        solution.save(folder.path(), &options).expect("saves");
+        let back = Solution::load(folder.path()).expect("loads");
+        assert_eq!(
+            back.metallic.as_ref(),
+            Some(&metallic),
+            "half precision holds these"
+        );
+        assert_eq!(
+            (back.metal_at(Vec2::new(7.5, 0.5) / w as f32), w),
+            (1.0, h),
+            "a look-up meets its texel"
+        );
+
+        let whole = std::fs::read(&path).expect("reads");
+        let refused = |what: &str| {
+            let e = Solution::load(folder.path()).expect_err(what);
+            assert!(
+                e.exit_code() == 2 && e.to_string().contains("metallic.exr"),
+                "{what}: {e}"
+            );
+            e.to_string()
+        };
+        std::fs::write(&path, &whole[..whole.len() / 2]).expect("cuts");
+        refused("cut short");
+        let write = |plane: &Plane<f32>| {
+            crate::core::formats::write_plane_float(&path, plane).expect("writes");
+        };
+        write(&Plane::filled(w / 2, h, 0.5));
+        let e = refused("of another size");
+        assert!(
+            e.contains("8x16, expected 16x16") && e.contains("delete"),
+            "{e}"
+        );
+        for wrong in [1.5, -0.1] {
+            metallic.data[18] = wrong;
+            write(&metallic);
+            let e = refused("no share");
+            assert!(e.contains("texel (2, 1)") && e.contains("delete"), "{e}");
+        }
+
+        solution.metallic = None;
+        assert_eq!(solution.generation(), without);
+        solution.save(folder.path(), &options).expect("saves");
+        assert!(!path.exists(), "nobody's metal");
+        let back = Solution::load(folder.path()).expect("loads");
+        assert!(back.metallic.is_none() && back.metal_at(Vec2::splat(0.5)) == 0.0);
     }
 
     #[test]

@@ -21,6 +21,32 @@ pub fn over_dielectric(f0: Vec3, v_h: f32) -> Vec3 {
     (f0 + (1.0 - f0) * grazing) / model
 }
 
+/// A colour and how much of it is metal's, as glTF 2.0 parts them (Khronos Group 2021, appendix
+/// B.3.5): paint scatters its colour below a colourless lobe, metal has a lobe of its colour alone.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BaseColour {
+    /// Linear Rec. 709, [0, 1].
+    pub colour: Vec3,
+    /// Share of metal, [0, 1].
+    pub metallic: f32,
+}
+
+impl BaseColour {
+    /// Albedo of the diffuse part.
+    #[inline]
+    #[must_use]
+    pub fn diffuse(self) -> Vec3 {
+        self.colour * (1.0 - self.metallic)
+    }
+
+    /// Specular reflectance at normal incidence.
+    #[inline]
+    #[must_use]
+    pub fn f0(self) -> Vec3 {
+        DIELECTRIC.lerp(self.colour, self.metallic)
+    }
+}
+
 /// A specular lobe but for its roughness.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpecularLobe {
@@ -54,6 +80,20 @@ impl SpecularLobe {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_base_colour_is_paint_or_metal_or_between() {
+        let colour = Vec3::new(0.9, 0.6, 0.3);
+        let of = |metallic| {
+            let base = BaseColour { colour, metallic };
+            (base.diffuse(), base.f0())
+        };
+        assert_eq!(of(0.0), (colour, DIELECTRIC), "to the bit");
+        assert_eq!(of(1.0), (Vec3::ZERO, colour));
+        let (diffuse, f0) = of(0.25);
+        assert!((diffuse - 0.75 * colour).length() < 1e-6);
+        assert!((f0 - (0.75 * DIELECTRIC + 0.25 * colour)).length() < 1e-6);
+    }
 
     #[test]
     fn any_metal_lies_between_the_dielectric_and_the_white_one() {

@@ -22,7 +22,7 @@ mod vndf;
 
 pub use chunk::{SpecularChunk, specular_chunk};
 pub use ggx::{F0, fresnel, ggx_d, smith_g1, specular, specular_d_roughness};
-pub use lobe::{DIELECTRIC, SpecularLobe, over_dielectric};
+pub use lobe::{BaseColour, DIELECTRIC, SpecularLobe, over_dielectric};
 pub use material::{BrdfSample, MIN_ROUGHNESS, Material};
 pub use reflectance::Reflectance;
 pub use vndf::{ggx_g1_exact, sample_vndf, vndf_reflection_pdf};

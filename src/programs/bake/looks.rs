@@ -4,7 +4,7 @@
 //! metal has no diffuse part and mirrors its colour. Alpha is coverage: `MASK` cuts out, `BLEND`
 //! and `KHR_materials_transmission` stop a share of the rays.
 
-use crate::core::brdf::{DIELECTRIC, Material, Reflectance};
+use crate::core::brdf::{BaseColour, Reflectance};
 use crate::core::formats::{
     Alpha, Border, GltfFile, GltfMaterial, GltfTexture, Picture8, Piece, TextureUse,
 };
@@ -247,11 +247,11 @@ impl SurfaceModel for Looks {
                 .truncate();
         }
         Surface {
-            material: Material {
-                albedo: base * (1.0 - metal),
-                roughness,
+            base: BaseColour {
+                colour: base,
+                metallic: metal,
             },
-            f0: DIELECTRIC.lerp(base, metal),
+            roughness,
             emission,
         }
     }

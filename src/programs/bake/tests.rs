@@ -701,13 +701,13 @@ fn materials_are_what_the_file_says() {
     let painted = scene.looks.surface(0, 0.2, 0.3);
     let expected = Vec3::new(0.25, 0.5, 0.5) * grey;
     assert!(
-        (painted.material.albedo - expected).length() < 1e-5,
+        (painted.base.diffuse() - expected).length() < 1e-5,
         "{painted:?}"
     );
-    assert!((painted.material.roughness - 0.3).abs() < 1e-6);
+    assert!((painted.roughness - 0.3).abs() < 1e-6);
     let metal = scene.looks.surface(2, 0.2, 0.3);
-    assert_eq!(metal.material.albedo, Vec3::ZERO);
-    assert!((metal.f0 - Vec3::new(0.9, 0.6, 0.3)).length() < 1e-6);
+    assert_eq!(metal.material().albedo, Vec3::ZERO);
+    assert!((metal.base.f0() - Vec3::new(0.9, 0.6, 0.3)).length() < 1e-6);
 }
 
 /// What cannot be used is refused, with the way out.

@@ -5,7 +5,7 @@
 //! A'·ΔE/π, and so on until a bounce changes less than half a hundredth of the irradiance. What the
 //! photographs told about the unchanged light is kept to the bit, and the noise of the re-bake is
 //! that of the change alone. Specular reflection is not stored: renderers trace it against the
-//! changed radiance.
+//! changed radiance; so what a metal sends on of a change is left out.
 
 use crate::Result;
 use crate::core::geometry::Mesh;
@@ -76,6 +76,8 @@ struct Sources {
     uvs: Vec<Vec2>,
     /// Per texel, whether it emits: an edit does not change that.
     emits: Vec<bool>,
+    /// Per texel, the share that is no metal: all that reflects diffusely.
+    diffuse: Vec<f32>,
 }
 
 impl Sources {
@@ -95,6 +97,7 @@ impl Sources {
             .collect();
         Self {
             covered: texels.scatter(&vec![true; texels.len()], false),
+            diffuse: uvs.iter().map(|uv| 1.0 - before.metal_at(*uv)).collect(),
             texels,
             uvs,
             emits,
@@ -107,7 +110,7 @@ impl Sources {
             return Vec3::ZERO;
         }
         let uv = self.uvs[i];
-        let delta = look(albedo, uv) - look(&before.albedo, uv);
+        let delta = (look(albedo, uv) - look(&before.albedo, uv)) * self.diffuse[i];
         // never below black: what is left is at least the specular part
         (delta * look(&before.irradiance, uv) * FRAC_1_PI)
             .max(-before.radiance.data[self.texels.cell[i] as usize])
@@ -118,7 +121,8 @@ impl Sources {
         if self.emits[i] {
             Vec3::ZERO
         } else {
-            look(albedo, self.uvs[i]) * look(irradiance, self.uvs[i]) * FRAC_1_PI
+            let albedo = look(albedo, self.uvs[i]) * self.diffuse[i];
+            albedo * look(irradiance, self.uvs[i]) * FRAC_1_PI
         }
     }
 

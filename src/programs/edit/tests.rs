@@ -47,6 +47,7 @@ fn furnace(albedo: f32, radiance: f32) -> Solution {
         radiance: grey(48, radiance),
         emission: grey(48, 0.0),
         confidence: Plane::filled(48, 48, Vec2::ZERO),
+        metallic: None,
         irradiance_error: None,
         lamps: Vec::new(),
         portals: Vec::new(),
@@ -92,6 +93,24 @@ fn bounced_light_follows_in_a_furnace() {
     );
     assert!(out.bounces.len() > 1 && out.bounces.windows(2).all(|w| w[1] < w[0]));
     assert_eq!(out.solution.roughness.data, solution.roughness.data);
+}
+
+#[test]
+fn metal_stays_metal_and_sends_out_no_diffuse_light() {
+    let mut solution = furnace(0.5, 1.0);
+    let floor = solution.mesh.uv(0, 0.3, 0.3) * 48.0;
+    let paint = "[[edit]]\nclass = \"floor\"\nset = {albedo = [0.9, 0.7, 0.3]}\n";
+    let plain = edited(&solution, paint).expect("edits").solution;
+    assert!(
+        plain.irradiance != solution.irradiance,
+        "paint changes the light"
+    );
+    let metallic = solution.labels.map(|l| f32::from(*l == 2));
+    solution.metallic = Some(metallic.clone());
+    let metal = edited(&solution, paint).expect("edits").solution;
+    assert_eq!(metal.metallic, Some(metallic));
+    assert!((metal.albedo.nearest(floor).x - 0.9).abs() < 1e-6);
+    assert_eq!(metal.irradiance, solution.irradiance);
 }
 
 #[test]

@@ -9,6 +9,7 @@ mod calibration;
 mod emission;
 mod gains;
 mod image_scores;
+mod metals;
 mod options;
 pub mod protocol;
 mod scores;
@@ -19,6 +20,7 @@ pub use calibration::{Calibration, CalibrationBin, Calibrations};
 pub use emission::EmissionScores;
 pub use gains::GainScores;
 pub use image_scores::ImageScores;
+pub use metals::MetalScores;
 pub use options::EvalOptions;
 pub use scores::{ClassScores, Evaluation, MaterialScores, Protocols, SplitScores, ViewScores};
 pub use table::terminal_table;
@@ -100,12 +102,14 @@ pub fn evaluate(
         train,
         ..
     } = scoring;
-    let test = test.finish();
+    let (test, train) = (test.finish(), train.finish());
+    let metals = [&test, &train].into_iter().flatten();
+    let metals = metals.filter_map(|s| s.metals.as_ref()).count() > 0;
     let evaluation = Evaluation {
-        protocols: protocol::descriptions(options),
+        protocols: protocol::descriptions(options, metals),
         novel_views: test.as_ref().map(|t| t.gains.clone()),
         test,
-        train: train.finish(),
+        train,
     };
     if let (Some(folder), Some(aside)) = (folder, &aside) {
         let json = serde_json::to_vec_pretty(&evaluation)
@@ -405,6 +409,7 @@ fn score_materials(
     let tally: &mut ClassTally = &mut accumulator.classes;
     tally.add(labels, &mask, rendered, truth);
     accumulator.calibration.add(&mask, rendered, truth);
+    accumulator.metals.add(&mask, rendered, truth);
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use super::calibration::{CalibrationTally, Calibrations};
 use super::emission::{EmissionScores, EmissionTally};
 use super::gains::{GainScores, GainTally};
 use super::image_scores::ImageScores;
+use super::metals::{MetalScores, MetalTally};
 use super::truth::GroundTruth;
 use crate::core::image::Plane;
 use crate::core::metrics::{psnr, squared_error};
@@ -108,6 +109,9 @@ pub struct SplitScores {
     pub gains: GainScores,
     /// Albedo and roughness, where the scene has ground truth.
     pub materials: Option<MaterialScores>,
+    /// Which pixels are metal, where the scene's truth says so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub metals: Option<MetalScores>,
     /// Which pixels emit and how much, where the scene says so.
     #[serde(default)]
     pub emission: Option<EmissionScores>,
@@ -179,6 +183,7 @@ pub(super) struct Accumulator {
     pub(super) materials: Option<MaterialTally>,
     pub(super) classes: ClassTally,
     pub(super) calibration: CalibrationTally,
+    pub(super) metals: MetalTally,
     pub(super) emission: EmissionTally,
     pub(super) views: Vec<ViewScores>,
 }
@@ -197,6 +202,7 @@ impl Accumulator {
             materials: None,
             classes: ClassTally::new(scene),
             calibration: CalibrationTally::default(),
+            metals: MetalTally::default(),
             emission: EmissionTally::default(),
             views: Vec::new(),
         }
@@ -229,6 +235,7 @@ impl Accumulator {
             gains: self.gains.finish(&rendering),
             rendering,
             materials,
+            metals: self.metals.finish(),
             emission: self.emission.finish(),
             views: self.views,
         })

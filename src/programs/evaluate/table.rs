@@ -43,6 +43,19 @@ fn split_table(out: &mut String, title: &str, kind: &str, split: &SplitScores) {
             "emission", e.iou, e.mean_iou, e.log_l2, e.power_ratio
         );
     }
+    if let Some(m) = &split.metals {
+        let _ = writeln!(
+            out,
+            "  {:<24} found {:.1} % of {} pixels, {:.1} % of the {} stated are none; F0 off by {:.3}, R by {:.3}",
+            "metals",
+            100.0 * m.found,
+            m.true_pixels,
+            100.0 * m.wrong,
+            m.stated_pixels,
+            m.f0_error,
+            m.roughness_error
+        );
+    }
     if let Some(m) = &split.materials {
         row(out, "albedo, linear", &m.albedo.linear);
         row(out, "albedo, FIPT", &m.albedo.fipt);

@@ -23,6 +23,7 @@ impl ViewRenderer for Constant {
             radiance: Plane::filled(w, h, Vec3::splat(self.radiance)),
             albedo: Plane::filled(w, h, Vec3::splat(self.albedo)),
             roughness: Plane::filled(w, h, self.roughness),
+            metallic: Plane::filled(w, h, 0.0),
             labels: Plane::filled(w, h, 1),
             emission: Plane::filled(w, h, Vec3::ZERO),
             confidence: Plane::filled(w, h, glam::Vec2::splat(0.1)),
@@ -299,6 +300,40 @@ fn a_nan_rendering_scores_as_the_largest_error_and_is_counted() {
     let test = e.test.expect("test");
     assert!((test.rendering.mse - 1.0).abs() < 1e-12);
     assert_eq!(test.views[0].nonfinite_pixels, W * H);
+}
+
+#[test]
+fn metals_are_scored_where_the_truth_knows_them() {
+    let folder = tempfile::tempdir().expect("temp");
+    let scene = scene(folder.path(), &[("a", Split::Test)]);
+    let renderer = Constant {
+        radiance: 0.5,
+        albedo: 0.5,
+        roughness: 0.125,
+    };
+    let options = EvalOptions::default();
+    let score = || run(&scene, &renderer, &options, None);
+    let e = score();
+    let json = serde_json::to_string(&e).expect("JSON");
+    assert!(!json.contains("metals") && !terminal_table(&e).contains("metals"));
+    let path = folder.path().join("gt/metallic/a.exr");
+    std::fs::create_dir_all(path.parent().expect("folder")).expect("folder");
+    // the scored half is metal, and nothing is said to be
+    write_plane_half(&path, &Plane::filled(W, H, 1.0)).expect("truth");
+    let e = score();
+    let metals = e.test.as_ref().and_then(|t| t.metals.clone());
+    let metals = metals.expect("scored");
+    assert_eq!(metals.true_pixels, (W * H / 2) as u64);
+    assert_eq!(
+        (metals.found, metals.wrong, metals.stated_pixels),
+        (0.0, 0.0, 0)
+    );
+    assert!(terminal_table(&e).contains("found 0.0 % of 1024 pixels"));
+    assert!(e.protocols.iter().any(|p| p.starts_with("metals:")));
+    write_plane_half(&path, &Plane::filled(8, 4, 1.0)).expect("truth");
+    let view = &scene.views[0];
+    let error = true_materials(&scene, view).expect_err("of another size");
+    assert!(error.to_string().contains("8×4"), "{error}");
 }
 
 #[test]

@@ -14,6 +14,9 @@ pub struct GroundTruth {
     pub albedo: RgbPlane,
     /// Roughness R.
     pub roughness: Plane<f32>,
+    /// Share of metal, where the truth says it; the albedo holds what metal reflects at normal
+    /// incidence.
+    pub metallic: Option<Plane<f32>>,
 }
 
 /// An image of ground truth must be as large as its frame.
@@ -39,14 +42,21 @@ pub(crate) fn true_materials(scene: &Scene, view: &View) -> Result<Option<Ground
             .join(kind)
             .join(format!("{}.exr", view.stem))
     };
-    let (albedo, roughness) = (file("albedo"), file("roughness"));
+    let (albedo, roughness, metallic) = (file("albedo"), file("roughness"), file("metallic"));
     if !albedo.is_file() || !roughness.is_file() {
         return Ok(None);
     }
     let truth = GroundTruth {
         albedo: read_rgb(&albedo)?,
         roughness: read_plane(&roughness)?,
+        metallic: metallic
+            .is_file()
+            .then(|| read_plane(&metallic))
+            .transpose()?,
     };
+    if let Some(plane) = &truth.metallic {
+        check_size(&metallic, plane.width, plane.height, &view.camera)?;
+    }
     check_size(
         &albedo,
         truth.albedo.width,

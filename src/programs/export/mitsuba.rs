@@ -1,7 +1,8 @@
 //! A Mitsuba 3 scene: meshes as PLY, textures as EXR, one XML file.
 //!
 //! Mitsuba has no BSDF with this program's specular lobe: `principled` with the same base colour
-//! and roughness looks alike, but is not the same. With `diffuse_only` both programs describe
+//! and roughness looks alike, but is not the same. Its `metallic` parts the base colour as ours
+//! does: metal has no diffuse lobe and reflects its base colour at normal incidence. With `diffuse_only` both programs describe
 //! exactly the same light, and must agree within their noise.
 
 use crate::core::formats::{write_plane_float, write_rgb_float};
@@ -11,6 +12,7 @@ use crate::error::{Error, Result};
 use crate::render::{EditableScene, NamedCamera};
 use crate::solution::Solution;
 use glam::Vec3;
+use std::borrow::Cow;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -51,8 +53,12 @@ pub fn write_mitsuba(
         folder,
         names: vec!["mitsuba.xml".to_owned()],
     };
-    files.rgb("mitsuba_albedo.exr", &solution.albedo)?;
+    files.rgb("mitsuba_albedo.exr", &base_colour(solution, diffuse_only))?;
     write_plane_float(files.place("mitsuba_roughness.exr"), &solution.roughness)?;
+    let metallic = solution.metallic.as_ref().filter(|_| !diffuse_only);
+    if let Some(plane) = metallic {
+        write_plane_float(files.place("mitsuba_metallic.exr"), plane)?;
+    }
     let shapes = write_shapes(&mut files, solution, diffuse_only)?;
     let environment = write_environment(&mut files, &solution.environment)?;
     let mut xml =
@@ -66,7 +72,7 @@ pub fn write_mitsuba(
     let _ = write!(
         xml,
         "  <bsdf type=\"twosided\" id=\"material\">\n{}  </bsdf>\n",
-        material(diffuse_only)
+        material(diffuse_only, metallic.is_some())
     );
     xml.push_str(&shapes);
     xml.push_str(environment);
@@ -129,16 +135,36 @@ fn write_environment(files: &mut Written<'_>, environment: &RgbPlane) -> Result<
     )
 }
 
+/// What the albedo's file holds: for the diffuse part alone, the albedo of that.
+fn base_colour(solution: &Solution, diffuse_only: bool) -> Cow<'_, RgbPlane> {
+    let albedo = &solution.albedo;
+    match &solution.metallic {
+        Some(metallic) if diffuse_only => Cow::Owned(Plane {
+            width: albedo.width,
+            height: albedo.height,
+            data: std::iter::zip(&albedo.data, &metallic.data)
+                .map(|(a, m)| *a * (1.0 - m))
+                .collect(),
+        }),
+        _ => Cow::Borrowed(albedo),
+    }
+}
+
 /// The BSDF element that both meshes share.
-fn material(diffuse_only: bool) -> String {
+fn material(diffuse_only: bool, has_metal: bool) -> String {
     if diffuse_only {
         return format!(
             "    <bsdf type=\"diffuse\">\n{}    </bsdf>\n",
             bitmap("reflectance", "mitsuba_albedo.exr", "bilinear", 6)
         );
     }
+    let metallic = if has_metal {
+        bitmap("metallic", "mitsuba_metallic.exr", "bilinear", 6)
+    } else {
+        String::new()
+    };
     format!(
-        "    <bsdf type=\"principled\">\n{}{}      <float name=\"specular\" value=\"0.5\"/>\n    </bsdf>\n",
+        "    <bsdf type=\"principled\">\n{}{}{metallic}      <float name=\"specular\" value=\"0.5\"/>\n    </bsdf>\n",
         bitmap("base_color", "mitsuba_albedo.exr", "bilinear", 6),
         bitmap("roughness", "mitsuba_roughness.exr", "nearest", 6)
     )
@@ -246,6 +272,31 @@ mod tests {
         let back = crate::core::formats::read_mesh(&folder.path().join("mitsuba_lamps.ply"))
             .expect("reads");
         assert_eq!(back.positions.len(), solution.mesh.positions.len());
+    }
+
+    #[test]
+    fn metal_is_a_texture_of_the_bsdf_and_no_diffuse_light() {
+        let folder = tempfile::tempdir().expect("temp");
+        let mut solution = small_solution();
+        let write = |solution: &Solution, diffuse_only: bool| {
+            write_mitsuba(folder.path(), solution, &[], diffuse_only).expect("writes");
+            std::fs::read_to_string(folder.path().join("mitsuba.xml")).expect("reads")
+        };
+        assert!(!write(&solution, false).contains("metallic"));
+        let mut metallic = solution.albedo.map(|_| 0.0);
+        metallic.data[77] = 1.0;
+        solution.metallic = Some(metallic);
+        let albedo = || {
+            let path = folder.path().join("mitsuba_albedo.exr");
+            crate::core::formats::read_rgb(path).expect("reads")
+        };
+        let xml = write(&solution, false);
+        assert!(xml.contains("name=\"metallic\"") && xml.contains("mitsuba_metallic.exr"));
+        assert!(folder.path().join("mitsuba_metallic.exr").is_file());
+        assert_eq!(albedo(), solution.albedo);
+        assert!(!write(&solution, true).contains("metallic"));
+        assert_eq!(albedo().data[77], Vec3::ZERO);
+        assert_eq!(albedo().data[78], solution.albedo.data[78]);
     }
 
     #[test]

@@ -54,16 +54,16 @@ pub fn write_usd(
         encode_rgb8(p.width, p.height, &bytes)
     };
     save("usd_albedo.png", &rgb(&solution.albedo, 1.0)?)?;
-    let r = &solution.roughness;
-    let grey: Vec<u8> = r
-        .data
-        .iter()
-        .map(|r| (r.clamp(0.0, 1.0) * 255.0 + 0.5) as u8)
-        .collect();
-    save(
-        "usd_roughness.png",
-        &encode_grey8(r.width, r.height, &grey)?,
-    )?;
+    let grey = |p: &Plane<f32>| {
+        let byte = |x: &f32| (x.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+        let bytes: Vec<u8> = p.data.iter().map(byte).collect();
+        encode_grey8(p.width, p.height, &bytes)
+    };
+    save("usd_roughness.png", &grey(&solution.roughness)?)?;
+    if let Some(metallic) = &solution.metallic {
+        save("usd_metallic.png", &grey(metallic)?)?;
+        files.push("usd_metallic.png");
+    }
     if peak > 0.0 {
         save("usd_emission.png", &rgb(&solution.emission, 1.0 / peak)?)?;
         files.push("usd_emission.png");
@@ -116,7 +116,7 @@ fn text(solution: &Solution, peak: f32, options: UsdOptions<'_>) -> String {
     if is_lit_from_outside(solution) {
         dome_prim(&mut s, ENVIRONMENT);
     }
-    material_prim(&mut s, peak);
+    material_prim(&mut s, peak, solution.metallic.is_some());
     s.push_str("}\n");
     s
 }
@@ -198,7 +198,7 @@ fn mesh_prim(s: &mut String, part: &MeshPart, mesh: &Mesh, prim: &str) {
 }
 
 /// The material with its textures; emissive if `peak`, the largest emission, is above 0.
-fn material_prim(s: &mut String, peak: f32) {
+fn material_prim(s: &mut String, peak: f32, has_metal: bool) {
     s.push_str("    def Material \"material\"\n    {\n");
     s.push_str(
         "        token outputs:surface.connect = </scene/material/surface.outputs:surface>\n\n",
@@ -213,7 +213,14 @@ fn material_prim(s: &mut String, peak: f32) {
     if peak > 0.0 {
         s.push_str("            color3f inputs:emissiveColor.connect = </scene/material/emission.outputs:rgb>\n");
     }
-    s.push_str("            float inputs:metallic = 0\n            float inputs:ior = 1.5\n            token outputs:surface\n        }\n");
+    s.push_str(if has_metal {
+        "            float inputs:metallic.connect = </scene/material/metallic.outputs:r>\n"
+    } else {
+        "            float inputs:metallic = 0\n"
+    });
+    s.push_str(
+        "            float inputs:ior = 1.5\n            token outputs:surface\n        }\n",
+    );
     s.push_str("\n        def Shader \"st\"\n        {\n            uniform token info:id = \"UsdPrimvarReader_float2\"\n");
     s.push_str("            string inputs:varname = \"st\"\n            float2 outputs:result\n        }\n");
     texture(
@@ -224,14 +231,11 @@ fn material_prim(s: &mut String, peak: f32) {
         "float3 outputs:rgb",
         1.0,
     );
-    texture(
-        s,
-        "roughness",
-        "usd_roughness.png",
-        "raw",
-        "float outputs:r",
-        1.0,
-    );
+    let roughness = ("roughness", "usd_roughness.png");
+    let metallic = has_metal.then_some(("metallic", "usd_metallic.png"));
+    for (name, file) in std::iter::once(roughness).chain(metallic) {
+        texture(s, name, file, "raw", "float outputs:r", 1.0);
+    }
     if peak > 0.0 {
         texture(
             s,
@@ -301,6 +305,26 @@ mod tests {
             assert_eq!(points.matches('(').count(), 3);
             assert!(extent.contains("[(-1, 0, "), "{extent}");
         }
+    }
+
+    #[test]
+    fn metal_is_a_texture_where_there_is_any() {
+        let folder = tempfile::tempdir().expect("temp");
+        let mut solution = small_solution();
+        let write = |solution: &Solution| {
+            let files = write_usd(folder.path(), solution, UsdOptions::default()).expect("writes");
+            let text = std::fs::read_to_string(folder.path().join("scene.usda")).expect("reads");
+            (files, text)
+        };
+        let (files, text) = write(&solution);
+        assert!(text.contains("inputs:metallic = 0\n"));
+        assert!(!files.contains(&"usd_metallic.png".to_owned()) && !text.contains("usd_metallic"));
+        solution.metallic = Some(solution.albedo.map(|_| 1.0));
+        let (files, text) = write(&solution);
+        assert!(files.contains(&"usd_metallic.png".to_owned()));
+        assert!(folder.path().join("usd_metallic.png").is_file());
+        assert!(text.contains("inputs:metallic.connect = </scene/material/metallic.outputs:r>"));
+        assert!(text.contains("asset inputs:file = @./usd_metallic.png@"));
     }
 
     #[test]

@@ -198,7 +198,7 @@ impl<'a> Photographer<'a> {
             }
             inferno((v.max(low) / low).ln() / (high / low).ln())
         };
-        vec![
+        let mut maps = vec![
             map(
                 "albedo",
                 s.albedo.width,
@@ -243,7 +243,12 @@ impl<'a> Photographer<'a> {
                 &s.environment,
                 display_gain(&s.environment),
             ),
-        ]
+        ];
+        if let Some(m) = &s.metallic {
+            let shown = grey(&shrunk(m, MAP_SIDE));
+            maps.insert(2, map("share of metal", m.width, m.height, shown));
+        }
+        maps
     }
 
     /// The irradiance texture seen from a camera.

@@ -7,6 +7,7 @@
 use super::catalogue::{CEILING, DOOR_FRAME, PARQUET, SKIRTING, TILED_FLOOR, WALL, WINDOW_FRAME};
 use super::charts::{Chart, Finish};
 use super::furniture;
+use super::options::SynthOptions;
 use super::pattern::Paint;
 use super::plan::{Decorator, Footprint, Room};
 use crate::core::sampling::KeyedRng;
@@ -35,9 +36,10 @@ pub struct Apartment {
 }
 
 impl Apartment {
-    /// The apartment of a seed.
+    /// The apartment of some options.
     #[must_use]
-    pub fn new(seed: u64, rooms: usize) -> Self {
+    pub fn new(options: &SynthOptions) -> Self {
+        let &SynthOptions { seed, rooms, .. } = options;
         let mut out = Self {
             charts: Vec::new(),
             paints: Vec::new(),
@@ -59,7 +61,7 @@ impl Apartment {
         // all rooms share the z of their doorways: measured from the shallowest room's south wall
         let shallowest = out.rooms.iter().fold(f32::INFINITY, |m, r| m.min(r.size.z));
         for i in 0..rooms {
-            let mut d = Decorator::new(KeyedRng::new(seed, 2000 + i as u64));
+            let mut d = Decorator::new(KeyedRng::new(seed, 2000 + i as u64), options.fittings);
             let room = out.rooms[i];
             let doors = [(i > 0), (i + 1 < rooms)];
             d.builder_at(Vec3::new(room.x, 0.0, 0.0), |d| {
@@ -74,11 +76,17 @@ impl Apartment {
             }));
             out.footprints.append(&mut d.footprints);
         }
+        if options.diffuse {
+            out.paints.iter_mut().for_each(Paint::make_matte);
+        }
+        if options.wallpaper {
+            out.paper_walls();
+        }
         out
     }
 
     /// Papers every wall.
-    pub fn paper_walls(&mut self) {
+    fn paper_walls(&mut self) {
         for chart in self.charts.iter().filter(|c| c.finish.class == WALL) {
             self.paints[chart.finish.material].make_wallpaper();
         }
@@ -310,4 +318,47 @@ fn skirt(d: &mut Decorator, wall: &Wall, start: f32, length: f32, finish: Finish
         Vec3::Y,
         finish,
     );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::catalogue::{CABINET, LAMP_STAND, METALS, PICTURE, PICTURE_FRAME, PLANT_POT};
+    use super::*;
+    use std::collections::BTreeSet;
+
+    /// Fittings come in every room, and what they do not replace stays as it was to the bit.
+    #[test]
+    fn fittings_leave_the_rest_of_the_apartment_alone() {
+        let of = |fittings: bool, rooms: usize| {
+            Apartment::new(&SynthOptions {
+                fittings,
+                rooms,
+                ..SynthOptions::default()
+            })
+        };
+        let classes = |a: &Apartment| -> BTreeSet<u16> {
+            let metal = a.charts.iter().filter(|c| c.finish.metallic > 0.0);
+            metal.map(|c| c.finish.class).collect()
+        };
+        assert!(classes(&of(false, 3)).is_empty());
+        assert_eq!(classes(&of(true, 3)), BTreeSet::from(METALS));
+        assert!(!classes(&of(true, 1)).is_empty(), "one room has some");
+        // cupboards make way for the hood; knobs and lamp stands are of one class
+        let replaced = [CABINET, PICTURE, PICTURE_FRAME, PLANT_POT, LAMP_STAND];
+        let rest = |a: &Apartment| -> Vec<(u16, Vec<Vec3>, [Vec3; 2])> {
+            let kept = |c: &&Chart| {
+                !replaced.contains(&c.finish.class) && !METALS.contains(&c.finish.class)
+            };
+            a.charts
+                .iter()
+                .filter(kept)
+                .map(|c| {
+                    let colours = a.paints[c.finish.material].colours;
+                    (c.finish.class, c.positions.clone(), colours)
+                })
+                .collect()
+        };
+        let (plain, fitted) = (of(false, 3), of(true, 3));
+        assert!(rest(&plain) == rest(&fitted));
+    }
 }

@@ -86,6 +86,28 @@ impl Atlas {
     /// border.
     #[must_use]
     pub fn paint(&self, charts: &[Chart], paints: &[Paint]) -> Plane<glam::Vec4> {
+        let ground = Vec3::splat(0.5).extend(0.5);
+        self.fill(charts, ground, |c, metres| {
+            let chart = &charts[c];
+            let paint = &paints[chart.finish.material];
+            let (albedo, roughness) = paint.look(metres, chart.size, c as u64);
+            albedo.extend(roughness)
+        })
+    }
+
+    /// The share of metal of every texel, laid out as [`Self::paint`].
+    #[must_use]
+    pub fn metal(&self, charts: &[Chart]) -> Plane<f32> {
+        self.fill(charts, 0.0, |c, _| charts[c].finish.metallic)
+    }
+
+    /// A texture of the value of `at(chart, metres on it)`, `ground` between charts.
+    fn fill<T: Copy + Send>(
+        &self,
+        charts: &[Chart],
+        ground: T,
+        at: impl Fn(usize, Vec2) -> T + Sync,
+    ) -> Plane<T> {
         let margin = self.gap() as isize / 2;
         let painted = map_chunks(charts.len(), 1, |range| {
             let (c, chart) = (range.start, &charts[range.start]);
@@ -93,18 +115,16 @@ impl Atlas {
                 texels(chart.size.x, self.density) as isize,
                 texels(chart.size.y, self.density) as isize,
             );
-            let paint = &paints[chart.finish.material];
             let mut block = Vec::with_capacity(((w + 2 * margin) * (h + 2 * margin)) as usize);
             for y in -margin..h + margin {
                 for x in -margin..w + margin {
                     let metres = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) / self.density;
-                    let (albedo, roughness) = paint.look(metres, chart.size, c as u64);
-                    block.push(albedo.extend(roughness));
+                    block.push(at(c, metres));
                 }
             }
             block
         });
-        let mut texture = Plane::filled(self.side, self.side, Vec3::splat(0.5).extend(0.5));
+        let mut texture = Plane::filled(self.side, self.side, ground);
         for (c, block) in painted.iter().enumerate() {
             let w = texels(charts[c].size.x, self.density) as isize + 2 * margin;
             let [x0, y0] = self.corners[c].map(|v| v as isize - margin);
@@ -157,6 +177,7 @@ mod tests {
             material: 0,
             class: 1,
             emission: Vec3::ZERO,
+            metallic: 0.0,
         };
         for i in 0..60 {
             b.rect(

@@ -2,7 +2,8 @@
 //!
 //! Roughness belongs to a class (and room), as the method assumes; colours vary between instances
 //! and rooms. Albedos stay below
-//! 0.85 because the paper's model adds its specular lobe on top.
+//! 0.85 because the paper's model adds its specular lobe on top; metals, which have no other, are as
+//! bright as published.
 
 use super::pattern::{Paint, Pattern};
 use crate::core::sampling::KeyedRng;
@@ -47,7 +48,28 @@ classes! {
     28 SPLASHBACK "splashback" false;
     29 FRUIT "fruit" false;
     30 LAMP "lamp" true;
+    31 TAP "tap" false;
+    32 HOOD "hood" false;
+    33 MIRROR "mirror" false;
+    34 HANDLE "handle" false;
+    35 PLANTER "planter" false;
 }
+
+/// Classes of metal: only apartments with fittings have them.
+pub const METALS: [u16; 5] = [TAP, HOOD, MIRROR, HANDLE, PLANTER];
+
+/// The share of metal of a class.
+#[must_use]
+pub fn metallic(class: u16) -> f32 {
+    f32::from(METALS.contains(&class))
+}
+
+/// What metals reflect at normal incidence. Iron and steel: Hoffman 2010 ("Background:
+/// Physically-Based Shading", table 1). Brass: Akenine-Möller et al. 2018 ("Real-Time Rendering",
+/// table 9.2). Silver behind glass: its 0.95 through two passages of about 2.5 % each, made neutral.
+const STEEL: Tint = fixed([0.56, 0.57, 0.58]);
+const BRASS: Tint = fixed([0.91, 0.78, 0.42]);
+const SILVERED_GLASS: Tint = fixed([0.9; 3]);
 
 /// A colour of a recipe: linear reflectance and how far a room's own may lie from it.
 #[derive(Clone, Copy)]
@@ -93,6 +115,16 @@ struct Recipe {
 /// The second colour of patterns that have but one.
 const NONE: Tint = fixed([0.0; 3]);
 const WOOD: Pattern = Pattern::Wood { board: 0.13 };
+
+/// Metal of one colour.
+const fn metal(class: u16, f0: Tint, roughness: f32) -> Recipe {
+    Recipe {
+        class,
+        pattern: Pattern::Polished,
+        colours: [f0, NONE],
+        roughness,
+    }
+}
 
 /// The recipes of all classes.
 const RECIPES: &[Recipe] = &[
@@ -321,6 +353,11 @@ const RECIPES: &[Recipe] = &[
         colours: [fixed([0.8, 0.5, 0.15]), fixed([0.7, 0.2, 0.1])],
         roughness: 0.3,
     },
+    metal(TAP, STEEL, 0.1),
+    metal(HOOD, STEEL, 0.3),
+    metal(MIRROR, SILVERED_GLASS, 0.05),
+    metal(HANDLE, BRASS, 0.2),
+    metal(PLANTER, BRASS, 0.15),
 ];
 /// Of what has no recipe, lamps: white.
 const WHITE: Recipe = Recipe {

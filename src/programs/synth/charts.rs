@@ -19,6 +19,8 @@ pub struct Finish {
     pub class: u16,
     /// Emitted radiance.
     pub emission: Vec3,
+    /// Share of metal.
+    pub metallic: f32,
 }
 
 /// A patch with its own rectangle of the atlas.
@@ -34,7 +36,7 @@ pub struct Chart {
     pub uvs: Vec<Vec2>,
     /// Vertex indices within the chart.
     pub triangles: Vec<[u32; 3]>,
-    /// Material, class, emission.
+    /// Material, class, emission, metal.
     pub finish: Finish,
 }
 
@@ -311,6 +313,7 @@ mod tests {
             material: 0,
             class: 1,
             emission: Vec3::ZERO,
+            metallic: 0.0,
         }
     }
 

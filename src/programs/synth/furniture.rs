@@ -4,8 +4,9 @@
 //! +z).
 
 use super::catalogue::{
-    BED_FRAME, BEDDING, BOOK, BOWL, CABINET, CHAIR, CUSHION, FRUIT, LAMP_STAND, ORNAMENT, PICTURE,
-    PICTURE_FRAME, PILLOW, PLANT, PLANT_POT, RUG, SHELF, SOFA, SPLASHBACK, TABLE, VASE, WORKTOP,
+    BED_FRAME, BEDDING, BOOK, BOWL, CABINET, CHAIR, CUSHION, FRUIT, HANDLE, HOOD, LAMP_STAND,
+    MIRROR, ORNAMENT, PICTURE, PICTURE_FRAME, PILLOW, PLANT, PLANT_POT, PLANTER, RUG, SHELF, SOFA,
+    SPLASHBACK, TABLE, TAP, VASE, WORKTOP,
 };
 use super::plan::Decorator;
 use glam::{Vec2, Vec3};
@@ -89,12 +90,12 @@ fn bedroom(d: &mut Decorator, size: Vec3) {
     d.builder_turned(Vec3::new(size.x - 0.2, 0.0, 1.3), FRAC_PI_2, |d| {
         sideboard(d, 1.1)
     });
-    picture(
-        d,
-        Vec3::new(size.x, 1.55, 1.3),
-        Vec3::NEG_X,
-        Vec2::new(0.7, 0.7),
-    );
+    let above_sideboard = Vec3::new(size.x, 1.55, 1.3);
+    if d.fittings {
+        framed(d, MIRROR, above_sideboard, Vec3::NEG_X, Vec2::splat(0.9));
+    } else {
+        picture(d, above_sideboard, Vec3::NEG_X, Vec2::splat(0.7));
+    }
     picture(
         d,
         Vec3::new(middle, 1.65, size.z),
@@ -124,7 +125,9 @@ fn kitchen(d: &mut Decorator, size: Vec3) {
         }
     });
     let length = size.x - 2.4;
-    d.builder_at(Vec3::new(0.5 * size.x, 0.0, size.z), |d| counter(d, length));
+    d.builder_at(Vec3::new(0.5 * size.x, 0.0, size.z), |d| {
+        counter(d, length, size.y);
+    });
     d.builder_turned(Vec3::new(0.3, 0.0, 1.2), -FRAC_PI_2, |d| {
         wardrobe(d, Vec3::new(0.7, 1.95, 0.6))
     });
@@ -478,13 +481,22 @@ fn doors(d: &mut Decorator, low: [f32; 2], high: [f32; 2], z: f32, count: usize,
             true,
             class,
         );
-        d.builder.sphere(
-            Vec3::new(x + w - 0.05, 0.5 * (low[1] + high[1]), z - 0.03),
-            0.014,
-            5,
-            knob,
-        );
+        let place = Vec3::new(x + w - 0.05, 0.5 * (low[1] + high[1]), z - 0.03);
+        if d.fittings {
+            handle(d, place);
+        } else {
+            d.builder.sphere(place, 0.014, 5, knob);
+        }
     }
+}
+
+/// An upright bar around `middle`, in front of a door.
+fn handle(d: &mut Decorator, middle: Vec3) {
+    let finish = d.finish(HANDLE);
+    let (radius, half) = (0.011, Vec3::Y * 0.08);
+    let bar = 2.0 * half.y;
+    d.builder
+        .cylinder(middle - half, radius, bar, 12, true, finish);
 }
 
 fn wardrobe(d: &mut Decorator, size: Vec3) {
@@ -636,7 +648,12 @@ fn ceiling_panel(d: &mut Decorator, centre: Vec3, size: Vec2, radiance: Vec3) {
 
 /// A framed picture on a wall: centre on the wall and the wall's normal.
 fn picture(d: &mut Decorator, centre: Vec3, normal: Vec3, size: Vec2) {
-    let finish = d.own_finish(PICTURE);
+    framed(d, PICTURE, centre, normal, size);
+}
+
+/// As [`picture`], of whatever hangs there.
+fn framed(d: &mut Decorator, class: u16, centre: Vec3, normal: Vec3, size: Vec2) {
+    let finish = d.own_finish(class);
     let frame = d.finish(PICTURE_FRAME);
     // local frame: x to the right as seen from the room, picture plane at −z
     let yaw = (-normal.x).atan2(-normal.z);
@@ -668,6 +685,7 @@ fn picture(d: &mut Decorator, centre: Vec3, normal: Vec3, size: Vec2) {
 fn plant(d: &mut Decorator, height: f32) {
     d.occupy(Vec2::splat(-0.3), Vec2::splat(0.3));
     let (pot, leaf) = (d.finish(PLANT_POT), d.finish(PLANT));
+    let pot = if d.fittings { d.finish(PLANTER) } else { pot };
     let profile: Vec<Vec2> = (0..=6)
         .map(|i| Vec2::new(0.11 + 0.012 * i as f32, 0.045 * i as f32))
         .collect();
@@ -689,7 +707,39 @@ fn plant(d: &mut Decorator, height: f32) {
     }
 }
 
-fn counter(d: &mut Decorator, length: f32) {
+/// Half the width of a hood, metres.
+const HOOD_HALF: f32 = 0.35;
+
+/// An extractor hood on the wall (z = 0): a canopy, and a shaft up to the ceiling.
+fn hood(d: &mut Decorator, ceiling: f32) {
+    let w = HOOD_HALF - 0.01;
+    block(d, [-w, 1.5, -0.5], [w, 1.62, -0.001], true, HOOD);
+    block(
+        d,
+        [-0.16, 1.62, -0.31],
+        [0.16, ceiling - 0.001, -0.001],
+        false,
+        HOOD,
+    );
+}
+
+/// A mixer tap that stands at `foot`, its spout towards -z.
+fn tap(d: &mut Decorator, foot: Vec3) {
+    let finish = d.finish(TAP);
+    d.builder_at(foot, |d| {
+        let b = &mut d.builder;
+        b.cylinder(Vec3::ZERO, 0.03, 0.05, 24, false, finish);
+        b.cylinder(Vec3::Y * 0.05, 0.016, 0.27, 20, false, finish);
+        let spout = [Vec3::new(-0.014, 0.292, -0.22), Vec3::new(0.014, 0.32, 0.0)];
+        b.cuboid(spout[0], spout[1], true, finish);
+        let nozzle = Vec3::new(0.0, 0.262, -0.205);
+        b.cylinder(nozzle, 0.012, 0.03, 16, true, finish);
+    });
+}
+
+/// A kitchen counter of `length` below wall cupboards, or a hood between them, in a room of
+/// `height`.
+fn counter(d: &mut Decorator, length: f32, height: f32) {
     let h = 0.5 * length;
     d.occupy(Vec2::new(-h, -0.62), Vec2::new(h, 0.0));
     block(d, [-h, 0.08, -0.58], [h, 0.86, 0.0], true, CABINET);
@@ -715,9 +765,18 @@ fn counter(d: &mut Decorator, length: f32) {
         true,
         tiles,
     );
-    // wall cupboards
-    block(d, [-h, 1.45, -0.34], [h, 2.15, -0.001], true, CABINET);
-    doors(d, [-h, 1.47], [h, 2.13], -0.34, 4, CABINET);
+    let cupboards: &[[f32; 2]] = if d.fittings {
+        hood(d, height);
+        tap(d, Vec3::new(-0.35 * h, 0.9, -0.13));
+        &[[-h, -HOOD_HALF], [HOOD_HALF, h]]
+    } else {
+        &[[-h, h]]
+    };
+    for &[left, right] in cupboards {
+        let count = 4 / cupboards.len();
+        block(d, [left, 1.45, -0.34], [right, 2.15, -0.001], true, CABINET);
+        doors(d, [left, 1.47], [right, 2.13], -0.34, count, CABINET);
+    }
     d.builder_at(Vec3::new(-0.7 * h, 0.9, -0.3), |d| vase(d, 0.24));
     d.builder_at(Vec3::new(0.1 * h, 0.9, -0.32), bowl);
     for i in 0..3 {

@@ -111,7 +111,7 @@ mod tests {
             texture: 512,
             ..SynthOptions::default()
         };
-        let apartment = Apartment::new(options.seed, options.rooms);
+        let apartment = Apartment::new(&options);
         let atlas = Atlas::pack(&apartment.charts, options.texture).expect("fits");
         let mesh = atlas.mesh(&apartment.charts);
         let texture = atlas.paint(&apartment.charts, &apartment.paints);
@@ -194,6 +194,7 @@ mod tests {
                 material: 0,
                 class: 1,
                 emission: Vec3::ZERO,
+                metallic: 0.0,
             },
         );
         let atlas = Atlas::pack(&b.charts, 128).expect("fits");

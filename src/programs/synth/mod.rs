@@ -98,31 +98,26 @@ struct Built {
     mesh: Mesh,
     /// Albedo (x, y, z) and roughness (w).
     texture: Plane<Vec4>,
+    /// Share of metal, where there is any.
+    metallic: Option<Plane<f32>>,
 }
 
 impl Built {
     fn new(options: &SynthOptions, progress: &Progress) -> Result<Self> {
-        let mut apartment = apartment::Apartment::new(options.seed, options.rooms);
-        if options.diffuse {
-            apartment
-                .paints
-                .iter_mut()
-                .for_each(pattern::Paint::make_matte);
-        }
-        if options.wallpaper {
-            apartment.paper_walls();
-        }
+        let apartment = apartment::Apartment::new(options);
         let atlas = atlas::Atlas::pack(&apartment.charts, options.texture)
             .ok_or_else(|| does_not_fit(&apartment, options))?;
         let mesh = atlas.mesh(&apartment.charts);
         let texture = progress.stage("painting textures", 1, |_| {
             atlas.paint(&apartment.charts, &apartment.paints)
         });
+        let metallic = options.fittings.then(|| atlas.metal(&apartment.charts));
         Ok(Self {
             apartment,
             atlas,
             mesh,
             texture,
+            metallic,
         })
     }
 
@@ -242,7 +237,7 @@ pub fn generate(
     progress: &Progress,
 ) -> Result<SynthSummary> {
     options.validate()?;
-    let writer = output::FolderWriter::new(out_folder)?;
+    let writer = output::FolderWriter::new(out_folder, options)?;
     let built = Built::new(options, progress)?;
     let views = views::place(&built.apartment, options)?;
     progress.note(built.note());
@@ -252,10 +247,11 @@ pub fn generate(
         apartment: &built.apartment,
         mesh: &built.mesh,
         texture: &built.texture,
+        metallic: built.metallic.as_ref(),
         views: &views,
     })?;
     if options.truth {
-        true_solution(options)?.save(
+        built.solution().save(
             &writer.path("gt/solution"),
             &crate::solution::SaveOptions::default(),
         )?;

@@ -2,7 +2,7 @@
 //! surfaces.
 
 use super::charts::Chart;
-use crate::core::brdf::Material;
+use crate::core::brdf::BaseColour;
 use crate::core::geometry::Mesh;
 use crate::core::image::{Plane, Wrap};
 use crate::core::progress::Progress;
@@ -20,6 +20,7 @@ pub struct Textured<'a> {
     pub texture: &'a Plane<Vec4>,
     class: Vec<u16>,
     emission: Vec<Vec3>,
+    metallic: Vec<f32>,
 }
 
 impl<'a> Textured<'a> {
@@ -33,6 +34,7 @@ impl<'a> Textured<'a> {
             texture,
             class: finishes.iter().map(|f| f.class).collect(),
             emission: finishes.iter().map(|f| f.emission).collect(),
+            metallic: finishes.iter().map(|f| f.metallic).collect(),
         }
     }
 }
@@ -43,11 +45,14 @@ impl SurfaceModel for Textured<'_> {
         let texel = self
             .texture
             .bilinear(self.mesh.uv(triangle, u, v) * side, Wrap::Clamp);
-        let material = Material {
-            albedo: texel.truncate(),
+        Surface {
+            base: BaseColour {
+                colour: texel.truncate(),
+                metallic: self.metallic[triangle],
+            },
             roughness: texel.w,
-        };
-        Surface::dielectric(material, self.emission[triangle])
+            emission: self.emission[triangle],
+        }
     }
     fn mean_emission(&self, triangle: usize) -> Vec3 {
         self.emission[triangle]

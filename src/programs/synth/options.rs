@@ -44,6 +44,11 @@ pub struct SynthOptions {
     /// Paper the walls: a pale pattern that covers a tenth of them.
     #[arg(long, help_heading = "Synthetic scene")]
     pub wallpaper: bool,
+    /// Add fittings of metal, classes of their own: tap and hood in the kitchen, a mirror in the
+    /// bedroom, brass handles and planters. Their truth is `gt/metallic`; `gt/albedo` has there what
+    /// they reflect at normal incidence.
+    #[arg(long, help_heading = "Synthetic scene")]
+    pub fittings: bool,
     /// Also write the truth as a solution, gt/solution, for `unbake relight OUT --against`.
     #[arg(long, help_heading = "Synthetic scene")]
     pub truth: bool,
@@ -63,6 +68,7 @@ impl Default for SynthOptions {
             full_paths: false,
             diffuse: false,
             wallpaper: false,
+            fittings: false,
             truth: false,
         }
     }
@@ -102,6 +108,11 @@ impl SynthOptions {
         }
         if self.spp == 0 || self.spp > 1 << 20 {
             return wrong("--spp must be from 1 to 1048576");
+        }
+        if self.fittings && self.diffuse {
+            return wrong(
+                "--fittings and --diffuse exclude each other: metal is all highlight; leave one out",
+            );
         }
         if !(64..=16_384).contains(&self.texture) {
             return wrong("--texture must be from 64 to 16384");

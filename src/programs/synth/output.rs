@@ -1,7 +1,7 @@
 //! Writing the scene folder: aside first, then moved into place.
 
 use super::apartment::Apartment;
-use super::catalogue::CLASSES;
+use super::catalogue::{CLASSES, METALS, metallic};
 use super::glb;
 use super::options::{SynthOptions, SynthSummary};
 use super::views::SynthView;
@@ -25,6 +25,8 @@ const MARK: &str = "synth.json";
 /// A scene folder under construction.
 pub struct FolderWriter {
     folder: StagedScene,
+    /// Whether the scene has metals.
+    metals: bool,
 }
 
 /// What the scene's files describe.
@@ -37,6 +39,8 @@ pub struct Described<'a> {
     pub mesh: &'a Mesh,
     /// Albedo and roughness.
     pub texture: &'a Plane<Vec4>,
+    /// Share of metal, where there is any.
+    pub metallic: Option<&'a Plane<f32>>,
     /// Cameras.
     pub views: &'a [SynthView],
 }
@@ -46,16 +50,22 @@ impl FolderWriter {
     ///
     /// # Errors
     /// If the folder holds something else or cannot be written to.
-    pub fn new(target: &Path) -> Result<Self> {
-        let folders = [
+    pub fn new(target: &Path, options: &SynthOptions) -> Result<Self> {
+        let mut folders = vec![
             "images",
             "labels",
             "gt/albedo",
             "gt/roughness",
             "gt/emission",
         ];
+        if options.fittings {
+            folders.push("gt/metallic");
+        }
         let folder = StagedScene::new(target, "synth", MARK, &folders)?;
-        Ok(Self { folder })
+        Ok(Self {
+            folder,
+            metals: options.fittings,
+        })
     }
 
     /// A place in the folder under construction.
@@ -104,7 +114,12 @@ impl FolderWriter {
             },
             &|| formats::write_rgb_half(self.path(format!("gt/emission/{stem}.exr")), &emission),
         ];
-        files.par_iter().try_for_each(|write| write().map(drop))
+        files.par_iter().try_for_each(|write| write().map(drop))?;
+        if self.metals {
+            let path = self.path(format!("gt/metallic/{stem}.exr"));
+            formats::write_plane_half(path, &frame.class_metallic)?;
+        }
+        Ok(())
     }
 
     /// Writes everything that is not a view's.
@@ -121,6 +136,9 @@ impl FolderWriter {
             self.path("gt/roughness_texture.exr"),
             &d.texture.map(|t| t.w),
         )?;
+        if let Some(metallic) = d.metallic {
+            formats::write_plane_half(self.path("gt/metallic_texture.exr"), metallic)?;
+        }
         self.folder.write_json("gt/materials.json", &materials(d))?;
         let (grid, place) = rooms(d);
         formats::write_png16(self.path("rooms.png"), &grid)?;
@@ -153,6 +171,7 @@ fn transforms(d: &Described<'_>) -> Value {
     };
     let classes: Vec<Value> = CLASSES
         .iter()
+        .filter(|c| d.options.fittings || !METALS.contains(&c.0))
         .map(|&(id, name, light)| json!({"id": id, "name": name, "kind": if light { "light" } else { "surface" }}))
         .collect();
     let names = |held_out: bool| {
@@ -229,7 +248,7 @@ fn materials(d: &Described<'_>) -> Value {
             .iter()
             .map(|&p| d.apartment.paints[p].roughness)
             .collect();
-        let value = json!({
+        let mut value = json!({
             "id": class,
             "albedo": mean.truncate().to_array(),
             "rough": mean.w,
@@ -237,6 +256,9 @@ fn materials(d: &Described<'_>) -> Value {
             "paint_roughness": [rough.iter().copied().fold(1.0, f32::min), rough.iter().copied().fold(0.0, f32::max)],
             "emission": emission,
         });
+        if d.options.fittings {
+            value["metallic"] = json!(metallic(class));
+        }
         out.insert(name.to_string(), value);
     }
     Value::Object(out)

@@ -11,6 +11,8 @@ pub type Look = (Vec3, f32);
 pub enum Pattern {
     /// One colour with faint mottling.
     Plain,
+    /// One colour, even: metal.
+    Polished,
     /// Boards along u with growth rings; the second colour is the dark grain.
     Wood {
         /// Width of a board, metres.
@@ -116,6 +118,8 @@ impl Paint {
         let chosen = |odd: bool| if odd { a } else { b };
         let albedo = match self.pattern {
             Pattern::Plain => a * (0.96 + 0.06 * fractal(key, uv * 3.0)),
+            // no second lobe adds to it
+            Pattern::Polished => return (a, self.roughness),
             Pattern::Wood { board } => self.wood(uv, board, key),
             Pattern::Tiles { edge, .. } if in_grout(uv, edge) => b,
             Pattern::Tiles { edge, .. } => {
@@ -245,6 +249,18 @@ fn picture(p: Vec2, key: u64) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn metal_is_as_bright_as_published_and_even() {
+        let paint = Paint {
+            pattern: Pattern::Polished,
+            colours: [Vec3::new(0.91, 0.78, 0.42), Vec3::ZERO],
+            roughness: 0.1,
+        };
+        for uv in [Vec2::ZERO, Vec2::new(0.3, 0.7)] {
+            assert_eq!(paint.look(uv, Vec2::ONE, 7), (paint.colours[0], 0.1));
+        }
+    }
 
     #[test]
     fn every_pattern_stays_within_the_albedos_that_let_light_decay() {

@@ -31,18 +31,21 @@ pub struct Decorator {
     pub footprints: Vec<Footprint>,
     /// Materials of the room.
     pub paints: Vec<Paint>,
+    /// Whether the room has fittings of metal.
+    pub fittings: bool,
     paint_of: BTreeMap<u16, usize>,
 }
 
 impl Decorator {
     /// An empty room.
     #[must_use]
-    pub fn new(rng: KeyedRng) -> Self {
+    pub fn new(rng: KeyedRng, fittings: bool) -> Self {
         Self {
             builder: Builder::new(),
             rng,
             footprints: Vec::new(),
             paints: Vec::new(),
+            fittings,
             paint_of: BTreeMap::new(),
         }
     }
@@ -58,6 +61,7 @@ impl Decorator {
             material,
             class,
             emission: Vec3::ZERO,
+            metallic: catalogue::metallic(class),
         }
     }
 
@@ -68,6 +72,7 @@ impl Decorator {
             material: self.paints.len() - 1,
             class,
             emission: Vec3::ZERO,
+            metallic: catalogue::metallic(class),
         }
     }
 

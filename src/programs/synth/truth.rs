@@ -1,14 +1,14 @@
 //! The truth of an apartment in the form of a solution: what a perfect reconstruction would be, for
 //! comparison under changed light. No solver reads it.
 
-use super::{SynthOptions, apartment::Apartment, atlas::Atlas, sky};
-use crate::core::geometry::Mesh;
+use super::{Built, SynthOptions, sky};
 use crate::core::image::{Plane, RgbPlane};
+use crate::core::progress::Progress;
 use crate::core::texture::{Texels, fill_uncovered};
 use crate::error::Result;
 use crate::render::Environment;
 use crate::solution::{Solution, find_lamps};
-use glam::{DVec3, Vec2, Vec3, Vec4};
+use glam::{DVec3, Vec2, Vec3};
 use std::f32::consts::{PI, TAU};
 
 /// Width of the sky as a panorama.
@@ -21,53 +21,53 @@ const SKY: usize = 1024;
 /// Options out of range.
 pub fn true_solution(options: &SynthOptions) -> Result<Solution> {
     options.validate()?;
-    let apartment = Apartment::new(options.seed, options.rooms);
-    let atlas = Atlas::pack(&apartment.charts, options.texture)
-        .ok_or_else(|| super::does_not_fit(&apartment, options))?;
-    let mesh = atlas.mesh(&apartment.charts);
-    let texture = atlas.paint(&apartment.charts, &apartment.paints);
-    Ok(assemble(&apartment, mesh, &texture))
+    Ok(Built::new(options, &Progress::silent())?.solution())
 }
 
-fn assemble(apartment: &Apartment, mesh: Mesh, texture: &Plane<Vec4>) -> Solution {
-    let side = texture.width;
-    let finishes: Vec<_> = apartment
-        .charts
-        .iter()
-        .flat_map(|c| std::iter::repeat_n(c.finish, c.triangles.len()))
-        .collect();
-    let texels = Texels::rasterize(&mesh, side, side);
-    let covered = texels.scatter(&vec![true; texels.len()], false);
-    let emitted: Vec<Vec3> = texels
-        .point
-        .iter()
-        .map(|p| finishes[p.triangle as usize].emission)
-        .collect();
-    let labels: Vec<u16> = texels
-        .point
-        .iter()
-        .map(|p| finishes[p.triangle as usize].class)
-        .collect();
-    let sky = sky();
-    let black = || Plane::filled(4, 4, Vec3::ZERO);
-    let emission = texels.scatter(&emitted, Vec3::ZERO);
-    Solution {
-        lamps: find_lamps(&mesh, &emission, DVec3::ZERO),
-        portals: Vec::new(),
-        mesh,
-        origin: DVec3::ZERO,
-        albedo: fill_uncovered(&texture.map(|t| t.truncate()), &covered),
-        roughness: fill_uncovered(&texture.map(|t| t.w), &covered),
-        irradiance: black(),
-        radiance: black(),
-        emission,
-        confidence: Plane::filled(4, 4, Vec2::ZERO),
-        irradiance_error: None,
-        camera_masks: Vec::new(),
-        labels: texels.scatter(&labels, 0),
-        rooms: Plane::filled(4, 4, 0),
-        reflectance: crate::core::brdf::Reflectance::Paper,
-        environment: panorama(&sky),
+impl Built {
+    /// The truth as a solution, black in irradiance and radiance.
+    pub(super) fn solution(&self) -> Solution {
+        let side = self.texture.width;
+        let finishes: Vec<_> = self
+            .apartment
+            .charts
+            .iter()
+            .flat_map(|c| std::iter::repeat_n(c.finish, c.triangles.len()))
+            .collect();
+        let texels = Texels::rasterize(&self.mesh, side, side);
+        let covered = texels.scatter(&vec![true; texels.len()], false);
+        let emitted: Vec<Vec3> = texels
+            .point
+            .iter()
+            .map(|p| finishes[p.triangle as usize].emission)
+            .collect();
+        let labels: Vec<u16> = texels
+            .point
+            .iter()
+            .map(|p| finishes[p.triangle as usize].class)
+            .collect();
+        let texture = &self.texture;
+        let black = || Plane::filled(4, 4, Vec3::ZERO);
+        let emission = texels.scatter(&emitted, Vec3::ZERO);
+        Solution {
+            lamps: find_lamps(&self.mesh, &emission, DVec3::ZERO),
+            portals: Vec::new(),
+            mesh: self.mesh.clone(),
+            origin: DVec3::ZERO,
+            albedo: fill_uncovered(&texture.map(|t| t.truncate()), &covered),
+            roughness: fill_uncovered(&texture.map(|t| t.w), &covered),
+            irradiance: black(),
+            radiance: black(),
+            emission,
+            confidence: Plane::filled(4, 4, Vec2::ZERO),
+            metallic: self.metallic.as_ref().map(|m| fill_uncovered(m, &covered)),
+            irradiance_error: None,
+            camera_masks: Vec::new(),
+            labels: texels.scatter(&labels, 0),
+            rooms: Plane::filled(4, 4, 0),
+            reflectance: crate::core::brdf::Reflectance::Paper,
+            environment: panorama(&sky()),
+        }
     }
 }
 
@@ -91,9 +91,9 @@ fn panorama(sky: &dyn Environment) -> RgbPlane {
 
 #[cfg(test)]
 mod tests {
+    use super::super::catalogue;
     use super::*;
     use crate::core::geometry::{Camera, Projection};
-    use crate::core::progress::Progress;
     use crate::core::trace::EmbreeTracer;
     use crate::render::{Adaptive, Noise};
     use crate::render::{
@@ -104,24 +104,47 @@ mod tests {
     /// textures, lamps and sky survive.
     #[test]
     fn the_truth_renders_like_the_apartment() {
-        let options = SynthOptions {
+        compare(SynthOptions {
             rooms: 1,
             texture: 512,
             ..SynthOptions::default()
+        });
+    }
+
+    #[test]
+    fn the_truth_of_metal_renders_like_the_apartment() {
+        let options = SynthOptions {
+            rooms: 3,
+            texture: 1024,
+            fittings: true,
+            ..SynthOptions::default()
         };
         let truth = true_solution(&options).expect("valid");
-        let apartment = Apartment::new(options.seed, options.rooms);
-        let atlas = Atlas::pack(&apartment.charts, options.texture).expect("fits");
-        let mesh = atlas.mesh(&apartment.charts);
-        let texture = atlas.paint(&apartment.charts, &apartment.paints);
-        let tracer = EmbreeTracer::new(&mesh).expect("embree");
-        let surfaces = super::super::Textured::new(&mesh, &apartment.charts, &texture);
+        let metallic = truth.metallic.as_ref().expect("metal");
+        assert_eq!(metallic.width, truth.albedo.width);
+        let texels = Texels::rasterize(&truth.mesh, metallic.width, metallic.height);
+        for &cell in &texels.cell {
+            let (class, m) = (
+                truth.labels.data[cell as usize],
+                metallic.data[cell as usize],
+            );
+            assert_eq!(m, catalogue::metallic(class), "class {class}");
+        }
+        compare(options);
+    }
+
+    fn compare(options: SynthOptions) {
+        let truth = true_solution(&options).expect("valid");
+        let built = Built::new(&options, &Progress::silent()).expect("fits");
+        let (apartment, mesh) = (&built.apartment, &built.mesh);
+        let tracer = EmbreeTracer::new(mesh).expect("embree");
+        let surfaces = super::super::Textured::new(mesh, &apartment.charts, &built.texture);
         let sky = sky();
         let settings = PathTracerOptions {
             samples: 64,
             ..PathTracerOptions::default()
         };
-        let view = super::super::views::place(&apartment, &options)
+        let view = super::super::views::place(apartment, &options)
             .expect("views")
             .remove(0);
         let camera = Camera {
@@ -130,7 +153,7 @@ mod tests {
             height: 16,
             ..view.camera
         };
-        let own = PathTracer::new(&mesh, &tracer, &surfaces, &sky, settings)
+        let own = PathTracer::new(mesh, &tracer, &surfaces, &sky, settings)
             .render(&camera, 0, &Progress::silent())
             .radiance();
         let world = EditableScene::new(&truth);

@@ -102,7 +102,7 @@ mod tests {
                 seed,
                 ..SynthOptions::default()
             };
-            let apartment = Apartment::new(seed, options.rooms);
+            let apartment = Apartment::new(&options);
             let views = place(&apartment, &options).expect("places");
             assert_eq!(views.len(), 40);
             assert_eq!(views.iter().filter(|v| v.held_out).count(), 16);

@@ -22,7 +22,7 @@ type Slot = Arc<OnceLock<Arc<Vec<u8>>>>;
 /// Layers that are textures on the atlas.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Layer {
-    /// Diffuse albedo.
+    /// Albedo, and in its fourth channel the share that is no metal.
     Albedo,
     /// Roughness R.
     Roughness,
@@ -279,7 +279,7 @@ impl Content {
         let s = &self.solution;
         let pack = || {
             let block = match layer {
-                Layer::Albedo => encode::albedo(&s.albedo, cap),
+                Layer::Albedo => encode::albedo(&s.albedo, s.metallic.as_ref(), cap),
                 Layer::Roughness => encode::roughness(&s.roughness, cap),
                 Layer::Irradiance => encode::radiometric(&s.irradiance, cap, self.scale()),
                 Layer::Radiance => encode::radiometric(&s.radiance, cap, self.scale()),

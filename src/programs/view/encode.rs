@@ -121,14 +121,27 @@ fn byte(x: f32) -> u8 {
     (x.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }
 
-/// Albedo: sRGB.
+/// Albedo: sRGB; alpha is the share that is no metal, linear.
 #[must_use]
-pub fn albedo(plane: &RgbPlane, cap: usize) -> Vec<u8> {
-    block(&capped(plane, cap), Format::Srgb8, LEVELS, |v| {
-        let [r, g, b] = v
+pub fn albedo(plane: &RgbPlane, metallic: Option<&Plane<f32>>, cap: usize) -> Vec<u8> {
+    let texel = |colour: Vec3, diffuse: f32| {
+        let [r, g, b] = colour
             .to_array()
             .map(|x| byte(srgb_from_linear(x.clamp(0.0, 1.0))));
-        [r, g, b, 255]
+        [r, g, b, byte(diffuse)]
+    };
+    let Some(metallic) = metallic else {
+        let plane = capped(plane, cap);
+        return block(&plane, Format::Srgb8, LEVELS, |v| texel(*v, 1.0));
+    };
+    let texels = plane.data.iter().zip(&metallic.data);
+    let both = Plane {
+        width: plane.width,
+        height: plane.height,
+        data: texels.map(|(colour, m)| colour.extend(1.0 - m)).collect(),
+    };
+    block(&capped(&both, cap), Format::Srgb8, LEVELS, |v| {
+        texel(v.truncate(), v.w)
     })
 }
 
@@ -250,7 +263,7 @@ mod tests {
             height: 32,
             data: vec![Vec3::splat(0.5); 64 * 32],
         };
-        let bytes = albedo(&plane, 1024);
+        let bytes = albedo(&plane, None, 1024);
         assert_eq!(&bytes[..16], b"UBTX\x40\0\0\0\x20\0\0\0\x00\x04\0\0");
         assert_eq!(bytes.len(), 16 + 4 * (64 * 32 + 32 * 16 + 16 * 8 + 8 * 4));
         assert_eq!(bytes[16..20], [188, 188, 188, 255]);

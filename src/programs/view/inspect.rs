@@ -35,6 +35,8 @@ pub fn values(solution: &Solution, uv: Vec2) -> Value {
     let rgb = |p: &RgbPlane| p.bilinear(at(p, uv), Wrap::Clamp).to_array();
     let s = solution;
     let albedo = s.albedo.bilinear(at(&s.albedo, uv), Wrap::Clamp);
+    let metallic = s.metal_at(uv);
+    let diffuse = albedo * (1.0 - metallic);
     let error = *s.confidence.nearest(at(&s.confidence, uv));
     let stated = |e: f32| {
         if e < UNOBSERVED {
@@ -54,7 +56,8 @@ pub fn values(solution: &Solution, uv: Vec2) -> Value {
         "irradiance": rgb(&s.irradiance),
         "radiance": rgb(&s.radiance),
         "emission": s.emission.nearest(at(&s.emission, uv)).to_array(),
-        "diffuse": (albedo * s.irradiance.bilinear(at(&s.irradiance, uv), Wrap::Clamp) * FRAC_1_PI).to_array(),
+        "metallic": metallic,
+        "diffuse": (diffuse * s.irradiance.bilinear(at(&s.irradiance, uv), Wrap::Clamp) * FRAC_1_PI).to_array(),
     })
 }
 

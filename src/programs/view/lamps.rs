@@ -362,6 +362,7 @@ mod tests {
             radiance: Plane::filled(8, 8, Vec3::ZERO),
             emission,
             confidence: Plane::filled(8, 8, Vec2::ZERO),
+            metallic: None,
             irradiance_error: None,
             camera_masks: Vec::new(),
             labels: Plane::filled(8, 8, 3),

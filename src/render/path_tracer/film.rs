@@ -2,8 +2,9 @@
 //! more samples.
 
 use super::options::{Adaptive, Noise};
+use super::scene::Surface;
 use super::wave::{Feature, Sums};
-use crate::core::brdf::Material;
+use crate::core::brdf::BaseColour;
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
@@ -20,7 +21,7 @@ pub struct Frame {
     pub specular: RgbPlane,
     /// Variance of the luminance of the pixel's diffuse and specular mean.
     pub variance: Plane<[f32; 2]>,
-    /// Mean albedo over the pixel's samples that met geometry.
+    /// Mean albedo of the diffuse part over the pixel's samples that met geometry.
     pub albedo: RgbPlane,
     /// Mean normal over the pixel's samples (zero without geometry).
     pub normal: RgbPlane,
@@ -28,8 +29,11 @@ pub struct Frame {
     pub depth: Plane<f32>,
     /// Class at the pixel's centre; 0 without geometry.
     pub label: Plane<u16>,
-    /// Albedo, box-filtered over the part of the pixel that has the centre's class.
+    /// Base colour, box-filtered over the part of the pixel that has the centre's class: of metal
+    /// what it reflects at normal incidence, of the rest its albedo.
     pub class_albedo: RgbPlane,
+    /// Share of metal, likewise.
+    pub class_metallic: Plane<f32>,
     /// Roughness, likewise.
     pub class_roughness: Plane<f32>,
 }
@@ -59,7 +63,7 @@ pub(super) struct PixelResult {
     normal: Vec3,
     depth: f32,
     label: u16,
-    class_albedo: Vec3,
+    class_base: BaseColour,
     class_roughness: f32,
 }
 
@@ -87,7 +91,8 @@ pub(super) fn assemble(w: usize, h: usize, pixels: &[PixelResult]) -> Frame {
         normal: plane(|p| p.normal),
         depth: of(w, h, pixels, |p| p.depth),
         label: of(w, h, pixels, |p| p.label),
-        class_albedo: plane(|p| p.class_albedo),
+        class_albedo: plane(|p| p.class_base.colour),
+        class_metallic: of(w, h, pixels, |p| p.class_base.metallic),
         class_roughness: of(w, h, pixels, |p| p.class_roughness),
     }
 }
@@ -152,7 +157,7 @@ pub(super) struct PixelAccumulator {
     lobe_samples: u32,
     lobe_sum: Vec3,
     lobe_moments: [f64; 2],
-    centre: Option<(u16, Material)>,
+    centre: Option<(u16, Surface)>,
     sums: Sums,
     moments: [[f64; 2]; 2],
     geometry: f32,
@@ -160,12 +165,12 @@ pub(super) struct PixelAccumulator {
     normal: Vec3,
     depth: f32,
     class: f32,
-    class_albedo: Vec3,
+    class_base: BaseColour,
     class_roughness: f32,
 }
 
 impl PixelAccumulator {
-    pub(super) fn new(centre: Option<(u16, Material)>) -> Self {
+    pub(super) fn new(centre: Option<(u16, Surface)>) -> Self {
         Self {
             samples: 0,
             mixed_samples: 0,
@@ -180,7 +185,7 @@ impl PixelAccumulator {
             normal: Vec3::ZERO,
             depth: 0.0,
             class: 0.0,
-            class_albedo: Vec3::ZERO,
+            class_base: BaseColour::default(),
             class_roughness: 0.0,
         }
     }
@@ -203,12 +208,13 @@ impl PixelAccumulator {
         self.sums.diffuse += s.diffuse;
         if let Some(f) = feature {
             self.geometry += 1.0;
-            self.albedo += f.albedo;
+            self.albedo += f.base.diffuse();
             self.normal += f.normal;
             self.depth += f.depth;
             if self.centre.is_some_and(|(label, _)| label == f.label) {
                 self.class += 1.0;
-                self.class_albedo += f.albedo;
+                self.class_base.colour += f.base.colour;
+                self.class_base.metallic += f.base.metallic;
                 self.class_roughness += f.roughness;
             }
         }
@@ -240,12 +246,13 @@ impl PixelAccumulator {
         let seen = 1.0 / self.geometry.max(1.0);
         let centre = self
             .centre
-            .map_or((Vec3::ZERO, 0.0), |(_, m)| (m.albedo, m.roughness));
-        let (class_albedo, class_roughness) = if self.class > 0.0 {
-            (
-                self.class_albedo / self.class,
-                self.class_roughness / self.class,
-            )
+            .map_or((BaseColour::default(), 0.0), |(_, s)| (s.base, s.roughness));
+        let (class_base, class_roughness) = if self.class > 0.0 {
+            let mean = BaseColour {
+                colour: self.class_base.colour / self.class,
+                metallic: self.class_base.metallic / self.class,
+            };
+            (mean, self.class_roughness / self.class)
         } else {
             centre
         };
@@ -258,7 +265,7 @@ impl PixelAccumulator {
             normal: self.normal * scale,
             depth: self.depth * seen,
             label: self.centre.map_or(0, |(l, _)| l),
-            class_albedo,
+            class_base,
             class_roughness,
         }
     }

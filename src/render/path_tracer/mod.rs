@@ -248,12 +248,12 @@ impl PathTracer<'_> {
         }
     }
 
-    fn class_at(&self, hit: &Hit) -> Option<(u16, Material)> {
+    fn class_at(&self, hit: &Hit) -> Option<(u16, Surface)> {
         hit.is_hit().then(|| {
             let t = hit.triangle as usize;
             (
                 self.surfaces.label(t),
-                self.surfaces.surface(t, hit.u, hit.v).material,
+                self.surfaces.surface(t, hit.u, hit.v),
             )
         })
     }

@@ -1,17 +1,16 @@
 //! What the path tracer renders: materials and emission of surfaces, the light from outside, known
 //! irradiance.
 
-use crate::core::brdf::{DIELECTRIC, Material, Reflectance};
+use crate::core::brdf::{BaseColour, Material, Reflectance};
 use glam::Vec3;
 
 /// What light meets at a surface point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
-    /// Reflection.
-    pub material: Material,
-    /// Specular reflectance at normal incidence: [`DIELECTRIC`] for anything but metal,
-    /// which has its colour here.
-    pub f0: Vec3,
+    /// Colour, and how much of it is metal's.
+    pub base: BaseColour,
+    /// Roughness R.
+    pub roughness: f32,
     /// Emitted radiance.
     pub emission: Vec3,
 }
@@ -19,11 +18,23 @@ pub struct Surface {
 impl Surface {
     /// A surface that is no metal.
     #[must_use]
-    pub fn dielectric(material: Material, emission: Vec3) -> Self {
+    pub const fn dielectric(material: Material, emission: Vec3) -> Self {
         Self {
-            material,
-            f0: DIELECTRIC,
+            base: BaseColour {
+                colour: material.albedo,
+                metallic: 0.0,
+            },
+            roughness: material.roughness,
             emission,
+        }
+    }
+
+    /// The diffuse part, and the lobe but for its reflectance at normal incidence.
+    #[must_use]
+    pub fn material(&self) -> Material {
+        Material {
+            albedo: self.base.diffuse(),
+            roughness: self.roughness,
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Closed forms and an independent brute-force estimator for the path tracer.
 
 use super::*;
+use crate::core::brdf::BaseColour;
 use crate::core::geometry::Mesh;
 use crate::core::geometry::Projection;
 use crate::core::image::RgbPlane;
@@ -105,6 +106,144 @@ fn white_furnace_radiates_e_over_one_minus_a() {
     assert!(worst < 0.15, "a pixel is off by {worst}");
 }
 
+/// A metal floor under an even sky, seen head-on by a camera whose last row looks down.
+fn over_metal(f0: Vec3, metallic: f32, known: KnownLight<'_>) -> Frame {
+    struct Even;
+    impl Environment for Even {
+        fn radiance(&self, _: Vec3) -> Vec3 {
+            Vec3::splat(2.0)
+        }
+    }
+    let mut mesh = Mesh::default();
+    add_quad(
+        &mut mesh,
+        Vec3::new(-5.0, 0.0, -5.0),
+        Vec3::Z * 10.0,
+        Vec3::X * 10.0,
+    );
+    let metal = Surface {
+        base: BaseColour {
+            colour: f0,
+            metallic,
+        },
+        roughness: 0.1,
+        emission: Vec3::ZERO,
+    };
+    let model = PerTriangle(vec![metal; 2]);
+    let tracer = BruteForce::new(&mesh);
+    let options = PathTracerOptions {
+        samples: 256,
+        ..Default::default()
+    };
+    let renderer = PathTracer::new(&mesh, &tracer, &model, &Even, options);
+    renderer.render_with(&camera(8, 32, Vec3::Y), 0, known, &Progress::silent())
+}
+
+/// F0·L head-on, nothing from the diffuse lobe, whatever irradiance is known; and the mixture's
+/// share of each.
+#[test]
+fn metal_mirrors_its_colour_and_has_no_diffuse_part() {
+    struct Bright;
+    impl IndirectCache for Bright {
+        fn irradiance(&self, _: usize, _: f32, _: f32) -> Vec3 {
+            Vec3::splat(PI * 100.0)
+        }
+    }
+    let f0 = Vec3::new(0.91, 0.78, 0.42);
+    let bright = KnownLight {
+        first: Some(&Bright),
+        later: Some(&Bright),
+    };
+    for known in [KnownLight::default(), bright] {
+        let frame = over_metal(f0, 1.0, known);
+        for i in 31 * 8..32 * 8 {
+            let shown = frame.specular.data[i] / 2.0;
+            assert!((shown / f0 - 1.0).abs().max_element() < 0.02, "{shown}");
+            assert_eq!(frame.diffuse.data[i], Vec3::ZERO);
+            assert_eq!(frame.albedo.data[i], Vec3::ZERO);
+            assert!((frame.class_albedo.data[i] - f0).length() < 1e-5);
+            assert_eq!(frame.class_metallic.data[i], 1.0);
+        }
+    }
+    let half = over_metal(f0, 0.5, bright);
+    let i = 31 * 8 + 3;
+    assert!((half.diffuse.data[i] - 50.0 * f0).length() < 1e-3);
+    let shown = half.specular.data[i] / 2.0;
+    let expected = 0.5 * (f0 + DIELECTRIC);
+    assert!(
+        (shown / expected - 1.0).abs().max_element() < 0.02,
+        "{shown}"
+    );
+}
+
+/// Beside a mirror that reflects everything a floor receives as much as without it under an even
+/// sky, whatever diffuse irradiance is known of the mirror; beside a black wall, less.
+#[test]
+fn a_mirror_sends_on_what_it_receives_and_no_known_irradiance() {
+    struct Smooth(PerTriangle);
+    impl SurfaceModel for Smooth {
+        fn surface(&self, t: usize, u: f32, v: f32) -> Surface {
+            self.0.surface(t, u, v)
+        }
+        fn mean_emission(&self, t: usize) -> Vec3 {
+            self.0.mean_emission(t)
+        }
+        fn label(&self, t: usize) -> u16 {
+            self.0.label(t)
+        }
+        // the paper's masking takes light from smooth metals too
+        fn reflectance(&self) -> crate::core::brdf::Reflectance {
+            crate::core::brdf::Reflectance::Smith
+        }
+    }
+    struct Even;
+    impl Environment for Even {
+        fn radiance(&self, _: Vec3) -> Vec3 {
+            Vec3::ONE
+        }
+    }
+    struct Bright;
+    impl IndirectCache for Bright {
+        fn irradiance(&self, _: usize, _: f32, _: f32) -> Vec3 {
+            Vec3::splat(1000.0)
+        }
+    }
+    let mut mesh = Mesh::default();
+    add_quad(
+        &mut mesh,
+        Vec3::new(0.0, 0.0, -50.0),
+        Vec3::Y * 50.0,
+        Vec3::Z * 100.0,
+    );
+    let received = |colour: f32, metallic: f32| {
+        let wall = Surface {
+            base: BaseColour {
+                colour: Vec3::splat(colour),
+                metallic,
+            },
+            roughness: 0.05,
+            emission: Vec3::ZERO,
+        };
+        let model = Smooth(PerTriangle(vec![wall; 2]));
+        let tracer = BruteForce::new(&mesh);
+        let options = PathTracerOptions::default();
+        let renderer = PathTracer::new(&mesh, &tracer, &model, &Even, options);
+        let points: Vec<IrradiancePoint> = (0..16)
+            .map(|i| IrradiancePoint {
+                position: Vec3::new(0.5, 0.0, 0.1 * i as f32),
+                face_normal: Vec3::Y,
+                normal: Vec3::Y,
+            })
+            .collect();
+        let silent = Progress::silent();
+        let light = renderer.irradiance_with(&points, 512, 0, Some(&Bright), &silent);
+        light.iter().map(|e| e.x / PI).sum::<f32>() / points.len() as f32
+    };
+    let (mirror, black) = (received(1.0, 1.0), received(0.0, 1.0));
+    assert!((mirror - 1.0).abs() < 0.02, "{mirror}");
+    assert!(black < 0.8, "{black}: the wall takes half of the light");
+}
+
 #[test]
 fn irradiance_of_a_small_lamp_follows_the_inverse_square() {
     let mut mesh = Mesh::default();
@@ -199,7 +338,7 @@ fn brute_radiance(
         let l = crate::core::math::Frame::from_normal(n).world_from_local(
             crate::core::sampling::square_to_uniform_hemisphere([rng.next_f32(), rng.next_f32()]),
         );
-        beta *= f64::from(s.material.eval(n, -d, l).x) * 2.0 * std::f64::consts::PI;
+        beta *= f64::from(s.material().eval(n, -d, l).x) * 2.0 * std::f64::consts::PI;
         o = mesh.position(t, hit.u, hit.v) + n * 1e-4;
         d = l;
         if beta == 0.0 {
@@ -342,7 +481,7 @@ fn first_hit_features_follow_the_class_at_the_centre() {
         match frame.label.data[i] {
             0 => empty += 1,
             l => {
-                let m = model.0[usize::from(l) - 1].material;
+                let m = model.0[usize::from(l) - 1].material();
                 assert!((frame.class_albedo.data[i] - m.albedo).length() < 1e-5);
                 assert!((frame.class_roughness.data[i] - m.roughness).abs() < 1e-5);
             }

@@ -170,8 +170,8 @@ impl PathTracer<'_> {
                 let mut vertex = self.vertex(hit, -arrival.direction, &surface);
                 if let Some(f) = features.as_deref_mut().filter(|_| bounce == 0) {
                     f[slot] = Some(Feature {
-                        albedo: surface.material.albedo,
-                        roughness: surface.material.roughness,
+                        base: surface.base,
+                        roughness: surface.roughness,
                         normal: vertex.normal,
                         depth: hit.t,
                         label: self.surfaces.label(triangle),
@@ -332,8 +332,8 @@ impl PathTracer<'_> {
             face_normal,
             normal,
             view,
-            material: surface.material,
-            f0: surface.f0,
+            material: surface.material(),
+            f0: surface.base.f0(),
             lobes,
             reference: 0.0,
         }

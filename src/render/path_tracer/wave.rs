@@ -1,7 +1,7 @@
 //! What paths carry from bounce to bounce, and the buffers they are traced in.
 
 use super::scene::KnownLight;
-use crate::core::brdf::{DIELECTRIC, Material, over_dielectric};
+use crate::core::brdf::{BaseColour, DIELECTRIC, Material, over_dielectric};
 use crate::core::trace::{Hit, Ray};
 use crate::lights::LightSampler;
 use glam::Vec3;
@@ -82,7 +82,7 @@ pub(super) struct ShadowRay {
 /// First-hit features of a path.
 #[derive(Clone, Copy)]
 pub(super) struct Feature {
-    pub(super) albedo: Vec3,
+    pub(super) base: BaseColour,
     pub(super) roughness: f32,
     pub(super) normal: Vec3,
     pub(super) depth: f32,

@@ -136,7 +136,9 @@ void main() {
   float facing = clamp(dot(n, to_eye), 0.0, 1.0);
   uvec2 ids = texelFetch(u_ids, clamp(ivec2(v_uv * vec2(textureSize(u_ids, 0))), ivec2(0), textureSize(u_ids, 0) - 1), 0).rg;
   vec4 edit = texelFetch(u_edits, ivec2(ids.r & 255u, ids.r >> 8), 0);
-  vec3 albedo = clamp(texture(u_albedo, v_uv).rgb * edit.rgb, 0.0, 1.0);
+  vec4 base = texture(u_albedo, v_uv);
+  vec3 albedo = clamp(base.rgb * edit.rgb, 0.0, 1.0);
+  float metal = 1.0 - base.a;
   float roughness = clamp(texture(u_roughness, v_uv).r + edit.a, 0.0, 1.0);
   // the ratio of changed to reconstructed light, stored divided by four
   vec3 light = texture(u_light, v_uv).rgb * 4.0;
@@ -150,10 +152,11 @@ void main() {
   if (lit) {
     // Fresnel as in the method; roughness weakens its rise towards grazing view
     float grazing = exp2((-5.55473 * facing - 6.98316) * facing);
-    float fresnel = 0.04 + (max(1.0 - roughness, 0.04) - 0.04) * grazing;
+    vec3 f0 = mix(vec3(0.04), albedo, metal);
+    vec3 fresnel = f0 + (max(vec3(1.0 - roughness), f0) - f0) * grazing;
     vec3 mirror = reflect(-to_eye, n);
     vec3 specular = fresnel * reflected(v_position, mirror, roughness, ids.g) * light;
-    shown = dot(emission, vec3(1.0)) > 0.0 ? emission : albedo * irradiance / PI + specular;
+    shown = dot(emission, vec3(1.0)) > 0.0 ? emission : albedo * (1.0 - metal) * irradiance / PI + specular;
   }
   if (u_mode == 10) {
     colour = vec4(u_has_photo ? error_colour(shown, photograph(v_position)) : display(shown), 1.0);
