@@ -2,8 +2,8 @@
 
 use super::clipped_light::FoundLight;
 use super::lamp_surfaces::cut_lamps;
+use super::metals::metal_texels;
 use super::portal_list::portals;
-use super::roughness::ROUGHNESS_PRIOR;
 use super::{Light, Roughness};
 use crate::core::geometry::Mesh;
 use crate::core::image::{Plane, RgbPlane, Wrap};
@@ -57,7 +57,7 @@ pub(super) fn assemble(
         radiance: light.radiance.clone(),
         emission,
         confidence: texels.scatter(&confidence, Vec2::splat(1e4)),
-        metallic: None,
+        metallic: metallic_texture(surface, light, roughness),
         irradiance_error: Some(light.texels.scatter(&light.error, 0.0)),
         camera_masks: surface.camera_masks.clone(),
         rooms: roughness.rooms.clone(),
@@ -92,7 +92,7 @@ fn roughness_per_texel(
                     colour,
                     texels.position(&surface.scene.mesh, i),
                 )
-                .unwrap_or((ROUGHNESS_PRIOR, 1e4));
+                .unwrap_or_else(|| (roughness.usual.of_class(surface.labels[i]), 1e4));
             TexelRoughness { value, error }
         })
         .collect()
@@ -116,6 +116,17 @@ fn albedo_texture(surface: &Surface, albedo: &AlbedoEstimate) -> RgbPlane {
         &surface.texels.scatter(&value, Vec3::ZERO),
         &surface.texels.scatter(&known, false),
     )
+}
+
+/// Where the surface is metal; `None` if nowhere.
+fn metallic_texture(surface: &Surface, light: &Light, roughness: &Roughness) -> Option<Plane<f32>> {
+    let texels = metal_texels(surface, light, &roughness.metals);
+    if texels.is_empty() {
+        return None;
+    }
+    let mut metal = vec![0.0; surface.texels.len()];
+    texels.iter().for_each(|(i, _)| metal[*i as usize] = 1.0);
+    Some(filled(&surface.texels, &metal))
 }
 
 /// Roughness at the size asked for.

@@ -52,3 +52,20 @@ fn some_points(evidence: &Evidence) -> Vec<Candidate> {
         })
         .collect()
 }
+
+/// The texels of metals: what they show is no diffuse light, so that nothing may be concluded from
+/// it as if it were.
+pub(super) fn metal_texels<'a>(
+    surface: &Surface,
+    light: &Light,
+    metals: &'a [Metal],
+) -> Vec<(u32, &'a Metal)> {
+    let metal = |i: usize| {
+        let shines = light.emissive[surface.texels.point[i].triangle as usize];
+        let class = surface.labels[i];
+        metals.iter().find(|m| m.fit.class == class && !shines)
+    };
+    (0..surface.texels.len())
+        .filter_map(|i| Some((i as u32, metal(i)?)))
+        .collect()
+}

@@ -34,6 +34,7 @@ mod solve;
 mod solved;
 mod time_budget;
 mod unclipped_lamps;
+mod usual_roughness;
 mod white_paint;
 
 pub use crate::core::switch::Switch;

@@ -3,6 +3,7 @@
 
 use super::decisions::{choose_rooms, report_materials, report_metals, report_model};
 use super::metals::look_for_metals;
+use super::usual_roughness::UsualRoughness;
 use super::{Light, SolveOptions};
 use crate::core::brdf::F0;
 use crate::core::image::{Plane, Wrap};
@@ -18,16 +19,14 @@ use crate::observed::Surface;
 use glam::{Vec2, Vec3};
 use std::f32::consts::PI;
 
-/// Roughness of a class without evidence anywhere: matte, as most indoor surfaces without visible
-/// highlights are.
-pub(super) const ROUGHNESS_PRIOR: f32 = 0.8;
-
 /// What is known of the surface's reflection.
 pub struct Roughness {
     /// Fits per class and material.
     pub materials: Materials,
     /// Classes that are metal: without a diffuse part.
     pub metals: Vec<Metal>,
+    /// What to expect of classes without evidence.
+    pub usual: UsualRoughness,
     /// Room ids on the atlas.
     pub rooms: Plane<u16>,
     /// The model and the roughness per covered texel.
@@ -87,6 +86,7 @@ pub fn fit_roughness(
         })
         .with(metals.iter().map(|m| m.fit.clone()));
     report_materials(surface.scene, &materials, options, progress);
+    let usual = UsualRoughness::of(surface.scene, &materials);
     let roughness = first_albedo(surface, light)
         .into_par_iter()
         .enumerate()
@@ -96,12 +96,13 @@ pub fn fit_roughness(
             let position = surface.texels.position(&surface.scene.mesh, i);
             materials
                 .roughness(surface.labels[i], room, colour, position)
-                .map_or(ROUGHNESS_PRIOR, |r| r.0)
+                .map_or_else(|| usual.of_class(surface.labels[i]), |r| r.0)
         })
         .collect();
     Roughness {
         materials,
         metals,
+        usual,
         rooms,
         reflectance: TexelReflectance::new(model, roughness),
     }

@@ -8,15 +8,14 @@ use super::clipped_light::{ClippedLights, FoundLight};
 use super::doubt::Doubt;
 use super::energy_balance::{Balanced, balance_rooms};
 use super::findings::{doubt_of_infinite, findings, spread_of_looks};
+use super::metals::metal_texels;
 use super::missing_light::add_missing_light;
 use super::painted::{Estimate, settle_palettes};
 use super::solved::Solved;
 use super::{Light, Roughness, SolveOptions};
 use crate::core::progress::Progress;
 use crate::core::switch::Switch;
-use crate::inverse::{
-    AlbedoEstimate, Ground, Metal, StatedErrors, TexelReflectance, settle_contradicted,
-};
+use crate::inverse::{AlbedoEstimate, Ground, StatedErrors, TexelReflectance, settle_contradicted};
 use crate::observed::Surface;
 use crate::verdict::MissingLight;
 
@@ -159,23 +158,6 @@ fn add_error(errors: &mut [f32], error: impl Fn(usize) -> f32) {
     for (i, e) in errors.iter_mut().enumerate() {
         *e = e.hypot(error(i));
     }
-}
-
-/// The texels of metals: what they show is no diffuse light, so that nothing may be concluded from
-/// it as if it were.
-fn metal_texels<'a>(
-    surface: &Surface,
-    light: &Light,
-    metals: &'a [Metal],
-) -> Vec<(u32, &'a Metal)> {
-    let metal = |i: usize| {
-        let shines = light.emissive[surface.texels.point[i].triangle as usize];
-        let class = surface.labels[i];
-        metals.iter().find(|m| m.fit.class == class && !shines)
-    };
-    (0..surface.texels.len())
-        .filter_map(|i| Some((i as u32, metal(i)?)))
-        .collect()
 }
 
 /// What a clipped light hides of its surface is unknown: lamps, and what the sun shines on.

@@ -286,7 +286,7 @@ fn tells(name: &str) -> bool {
 }
 
 /// The words of a name, lower case: letters between others, and at capitals within ("WallPaint").
-fn words(name: &str) -> Vec<String> {
+pub(super) fn words(name: &str) -> Vec<String> {
     let mut out: Vec<String> = Vec::new();
     let mut before = ' ';
     for c in name.chars() {

@@ -124,6 +124,12 @@ pub struct Class {
 }
 
 impl Class {
+    /// The words of its name, lower case: "ChromeBSDF" is "chrome" and "bsdf".
+    #[must_use]
+    pub fn words(&self) -> Vec<String> {
+        mesh_classes::words(&self.name)
+    }
+
     /// Whether its name is that of a pane that daylight comes through: "window" or "skylight" as a
     /// word, without a word for what holds or covers one ("window_frame", "window blind").
     #[must_use]
