@@ -87,6 +87,56 @@ fn a_scene_folder_is_complete_and_the_same_for_any_number_of_threads() {
     assert_eq!(scene.views.len(), 3);
 }
 
+/// With fittings the truth says of every pixel whether it is metal, and the scene names its
+/// classes; without, nothing of it is there.
+#[test]
+fn metals_have_their_truth() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let (plain, fitted) = (dir.path().join("plain"), dir.path().join("fitted"));
+    let options = SynthOptions {
+        full_paths: true,
+        no_denoise: true,
+        ..tiny()
+    };
+    make(&options, &plain, 2);
+    let fittings = SynthOptions {
+        fittings: true,
+        truth: true,
+        ..options
+    };
+    make(&fittings, &fitted, 2);
+    let classes = |folder: &Path| {
+        let text = std::fs::read_to_string(folder.join("transforms.json")).expect("reads");
+        let all: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        let name = |c: &serde_json::Value| (c["id"].as_u64(), c["name"].to_string());
+        let list = all["classes"].as_array().expect("list");
+        list.iter().map(name).collect::<Vec<_>>()
+    };
+    let metals = ["tap", "hood", "mirror", "handle", "planter", "table top"];
+    let is_metal = |name: &str| metals.contains(&name.trim_matches('"'));
+    assert!(!plain.join("gt/metallic").exists());
+    assert!(classes(&plain).iter().all(|c| !is_metal(&c.1)));
+    let classes = classes(&fitted);
+    assert_eq!(
+        classes.iter().filter(|c| is_metal(&c.1)).count(),
+        metals.len()
+    );
+    let mut pixels = 0;
+    for stem in ["000", "001", "002"] {
+        let labels = formats::read_labels(fitted.join(format!("labels/{stem}.png")));
+        let metallic = formats::read_plane(fitted.join(format!("gt/metallic/{stem}.exr")));
+        let (labels, metallic) = (labels.expect("labels"), metallic.expect("truth"));
+        for (label, m) in labels.data.iter().zip(&metallic.data) {
+            let class = classes.iter().find(|c| c.0 == Some(u64::from(*label)));
+            assert_eq!(*m > 0.5, class.is_some_and(|c| is_metal(&c.1)), "{label}");
+            pixels += usize::from(*m > 0.5);
+        }
+    }
+    assert!(pixels > 10, "{pixels} pixels of metal");
+    let truth = unbake::solution::Solution::load(&fitted.join("gt/solution")).expect("loads");
+    assert!(truth.metallic.is_some());
+}
+
 #[test]
 fn refuses_what_it_cannot_do() {
     let dir = tempfile::tempdir().expect("temporary folder");
@@ -108,6 +158,11 @@ fn refuses_what_it_cannot_do() {
         SynthOptions { spp: 0, ..tiny() },
         SynthOptions {
             texture: 1,
+            ..tiny()
+        },
+        SynthOptions {
+            fittings: true,
+            diffuse: true,
             ..tiny()
         },
     ] {

@@ -1,8 +1,8 @@
 //! `scene.glb`: the reconstruction as one file that glTF viewers and engines open.
 //!
 //! One mesh with its atlas; base colour in sRGB, a full occlusion-roughness-metallic texture (R =
-//! 255, G = roughness, B = share of metal) and, where the scene emits, an emissive texture normalised by its
-//! maximum, which `KHR_materials_emissive_strength` carries. Geometry is stored bit-exactly; the
+//! 255, G = roughness, B = share of metal) and, where the scene emits, an emissive texture
+//! normalised by its maximum, which `KHR_materials_emissive_strength` carries. Geometry is stored bit-exactly; the
 //! scene's origin is the node's translation and, in f64, its extras, so that a solution can be
 //! loaded back from this file without loss. An export may divide the mesh into objects: they are
 //! nodes below the scene's, share its material, and are stored relative to where they stand.

@@ -46,12 +46,13 @@ fn split_table(out: &mut String, title: &str, kind: &str, split: &SplitScores) {
     if let Some(m) = &split.metals {
         let _ = writeln!(
             out,
-            "  {:<24} found {:.1} % of {} pixels, {:.1} % of the {} stated are none; F0 off by {:.3}, R by {:.3}",
+            "  {:<24} found {:.1} % of {} pixels; {:.1} % of the {} stated are none;\n  {:<24} where it is found, F0 is off by {:.3}, R by {:.3}",
             "metals",
             100.0 * m.found,
             m.true_pixels,
             100.0 * m.wrong,
             m.stated_pixels,
+            "",
             m.f0_error,
             m.roughness_error
         );

@@ -2,8 +2,8 @@
 //!
 //! Mitsuba has no BSDF with this program's specular lobe: `principled` with the same base colour
 //! and roughness looks alike, but is not the same. Its `metallic` parts the base colour as ours
-//! does: metal has no diffuse lobe and reflects its base colour at normal incidence. With `diffuse_only` both programs describe
-//! exactly the same light, and must agree within their noise.
+//! does: metal has no diffuse lobe and reflects its base colour at normal incidence. With
+//! `diffuse_only` both programs describe exactly the same light, and must agree within their noise.
 
 use crate::core::formats::{write_plane_float, write_rgb_float};
 use crate::core::geometry::{Camera, Mesh, Projection};

@@ -53,10 +53,11 @@ classes! {
     33 MIRROR "mirror" false;
     34 HANDLE "handle" false;
     35 PLANTER "planter" false;
+    36 TABLE_TOP "table top" false;
 }
 
 /// Classes of metal: only apartments with fittings have them.
-pub const METALS: [u16; 5] = [TAP, HOOD, MIRROR, HANDLE, PLANTER];
+pub const METALS: [u16; 6] = [TAP, HOOD, MIRROR, HANDLE, PLANTER, TABLE_TOP];
 
 /// The share of metal of a class.
 #[must_use]
@@ -358,6 +359,7 @@ const RECIPES: &[Recipe] = &[
     metal(MIRROR, SILVERED_GLASS, 0.05),
     metal(HANDLE, BRASS, 0.2),
     metal(PLANTER, BRASS, 0.15),
+    metal(TABLE_TOP, BRASS, 0.25),
 ];
 /// Of what has no recipe, lamps: white.
 const WHITE: Recipe = Recipe {

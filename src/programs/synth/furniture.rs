@@ -6,7 +6,7 @@
 use super::catalogue::{
     BED_FRAME, BEDDING, BOOK, BOWL, CABINET, CHAIR, CUSHION, FRUIT, HANDLE, HOOD, LAMP_STAND,
     MIRROR, ORNAMENT, PICTURE, PICTURE_FRAME, PILLOW, PLANT, PLANT_POT, PLANTER, RUG, SHELF, SOFA,
-    SPLASHBACK, TABLE, TAP, VASE, WORKTOP,
+    SPLASHBACK, TABLE, TABLE_TOP, TAP, VASE, WORKTOP,
 };
 use super::plan::Decorator;
 use glam::{Vec2, Vec3};
@@ -60,7 +60,14 @@ fn living_room(d: &mut Decorator, size: Vec3) {
         Vec3::NEG_Z,
         Vec2::new(0.9, 0.6),
     );
-    picture(d, Vec3::new(0.0, 1.5, 1.6), Vec3::X, Vec2::new(0.6, 0.8));
+    let by_the_lamp = if d.fittings { MIRROR } else { PICTURE };
+    framed(
+        d,
+        by_the_lamp,
+        Vec3::new(0.0, 1.5, 1.6),
+        Vec3::X,
+        Vec2::new(0.6, 0.8),
+    );
     picture(
         d,
         Vec3::new(size.x, 1.55, 1.7),
@@ -279,7 +286,8 @@ fn coffee_table(d: &mut Decorator, size: Vec3) {
         0.024,
         TABLE,
     );
-    block(d, [-hx, size.y - 0.035, -hz], [hx, size.y, hz], true, TABLE);
+    let top = if d.fittings { TABLE_TOP } else { TABLE };
+    block(d, [-hx, size.y - 0.035, -hz], [hx, size.y, hz], true, top);
     d.builder_at(Vec3::new(0.2, size.y, 0.02), bowl);
     d.builder_turned(Vec3::new(-0.25, size.y, -0.05), 0.4, |d| book_pile(d, 3));
 }

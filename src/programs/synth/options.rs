@@ -44,8 +44,8 @@ pub struct SynthOptions {
     /// Paper the walls: a pale pattern that covers a tenth of them.
     #[arg(long, help_heading = "Synthetic scene")]
     pub wallpaper: bool,
-    /// Add fittings of metal, classes of their own: tap and hood in the kitchen, a mirror in the
-    /// bedroom, brass handles and planters. Their truth is `gt/metallic`; `gt/albedo` has there what
+    /// Add fittings of metal, classes of their own: tap and hood in the kitchen, mirrors in living
+    /// room and bedroom, brass handles, planters and table tops. Their truth is `gt/metallic`; `gt/albedo` has there what
     /// they reflect at normal incidence.
     #[arg(long, help_heading = "Synthetic scene")]
     pub fittings: bool,

@@ -228,6 +228,23 @@ mod tests {
     }
 
     #[test]
+    fn alpha_is_what_is_no_metal() {
+        let plane = Plane::filled(2, 1, Vec3::ONE);
+        let metallic = Plane {
+            width: 2,
+            height: 1,
+            data: vec![1.0, 0.2],
+        };
+        let alphas = |metallic: Option<&Plane<f32>>| {
+            let bytes = albedo(&plane, metallic, 1024);
+            let texels = &bytes[header(2, 1, Format::Srgb8, 1).len()..];
+            [texels[3], texels[7]]
+        };
+        assert_eq!(alphas(None), [255, 255]);
+        assert_eq!(alphas(Some(&metallic)), [0, 204]);
+    }
+
+    #[test]
     fn shared_exponent_keeps_the_largest_channel_to_one_part_in_512() {
         for i in -20..16 {
             for f in [1.0f32, 1.1, 1.37, 1.5, 1.99, 1.9999] {
