@@ -69,6 +69,7 @@ fn sane(s: &Solution) {
         s.roughness.data.iter().all(|r| (0.01..=1.0).contains(r)),
         "roughness in its range"
     );
+    assert!(s.metallic.is_none(), "no apartment here has metal");
     assert!(
         s.confidence
             .data

@@ -26,7 +26,7 @@ use std::collections::BTreeMap;
 use std::f32::consts::PI;
 
 /// Points a material needs for a fit of its own.
-const FEWEST: usize = 40;
+pub(super) const FEWEST: usize = 40;
 /// Distance of the two mean colours in standard deviations around them, from which a class counts
 /// as two-coloured. Derived: halves of a normal distribution are 2√(2/π) / √(1 − 2/π) = 2.65 apart.
 const APART: f32 = 3.0;

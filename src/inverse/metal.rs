@@ -8,30 +8,20 @@
 //! irradiance; the one that explains views held out better is the one.
 
 use super::group_fit::GroupFit;
-use super::roughness::{at_roughness, fit, held_out};
-use super::view_residual::{Disagreement, KNOWN_NOISE, damped, points_by_class};
+use super::materials::FEWEST;
+use super::roughness::{COMMON, at_roughness, fit, held_out};
+use super::view_residual::{Disagreement, KNEE, KNOWN_NOISE, damped, points_by_class};
 use crate::core::brdf::{DIELECTRIC, Reflectance};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{design_effect, median};
+use crate::core::stats::{SURELY, design_effect, median};
 use crate::highlight::Evidence;
 use glam::Vec3;
+use std::f32::consts::FRAC_PI_2;
 
-/// Points from which a class can be judged: as many as a material needs for a roughness of its own.
-const FEWEST: usize = 40;
-/// Standard errors by which metal must explain views better. Cited: three sigma.
-const SURE: f64 = 3.0;
 /// Least luminance of a metal's F0. Derived: between diamond's 0.17, the most of any common
 /// dielectric, and 0.5 of the darkest common metals (geometric mean).
 const LEAST_F0: f32 = 0.3;
-/// Standard error of a normal sample's median over that of its mean. Derived: √(π/2).
-const MEDIAN_ERROR: f32 = 1.253_314_1;
-/// Error that all points of a class have in common: the level of the light that they mirror.
-const COMMON: f32 = 0.02;
-/// Rounds of reweighting.
-const ROUNDS: usize = 4;
-/// Relative error of a look from which it counts less, as where views agree on a diffuse radiance.
-const TOLERANCE: f32 = 0.03;
 
 /// A class that is metal.
 #[derive(Clone, Debug)]
@@ -69,7 +59,7 @@ fn metal(evidence: &Evidence, model: Reflectance, class: u16, points: &[usize]) 
         .map(|(d, m)| at_roughness(levels, d, roughness) - at_roughness(levels, m, whole.roughness))
         .collect();
     let (gain, error) = mean_and_error(places, &better);
-    if gain < SURE * error || held_out(&metal) >= held_out(&dielectric) {
+    if gain < f64::from(SURELY) * error || held_out(&metal) >= held_out(&dielectric) {
         return None;
     }
     let f0 = colours(evidence, model, points, whole.roughness);
@@ -80,7 +70,8 @@ fn metal(evidence: &Evidence, model: Reflectance, class: u16, points: &[usize]) 
     (luminance(colour) >= LEAST_F0).then_some(Metal {
         fit: whole,
         f0: colour,
-        f0_error: (error as f32 * MEDIAN_ERROR).hypot(COMMON),
+        // a normal sample's median errs by √(π/2) of what its mean does
+        f0_error: (error as f32 * FRAC_PI_2.sqrt()).hypot(COMMON),
     })
 }
 
@@ -218,35 +209,39 @@ impl<'a> Looks<'a> {
         }
     }
 
-    /// The unknown that explains the views best at level `k`: least squares, reweighted.
+    /// The unknown that explains the views best at level `k`: least squares, reweighted as where
+    /// views agree on a diffuse radiance, once more since a lobe's factors differ from view to view.
     fn explain(&mut self, k: usize) -> Explained {
         self.look(k);
-        let most = match self.kind {
-            Kind::Dielectric => Vec3::INFINITY,
-            Kind::Metal => Vec3::ONE,
-        };
         self.share.clear();
         self.share.extend(self.looks.iter().map(|l| l.weight));
-        let mut unknown = Vec3::ZERO;
-        for round in 0..ROUNDS {
-            let (mut top, mut bottom) = (Vec3::ZERO, Vec3::splat(f32::MIN_POSITIVE));
-            for (l, share) in self.looks.iter().zip(&self.share) {
-                let w = share / (l.scale * l.scale);
-                top += w * l.factor * (l.seen - l.rest);
-                bottom += w * l.factor * l.factor;
+        let mut unknown = self.least_squares();
+        for _ in 0..3 {
+            for (l, share) in self.looks.iter().zip(&mut self.share) {
+                let off = l.error(unknown).abs().dot(Vec3::splat(1.0 / 3.0));
+                *share = l.weight / (1.0 + (off / KNEE).powi(2));
             }
-            unknown = (top / bottom).clamp(Vec3::ZERO, most);
-            if round + 1 < ROUNDS {
-                for (l, share) in self.looks.iter().zip(&mut self.share) {
-                    let off = l.error(unknown).abs().dot(Vec3::splat(1.0 / 3.0));
-                    *share = l.weight / (1.0 + (off / TOLERANCE).powi(2));
-                }
-            }
+            unknown = self.least_squares();
         }
         Explained {
             unknown,
             disagreement: self.disagreement(unknown),
         }
+    }
+
+    /// The unknown of least squares with the present shares, within what is possible.
+    fn least_squares(&self) -> Vec3 {
+        let (mut top, mut bottom) = (Vec3::ZERO, Vec3::splat(f32::MIN_POSITIVE));
+        for (l, share) in self.looks.iter().zip(&self.share) {
+            let w = share / (l.scale * l.scale);
+            top += w * l.factor * (l.seen - l.rest);
+            bottom += w * l.factor * l.factor;
+        }
+        let most = match self.kind {
+            Kind::Dielectric => Vec3::INFINITY,
+            Kind::Metal => Vec3::ONE,
+        };
+        (top / bottom).clamp(Vec3::ZERO, most)
     }
 
     /// Mean product of the residuals of two independent estimates, robust.

@@ -17,7 +17,7 @@ const UNKNOWN: f32 = 0.5;
 /// Error that all points of a class have in common: lobes between tabulated levels, highlights
 /// blurred by pixels, light baked at finite resolution. Measured: classes that are sure to 0.003 to
 /// 0.009 by their points are off by 0.007 to 0.018 on the four shared scenes (docs/lab/roughness.md).
-const COMMON: f32 = 0.01;
+pub(super) const COMMON: f32 = 0.01;
 /// A more elaborate model must explain the views better by this share of the disagreement.
 const MODEL_GAIN: f64 = 0.01;
 

@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 /// Relative disagreement beyond which a view counts as an outlier (moving object, misregistration).
 const OUTLIER: f32 = 0.25;
 /// Relative disagreement from which the loss grows linearly.
-const KNEE: f32 = 0.02;
+pub(super) const KNEE: f32 = 0.02;
 /// Relative noise of a response that can be taken out. Beyond, halves that both miss a highlight
 /// would agree on there being none.
 /// Measured: ×½ roughness +0.8 dB, ×2 little (docs/constants.md).

@@ -90,7 +90,7 @@ fn by_name(class: &Class) -> Option<f32> {
 mod tests {
     use super::*;
     use crate::inverse::GroupFit;
-    use crate::observed::tests::box_scene;
+    use crate::observed::surface_tests::box_scene;
 
     fn fit(class: u16, roughness: f32, error: f32) -> GroupFit {
         GroupFit {
