@@ -13,7 +13,7 @@ pub(super) const SAME_SURFACE_COSINE: f32 = 0.7;
 
 /// Rays through n × n places of each of some pixels in row `y`, to infinity: pixel by pixel,
 /// row-major within the pixel. One place per square of an n × n grid, and one per n²-th of each
-/// side ([`places_in_pixel`]).
+/// side (`places_in_pixel`).
 #[must_use]
 pub fn pixel_rays(
     camera: &Camera,

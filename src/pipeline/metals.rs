@@ -8,7 +8,7 @@ use crate::inverse::{Metal, find_metals};
 use crate::observed::Surface;
 use std::collections::BTreeMap;
 
-/// Points per class that tell whether it is metal.
+/// Points per class that tell whether it is metal: more than twice what a fit takes, few beside the evidence.
 const POINTS: usize = 100;
 
 /// Looks for metals among the classes with evidence.
@@ -37,10 +37,10 @@ pub(super) fn look_for_metals(
     })
 }
 
-/// At most [`POINTS`] of every class, evenly drawn.
+/// At most [`POINTS`] of every class, evenly drawn; what has no label is no one thing.
 fn some_points(evidence: &Evidence) -> Vec<Candidate> {
     let mut classes: BTreeMap<u16, Vec<Candidate>> = BTreeMap::new();
-    for point in &evidence.points {
+    for point in evidence.points.iter().filter(|p| p.class != 0) {
         let candidate = Candidate::at(point.triangle, point.position, point.class);
         classes.entry(point.class).or_default().push(candidate);
     }
