@@ -12,6 +12,7 @@ use crate::core::image::bilinear_taps;
 use crate::core::math::luminance;
 use crate::core::progress::Progress;
 use crate::core::sampling::{SobolSequence, hash_u64};
+use crate::core::stats::median;
 use crate::core::trace::{Hit, Ray};
 use crate::gbuffer::{Observation, Observer, ViewBuffer};
 use crate::lights::LitScene;
@@ -111,6 +112,24 @@ impl Evidence {
         } else {
             1.0
         }
+    }
+
+    /// The level nearest to a roughness.
+    #[must_use]
+    pub fn nearest_level(&self, roughness: f32) -> usize {
+        let away = |k: &usize| (self.levels[*k] - roughness).abs();
+        (0..self.levels.len())
+            .min_by(|a, b| away(a).total_cmp(&away(b)))
+            .unwrap_or(0)
+    }
+
+    /// Median luminance of some sights, above 0: what their errors are relative to.
+    #[must_use]
+    pub fn median_luminance(&self, sights: impl Iterator<Item = usize>) -> f32 {
+        let bright = |j: usize| luminance(self.sights[j].radiance);
+        median(sights.map(bright).collect())
+            .unwrap_or(0.0)
+            .max(1e-9)
     }
 
     /// Which of the lobes is that of a dielectric under a model (0 if none is: its answers would

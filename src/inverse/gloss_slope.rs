@@ -13,7 +13,7 @@
 use super::group_fit::GroupFit;
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
-use crate::core::stats::{median, passing_weight};
+use crate::core::stats::passing_weight;
 use crate::highlight::Evidence;
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -149,9 +149,7 @@ fn moments(evidence: &Evidence, model: Reflectance, point: usize) -> Moments {
     let p = &evidence.points[point];
     let views = p.first as usize..(p.first + p.count) as usize;
     let bright = |j: usize| luminance(evidence.sights[j].radiance);
-    let scale = median(views.clone().map(bright).collect())
-        .unwrap_or(0.0)
-        .max(1e-9);
+    let scale = evidence.median_luminance(views.clone());
     let total: f32 = views.clone().map(|j| evidence.sights[j].weight).sum();
     let mean = |of: &dyn Fn(usize) -> f32| {
         let sum: f32 = views

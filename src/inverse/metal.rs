@@ -10,11 +10,11 @@
 use super::group_fit::GroupFit;
 use super::materials::FEWEST;
 use super::roughness::{COMMON, at_roughness, fit, held_out};
-use super::view_residual::{Disagreement, KNEE, KNOWN_NOISE, damped, points_by_class};
+use super::view_residual::{Disagreement, KNEE, damped_product, points_by_class};
 use crate::core::brdf::{DIELECTRIC, Reflectance};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{SURELY, design_effect, median};
+use crate::core::stats::{Mean, SURELY, median};
 use crate::highlight::Evidence;
 use glam::Vec3;
 use std::f32::consts::FRAC_PI_2;
@@ -58,30 +58,21 @@ fn metal(evidence: &Evidence, model: Reflectance, class: u16, points: &[usize]) 
     let better: Vec<f64> = (dielectric.rows.iter().zip(&metal.rows))
         .map(|(d, m)| at_roughness(levels, d, roughness) - at_roughness(levels, m, whole.roughness))
         .collect();
-    let (gain, error) = mean_and_error(places, &better);
-    if gain < f64::from(SURELY) * error || held_out(&metal) >= held_out(&dielectric) {
+    let gain = Mean::over(places, &better);
+    if gain.value < f64::from(SURELY) * gain.error || held_out(&metal) >= held_out(&dielectric) {
         return None;
     }
     let f0 = colours(evidence, model, points, whole.roughness);
     let channel = |c: usize| median(f0.iter().map(|f| f[c]).collect()).unwrap_or(0.0);
     let colour = Vec3::new(channel(0), channel(1), channel(2));
     let bright: Vec<f64> = f0.iter().map(|f| f64::from(luminance(*f))).collect();
-    let (_, error) = mean_and_error(places, &bright);
+    let error = Mean::over(places, &bright).error;
     (luminance(colour) >= LEAST_F0).then_some(Metal {
         fit: whole,
         f0: colour,
         // a normal sample's median errs by √(π/2) of what its mean does
         f0_error: (error as f32 * FRAC_PI_2.sqrt()).hypot(COMMON),
     })
-}
-
-/// The mean and its standard error; neighbours err together.
-fn mean_and_error(places: &[Vec3], values: &[f64]) -> (f64, f64) {
-    let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    let off: Vec<f64> = values.iter().map(|v| v - mean).collect();
-    let variance = off.iter().map(|o| o * o).sum::<f64>() / n / n;
-    (mean, (variance * design_effect(places, &off)).sqrt())
 }
 
 /// What a surface may be.
@@ -115,10 +106,7 @@ fn table<'a>(
 
 /// F0 at every point, at the level nearest to a roughness.
 fn colours(evidence: &Evidence, model: Reflectance, points: &[usize], roughness: f32) -> Vec<Vec3> {
-    let away = |k: &usize| (evidence.levels[*k] - roughness).abs();
-    let level = (0..evidence.levels.len())
-        .min_by(|a, b| away(a).total_cmp(&away(b)))
-        .unwrap_or(0);
+    let level = evidence.nearest_level(roughness);
     let f0 = |&i: &usize| {
         Looks::of(evidence, model, i, Kind::Metal)
             .explain(level)
@@ -162,17 +150,13 @@ impl<'a> Looks<'a> {
     fn of(evidence: &'a Evidence, model: Reflectance, point: usize, kind: Kind) -> Self {
         let p = &evidence.points[point];
         let (first, count) = (p.first as usize, p.count as usize);
-        let brightness = evidence.sights[first..first + count]
-            .iter()
-            .map(|s| luminance(s.radiance))
-            .collect();
         Self {
             evidence,
             model,
             first,
             count,
             kind,
-            scale: median(brightness).unwrap_or(0.0).max(1e-9),
+            scale: evidence.median_luminance(first..first + count),
             looks: Vec::with_capacity(count),
             share: Vec::with_capacity(count),
         }
@@ -259,9 +243,7 @@ impl<'a> Looks<'a> {
         for l in &self.looks {
             let e = l.error(unknown);
             let noise = (noise(l) - absorbed * luminance(l.factor)) / l.scale;
-            let noise = Vec3::splat(noise.clamp(-KNOWN_NOISE, KNOWN_NOISE));
-            let product = damped(e + noise) * damped(e - noise);
-            sum += f64::from(l.weight * product.element_sum() * (1.0 / 3.0));
+            sum += f64::from(l.weight * damped_product(e, noise) * (1.0 / 3.0));
             weight += f64::from(l.weight);
         }
         sum / weight.max(f64::MIN_POSITIVE)

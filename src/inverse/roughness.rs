@@ -8,7 +8,7 @@ use super::gloss_slope;
 use super::group_fit::GroupFit;
 use super::view_residual::{Disagreement, points_by_class};
 use crate::core::brdf::Reflectance;
-use crate::core::stats::{design_effect, passing_weight};
+use crate::core::stats::{Mean, passing_weight};
 use crate::highlight::Evidence;
 
 /// Width of the range of values that explain the views equally well from which a roughness counts
@@ -115,12 +115,8 @@ pub(super) fn fit(class: u16, table: &Disagreement) -> GroupFit {
     let (lo, hi) = (best.saturating_sub(1), (best + 1).min(levels.len() - 1));
     let step = f64::from(levels[hi] - levels[lo]);
     let slopes: Vec<f64> = rows.iter().map(|r| (r[hi] - r[lo]) / step).collect();
-    let mean = slopes.iter().sum::<f64>() / n;
-    let off: Vec<f64> = slopes.iter().map(|s| s - mean).collect();
-    let alone = off.iter().map(|s| s * s).sum::<f64>() / n / n;
-    let variance = alone * design_effect(places, &off);
     let noise = if curvature > 0.0 {
-        (variance.sqrt() / curvature) as f32
+        (Mean::over(places, &slopes).error / curvature) as f32
     } else {
         1.0
     };

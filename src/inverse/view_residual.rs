@@ -7,7 +7,7 @@
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{median, weighted_median};
+use crate::core::stats::weighted_median;
 use crate::highlight::Evidence;
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -19,7 +19,7 @@ pub(super) const KNEE: f32 = 0.02;
 /// Relative noise of a response that can be taken out. Beyond, halves that both miss a highlight
 /// would agree on there being none.
 /// Measured: ×½ roughness +0.8 dB, ×2 little (docs/constants.md).
-pub(super) const KNOWN_NOISE: f32 = 0.05;
+const KNOWN_NOISE: f32 = 0.05;
 
 /// How far the views of one point disagree at every level of the evidence.
 type Row = Vec<f64>;
@@ -146,19 +146,11 @@ impl<'a> Looks<'a> {
         let sights: Vec<usize> = all
             .filter(|&j| views.has(evidence.sights[j].view))
             .collect();
-        let scale = median(
-            sights
-                .iter()
-                .map(|&j| luminance(evidence.sights[j].radiance))
-                .collect(),
-        )
-        .unwrap_or(0.0)
-        .max(1e-9);
         Self {
             evidence,
             model,
+            scale: evidence.median_luminance(sights.iter().copied()),
             sights,
-            scale,
             diffuse: Vec::new(),
             noise: Vec::new(),
             share: Vec::new(),
@@ -201,10 +193,8 @@ impl<'a> Looks<'a> {
         let (mut sum, mut weight) = (0.0, 0.0);
         for ((d, w), noise) in self.diffuse.iter().zip(&self.noise) {
             let e = (*d - centre) / self.scale;
-            let noise =
-                Vec3::splat(((noise - common) / self.scale).clamp(-KNOWN_NOISE, KNOWN_NOISE));
-            let product = damped(e + noise) * damped(e - noise);
-            sum += f64::from(w * product.element_sum() * (1.0 / 3.0));
+            let product = damped_product(e, (noise - common) / self.scale);
+            sum += f64::from(w * product * (1.0 / 3.0));
             weight += f64::from(*w);
         }
         sum / weight
@@ -213,8 +203,15 @@ impl<'a> Looks<'a> {
 
 /// Root of a robust loss with the residual's sign: the loss is square where residuals are small and
 /// linear beyond, up to [`OUTLIER`].
-pub(super) fn damped(residual: Vec3) -> Vec3 {
+fn damped(residual: Vec3) -> Vec3 {
     residual.map(|r| (r / (r.abs() + KNEE).sqrt()).clamp(-OUTLIER.sqrt(), OUTLIER.sqrt()))
+}
+
+/// The product of the residuals of two estimates that are `noise` above and below their mean, which
+/// is off by `residual`; summed over colours.
+pub(super) fn damped_product(residual: Vec3, noise: f32) -> f32 {
+    let noise = Vec3::splat(noise.clamp(-KNOWN_NOISE, KNOWN_NOISE));
+    (damped(residual + noise) * damped(residual - noise)).element_sum()
 }
 
 /// The diffuse radiance that the views of a point agree on best, if its roughness is about
@@ -225,11 +222,7 @@ pub(super) fn diffuse_radiance(
     point: usize,
     roughness: f32,
 ) -> Vec3 {
-    let away = |k: &usize| (evidence.levels[*k] - roughness).abs();
-    let nearest = (0..evidence.levels.len())
-        .min_by(|a, b| away(a).total_cmp(&away(b)))
-        .unwrap_or(0);
-    Looks::of(evidence, model, point, Views::All).centre(nearest)
+    Looks::of(evidence, model, point, Views::All).centre(evidence.nearest_level(roughness))
 }
 
 /// Weighted mean refined twice by Cauchy-like weights, per colour together. `share` takes what each

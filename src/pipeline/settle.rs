@@ -15,7 +15,9 @@ use super::solved::Solved;
 use super::{Light, Roughness, SolveOptions};
 use crate::core::progress::Progress;
 use crate::core::switch::Switch;
-use crate::inverse::{AlbedoEstimate, Ground, StatedErrors, TexelReflectance, settle_contradicted};
+use crate::inverse::{
+    AlbedoEstimate, Ground, Metal, StatedErrors, TexelReflectance, settle_contradicted,
+};
 use crate::observed::Surface;
 use crate::verdict::MissingLight;
 
@@ -51,7 +53,7 @@ pub(super) fn settle(
     let mut lights = clipped_light.map_or_else(Vec::new, |c| c.lights);
     forget_lit(&mut albedo, &lights);
     let metals = metal_texels(surface, &light, &roughness.metals);
-    metals.iter().for_each(|(i, _)| albedo.forget(*i as usize));
+    metals.iter().for_each(|m| albedo.forget(m.0 as usize));
     let rooms = roughness.texel_rooms(&surface.texels);
     let mut short = progress.stage("energy balance", 0, |p| {
         balance_rooms(surface, &mut light, &mut albedo, &rooms, options, p)
@@ -88,11 +90,7 @@ pub(super) fn settle(
     progress.stage("paint", 0, |p| {
         settle_palettes(surface, &mut light, estimate, options, p);
     });
-    for (i, metal) in metals {
-        let i = i as usize;
-        (albedo.value[i], albedo.error[i]) = (metal.f0, metal.f0_error);
-        errors[i] = metal.f0_error;
-    }
+    show_metals(&metals, &mut albedo, &mut errors);
     let mut findings = findings(surface, &light, &albedo, &errors, &spread);
     findings.unexplained = f64::from(unexplained);
     let mean = findings.mean_albedo;
@@ -113,6 +111,15 @@ pub(super) fn settle(
         fits: roughness.materials.fits().cloned().collect(),
         rays,
         findings,
+    }
+}
+
+/// Gives the texels of metals what these reflect.
+fn show_metals(metals: &[(u32, &Metal)], albedo: &mut AlbedoEstimate, errors: &mut [f32]) {
+    for &(i, metal) in metals {
+        let i = i as usize;
+        (albedo.value[i], albedo.error[i]) = (metal.f0, metal.f0_error);
+        errors[i] = metal.f0_error;
     }
 }
 

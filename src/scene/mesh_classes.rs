@@ -6,6 +6,7 @@
 //! keep their names whole, for copies ("paint.001") are adapted copies as a rule; objects lose their
 //! numbers ("Chair 2" is a chair). Called by `load`.
 
+use super::words::words;
 use super::{Class, PreparedMesh};
 use crate::core::formats::{NameKind, RawMesh, SurfaceNames};
 use crate::core::image::Plane;
@@ -283,24 +284,6 @@ fn tells(name: &str) -> bool {
     words(name)
         .iter()
         .any(|w| w.chars().count() >= 3 && !GENERIC.contains(&w.as_str()))
-}
-
-/// The words of a name, lower case: letters between others, and at capitals within ("WallPaint").
-pub(super) fn words(name: &str) -> Vec<String> {
-    let mut out: Vec<String> = Vec::new();
-    let mut before = ' ';
-    for c in name.chars() {
-        if c.is_alphabetic() {
-            if !before.is_alphabetic() || (c.is_uppercase() && before.is_lowercase()) {
-                out.push(String::new());
-            }
-            if let Some(word) = out.last_mut() {
-                word.extend(c.to_lowercase());
-            }
-        }
-        before = c;
-    }
-    out
 }
 
 /// Whether a name is that of what emits light: such a word at its end ("ceiling light", not "light

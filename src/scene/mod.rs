@@ -21,6 +21,7 @@ pub mod transforms;
 mod unwrap;
 mod wall_ends;
 mod wall_map;
+mod words;
 
 pub use check::{
     CheckReport, ClassShare, ImageKind, MeshSummary, RadianceRange, RoomSummary, Summary, check,
@@ -127,7 +128,7 @@ impl Class {
     /// The words of its name, lower case: "ChromeBSDF" is "chrome" and "bsdf".
     #[must_use]
     pub fn words(&self) -> Vec<String> {
-        mesh_classes::words(&self.name)
+        words::words(&self.name)
     }
 
     /// Whether its name is that of a pane that daylight comes through: "window" or "skylight" as a

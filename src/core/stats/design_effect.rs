@@ -46,6 +46,30 @@ pub fn design_effect(places: &[Vec3], values: &[f64]) -> f64 {
         .fold(1.0, f64::max)
 }
 
+/// A mean over surface points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mean {
+    /// The mean.
+    pub value: f64,
+    /// Its standard error; neighbours err together ([`design_effect`]).
+    pub error: f64,
+}
+
+impl Mean {
+    /// That of `values` at `places`, as many; 0 without any.
+    #[must_use]
+    pub fn over(places: &[Vec3], values: &[f64]) -> Self {
+        let n = values.len().max(1) as f64;
+        let value = values.iter().sum::<f64>() / n;
+        let off: Vec<f64> = values.iter().map(|v| v - value).collect();
+        let alone = off.iter().map(|o| o * o).sum::<f64>() / n / n;
+        Self {
+            value,
+            error: (alone * design_effect(places, &off)).sqrt(),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

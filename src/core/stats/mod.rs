@@ -2,7 +2,7 @@
 
 mod design_effect;
 
-pub use design_effect::design_effect;
+pub use design_effect::{Mean, design_effect};
 
 use glam::Vec3;
 use std::collections::BTreeMap;
