@@ -1,7 +1,7 @@
 //! A scan's surface: what it sends out is read from its own colours instead of from photographs. The
 //! ground of `delight`, as `pipeline::observe` builds that of `solve`.
 
-use super::{ClippedTexel, Contradictions, Fusion, Surface, TextureSizes, UNSEEN};
+use super::{ClippedTexel, Contradictions, Fusion, Panes, Surface, TextureSizes, UNSEEN};
 use crate::Result;
 use crate::core::math::{Frame, luminance};
 use crate::core::parallel::prelude::*;
@@ -54,6 +54,7 @@ pub fn scanned_surface(scan: &Scan, sizes: TextureSizes) -> Result<ScannedSurfac
     let mut surface = Surface {
         scene: &scan.scene,
         tracer,
+        panes: Panes::default(),
         views: Vec::new(),
         ceilings: Vec::new(),
         bounds: Vec::new(),

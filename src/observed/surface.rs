@@ -1,7 +1,7 @@
 //! Geometry with what the photographs see of it: the ground every later stage stands on. Built by
 //! the pipeline's stage `observe`.
 
-use super::{Contradictions, Fusion};
+use super::{Contradictions, Fusion, Panes};
 use crate::core::geometry::Mesh;
 use crate::core::image::{CameraMask, Plane};
 use crate::core::texture::{Texels, fill_uncovered};
@@ -37,8 +37,10 @@ pub struct ClippedTexel {
 pub struct Surface<'a> {
     /// The scene.
     pub scene: &'a Scene,
-    /// Embree.
+    /// Embree, for which panes are not there.
     pub tracer: EmbreeTracer,
+    /// What the photographs look through.
+    pub panes: Panes,
     /// Training views.
     pub views: Vec<ObservedView>,
     /// Channels at the sensor's ceiling, a bit for each, per pixel of every view; `None` where no
@@ -270,6 +272,7 @@ pub(crate) mod tests {
         Surface {
             scene,
             tracer: EmbreeTracer::new(&scene.mesh).expect("Embree"),
+            panes: Panes::default(),
             views: Vec::new(),
             ceilings: Vec::new(),
             bounds: Vec::new(),

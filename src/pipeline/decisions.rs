@@ -12,7 +12,7 @@ use crate::core::trace::{Hit, Tracer};
 use crate::gbuffer::{ObservedView, Observer, Orientation};
 use crate::highlight::Evidence;
 use crate::inverse::{ClassPalette, Materials, Metal, choose_model, fit_groups};
-use crate::observed::{Surface, TextureSizes};
+use crate::observed::{Pane, Panes, Surface, TextureSizes};
 use crate::radiance::Environment;
 use crate::scene::{RoomGrid, Scene};
 use crate::specular::WIDE;
@@ -431,6 +431,31 @@ pub(super) fn report_metals(scene: &Scene, metals: &[Metal], progress: &Progress
         );
         progress.decide(what, format!("{} classes", metals.len()), why, false);
     }
+}
+
+/// Says which surfaces photographs look through.
+pub(super) fn report_panes(scene: &Scene, panes: &Panes, progress: &Progress) {
+    let what = "panes";
+    if panes.is_empty() {
+        let why = "no surface shows what lies behind it";
+        return progress.decide(what, "none", why, false);
+    }
+    let one = |p: &Pane| {
+        format!(
+            "{} (a face lets {:.2} {:.2} {:.2} ± {:.2} through)",
+            class_name(scene, p.class),
+            p.tint.x,
+            p.tint.y,
+            p.tint.z,
+            p.tint_error
+        )
+    };
+    let list: Vec<String> = panes.panes.iter().map(one).collect();
+    let why = format!(
+        "views of them are foretold better by what lies behind: {}",
+        list.join("; ")
+    );
+    progress.decide(what, format!("{} surfaces", list.len()), why, false);
 }
 
 /// Says which classes have more than one roughness.

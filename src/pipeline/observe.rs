@@ -2,18 +2,19 @@
 //! see is fused on the atlas.
 
 use super::SolveOptions;
-use super::decisions::choose_sizes;
+use super::decisions::{choose_sizes, report_panes};
 use crate::Result;
 use crate::core::geometry::Camera;
 use crate::core::image::{CameraMask, Plane, RgbPlane};
 use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
 use crate::core::stats::MAD_SCALE;
+use crate::core::switch::Switch;
 use crate::core::texture::{SurfacePoint, Texels};
 use crate::core::trace::{EmbreeTracer, Hit};
 use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
 use crate::observed::{
-    Contradictions, Fusion, Surface, balance_views, complete_labels, find_camera_rigs,
+    Contradictions, Fusion, Panes, Surface, balance_views, complete_labels, find_camera_rigs,
     fuse_radiance, leave_out_clipped_sky,
 };
 use crate::scene::{EIGHT_BIT, MeshClasses, Scene, Shortfall, View, all_black};
@@ -29,8 +30,9 @@ pub fn observe<'a>(
     options: &SolveOptions,
     progress: &Progress,
 ) -> Result<Surface<'a>> {
-    let tracer = EmbreeTracer::new(&scene.mesh)?;
-    let read = read_views(scene, &tracer, options, progress)?;
+    let whole = EmbreeTracer::new(&scene.mesh)?;
+    let mut read = read_views(scene, &whole, options, progress)?;
+    let Cleared { tracer, panes } = clear_panes(scene, whole, &mut read.views, options, progress)?;
     let mut views = read.views;
     let (lo, hi) = scene.mesh.bounds();
     // a tenth of a millimetre in a ten-metre room, well above the rounding of positions
@@ -61,19 +63,19 @@ pub fn observe<'a>(
         budget.fused(begin.elapsed().as_secs_f64());
     }
     // contradicted texels state their disagreement as their own error
-    let (contradictions, disagreement) = if balanced.rough {
-        let found = find_contradictions(scene, &views, &orientation, &texels, progress);
-        let agreed = found.agreed;
-        (found, agreed)
-    } else {
-        (Contradictions::default(), MAD_SCALE * balanced.disagreement)
-    };
+    let mut contradictions = Contradictions::default();
+    let mut disagreement = MAD_SCALE * balanced.disagreement;
+    if balanced.rough {
+        contradictions = find_contradictions(&observer, &orientation, &texels, scene, progress);
+        disagreement = contradictions.agreed;
+    }
     contradictions.settle(&mut fusion.radiance);
-    let labels = texel_labels(scene, &texels, &fusion);
+    let labels = texel_labels(scene, &texels, &fusion, &panes);
     let back = back_radiance(scene, &views, &orientation);
     Ok(Surface {
         scene,
         tracer,
+        panes,
         views,
         ceilings: read.ceilings,
         bounds: Vec::new(),
@@ -94,13 +96,55 @@ pub fn observe<'a>(
     })
 }
 
-/// The class of every texel: the mesh's own, or what the views vote for.
-fn texel_labels(scene: &Scene, texels: &Texels, fusion: &Fusion) -> Vec<u16> {
-    let Some(of) = &scene.mesh_classes else {
-        return complete_labels(&scene.mesh, texels, fusion);
+/// The class of every texel: the mesh's own, or what the views vote for; panes have been looked
+/// through since they had theirs.
+fn texel_labels(scene: &Scene, texels: &Texels, fusion: &Fusion, panes: &Panes) -> Vec<u16> {
+    if let Some(of) = &scene.mesh_classes {
+        let class = |p: &SurfacePoint| of.of_triangle[p.triangle as usize];
+        return texels.point.iter().map(class).collect();
+    }
+    let mut labels = complete_labels(&scene.mesh, texels, fusion);
+    for (label, point) in labels.iter_mut().zip(&texels.point) {
+        if let Some(pane) = panes.of(point.triangle) {
+            *label = pane.class;
+        }
+    }
+    labels
+}
+
+/// What photographs look through, and the rays for which it is not there.
+struct Cleared {
+    tracer: EmbreeTracer,
+    panes: Panes,
+}
+
+/// Finds panes and lets the views look through them.
+fn clear_panes(
+    scene: &Scene,
+    whole: EmbreeTracer,
+    views: &mut [ObservedView],
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Result<Cleared> {
+    let (mesh, classes) = (&scene.mesh, scene.mesh_classes.as_ref());
+    let panes = match options.panes {
+        Switch::Off => Panes::default(),
+        _ => progress.stage("panes", 1, |_| {
+            Panes::find(&Observer { mesh, views }, &whole, classes)
+        }),
     };
-    let class = |p: &SurfacePoint| of.of_triangle[p.triangle as usize];
-    texels.point.iter().map(class).collect()
+    report_panes(scene, &panes, progress);
+    if panes.is_empty() {
+        return Ok(Cleared {
+            tracer: whole,
+            panes,
+        });
+    }
+    let tracer = panes.cleared(mesh)?;
+    for view in views {
+        panes.look_through(view, &whole, &tracer, (mesh, classes));
+    }
+    Ok(Cleared { tracer, panes })
 }
 
 /// The training views as read, before anything is taken out of them.
@@ -216,15 +260,15 @@ fn read_view(
 
 /// Where the views contradict each other, and a note on the places.
 fn find_contradictions(
-    scene: &Scene,
-    views: &[ObservedView],
+    observer: &Observer,
     orientation: &Orientation,
     texels: &Texels,
+    scene: &Scene,
     progress: &Progress,
 ) -> Contradictions {
     let mesh = &scene.mesh;
     let found = progress.stage("missing geometry", 1, |_| {
-        Contradictions::find(&Observer { mesh, views }, orientation, texels)
+        Contradictions::find(observer, orientation, texels)
     });
     let places = found.places(mesh, texels, scene.origin);
     let list: Vec<String> = places

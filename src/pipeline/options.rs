@@ -76,6 +76,8 @@ pub struct SolveOptions {
     pub divide: Switch,
     /// Whether classes may be metal: where views are explained better so.
     pub metals: Switch,
+    /// Whether surfaces may be panes: where the photographs show what lies behind them.
+    pub panes: Switch,
     /// Whether texels that no view sees clean are solved for from how much of each pixel they
     /// cover.
     pub edges: Switch,

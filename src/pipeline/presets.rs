@@ -40,6 +40,7 @@ impl SolveOptions {
             matte: Switch::Auto,
             divide: Switch::Auto,
             metals: Switch::Auto,
+            panes: Switch::Auto,
             edges: Switch::Auto,
             missing_light: Switch::Auto,
             clipped_light: Switch::Auto,
@@ -182,6 +183,10 @@ pub struct SolveRequest {
     /// so: off = everything is a dielectric.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub metals: Switch,
+    /// Look for surfaces that photographs look through (glass, a door that the mesh has closed):
+    /// off = all are opaque.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    pub panes: Switch,
     /// Solve for the albedo of texels that no view sees clean from how much of each pixel they
     /// cover: off = what those pixels show.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
@@ -312,6 +317,7 @@ impl SolveRequest {
             matte: self.matte,
             divide: self.divide_classes,
             metals: self.metals,
+            panes: self.panes,
             edges: self.edges,
             missing_light: self.missing_light,
             clipped_light: self.clipped_light,

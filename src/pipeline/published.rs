@@ -125,6 +125,7 @@ fn as_published(method: &PublishedOptions, options: &SolveOptions) -> SolveOptio
         exposure: Switch::Off,
         environment: Switch::Off,
         emission: Switch::Off,
+        panes: Switch::Off,
         prefilter: false,
         ..options.clone()
     };

@@ -18,7 +18,7 @@ use crate::core::switch::Switch;
 use crate::inverse::{
     AlbedoEstimate, Ground, Metal, StatedErrors, TexelReflectance, settle_contradicted,
 };
-use crate::observed::Surface;
+use crate::observed::{Pane, Surface};
 use crate::verdict::MissingLight;
 
 /// What is estimated before it is settled what it all amounts to.
@@ -54,6 +54,7 @@ pub(super) fn settle(
     forget_lit(&mut albedo, &lights);
     let metals = metal_texels(surface, &light, &roughness.metals);
     metals.iter().for_each(|m| albedo.forget(m.0 as usize));
+    pane_texels(surface).for_each(|(i, _)| albedo.forget(i));
     let rooms = roughness.texel_rooms(&surface.texels);
     let mut short = progress.stage("energy balance", 0, |p| {
         balance_rooms(surface, &mut light, &mut albedo, &rooms, options, p)
@@ -91,6 +92,10 @@ pub(super) fn settle(
         settle_palettes(surface, &mut light, estimate, options, p);
     });
     show_metals(&metals, &mut albedo, &mut errors);
+    for (i, pane) in pane_texels(surface) {
+        (albedo.value[i], albedo.error[i]) = (pane.tint, pane.tint_error);
+        errors[i] = pane.tint_error;
+    }
     let mut findings = findings(surface, &light, &albedo, &errors, &spread);
     findings.unexplained = f64::from(unexplained);
     let mean = findings.mean_albedo;
@@ -112,6 +117,12 @@ pub(super) fn settle(
         rays,
         findings,
     }
+}
+
+/// The texels of surfaces that photographs look through.
+pub(super) fn pane_texels<'a>(surface: &'a Surface<'_>) -> impl Iterator<Item = (usize, &'a Pane)> {
+    let points = surface.texels.point.iter().enumerate();
+    points.filter_map(|(i, p)| Some((i, surface.panes.of(p.triangle)?)))
 }
 
 /// Gives the texels of metals what these reflect.

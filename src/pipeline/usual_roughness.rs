@@ -5,11 +5,12 @@ use crate::inverse::Materials;
 use crate::scene::{Class, Scene};
 use std::collections::BTreeMap;
 
+/// Roughness of glass: as smooth as the method allows to see.
+pub(super) const SMOOTH: f32 = 0.03;
 /// Roughness by what a class' name says it is made of. Cited: Material Reference of the Roblox
-/// Creator Hub (read 2026-11), middles of its ranges; a mirror as smooth as the method allows to
-/// see.
+/// Creator Hub (read 2026-11), middles of its ranges.
 const BY_WORD: [(&[&str], f32); 7] = [
-    (&["mirror"], 0.03),
+    (&["mirror", "glass"], SMOOTH),
     (
         &[
             "metal",

@@ -31,6 +31,14 @@ impl EmbreeTracer {
     /// # Errors
     /// If a vertex index is out of range, or Embree is missing or refuses the scene.
     pub fn new(mesh: &Mesh) -> Result<Self> {
+        Self::without(mesh, |_| false)
+    }
+
+    /// As [`Self::new`], with triangles that `left_out` tells of never hit either.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn without(mesh: &Mesh, left_out: impl Fn(u32) -> bool) -> Result<Self> {
         let count = mesh.positions.len();
         if let Some((t, tri)) = mesh
             .triangles
@@ -51,13 +59,15 @@ impl EmbreeTracer {
             .map(|&p| if is_usable(p) { p.to_array() } else { [0.0; 3] })
             .collect();
         let mut skipped = 0;
-        let triangles: Vec<[u32; 3]> = mesh
-            .triangles
-            .iter()
-            .map(|&tri| {
+        let triangles: Vec<[u32; 3]> = (mesh.triangles.iter().zip(0..))
+            .map(|(&tri, t)| {
                 let good = tri.iter().all(|&i| usable(i));
                 skipped += usize::from(!good);
-                if good { tri } else { [tri[0]; 3] }
+                if good && !left_out(t) {
+                    tri
+                } else {
+                    [tri[0]; 3]
+                }
             })
             .collect();
         let scene = TriangleScene::build(&positions, &triangles).map_err(Error::Native)?;

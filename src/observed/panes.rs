@@ -1,0 +1,718 @@
+//! Surfaces that photographs look through: panes, glass doors, a door that the mesh has closed.
+//!
+//! An opaque surface shows every view about the same light, whatever lies behind it; a pane shows
+//! each what it sees behind, which other views saw directly, weakened. Either way one light is
+//! foretold for every look at a point: what the other looks show, or what lies behind times a
+//! constant of the surface. The hypothesis that foretells better is the one; neither needs
+//! materials or irradiance. What is found is taken out of the way of rays, and the photographs are
+//! given the light that the pane kept back. Called by the pipeline's stage `observe`.
+
+use crate::core::brdf::fresnel;
+use crate::core::geometry::{Mesh, pieces};
+use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
+use crate::core::stats::{Mean, SURELY, median};
+use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
+use crate::gbuffer::{Observation, ObservedView, Observer, ViewBuffer};
+use crate::scene::MeshClasses;
+use glam::{Vec2, Vec3};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+/// Points of a sheet that tell whether it is a pane, and how many of them a view gives at most: a
+/// hundred tell a tenth of their spread, and no view is to speak for the others.
+const POINTS: usize = 100;
+const POINTS_OF_A_VIEW: usize = 12;
+/// Fewest points whose mean and standard error are worth something.
+const FEWEST: usize = 20;
+/// Share of the looks' disagreement that what lies behind leaves at most: where it explains less
+/// than half, something else is at work.
+const MOST: f64 = 0.5;
+/// Area of a pane's far side over that of the near one, rims included, at most.
+const FAR_SIDE: f32 = 1.5;
+/// Faces of one pane that a ray may pass: panes of more than double glazing tell no more.
+const MOST_FACES: usize = 8;
+
+/// A surface that photographs look through.
+#[derive(Clone, Debug)]
+pub struct Pane {
+    /// Its class; 0 without labels.
+    pub class: u16,
+    /// Its triangles, ascending.
+    pub triangles: Vec<u32>,
+    /// Share of the light that is not reflected which passes one face, linear Rec. 709, [0, 1].
+    pub tint: Vec3,
+    /// Standard error of its luminance.
+    pub tint_error: f32,
+}
+
+/// The panes of a scene, and which triangle is whose.
+#[derive(Clone, Debug, Default)]
+pub struct Panes {
+    /// All of them.
+    pub panes: Vec<Pane>,
+    /// Index into `panes` by triangle.
+    of_triangle: BTreeMap<u32, u32>,
+}
+
+impl Panes {
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.panes.is_empty()
+    }
+
+    /// The pane that a triangle belongs to.
+    #[must_use]
+    pub fn of(&self, triangle: u32) -> Option<&Pane> {
+        let index = self.of_triangle.get(&triangle)?;
+        Some(&self.panes[*index as usize])
+    }
+
+    /// Finds the surfaces that the views look through rather than at. `tracer` is that of the whole
+    /// mesh, which the views were traced with.
+    #[must_use]
+    pub fn find(
+        observer: &Observer,
+        tracer: &dyn Tracer,
+        mesh_classes: Option<&MeshClasses>,
+    ) -> Self {
+        let sheets = Sheets::of(observer, mesh_classes);
+        let found: Vec<Option<Pane>> = (sheets.points(observer).par_iter())
+            .enumerate()
+            .map(|(sheet, points)| {
+                sheets.pane(sheet as u32, &looks(&sheets, observer, tracer, points))
+            })
+            .collect();
+        let mut panes = Self::default();
+        for pane in found.into_iter().flatten() {
+            let index = panes.panes.len() as u32;
+            (panes.of_triangle).extend(pane.triangles.iter().map(|t| (*t, index)));
+            panes.panes.push(pane);
+        }
+        panes
+    }
+
+    /// The tracer for which panes are not there.
+    ///
+    /// # Errors
+    /// As [`EmbreeTracer::new`].
+    pub fn cleared(&self, mesh: &Mesh) -> crate::Result<EmbreeTracer> {
+        EmbreeTracer::without(mesh, |t| self.of_triangle.contains_key(&t))
+    }
+
+    /// Lets a view look through the panes: what its pixels see is what lies behind them, brighter
+    /// by what they kept back. Such a pixel may hold a reflection of the room and is not clean; its
+    /// label is not that of what it sees, unless the mesh tells that.
+    pub fn look_through(
+        &self,
+        view: &mut ObservedView,
+        whole: &dyn Tracer,
+        cleared: &dyn Tracer,
+        (mesh, mesh_classes): (&Mesh, Option<&MeshClasses>),
+    ) {
+        let first = &view.buffer;
+        let behind = ViewBuffer::trace(&first.camera, cleared);
+        let (width, height) = (first.triangle.width, first.triangle.height);
+        let passed = |i: usize| {
+            self.of(first.triangle.data[i])?;
+            let ray = pixel_ray(first, i);
+            Some(self.passed(mesh, whole, ray))
+        };
+        let share: Vec<Option<Vec3>> = (0..width * height).into_par_iter().map(passed).collect();
+        for (radiance, share) in view.radiance.data.iter_mut().zip(&share) {
+            if let Some(share) = share {
+                *radiance /= share.max(Vec3::splat(f32::MIN_POSITIVE));
+            }
+        }
+        if let Some(labels) = &mut view.labels {
+            let (w, h) = (labels.width, labels.height);
+            for (i, label) in labels.data.iter_mut().enumerate() {
+                let at = (i % w * width / w) + (i / w * height / h) * width;
+                if share[at].is_some() {
+                    let triangle = behind.triangle.data[at] as usize;
+                    let of_mesh = mesh_classes.and_then(|m| m.of_triangle.get(triangle));
+                    *label = of_mesh.copied().unwrap_or(0);
+                }
+            }
+        }
+        let clean = behind.clean_pixels(mesh, view.labels.as_ref());
+        for (i, was) in view.clean.data.iter_mut().enumerate() {
+            *was = *was && clean.data[i] && share[i].is_none();
+        }
+        view.buffer = behind;
+    }
+
+    /// The share of light that comes through all panes along a ray.
+    fn passed(&self, mesh: &Mesh, tracer: &dyn Tracer, ray: Ray) -> Vec3 {
+        let mut share = Vec3::ONE;
+        let pane = |t: u32| self.of(t).map(|p| (p, mesh.face_normal(t as usize)));
+        beyond(tracer, ray, |t| {
+            let Some((pane, normal)) = pane(t) else {
+                return false;
+            };
+            share *= pane.tint * enters(normal, ray.direction.into());
+            true
+        });
+        share
+    }
+}
+
+/// The share of light that is not reflected where a ray meets a face.
+fn enters(normal: Vec3, direction: Vec3) -> f32 {
+    1.0 - fresnel(normal.dot(direction).abs().min(1.0))
+}
+
+/// The ray through the centre of a pixel.
+fn pixel_ray(buffer: &ViewBuffer, pixel: usize) -> Ray {
+    let (x, y) = (pixel % buffer.triangle.width, pixel / buffer.triangle.width);
+    let centre = Vec2::new(x as f32 + 0.5, y as f32 + 0.5);
+    Ray::new(
+        buffer.camera.position,
+        buffer.camera.direction(centre),
+        f32::INFINITY,
+    )
+}
+
+/// What a ray meets once it has passed the triangles that `passes` tells of, each asked once.
+fn beyond(tracer: &dyn Tracer, ray: Ray, mut passes: impl FnMut(u32) -> bool) -> Hit {
+    let mut hit = [Hit::miss()];
+    let mut from = ray;
+    for _ in 0..=MOST_FACES {
+        tracer.closest(&[from], &mut hit);
+        if !hit[0].is_hit() || !passes(hit[0].triangle) {
+            return hit[0];
+        }
+        // four units in the last place: the same hit is not found again
+        from.t_near = hit[0].t * (1.0 + 4.0 * f32::EPSILON);
+    }
+    Hit::miss()
+}
+
+/// Connected triangles of one class.
+struct Sheet {
+    class: u16,
+    /// m².
+    area: f32,
+    /// Whether any view sees it.
+    seen: bool,
+}
+
+/// Parts of the surface that are panes or not as a whole.
+struct Sheets {
+    /// Index into `sheets` by triangle.
+    of_triangle: Vec<u32>,
+    sheets: Vec<Sheet>,
+}
+
+/// A point of a sheet and the view that it was drawn from.
+struct Point {
+    position: Vec3,
+    triangle: u32,
+    view: u32,
+}
+
+/// How well the looks at a point are foretold.
+struct Foretold {
+    position: Vec3,
+    /// Mean relative error of what the other looks show.
+    as_opaque: f64,
+    seen_through: Vec<SeenThrough>,
+    /// Sheets that nobody sees and that rays behind the point passed.
+    unseen: BTreeSet<u32>,
+}
+
+/// A look at a point, and what lies behind it there.
+struct SeenThrough {
+    seen: Vec3,
+    /// Radiance behind.
+    behind: Vec3,
+    /// What all faces do not reflect.
+    entering: f32,
+    faces: u32,
+}
+
+impl Sheets {
+    fn of(observer: &Observer, mesh_classes: Option<&MeshClasses>) -> Self {
+        let class = mesh_classes.map_or_else(|| first_labels(observer), |m| m.of_triangle.clone());
+        let mut number: BTreeMap<(u16, u32), u32> = BTreeMap::new();
+        let mut sheets: Vec<Sheet> = Vec::new();
+        let of_triangle: Vec<u32> = (class.iter().zip(pieces(observer.mesh)))
+            .enumerate()
+            .map(|(t, (&class, piece))| {
+                let at = *number.entry((class, piece)).or_insert(sheets.len() as u32);
+                if at as usize == sheets.len() {
+                    sheets.push(Sheet {
+                        class,
+                        area: 0.0,
+                        seen: false,
+                    });
+                }
+                sheets[at as usize].area += observer.mesh.area(t);
+                at
+            })
+            .collect();
+        let seen: Vec<AtomicBool> = sheets.iter().map(|_| AtomicBool::new(false)).collect();
+        observer.views.par_iter().for_each(|view| {
+            let hits = view.buffer.triangle.data.iter();
+            for t in hits.filter(|t| **t != Hit::MISS) {
+                seen[of_triangle[*t as usize] as usize].store(true, Ordering::Relaxed);
+            }
+        });
+        for (sheet, seen) in sheets.iter_mut().zip(seen) {
+            sheet.seen = seen.into_inner();
+        }
+        Self {
+            of_triangle,
+            sheets,
+        }
+    }
+
+    fn of_triangle(&self, t: u32) -> u32 {
+        self.of_triangle[t as usize]
+    }
+
+    /// Whether a ray that looks behind one sheet passes another: a pane has two faces, which need not
+    /// hang together, and of which views may see one alone; what has no label is no one thing.
+    fn alike(&self, own: u32, other: u32) -> bool {
+        let [one, two] = [own, other].map(|s| &self.sheets[s as usize]);
+        let far_side = !two.seen && two.area <= FAR_SIDE * one.area;
+        own == other || far_side || one.class != 0 && one.class == two.class
+    }
+
+    /// Points of every sheet, evenly drawn from the clean pixels of each view.
+    fn points(&self, observer: &Observer) -> Vec<Vec<Point>> {
+        let of_view = |(v, view): (usize, &ObservedView)| {
+            let usable = |i: &usize| {
+                view.clean.data[*i]
+                    && view.valid.as_ref().is_none_or(|valid| valid.data[*i])
+                    && view.radiance.data[*i] != Vec3::ZERO
+            };
+            let triangles = &view.buffer.triangle.data;
+            let sheet = |i: usize| self.of_triangle(triangles[i]) as usize;
+            let all = || (0..triangles.len()).filter(usable);
+            let mut count = vec![0usize; self.sheets.len()];
+            all().for_each(|i| count[sheet(i)] += 1);
+            let mut nth = vec![0usize; self.sheets.len()];
+            let mut drawn = Vec::new();
+            for i in all() {
+                let s = sheet(i);
+                // the middles of equal parts of the sheet's pixels
+                let parts = POINTS_OF_A_VIEW.min(count[s]);
+                let part = nth[s] * parts / count[s];
+                if nth[s] == (2 * part + 1) * count[s] / (2 * parts) {
+                    let (x, y) = (i % view.clean.width, i / view.clean.width);
+                    drawn.push(Point {
+                        position: view.buffer.position(x, y),
+                        triangle: triangles[i],
+                        view: v as u32,
+                    });
+                }
+                nth[s] += 1;
+            }
+            drawn
+        };
+        let views: Vec<Vec<Point>> = (observer.views.par_iter().enumerate())
+            .map(of_view)
+            .collect();
+        let mut points: Vec<Vec<Point>> = Vec::new();
+        points.resize_with(self.sheets.len(), Vec::new);
+        for point in views.into_iter().flatten() {
+            points[self.of_triangle(point.triangle) as usize].push(point);
+        }
+        for of_sheet in points.iter_mut().filter(|p| p.len() > POINTS) {
+            let step = of_sheet.len().div_ceil(POINTS);
+            let mut n = 0;
+            of_sheet.retain(|_| {
+                n += 1;
+                (n - 1) % step == 0
+            });
+        }
+        points
+    }
+
+    /// The sheet as a pane, if what lies behind foretells its looks better than they each other, beyond
+    /// chance, and it is possible.
+    fn pane(&self, sheet: u32, looks: &[Foretold]) -> Option<Pane> {
+        if looks.len() < FEWEST {
+            return None;
+        }
+        let tint = tint(looks)?;
+        let places: Vec<Vec3> = looks.iter().map(|l| l.position).collect();
+        let through: Vec<f64> = (looks.iter())
+            .map(|l| through_error(&l.seen_through, tint))
+            .collect();
+        let gain: Vec<f64> = (looks.iter().zip(through))
+            .map(|(l, through)| MOST * l.as_opaque - through)
+            .collect();
+        let gain = Mean::over(&places, &gain);
+        let shares: Vec<f64> = (looks.iter())
+            .filter_map(|l| median(l.seen_through.iter().map(SeenThrough::share).collect()))
+            .map(f64::from)
+            .collect();
+        let error = Mean::over(&places, &shares).error as f32;
+        let passed = looks.iter().flat_map(|l| &l.seen_through);
+        let passed = median(passed.map(SeenThrough::passed).collect())?;
+        let possible = passed <= 1.0 + SURELY * error;
+        if gain.value < f64::from(SURELY) * gain.error || !possible {
+            return None;
+        }
+        let mut parts: BTreeSet<u32> = looks.iter().flat_map(|l| l.unseen.clone()).collect();
+        parts.insert(sheet);
+        let triangles = (0..self.of_triangle.len() as u32)
+            .filter(|t| parts.contains(&self.of_triangle[*t as usize]))
+            .collect();
+        Some(Pane {
+            class: self.sheets[sheet as usize].class,
+            triangles,
+            tint: tint.min(Vec3::ONE),
+            tint_error: error,
+        })
+    }
+}
+
+/// The label of the first clean pixel that sees each triangle; 0 where none does.
+fn first_labels(observer: &Observer) -> Vec<u16> {
+    let key = |_| AtomicU64::new(u64::MAX);
+    let first: Vec<AtomicU64> = observer.mesh.triangles.par_iter().map(key).collect();
+    observer.views.par_iter().enumerate().for_each(|(v, view)| {
+        let Some(labels) = &view.labels else {
+            return;
+        };
+        let (w, h) = (view.clean.width, view.clean.height);
+        for i in (0..w * h).filter(|i| view.clean.data[*i]) {
+            let at = (i % w * labels.width / w) + (i / w * labels.height / h) * labels.width;
+            let key = ((v * w * h + i) as u64) << 16 | u64::from(labels.data[at]);
+            first[view.buffer.triangle.data[i] as usize].fetch_min(key, Ordering::Relaxed);
+        }
+    });
+    // the low bits are the label
+    let label = |key: AtomicU64| match key.into_inner() {
+        u64::MAX => 0,
+        key => (key & 0xffff) as u16,
+    };
+    first.into_iter().map(label).collect()
+}
+
+impl SeenThrough {
+    /// Share of the luminance that passes all faces.
+    fn passed(&self) -> f32 {
+        luminance(self.seen) / luminance(self.behind)
+    }
+
+    /// Share of the luminance that passes one face of what it does not reflect.
+    fn share(&self) -> f32 {
+        (self.passed() / self.entering).powf(1.0 / self.faces as f32)
+    }
+
+    /// What shows if each face lets `tint` pass.
+    fn foretold(&self, tint: Vec3) -> Vec3 {
+        self.behind * self.entering * tint.powf(self.faces as f32)
+    }
+}
+
+/// The points whose looks are foretold both ways.
+fn looks(
+    sheets: &Sheets,
+    observer: &Observer,
+    tracer: &dyn Tracer,
+    points: &[Point],
+) -> Vec<Foretold> {
+    if points.len() < FEWEST {
+        return Vec::new();
+    }
+    let (mut seen, mut there) = (Vec::new(), Vec::new());
+    let point = |p: &Point| {
+        let camera = observer.views[p.view as usize].buffer.camera.position;
+        let normal = facing(observer.mesh, p.triangle, p.position - camera);
+        observer.observe(p.position, normal, &mut seen);
+        seen.retain(|o| o.clean);
+        let opaque: Vec<f64> = (0..seen.len()).map(|k| left_out_error(&seen, k)).collect();
+        let own = sheets.of_triangle(p.triangle);
+        let mut unseen = BTreeSet::new();
+        let passes = |t: u32| {
+            let sheet = sheets.of_triangle(t);
+            let passes = sheets.alike(own, sheet);
+            if passes && !sheets.sheets[sheet as usize].seen {
+                unseen.insert(sheet);
+            }
+            passes
+        };
+        let mut behind = Behind {
+            observer,
+            tracer,
+            passes,
+            there: &mut there,
+        };
+        let seen_through: Vec<SeenThrough> = (seen.iter())
+            .filter_map(|look| behind.look(p.position, look))
+            .collect();
+        let enough = seen.len() >= 2 && !seen_through.is_empty();
+        enough.then(|| Foretold {
+            position: p.position,
+            as_opaque: opaque.iter().sum::<f64>() / opaque.len() as f64,
+            seen_through,
+            unseen,
+        })
+    };
+    points.iter().filter_map(point).collect()
+}
+
+/// The unit normal of a triangle on the side that a ray comes from.
+fn facing(mesh: &Mesh, triangle: u32, direction: Vec3) -> Vec3 {
+    let normal = mesh.face_normal(triangle as usize);
+    if normal.dot(direction) > 0.0 {
+        -normal
+    } else {
+        normal
+    }
+}
+
+/// What lies behind a point, by views that see that directly.
+struct Behind<'a, P> {
+    observer: &'a Observer<'a>,
+    tracer: &'a dyn Tracer,
+    /// Whether rays pass a triangle.
+    passes: P,
+    there: &'a mut Vec<Observation>,
+}
+
+impl<P: FnMut(u32) -> bool> Behind<'_, P> {
+    /// That of one look.
+    fn look(&mut self, position: Vec3, look: &Observation) -> Option<SeenThrough> {
+        let Observer { mesh, views } = *self.observer;
+        let camera = views[look.view as usize].buffer.camera.position;
+        let direction = (position - camera).normalize();
+        let (mut faces, mut entering) = (0, 1.0);
+        let hit = beyond(
+            self.tracer,
+            Ray::new(camera, direction, f32::INFINITY),
+            |t| {
+                let passes = (self.passes)(t);
+                if passes {
+                    faces += 1;
+                    entering *= enters(mesh.face_normal(t as usize), direction);
+                }
+                passes
+            },
+        );
+        if !hit.is_hit() || faces == 0 {
+            return None;
+        }
+        let normal = facing(mesh, hit.triangle, direction);
+        let position = camera + direction * hit.t;
+        self.observer.observe(position, normal, self.there);
+        // so near behind that this very look would be one at it
+        if self.there.iter().any(|o| o.view == look.view) {
+            return None;
+        }
+        let channel = |c: usize| {
+            let clean = self.there.iter().filter(|o| o.clean);
+            median(clean.map(|o| o.radiance[c]).collect())
+        };
+        let behind = Vec3::new(channel(0)?, channel(1)?, channel(2)?);
+        (luminance(behind) > 0.0).then_some(SeenThrough {
+            seen: look.radiance,
+            behind,
+            entering,
+            faces,
+        })
+    }
+}
+
+/// Relative error of a luminance that was foretold, [0, 1].
+fn relative_error(seen: Vec3, foretold: Vec3) -> f64 {
+    let (seen, foretold) = (luminance(seen), luminance(foretold));
+    let larger = seen.max(foretold).max(f32::MIN_POSITIVE);
+    f64::from((seen - foretold).abs() / larger)
+}
+
+/// Error of look `k` foretold by the mean of the others.
+fn left_out_error(seen: &[Observation], k: usize) -> f64 {
+    let others = seen.iter().enumerate().filter(|(j, _)| *j != k);
+    let sum: Vec3 = others.map(|(_, o)| o.radiance).sum();
+    relative_error(seen[k].radiance, sum / (seen.len().max(2) - 1) as f32)
+}
+
+/// Mean error of looks foretold by what lies behind.
+fn through_error(looks: &[SeenThrough], tint: Vec3) -> f64 {
+    let error = |l: &SeenThrough| relative_error(l.seen, l.foretold(tint));
+    looks.iter().map(error).sum::<f64>() / looks.len() as f64
+}
+
+/// What passes one face, by the median look; `None` where a channel of all is dark.
+fn tint(looks: &[Foretold]) -> Option<Vec3> {
+    let channel = |c: usize| {
+        let lit = looks.iter().flat_map(|l| &l.seen_through);
+        let share =
+            |l: &SeenThrough| (l.seen[c] / l.behind[c] / l.entering).powf(1.0 / l.faces as f32);
+        median(lit.filter(|l| l.behind[c] > 0.0).map(share).collect())
+    };
+    Some(Vec3::new(channel(0)?, channel(1)?, channel(2)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::geometry::{Camera, Lens, Projection};
+    use glam::Mat3;
+
+    /// What passes a face of the tests' panes.
+    const TINT: Vec3 = Vec3::new(0.9, 0.8, 0.7);
+    /// Class of the sheet, and of the wall behind it.
+    const SHEET: u16 = 2;
+    const WALL: u16 = 1;
+
+    /// What stands before the wall.
+    #[derive(Clone, Copy, PartialEq)]
+    enum Stands {
+        /// A pane of so many faces.
+        Pane(u32),
+        /// A painting.
+        Painting,
+        /// A pane that the mesh has and nobody hung.
+        Nothing,
+    }
+
+    /// A wall of 8 x 6 m at z = -4 and sheets of 1.2 x 1.2 m before it, two triangles each.
+    fn mesh(faces: u32) -> Mesh {
+        let mut mesh = Mesh::default();
+        let sheets = (0..faces).map(|k| (0.6, 0.6, -2.5 - 0.01 * k as f32));
+        for (x, y, z) in std::iter::once((4.0, 3.0, -4.0)).chain(sheets) {
+            let first = mesh.positions.len() as u32;
+            for (a, b) in [(-x, -y), (x, -y), (x, y), (-x, y)] {
+                mesh.positions.push(Vec3::new(a, b, z));
+                mesh.normals.push(Vec3::Z);
+                mesh.uvs.push(Vec2::ZERO);
+            }
+            mesh.triangles
+                .extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+        }
+        mesh
+    }
+
+    /// Light of a surface with a pattern of 20 cm and one of 45 cm.
+    fn pattern(p: Vec3, phase: f32) -> Vec3 {
+        let wave = |x: f32, length: f32| 0.5 + 0.5 * (std::f32::consts::TAU * x / length).sin();
+        let fine = wave(p.x + phase, 0.2) * wave(p.y - phase, 0.2);
+        Vec3::new(0.2, 0.3, 0.4) + 0.6 * fine + 0.3 * wave(p.x + p.y + phase, 0.45)
+    }
+
+    fn views(mesh: &Mesh, tracer: &dyn Tracer, stands: Stands) -> Vec<ObservedView> {
+        let (width, height) = (160, 120);
+        let view = |k: usize| {
+            let camera = Camera {
+                projection: Projection::Pinhole(Lens::centred(width, height, 90.0)),
+                width,
+                height,
+                world_from_camera: Mat3::IDENTITY,
+                position: Vec3::new(0.45 * (k as f32 - 3.0), 0.1 * (k % 3) as f32, 0.0),
+            };
+            let buffer = ViewBuffer::trace(&camera, tracer);
+            let radiance = |i: usize| {
+                let ray = pixel_ray(&buffer, i);
+                let mut share = Vec3::ONE;
+                let hit = beyond(tracer, ray, |t| {
+                    let sheet = t >= 2;
+                    if sheet && stands != Stands::Nothing {
+                        share *= TINT * enters(Vec3::Z, ray.direction.into());
+                    }
+                    sheet && stands != Stands::Painting
+                });
+                let at = camera.position + Vec3::from(ray.direction) * hit.t;
+                match (hit.is_hit(), hit.triangle >= 2) {
+                    (false, _) => Vec3::ZERO,
+                    (true, true) => pattern(at, 0.07),
+                    (true, false) => share * pattern(at, 0.0),
+                }
+            };
+            let radiance: Vec<Vec3> = (0..width * height).map(radiance).collect();
+            let label = |t: &u32| match *t {
+                Hit::MISS => 0,
+                0 | 1 => WALL,
+                _ => SHEET,
+            };
+            let labels = buffer.triangle.map(label);
+            ObservedView {
+                clean: buffer.clean_pixels(mesh, Some(&labels)),
+                radiance: crate::core::image::Plane {
+                    width,
+                    height,
+                    data: radiance,
+                },
+                labels: Some(labels),
+                valid: None,
+                buffer,
+            }
+        };
+        (0..7).map(view).collect()
+    }
+
+    fn found(stands: Stands) -> (Mesh, EmbreeTracer, Vec<ObservedView>, Panes) {
+        let mesh = mesh(match stands {
+            Stands::Pane(faces) => faces,
+            _ => 1,
+        });
+        let tracer = EmbreeTracer::new(&mesh).expect("Embree");
+        let views = views(&mesh, &tracer, stands);
+        let observer = Observer {
+            mesh: &mesh,
+            views: &views,
+        };
+        let panes = Panes::find(&observer, &tracer, None);
+        (mesh, tracer, views, panes)
+    }
+
+    #[test]
+    fn a_pane_is_found_with_its_tint_however_many_faces_it_has() {
+        for faces in [1, 2] {
+            let (_, _, _, panes) = found(Stands::Pane(faces));
+            let seen: Vec<&Pane> = panes.panes.iter().collect();
+            let [pane] = seen[..] else {
+                panic!("{faces} faces: {panes:?}");
+            };
+            let all: Vec<u32> = (2..2 + 2 * faces).collect();
+            assert_eq!((pane.class, &pane.triangles), (SHEET, &all));
+            let off = (pane.tint - TINT).abs().max_element();
+            assert!(off < 0.03, "{faces} faces: {pane:?}");
+            assert!(pane.tint_error < 0.05, "{pane:?}");
+        }
+    }
+
+    #[test]
+    fn a_painting_is_none_and_what_nobody_hung_lets_all_light_through() {
+        let (_, _, _, panes) = found(Stands::Painting);
+        assert!(panes.is_empty(), "{panes:?}");
+        let (_, _, _, panes) = found(Stands::Nothing);
+        let tint = panes.of(2).map(|p| p.tint).unwrap_or_default();
+        assert!((tint - Vec3::ONE).abs().max_element() < 0.03, "{tint}");
+        assert!(panes.of(0).is_none(), "the wall is there");
+    }
+
+    #[test]
+    fn views_that_look_through_show_what_lies_behind_as_it_is() {
+        let (mesh, whole, mut views, panes) = found(Stands::Pane(1));
+        let cleared = panes.cleared(&mesh).expect("Embree");
+        let mut through = 0;
+        for view in &mut views {
+            let before = view.clone();
+            panes.look_through(view, &whole, &cleared, (&mesh, None));
+            for i in 0..view.clean.data.len() {
+                let was = before.buffer.triangle.data[i];
+                let labels = view.labels.as_ref().expect("labels");
+                if was == Hit::MISS || was < 2 {
+                    assert_eq!(view.radiance.data[i], before.radiance.data[i]);
+                    continue;
+                }
+                through += 1;
+                let (x, y) = (i % view.clean.width, i / view.clean.width);
+                let truth = pattern(view.buffer.position(x, y), 0.0);
+                let off = (view.radiance.data[i] / truth - 1.0).abs().max_element();
+                assert!(off < 0.05, "{i}: {} for {truth}", view.radiance.data[i]);
+                assert!(view.buffer.triangle.data[i] < 2 && !view.clean.data[i]);
+                assert_eq!(labels.data[i], 0, "the wall is not of glass");
+            }
+        }
+        assert!(through > 2000, "{through}");
+    }
+}
