@@ -58,6 +58,7 @@ pub(super) fn assemble(
         emission,
         confidence: texels.scatter(&confidence, Vec2::splat(1e4)),
         metallic: metallic_texture(surface, light, roughness),
+        transmission: None,
         irradiance_error: Some(light.texels.scatter(&light.error, 0.0)),
         camera_masks: surface.camera_masks.clone(),
         rooms: roughness.rooms.clone(),

@@ -83,6 +83,7 @@ pub(super) fn reconstruct_as_published(
             .unwrap_or_else(|| Plane::filled(sides.albedo, sides.albedo, Vec3::ZERO)),
         confidence: Plane::filled(sides.albedo, sides.albedo, Vec2::splat(UNKNOWN)),
         metallic: None,
+        transmission: None,
         irradiance_error: Some(texels.scatter(&baked.error, 0.0)),
         camera_masks: surface.camera_masks.clone(),
         labels: surface.texels.scatter(&surface.labels, 0),

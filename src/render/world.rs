@@ -337,6 +337,7 @@ impl SurfaceModel for EditableScene<'_> {
                 colour: albedo,
                 metallic: s.metal_at(uv),
             },
+            transmission: s.transmission_at(uv),
             roughness,
             emission,
         }
@@ -356,6 +357,10 @@ impl SurfaceModel for EditableScene<'_> {
         }
         let middle = self.mesh.uv(triangle, 1.0 / 3.0, 1.0 / 3.0);
         self.solution.class_at(middle)
+    }
+
+    fn has_panes(&self) -> bool {
+        self.solution.transmission.is_some()
     }
 
     fn reflectance(&self) -> Reflectance {

@@ -36,6 +36,10 @@ pub struct Solution {
     pub albedo: RgbPlane,
     /// Share of metal in [0, 1], size and layout of the albedo; `None` where the scene has none.
     pub metallic: Option<Plane<f32>>,
+    /// Share in [0, 1] of the light that is not reflected specularly which goes straight through
+    /// instead of being scattered, size and layout of the albedo; the albedo is its tint then.
+    /// `None` where nothing is transparent.
+    pub transmission: Option<Plane<f32>>,
     /// Roughness R in [0, 1], α = R².
     pub roughness: Plane<f32>,
     /// Irradiance E, same radiance unit as the images times steradian.
@@ -79,10 +83,21 @@ impl Solution {
     /// The share of metal at a place of the atlas, [0, 1].
     #[must_use]
     pub fn metal_at(&self, uv: Vec2) -> f32 {
-        self.metallic.as_ref().map_or(0.0, |m| {
-            m.bilinear(uv * Vec2::new(m.width as f32, m.height as f32), Wrap::Clamp)
-        })
+        share_at(self.metallic.as_ref(), uv)
     }
+
+    /// The share of transmitted light at a place of the atlas, [0, 1].
+    #[must_use]
+    pub fn transmission_at(&self, uv: Vec2) -> f32 {
+        share_at(self.transmission.as_ref(), uv)
+    }
+}
+
+/// A texture's value at a place of the atlas; 0 without one.
+fn share_at(share: Option<&Plane<f32>>, uv: Vec2) -> f32 {
+    share.map_or(0.0, |s| {
+        s.bilinear(uv * Vec2::new(s.width as f32, s.height as f32), Wrap::Clamp)
+    })
 }
 
 #[cfg(test)]
@@ -131,6 +146,7 @@ pub(crate) mod tests {
                 data: (0..256).map(|i| Vec2::new(i as f32 * 0.01, 1e4)).collect(),
             },
             metallic: None,
+            transmission: None,
             irradiance_error: Some(Plane {
                 width: 16,
                 height: 16,

@@ -39,6 +39,9 @@ const IRRADIANCE_ERROR: &str = "irradiance_error.exr";
 /// A file that only solutions with metal have.
 const METALLIC: &str = "metallic.exr";
 
+/// A file that only solutions with panes have.
+const TRANSMISSION: &str = "transmission.exr";
+
 /// The largest finite half-precision value.
 const HALF_MAX: f32 = 65_504.0;
 
@@ -104,10 +107,11 @@ impl Solution {
     }
 
     /// Textures that not every solution has, under the names of their files.
-    const fn optional_planes(&self) -> [(&'static str, Option<&Plane<f32>>); 2] {
+    const fn optional_planes(&self) -> [(&'static str, Option<&Plane<f32>>); 3] {
         [
             (IRRADIANCE_ERROR, self.irradiance_error.as_ref()),
             (METALLIC, self.metallic.as_ref()),
+            (TRANSMISSION, self.transmission.as_ref()),
         ]
     }
 
@@ -139,9 +143,14 @@ impl Solution {
         if let Some(error) = &self.irradiance_error {
             hash.update_rayon(bytemuck::cast_slice(&error.data));
         }
-        if let Some(metallic) = &self.metallic {
-            hash.update(METALLIC.as_bytes());
-            hash.update_rayon(bytemuck::cast_slice(&metallic.data));
+        for (name, share) in [
+            (METALLIC, &self.metallic),
+            (TRANSMISSION, &self.transmission),
+        ] {
+            if let Some(share) = share {
+                hash.update(name.as_bytes());
+                hash.update_rayon(bytemuck::cast_slice(&share.data));
+            }
         }
         hash.update(format!("{:?} {:?}", self.origin, self.reflectance).as_bytes());
         hash.finalize().to_hex()[..32].to_owned()
@@ -181,15 +190,21 @@ impl Solution {
             _ => Ok(None),
         };
         let albedo = rgb("albedo.exr")?;
-        let metallic = optional(METALLIC)?;
-        if let Some(plane) = &metallic {
-            check_metallic(&folder.join(METALLIC), plane, &albedo)?;
-        }
+        let share = |name: &str, of: &str| -> Result<Option<Plane<f32>>> {
+            let plane = optional(name)?;
+            if let Some(plane) = &plane {
+                check_share(&folder.join(name), of, plane, &albedo)?;
+            }
+            Ok(plane)
+        };
+        let metallic = share(METALLIC, "metal")?;
+        let transmission = share(TRANSMISSION, "transmitted light")?;
         let mut solution = Self {
             mesh: glb.mesh,
             origin: glb.origin,
             albedo,
             metallic,
+            transmission,
             roughness: read_plane(folder.join("roughness.exr"))?,
             irradiance: rgb("irradiance.exr")?,
             radiance: rgb("radiance.exr")?,
@@ -244,6 +259,11 @@ impl Solution {
                 let metallic = self.metallic.as_ref()?;
                 let i = metallic.data.iter().position(|v| !v.is_finite())?;
                 Some(("metallic", i, metallic.width))
+            })
+            .or_else(|| {
+                let transmission = self.transmission.as_ref()?;
+                let i = transmission.data.iter().position(|v| !v.is_finite())?;
+                Some(("transmission", i, transmission.width))
             });
         match first {
             None => Ok(()),
@@ -256,25 +276,25 @@ impl Solution {
     }
 }
 
-/// Refuses a metallic texture that is not of the albedo's size, or not of shares in [0, 1].
-fn check_metallic(path: &Path, metallic: &Plane<f32>, albedo: &RgbPlane) -> Result<()> {
-    let (w, h) = (metallic.width, metallic.height);
+/// Refuses a texture of shares (`of` metal, say) that is not of the albedo's size, or not in [0, 1].
+fn check_share(path: &Path, of: &str, share: &Plane<f32>, albedo: &RgbPlane) -> Result<()> {
+    let (w, h) = (share.width, share.height);
     if (w, h) != (albedo.width, albedo.height) {
         return Err(Error::input(
             path,
             format!(
-                "is {w}x{h}, expected {}x{}, the size of albedo.exr; write it at that size, or delete it for a scene without metal",
+                "is {w}x{h}, expected {}x{}, the size of albedo.exr; write it at that size, or delete it for a scene without {of}",
                 albedo.width, albedo.height
             ),
         ));
     }
     let wrong = |m: &f32| !(0.0..=1.0).contains(m);
-    if let Some(i) = metallic.data.iter().position(wrong) {
+    if let Some(i) = share.data.iter().position(wrong) {
         return Err(Error::input(
             path,
             format!(
-                "is {} at texel ({}, {}), expected a share of metal from 0 to 1; mend it, or delete it for a scene without metal",
-                metallic.data[i],
+                "is {} at texel ({}, {}), expected a share of {of} from 0 to 1; mend it, or delete it for a scene without {of}",
+                share.data[i],
                 i % w,
                 i / w
             ),
@@ -289,7 +309,10 @@ fn one_generation(folder: &Path, of_glb: Option<&str>) -> Result<()> {
     let Some(expected) = of_glb else {
         return Ok(());
     };
-    for name in FILES.iter().chain(&[IRRADIANCE_ERROR, METALLIC]) {
+    for name in FILES
+        .iter()
+        .chain(&[IRRADIANCE_ERROR, METALLIC, TRANSMISSION])
+    {
         let path = folder.join(name);
         if ["scene.glb", LIGHTS].contains(name) || !path.is_file() {
             continue;
@@ -481,35 +504,52 @@ mod tests {
 
     #[test]
     fn metal_is_kept_and_an_old_solutions_removed() {
+        share_is_kept_and_an_old_one_removed(METALLIC, |s| &mut s.metallic, Solution::metal_at);
+    }
+
+    #[test]
+    fn panes_are_kept_and_an_old_solutions_removed() {
+        share_is_kept_and_an_old_one_removed(
+            TRANSMISSION,
+            |s| &mut s.transmission,
+            Solution::transmission_at,
+        );
+    }
+
+    fn share_is_kept_and_an_old_one_removed(
+        name: &str,
+        field: fn(&mut Solution) -> &mut Option<Plane<f32>>,
+        look_up: fn(&Solution, Vec2) -> f32,
+    ) {
         let folder = tempfile::tempdir().expect("temp");
-        let path = folder.path().join(METALLIC);
+        let path = folder.path().join(name);
         let options = SaveOptions::default();
         let mut solution = small_solution();
         let without = solution.generation();
         let (w, h) = (solution.albedo.width, solution.albedo.height);
-        let mut metallic = Plane::filled(w, h, 0.0);
-        metallic.data[7] = 1.0;
-        metallic.data[40] = 0.25;
-        solution.metallic = Some(metallic.clone());
+        let mut share = Plane::filled(w, h, 0.0);
+        share.data[7] = 1.0;
+        share.data[40] = 0.25;
+        *field(&mut solution) = Some(share.clone());
         assert_ne!(solution.generation(), without);
         solution.save(folder.path(), &options).expect("saves");
-        let back = Solution::load(folder.path()).expect("loads");
+        let mut back = Solution::load(folder.path()).expect("loads");
         assert_eq!(
-            back.metallic.as_ref(),
-            Some(&metallic),
-            "half precision holds these"
-        );
-        assert_eq!(
-            (back.metal_at(Vec2::new(7.5, 0.5) / w as f32), w),
+            (look_up(&back, Vec2::new(7.5, 0.5) / w as f32), w),
             (1.0, h),
             "a look-up meets its texel"
+        );
+        assert_eq!(
+            field(&mut back).as_ref(),
+            Some(&share),
+            "half precision holds these"
         );
 
         let whole = std::fs::read(&path).expect("reads");
         let refused = |what: &str| {
             let e = Solution::load(folder.path()).expect_err(what);
             assert!(
-                e.exit_code() == 2 && e.to_string().contains("metallic.exr"),
+                e.exit_code() == 2 && e.to_string().contains(name),
                 "{what}: {e}"
             );
             e.to_string()
@@ -526,18 +566,18 @@ mod tests {
             "{e}"
         );
         for wrong in [1.5, -0.1] {
-            metallic.data[18] = wrong;
-            write(&metallic);
+            share.data[18] = wrong;
+            write(&share);
             let e = refused("no share");
             assert!(e.contains("texel (2, 1)") && e.contains("delete"), "{e}");
         }
 
-        solution.metallic = None;
+        *field(&mut solution) = None;
         assert_eq!(solution.generation(), without);
         solution.save(folder.path(), &options).expect("saves");
-        assert!(!path.exists(), "nobody's metal");
-        let back = Solution::load(folder.path()).expect("loads");
-        assert!(back.metallic.is_none() && back.metal_at(Vec2::splat(0.5)) == 0.0);
+        assert!(!path.exists(), "nobody's share");
+        let mut back = Solution::load(folder.path()).expect("loads");
+        assert!(field(&mut back).is_none() && look_up(&back, Vec2::splat(0.5)) == 0.0);
     }
 
     #[test]

@@ -2,14 +2,40 @@
 //! is, panes that let a share of the light through.
 
 use super::{Hit, Ray, Tracer};
+use crate::core::sampling::hash_u64;
 
 /// Layers that a ray may pass: a bound for rays along a stack of coincident surfaces.
-const MOST_LAYERS: usize = 256;
+pub const MOST_LAYERS: usize = 256;
 
 /// What is there of a surface.
 pub trait Coverage: Sync {
     /// Whether anything stops the ray where it hits. The answer for equal rays and hits is equal.
     fn stops(&self, ray: &Ray, hit: &Hit) -> bool;
+}
+
+/// A number in [0, 1) of a ray's own at a hit, as good as random: what lets a share of the light
+/// through stops a ray where the number lies below the rest, and stops the same ray again.
+#[must_use]
+pub fn number_of_ray(ray: &Ray, hit: &Hit) -> f32 {
+    let numbers = ray
+        .origin
+        .iter()
+        .chain(&ray.direction)
+        .chain(std::iter::once(&ray.t_near));
+    let key = numbers.fold(u64::from(hit.triangle), |k, x| {
+        hash_u64(k, x.to_bits().into())
+    });
+    ((key >> 40) as f32) / ((1u64 << 24) as f32)
+}
+
+/// The ray behind what it has hit.
+#[must_use]
+pub fn beyond(ray: &Ray, hit: &Hit) -> Ray {
+    Ray {
+        // four units in the last place: the same hit is not found again
+        t_near: hit.t * (1.0 + 4.0 * f32::EPSILON),
+        ..*ray
+    }
 }
 
 /// Rays that pass through holes.
@@ -33,21 +59,16 @@ impl Tracer for CutOut<'_> {
             hits[*i].is_hit() && !self.coverage.stops(&rays[*i], &hits[*i])
         };
         let mut open: Vec<usize> = (0..rays.len()).filter(|i| passes(i, hits)).collect();
-        let mut beyond = Vec::new();
+        let mut next = Vec::new();
         for _ in 0..MOST_LAYERS {
             if open.is_empty() {
                 return;
             }
-            let on = |&i: &usize| Ray {
-                // four units in the last place: the same hit is not found again
-                t_near: hits[i].t * (1.0 + 4.0 * f32::EPSILON),
-                ..rays[i]
-            };
-            let further: Vec<Ray> = open.iter().map(on).collect();
-            beyond.clear();
-            beyond.resize(further.len(), Hit::miss());
-            self.tracer.closest(&further, &mut beyond);
-            for (&i, hit) in open.iter().zip(&beyond) {
+            let further: Vec<Ray> = open.iter().map(|&i| beyond(&rays[i], &hits[i])).collect();
+            next.clear();
+            next.resize(further.len(), Hit::miss());
+            self.tracer.closest(&further, &mut next);
+            for (&i, hit) in open.iter().zip(&next) {
                 hits[i] = *hit;
             }
             open.retain(|i| passes(i, hits));

@@ -9,8 +9,7 @@ use crate::core::formats::{
     Alpha, Border, GltfFile, GltfMaterial, GltfTexture, Picture8, Piece, TextureUse,
 };
 use crate::core::math::linear_from_srgb;
-use crate::core::sampling::hash_u64;
-use crate::core::trace::{Coverage, Hit, Ray};
+use crate::core::trace::{Coverage, Hit, Ray, number_of_ray};
 use crate::error::Result;
 use crate::render::{Surface, SurfaceModel};
 use glam::{Vec2, Vec3, Vec4};
@@ -251,6 +250,8 @@ impl SurfaceModel for Looks {
                 colour: base,
                 metallic: metal,
             },
+            // of rays that its coverage stops
+            transmission: 0.0,
             roughness,
             emission,
         }
@@ -290,15 +291,6 @@ impl Coverage for Looks {
         if share >= 1.0 || share <= 0.0 {
             return share >= 1.0;
         }
-        // a number of the ray's own: the same ray meets the same surface again
-        let numbers = ray
-            .origin
-            .iter()
-            .chain(&ray.direction)
-            .chain(std::iter::once(&ray.t_near));
-        let key = numbers.fold(u64::from(hit.triangle), |k, x| {
-            hash_u64(k, x.to_bits().into())
-        });
-        ((key >> 40) as f32) / ((1u64 << 24) as f32) < share
+        number_of_ray(ray, hit) < share
     }
 }

@@ -271,6 +271,7 @@ fn true_solution(ground: &BenchScene, model: Reflectance, progress: &Progress) -
         emission: texels.scatter(&emission, Vec3::ZERO),
         confidence: Plane::filled(1, 1, Vec2::ZERO),
         metallic: None,
+        transmission: None,
         irradiance_error: None,
         camera_masks: Vec::new(),
         rooms: Plane::filled(1, 1, 1),

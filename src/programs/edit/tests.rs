@@ -48,6 +48,7 @@ fn furnace(albedo: f32, radiance: f32) -> Solution {
         emission: grey(48, 0.0),
         confidence: Plane::filled(48, 48, Vec2::ZERO),
         metallic: None,
+        transmission: None,
         irradiance_error: None,
         lamps: Vec::new(),
         portals: Vec::new(),

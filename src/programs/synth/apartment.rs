@@ -4,7 +4,9 @@
 //! Each room is a box of its own whose doorways are short tunnels through the partition, so that no
 //! wall is seen from behind.
 
-use super::catalogue::{CEILING, DOOR_FRAME, PARQUET, SKIRTING, TILED_FLOOR, WALL, WINDOW_FRAME};
+use super::catalogue::{
+    CEILING, DOOR_FRAME, GLASS_DOOR, PARQUET, SKIRTING, TILED_FLOOR, WALL, WINDOW_FRAME,
+};
 use super::charts::{Chart, Finish};
 use super::furniture;
 use super::options::SynthOptions;
@@ -16,6 +18,8 @@ use glam::{Vec2, Vec3};
 /// Thickness of partitions and depth of window reveals, metres.
 const WALL_THICKNESS: f32 = 0.16;
 const DOOR: Vec2 = Vec2::new(0.9, 2.05);
+/// Gap around the leaf of a glass door, metres.
+const DOOR_CLEARANCE: f32 = 0.005;
 /// Distance of a doorway's centre from the south wall (z = depth), metres.
 const DOOR_FROM_SOUTH: f32 = 1.15;
 const SILL: f32 = 0.9;
@@ -61,12 +65,15 @@ impl Apartment {
         // all rooms share the z of their doorways: measured from the shallowest room's south wall
         let shallowest = out.rooms.iter().fold(f32::INFINITY, |m, r| m.min(r.size.z));
         for i in 0..rooms {
-            let mut d = Decorator::new(KeyedRng::new(seed, 2000 + i as u64), options.fittings);
+            let mut d = Decorator::new(KeyedRng::new(seed, 2000 + i as u64), options);
             let room = out.rooms[i];
             let doors = [(i > 0), (i + 1 < rooms)];
             d.builder_at(Vec3::new(room.x, 0.0, 0.0), |d| {
                 shell(d, room.size, shallowest - DOOR_FROM_SOUTH, doors);
                 furniture::furnish(d, room.kind, room.size);
+                if options.panes && i + 1 < rooms {
+                    glass_door(d, room.size, shallowest - DOOR_FROM_SOUTH);
+                }
             });
             let first = out.paints.len();
             out.paints.append(&mut d.paints);
@@ -238,6 +245,20 @@ fn door_wall(d: &mut Decorator, wall: &Wall, centre: f32, finishes: &ShellFinish
         Vec3::Y,
         finishes.floor,
     );
+}
+
+/// A closed leaf of glass in the middle of the east doorway, centred at `door_z`: one sheet that
+/// both rooms see.
+fn glass_door(d: &mut Decorator, size: Vec3, door_z: f32) {
+    let leaf = d.finish(GLASS_DOOR);
+    let corner = Vec3::new(
+        size.x + 0.5 * WALL_THICKNESS,
+        DOOR_CLEARANCE,
+        door_z - 0.5 * DOOR.x + DOOR_CLEARANCE,
+    );
+    let extent = DOOR - 2.0 * DOOR_CLEARANCE;
+    let (along, up) = (Vec3::Z * extent.x, Vec3::Y * extent.y);
+    d.builder.rect_facing(corner, along, up, Vec3::NEG_X, leaf);
 }
 
 /// The pieces of a wall around its opening.

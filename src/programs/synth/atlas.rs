@@ -101,6 +101,12 @@ impl Atlas {
         self.fill(charts, 0.0, |c, _| charts[c].finish.metallic)
     }
 
+    /// The share of transmitted light of every texel, laid out as [`Self::paint`].
+    #[must_use]
+    pub fn transmission(&self, charts: &[Chart]) -> Plane<f32> {
+        self.fill(charts, 0.0, |c, _| charts[c].finish.transmission)
+    }
+
     /// A texture of the value of `at(chart, metres on it)`, `ground` between charts.
     fn fill<T: Copy + Send>(
         &self,
@@ -178,6 +184,7 @@ mod tests {
             class: 1,
             emission: Vec3::ZERO,
             metallic: 0.0,
+            transmission: 0.0,
         };
         for i in 0..60 {
             b.rect(

@@ -54,6 +54,8 @@ classes! {
     34 HANDLE "handle" false;
     35 PLANTER "planter" false;
     36 TABLE_TOP "table top" false;
+    37 GLASS_DOOR "glass door" false;
+    38 GLASS_SCREEN "glass screen" false;
 }
 
 /// Classes of metal: only apartments with fittings have them.
@@ -65,12 +67,25 @@ pub fn metallic(class: u16) -> f32 {
     f32::from(METALS.contains(&class))
 }
 
+/// Classes of glass: only apartments with panes have them.
+pub const PANES: [u16; 2] = [GLASS_DOOR, GLASS_SCREEN];
+
+/// The share of light that a class lets straight through.
+#[must_use]
+pub fn transmission(class: u16) -> f32 {
+    f32::from(PANES.contains(&class))
+}
+
 /// What metals reflect at normal incidence. Iron and steel: Hoffman 2010 ("Background:
 /// Physically-Based Shading", table 1). Brass: Akenine-Möller et al. 2018 ("Real-Time Rendering",
 /// table 9.2). Silver behind glass: its 0.95 through two passages of about 2.5 % each, made neutral.
 const STEEL: Tint = fixed([0.56, 0.57, 0.58]);
 const BRASS: Tint = fixed([0.91, 0.78, 0.42]);
 const SILVERED_GLASS: Tint = fixed([0.9; 3]);
+
+/// Tint of clear glass. Cited: about 0.90 of the light goes through 4 mm of float glass (SCI Windows,
+/// sciwindows.co.uk/glass). Derived: the first face's 0.96 is the specular lobe's, 0.94 are left.
+const CLEAR_GLASS: Tint = fixed([0.94; 3]);
 
 /// A colour of a recipe: linear reflectance and how far a room's own may lie from it.
 #[derive(Clone, Copy)]
@@ -117,12 +132,12 @@ struct Recipe {
 const NONE: Tint = fixed([0.0; 3]);
 const WOOD: Pattern = Pattern::Wood { board: 0.13 };
 
-/// Metal of one colour.
-const fn metal(class: u16, f0: Tint, roughness: f32) -> Recipe {
+/// Metal or glass of one colour.
+const fn polished(class: u16, colour: Tint, roughness: f32) -> Recipe {
     Recipe {
         class,
         pattern: Pattern::Polished,
-        colours: [f0, NONE],
+        colours: [colour, NONE],
         roughness,
     }
 }
@@ -354,12 +369,14 @@ const RECIPES: &[Recipe] = &[
         colours: [fixed([0.8, 0.5, 0.15]), fixed([0.7, 0.2, 0.1])],
         roughness: 0.3,
     },
-    metal(TAP, STEEL, 0.1),
-    metal(HOOD, STEEL, 0.3),
-    metal(MIRROR, SILVERED_GLASS, 0.05),
-    metal(HANDLE, BRASS, 0.2),
-    metal(PLANTER, BRASS, 0.15),
-    metal(TABLE_TOP, BRASS, 0.25),
+    polished(TAP, STEEL, 0.1),
+    polished(HOOD, STEEL, 0.3),
+    polished(MIRROR, SILVERED_GLASS, 0.05),
+    polished(HANDLE, BRASS, 0.2),
+    polished(PLANTER, BRASS, 0.15),
+    polished(TABLE_TOP, BRASS, 0.25),
+    polished(GLASS_DOOR, CLEAR_GLASS, 0.05),
+    polished(GLASS_SCREEN, CLEAR_GLASS, 0.05),
 ];
 /// Of what has no recipe, lamps: white.
 const WHITE: Recipe = Recipe {

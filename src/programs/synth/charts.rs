@@ -21,6 +21,8 @@ pub struct Finish {
     pub emission: Vec3,
     /// Share of metal.
     pub metallic: f32,
+    /// Share of light that goes straight through.
+    pub transmission: f32,
 }
 
 /// A patch with its own rectangle of the atlas.
@@ -36,7 +38,7 @@ pub struct Chart {
     pub uvs: Vec<Vec2>,
     /// Vertex indices within the chart.
     pub triangles: Vec<[u32; 3]>,
-    /// Material, class, emission, metal.
+    /// Material, class, emission, metal, glass.
     pub finish: Finish,
 }
 
@@ -314,6 +316,7 @@ mod tests {
             class: 1,
             emission: Vec3::ZERO,
             metallic: 0.0,
+            transmission: 0.0,
         }
     }
 

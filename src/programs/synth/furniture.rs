@@ -4,9 +4,9 @@
 //! +z).
 
 use super::catalogue::{
-    BED_FRAME, BEDDING, BOOK, BOWL, CABINET, CHAIR, CUSHION, FRUIT, HANDLE, HOOD, LAMP_STAND,
-    MIRROR, ORNAMENT, PICTURE, PICTURE_FRAME, PILLOW, PLANT, PLANT_POT, PLANTER, RUG, SHELF, SOFA,
-    SPLASHBACK, TABLE, TABLE_TOP, TAP, VASE, WORKTOP,
+    BED_FRAME, BEDDING, BOOK, BOWL, CABINET, CHAIR, CUSHION, FRUIT, GLASS_SCREEN, HANDLE, HOOD,
+    LAMP_STAND, MIRROR, ORNAMENT, PICTURE, PICTURE_FRAME, PILLOW, PLANT, PLANT_POT, PLANTER, RUG,
+    SHELF, SOFA, SPLASHBACK, TABLE, TABLE_TOP, TAP, VASE, WORKTOP,
 };
 use super::plan::Decorator;
 use glam::{Vec2, Vec3};
@@ -77,6 +77,29 @@ fn living_room(d: &mut Decorator, size: Vec3) {
     d.builder_at(Vec3::new(0.45, 0.0, 0.5), floor_lamp);
     d.builder_at(Vec3::new(size.x - 0.45, 0.0, 0.5), |d| plant(d, 1.0));
     pendant(d, Vec3::new(middle, size.y, 2.2), 0.6, 0.19, warm(48.0));
+    if d.panes {
+        d.builder_turned(Vec3::new(shelf_x - 0.3, 0.0, size.z - 1.2), 0.2, |d| {
+            glass_screen(d, Vec2::new(1.2, 1.8));
+        });
+    }
+}
+
+/// A pane that stands on two feet, across z.
+fn glass_screen(d: &mut Decorator, size: Vec2) {
+    const FOOT: Vec3 = Vec3::new(0.03, 0.08, 0.3);
+    let (pane, stand) = (d.finish(GLASS_SCREEN), d.finish(LAMP_STAND));
+    let half = 0.5 * size.x;
+    d.occupy(
+        Vec2::new(-half, -0.5 * FOOT.z),
+        Vec2::new(half, 0.5 * FOOT.z),
+    );
+    for x in [-0.8 * half, 0.8 * half] {
+        let low = Vec3::new(x - 0.5 * FOOT.x, 0.0, -0.5 * FOOT.z);
+        d.builder.cuboid(low, low + FOOT, false, stand);
+    }
+    let corner = Vec3::new(-half, FOOT.y, 0.0);
+    d.builder
+        .rect(corner, Vec3::X * size.x, Vec3::Y * size.y, pane);
 }
 
 fn bedroom(d: &mut Decorator, size: Vec3) {

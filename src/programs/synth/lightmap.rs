@@ -195,6 +195,7 @@ mod tests {
                 class: 1,
                 emission: Vec3::ZERO,
                 metallic: 0.0,
+                transmission: 0.0,
             },
         );
         let atlas = Atlas::pack(&b.charts, 128).expect("fits");

@@ -100,6 +100,8 @@ struct Built {
     texture: Plane<Vec4>,
     /// Share of metal, where there is any.
     metallic: Option<Plane<f32>>,
+    /// Share of transmitted light, where there are panes.
+    transmission: Option<Plane<f32>>,
 }
 
 impl Built {
@@ -112,12 +114,14 @@ impl Built {
             atlas.paint(&apartment.charts, &apartment.paints)
         });
         let metallic = options.fittings.then(|| atlas.metal(&apartment.charts));
+        let transmission = options.panes.then(|| atlas.transmission(&apartment.charts));
         Ok(Self {
             apartment,
             atlas,
             mesh,
             texture,
             metallic,
+            transmission,
         })
     }
 
@@ -248,6 +252,7 @@ pub fn generate(
         mesh: &built.mesh,
         texture: &built.texture,
         metallic: built.metallic.as_ref(),
+        transmission: built.transmission.as_ref(),
         views: &views,
     })?;
     if options.truth {

@@ -21,6 +21,8 @@ pub struct Textured<'a> {
     class: Vec<u16>,
     emission: Vec<Vec3>,
     metallic: Vec<f32>,
+    transmission: Vec<f32>,
+    has_panes: bool,
 }
 
 impl<'a> Textured<'a> {
@@ -35,6 +37,8 @@ impl<'a> Textured<'a> {
             class: finishes.iter().map(|f| f.class).collect(),
             emission: finishes.iter().map(|f| f.emission).collect(),
             metallic: finishes.iter().map(|f| f.metallic).collect(),
+            transmission: finishes.iter().map(|f| f.transmission).collect(),
+            has_panes: finishes.iter().any(|f| f.transmission > 0.0),
         }
     }
 }
@@ -50,6 +54,7 @@ impl SurfaceModel for Textured<'_> {
                 colour: texel.truncate(),
                 metallic: self.metallic[triangle],
             },
+            transmission: self.transmission[triangle],
             roughness: texel.w,
             emission: self.emission[triangle],
         }
@@ -59,6 +64,9 @@ impl SurfaceModel for Textured<'_> {
     }
     fn label(&self, triangle: usize) -> u16 {
         self.class[triangle]
+    }
+    fn has_panes(&self) -> bool {
+        self.has_panes
     }
 }
 

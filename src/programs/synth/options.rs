@@ -49,6 +49,10 @@ pub struct SynthOptions {
     /// they reflect at normal incidence.
     #[arg(long, help_heading = "Synthetic scene")]
     pub fittings: bool,
+    /// Add panes of clear glass, classes of their own: a closed glass door in every doorway, a screen on
+    /// feet in the living room. Their truth is `gt/transmission`; `gt/albedo` has there their tint.
+    #[arg(long, help_heading = "Synthetic scene")]
+    pub panes: bool,
     /// Also write the truth as a solution, gt/solution, for `unbake relight OUT --against`.
     #[arg(long, help_heading = "Synthetic scene")]
     pub truth: bool,
@@ -69,6 +73,7 @@ impl Default for SynthOptions {
             diffuse: false,
             wallpaper: false,
             fittings: false,
+            panes: false,
             truth: false,
         }
     }
@@ -112,6 +117,11 @@ impl SynthOptions {
         if self.fittings && self.diffuse {
             return wrong(
                 "--fittings and --diffuse exclude each other: metal is all highlight; leave one out",
+            );
+        }
+        if self.panes && self.diffuse {
+            return wrong(
+                "--panes and --diffuse exclude each other: a pane without its reflection is no pane; leave one out",
             );
         }
         if !(64..=16_384).contains(&self.texture) {

@@ -1,7 +1,7 @@
 //! Writing the scene folder: aside first, then moved into place.
 
 use super::apartment::Apartment;
-use super::catalogue::{CLASSES, METALS, metallic};
+use super::catalogue::{CLASSES, METALS, PANES, metallic, transmission};
 use super::glb;
 use super::options::{SynthOptions, SynthSummary};
 use super::views::SynthView;
@@ -27,6 +27,8 @@ pub struct FolderWriter {
     folder: StagedScene,
     /// Whether the scene has metals.
     metals: bool,
+    /// Whether it has panes.
+    panes: bool,
 }
 
 /// What the scene's files describe.
@@ -41,6 +43,8 @@ pub struct Described<'a> {
     pub texture: &'a Plane<Vec4>,
     /// Share of metal, where there is any.
     pub metallic: Option<&'a Plane<f32>>,
+    /// Share of transmitted light, where there are panes.
+    pub transmission: Option<&'a Plane<f32>>,
     /// Cameras.
     pub views: &'a [SynthView],
 }
@@ -61,10 +65,14 @@ impl FolderWriter {
         if options.fittings {
             folders.push("gt/metallic");
         }
+        if options.panes {
+            folders.push("gt/transmission");
+        }
         let folder = StagedScene::new(target, "synth", MARK, &folders)?;
         Ok(Self {
             folder,
             metals: options.fittings,
+            panes: options.panes,
         })
     }
 
@@ -119,6 +127,10 @@ impl FolderWriter {
             let path = self.path(format!("gt/metallic/{stem}.exr"));
             formats::write_plane_half(path, &frame.class_metallic)?;
         }
+        if self.panes {
+            let path = self.path(format!("gt/transmission/{stem}.exr"));
+            formats::write_plane_half(path, &frame.class_transmission)?;
+        }
         Ok(())
     }
 
@@ -138,6 +150,9 @@ impl FolderWriter {
         )?;
         if let Some(metallic) = d.metallic {
             formats::write_plane_half(self.path("gt/metallic_texture.exr"), metallic)?;
+        }
+        if let Some(transmission) = d.transmission {
+            formats::write_plane_half(self.path("gt/transmission_texture.exr"), transmission)?;
         }
         self.folder.write_json("gt/materials.json", &materials(d))?;
         let (grid, place) = rooms(d);
@@ -172,6 +187,7 @@ fn transforms(d: &Described<'_>) -> Value {
     let classes: Vec<Value> = CLASSES
         .iter()
         .filter(|c| d.options.fittings || !METALS.contains(&c.0))
+        .filter(|c| d.options.panes || !PANES.contains(&c.0))
         .map(|&(id, name, light)| json!({"id": id, "name": name, "kind": if light { "light" } else { "surface" }}))
         .collect();
     let names = |held_out: bool| {
@@ -258,6 +274,9 @@ fn materials(d: &Described<'_>) -> Value {
         });
         if d.options.fittings {
             value["metallic"] = json!(metallic(class));
+        }
+        if d.options.panes {
+            value["transmission"] = json!(transmission(class));
         }
         out.insert(name.to_string(), value);
     }

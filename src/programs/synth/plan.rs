@@ -2,6 +2,7 @@
 
 use super::catalogue;
 use super::charts::{Builder, Finish};
+use super::options::SynthOptions;
 use super::pattern::Paint;
 use crate::core::sampling::KeyedRng;
 use glam::{Vec2, Vec3};
@@ -33,19 +34,22 @@ pub struct Decorator {
     pub paints: Vec<Paint>,
     /// Whether the room has fittings of metal.
     pub fittings: bool,
+    /// Whether it has panes of glass.
+    pub panes: bool,
     paint_of: BTreeMap<u16, usize>,
 }
 
 impl Decorator {
-    /// An empty room.
+    /// An empty room of an apartment of some options.
     #[must_use]
-    pub fn new(rng: KeyedRng, fittings: bool) -> Self {
+    pub fn new(rng: KeyedRng, options: &SynthOptions) -> Self {
         Self {
             builder: Builder::new(),
             rng,
             footprints: Vec::new(),
             paints: Vec::new(),
-            fittings,
+            fittings: options.fittings,
+            panes: options.panes,
             paint_of: BTreeMap::new(),
         }
     }
@@ -62,6 +66,7 @@ impl Decorator {
             class,
             emission: Vec3::ZERO,
             metallic: catalogue::metallic(class),
+            transmission: catalogue::transmission(class),
         }
     }
 
@@ -73,6 +78,7 @@ impl Decorator {
             class,
             emission: Vec3::ZERO,
             metallic: catalogue::metallic(class),
+            transmission: catalogue::transmission(class),
         }
     }
 

@@ -61,6 +61,10 @@ impl Built {
             emission,
             confidence: Plane::filled(4, 4, Vec2::ZERO),
             metallic: self.metallic.as_ref().map(|m| fill_uncovered(m, &covered)),
+            transmission: self
+                .transmission
+                .as_ref()
+                .map(|t| fill_uncovered(t, &covered)),
             irradiance_error: None,
             camera_masks: Vec::new(),
             labels: texels.scatter(&labels, 0),

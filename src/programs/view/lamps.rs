@@ -363,6 +363,7 @@ mod tests {
             emission,
             confidence: Plane::filled(8, 8, Vec2::ZERO),
             metallic: None,
+            transmission: None,
             irradiance_error: None,
             camera_masks: Vec::new(),
             labels: Plane::filled(8, 8, 3),

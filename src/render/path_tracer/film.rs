@@ -34,6 +34,8 @@ pub struct Frame {
     pub class_albedo: RgbPlane,
     /// Share of metal, likewise.
     pub class_metallic: Plane<f32>,
+    /// Share of transmitted light, likewise.
+    pub class_transmission: Plane<f32>,
     /// Roughness, likewise.
     pub class_roughness: Plane<f32>,
 }
@@ -64,6 +66,7 @@ pub(super) struct PixelResult {
     depth: f32,
     label: u16,
     class_base: BaseColour,
+    class_transmission: f32,
     class_roughness: f32,
 }
 
@@ -93,6 +96,7 @@ pub(super) fn assemble(w: usize, h: usize, pixels: &[PixelResult]) -> Frame {
         label: of(w, h, pixels, |p| p.label),
         class_albedo: plane(|p| p.class_base.colour),
         class_metallic: of(w, h, pixels, |p| p.class_base.metallic),
+        class_transmission: of(w, h, pixels, |p| p.class_transmission),
         class_roughness: of(w, h, pixels, |p| p.class_roughness),
     }
 }
@@ -166,6 +170,7 @@ pub(super) struct PixelAccumulator {
     depth: f32,
     class: f32,
     class_base: BaseColour,
+    class_transmission: f32,
     class_roughness: f32,
 }
 
@@ -186,6 +191,7 @@ impl PixelAccumulator {
             depth: 0.0,
             class: 0.0,
             class_base: BaseColour::default(),
+            class_transmission: 0.0,
             class_roughness: 0.0,
         }
     }
@@ -208,13 +214,14 @@ impl PixelAccumulator {
         self.sums.diffuse += s.diffuse;
         if let Some(f) = feature {
             self.geometry += 1.0;
-            self.albedo += f.base.diffuse();
+            self.albedo += f.albedo;
             self.normal += f.normal;
             self.depth += f.depth;
             if self.centre.is_some_and(|(label, _)| label == f.label) {
                 self.class += 1.0;
                 self.class_base.colour += f.base.colour;
                 self.class_base.metallic += f.base.metallic;
+                self.class_transmission += f.transmission;
                 self.class_roughness += f.roughness;
             }
         }
@@ -244,18 +251,7 @@ impl PixelAccumulator {
                 (1.0 - weight).powi(2) * specular_variance + weight * weight * lobe_variance;
         }
         let seen = 1.0 / self.geometry.max(1.0);
-        let centre = self
-            .centre
-            .map_or((BaseColour::default(), 0.0), |(_, s)| (s.base, s.roughness));
-        let (class_base, class_roughness) = if self.class > 0.0 {
-            let mean = BaseColour {
-                colour: self.class_base.colour / self.class,
-                metallic: self.class_base.metallic / self.class,
-            };
-            (mean, self.class_roughness / self.class)
-        } else {
-            centre
-        };
+        let class = self.class_mean();
         PixelResult {
             emission: self.sums.emission * scale,
             diffuse: self.sums.diffuse * scale,
@@ -265,8 +261,33 @@ impl PixelAccumulator {
             normal: self.normal * scale,
             depth: self.depth * seen,
             label: self.centre.map_or(0, |(l, _)| l),
-            class_base,
-            class_roughness,
+            class_base: class.base,
+            class_transmission: class.transmission,
+            class_roughness: class.roughness,
+        }
+    }
+
+    /// The surface of the centre's class: its mean over the samples that met it, else that at the
+    /// centre. Emission is not averaged.
+    fn class_mean(&self) -> Surface {
+        if self.class > 0.0 {
+            Surface {
+                base: BaseColour {
+                    colour: self.class_base.colour / self.class,
+                    metallic: self.class_base.metallic / self.class,
+                },
+                transmission: self.class_transmission / self.class,
+                roughness: self.class_roughness / self.class,
+                emission: Vec3::ZERO,
+            }
+        } else {
+            let nothing = Surface {
+                base: BaseColour::default(),
+                transmission: 0.0,
+                roughness: 0.0,
+                emission: Vec3::ZERO,
+            };
+            self.centre.map_or(nothing, |(_, s)| s)
         }
     }
 }

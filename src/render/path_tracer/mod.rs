@@ -17,6 +17,7 @@
 mod film;
 mod lights;
 mod options;
+mod panes;
 mod scene;
 mod tracer;
 mod transport;

@@ -1,7 +1,7 @@
 //! What the path tracer renders: materials and emission of surfaces, the light from outside, known
 //! irradiance.
 
-use crate::core::brdf::{BaseColour, Material, Reflectance};
+use crate::core::brdf::{BaseColour, Material, Reflectance, fresnel};
 use glam::Vec3;
 
 /// What light meets at a surface point.
@@ -9,6 +9,9 @@ use glam::Vec3;
 pub struct Surface {
     /// Colour, and how much of it is metal's.
     pub base: BaseColour,
+    /// Share in [0, 1] of the light not reflected specularly that goes straight through instead of
+    /// being scattered; its colour is the base's, metal has none.
+    pub transmission: f32,
     /// Roughness R.
     pub roughness: f32,
     /// Emitted radiance.
@@ -24,6 +27,7 @@ impl Surface {
                 colour: material.albedo,
                 metallic: 0.0,
             },
+            transmission: 0.0,
             roughness: material.roughness,
             emission,
         }
@@ -33,9 +37,20 @@ impl Surface {
     #[must_use]
     pub fn material(&self) -> Material {
         Material {
-            albedo: self.base.diffuse(),
+            albedo: self.base.diffuse() * (1.0 - self.transmission),
             roughness: self.roughness,
         }
+    }
+
+    /// What goes straight through of light that arrives at `cosine` to the normal, [0, 1]:
+    /// transmission · colour · (1 − F), thin-walled as in glTF's `KHR_materials_transmission`.
+    #[must_use]
+    pub fn transmittance(&self, cosine: f32) -> Vec3 {
+        if self.transmission == 0.0 {
+            return Vec3::ZERO;
+        }
+        let reflected = fresnel(cosine.clamp(0.0, 1.0));
+        self.base.diffuse() * (self.transmission * (1.0 - reflected))
     }
 }
 
@@ -48,6 +63,10 @@ pub trait SurfaceModel: Sync {
     fn mean_emission(&self, triangle: usize) -> Vec3;
     /// Class id of a triangle; 0 = unlabelled.
     fn label(&self, triangle: usize) -> u16;
+    /// Whether light passes through any surface.
+    fn has_panes(&self) -> bool {
+        false
+    }
     /// The reflection model that the materials belong to.
     fn reflectance(&self) -> Reflectance {
         Reflectance::Paper

@@ -126,6 +126,7 @@ fn over_metal(f0: Vec3, metallic: f32, known: KnownLight<'_>) -> Frame {
             colour: f0,
             metallic,
         },
+        transmission: 0.0,
         roughness: 0.1,
         emission: Vec3::ZERO,
     };
@@ -221,6 +222,7 @@ fn a_mirror_sends_on_what_it_receives_and_no_known_irradiance() {
                 colour: Vec3::splat(colour),
                 metallic,
             },
+            transmission: 0.0,
             roughness: 0.05,
             emission: Vec3::ZERO,
         };

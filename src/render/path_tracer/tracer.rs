@@ -2,10 +2,11 @@
 
 use super::lights::{TracedLights, receivers};
 use super::options::PathTracerOptions;
+use super::panes::Panes;
 use super::scene::{Environment, SurfaceModel};
 use crate::core::brdf::Reflectance;
 use crate::core::geometry::Mesh;
-use crate::core::trace::Tracer;
+use crate::core::trace::{CutOut, Tracer};
 use crate::lights::Emitters;
 use crate::render::point_light::PointLight;
 
@@ -18,6 +19,7 @@ pub struct PathTracer<'a> {
     pub(super) emitters: Emitters,
     pub(super) points: Vec<PointLight>,
     pub(super) reflectance: Reflectance,
+    pub(super) has_panes: bool,
     pub(super) options: PathTracerOptions,
     /// Offset of ray origins relative to the largest coordinate involved.
     pub(super) offset_floor: f32,
@@ -38,7 +40,14 @@ impl<'a> PathTracer<'a> {
             surfaces,
             environment,
         };
-        let emitters = Emitters::new(mesh, &model, tracer, &receivers(mesh, options.seed));
+        let panes = Panes { mesh, surfaces };
+        let through = CutOut::new(tracer, &panes);
+        let seeing: &dyn Tracer = if surfaces.has_panes() {
+            &through
+        } else {
+            tracer
+        };
+        let emitters = Emitters::new(mesh, &model, seeing, &receivers(mesh, options.seed));
         let (low, high) = mesh.bounds();
         let offset_floor = 0.01 * (high - low).max_element();
         Self {
@@ -49,6 +58,7 @@ impl<'a> PathTracer<'a> {
             emitters,
             points: Vec::new(),
             reflectance: surfaces.reflectance(),
+            has_panes: surfaces.has_panes(),
             options,
             offset_floor,
         }

@@ -146,36 +146,42 @@ impl PathTracer<'_> {
             if wave.paths.is_empty() {
                 break;
             }
-            wave.hits.clear();
-            wave.hits.resize(wave.rays.len(), Hit::miss());
-            self.tracer.closest(&wave.rays, &mut wave.hits);
+            self.find_hits(wave, bounce);
             wave.next_paths.clear();
             wave.next_rays.clear();
             for i in 0..wave.paths.len() {
-                let arrival = Arrival {
+                let mut arrival = Arrival {
                     path: wave.paths[i],
                     hit: wave.hits[i],
                     direction: Vec3::from_array(wave.rays[i].direction),
                     bounce,
                 };
-                let (hit, slot) = (&arrival.hit, arrival.path.slot as usize);
+                let (hit, slot) = (arrival.hit, arrival.path.slot as usize);
                 if !hit.is_hit() {
                     self.add_environment(&arrival, &mut wave.choice, &mut sums[slot]);
                     continue;
                 }
                 let triangle = hit.triangle as usize;
                 let surface = self.surfaces.surface(triangle, hit.u, hit.v);
+                if bounce > 0 {
+                    arrival.path.beta *= self.weight_of_stopped(arrival.direction, &hit, &surface);
+                }
                 let emission = surface.emission;
                 self.add_emission(&arrival, emission, &mut wave.choice, &mut sums[slot]);
-                let mut vertex = self.vertex(hit, -arrival.direction, &surface);
+                let mut vertex = self.vertex(&hit, -arrival.direction, &surface);
                 if let Some(f) = features.as_deref_mut().filter(|_| bounce == 0) {
-                    f[slot] = Some(Feature {
+                    let albedo = arrival.path.beta * vertex.material.albedo;
+                    let feature = f[slot].get_or_insert_with(|| Feature {
                         base: surface.base,
+                        transmission: surface.transmission,
+                        albedo: Vec3::ZERO,
                         roughness: surface.roughness,
-                        normal: vertex.normal,
-                        depth: hit.t,
+                        normal: Vec3::ZERO,
+                        depth: 0.0,
                         label: self.surfaces.label(triangle),
                     });
+                    feature.albedo += albedo;
+                    (feature.normal, feature.depth) = (vertex.normal, hit.t);
                 }
                 if bounce + 1 >= self.options.max_bounces {
                     continue;
@@ -195,7 +201,7 @@ impl PathTracer<'_> {
         let (path, direction) = (&arrival.path, arrival.direction);
         let radiance = self.environment.radiance(direction);
         if arrival.bounce == 0 {
-            sums.emission += radiance;
+            sums.emission += path.beta * radiance;
         } else {
             let other = self
                 .choose_lights(path.origin, path.normal, choice)
@@ -218,7 +224,7 @@ impl PathTracer<'_> {
             return;
         }
         if arrival.bounce == 0 {
-            sums.emission += emission;
+            sums.emission += path.beta * emission;
         } else {
             let normal = self.mesh.face_normal(hit.triangle as usize);
             let hit = Hit {
@@ -263,7 +269,7 @@ impl PathTracer<'_> {
             * material.albedo
             * (FRAC_1_PI * view_factor);
         if first {
-            sums.diffuse += light;
+            sums.diffuse += arrival.path.beta * light;
         } else {
             self.deposit(sums, &arrival.path, light, arrival.bounce);
             vertex.reference = luminance(arrival.path.beta * light);
@@ -532,7 +538,7 @@ impl PathTracer<'_> {
     pub(super) fn resolve_shadows(&self, wave: &mut Wave, sums: &mut [Sums]) {
         wave.occluded.clear();
         wave.occluded.resize(wave.shadow_rays.len(), 0);
-        self.tracer.occluded(&wave.shadow_rays, &mut wave.occluded);
+        self.find_occluded(&wave.shadow_rays, &mut wave.occluded);
         for (s, _) in wave
             .shadow
             .iter()

@@ -79,11 +79,15 @@ pub(super) struct ShadowRay {
     pub(super) specular: Vec3,
 }
 
-/// First-hit features of a path.
+/// Features of a path's first hit.
 #[derive(Clone, Copy)]
 pub(super) struct Feature {
     pub(super) base: BaseColour,
+    pub(super) transmission: f32,
+    /// Albedo of the diffuse part; through panes what is seen of it behind them is added.
+    pub(super) albedo: Vec3,
     pub(super) roughness: f32,
+    /// Of the last surface that is seen through panes, as is the distance.
     pub(super) normal: Vec3,
     pub(super) depth: f32,
     pub(super) label: u16,
