@@ -70,6 +70,7 @@ fn sane(s: &Solution) {
         "roughness in its range"
     );
     assert!(s.metallic.is_none(), "no apartment here has metal");
+    assert!(s.transmission.is_none(), "nor glass");
     assert!(
         s.confidence
             .data

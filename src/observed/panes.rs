@@ -12,7 +12,7 @@ use crate::core::geometry::{Mesh, pieces};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::stats::{Mean, SURELY, median};
-use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
+use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer, beyond};
 use crate::gbuffer::{Observation, ObservedView, Observer, ViewBuffer};
 use crate::scene::MeshClasses;
 use glam::{Vec2, Vec3};
@@ -147,7 +147,7 @@ impl Panes {
     fn passed(&self, mesh: &Mesh, tracer: &dyn Tracer, ray: Ray) -> Vec3 {
         let mut share = Vec3::ONE;
         let pane = |t: u32| self.of(t).map(|p| (p, mesh.face_normal(t as usize)));
-        beyond(tracer, ray, |t| {
+        behind(tracer, ray, |t| {
             let Some((pane, normal)) = pane(t) else {
                 return false;
             };
@@ -175,7 +175,7 @@ fn pixel_ray(buffer: &ViewBuffer, pixel: usize) -> Ray {
 }
 
 /// What a ray meets once it has passed the triangles that `passes` tells of, each asked once.
-fn beyond(tracer: &dyn Tracer, ray: Ray, mut passes: impl FnMut(u32) -> bool) -> Hit {
+fn behind(tracer: &dyn Tracer, ray: Ray, mut passes: impl FnMut(u32) -> bool) -> Hit {
     let mut hit = [Hit::miss()];
     let mut from = ray;
     for _ in 0..=MOST_FACES {
@@ -183,8 +183,7 @@ fn beyond(tracer: &dyn Tracer, ray: Ray, mut passes: impl FnMut(u32) -> bool) ->
         if !hit[0].is_hit() || !passes(hit[0].triangle) {
             return hit[0];
         }
-        // four units in the last place: the same hit is not found again
-        from.t_near = hit[0].t * (1.0 + 4.0 * f32::EPSILON);
+        from = beyond(&from, &hit[0]);
     }
     Hit::miss()
 }
@@ -484,7 +483,7 @@ impl<P: FnMut(u32) -> bool> Behind<'_, P> {
         let camera = views[look.view as usize].buffer.camera.position;
         let direction = (position - camera).normalize();
         let (mut faces, mut entering) = (0, 1.0);
-        let hit = beyond(
+        let hit = behind(
             self.tracer,
             Ray::new(camera, direction, f32::INFINITY),
             |t| {
@@ -612,7 +611,7 @@ mod tests {
             let radiance = |i: usize| {
                 let ray = pixel_ray(&buffer, i);
                 let mut share = Vec3::ONE;
-                let hit = beyond(tracer, ray, |t| {
+                let hit = behind(tracer, ray, |t| {
                     let sheet = t >= 2;
                     if sheet && stands != Stands::Nothing {
                         share *= TINT * enters(Vec3::Z, ray.direction.into());

@@ -4,6 +4,8 @@ use super::clipped_light::FoundLight;
 use super::lamp_surfaces::cut_lamps;
 use super::metals::metal_texels;
 use super::portal_list::portals;
+use super::settle::pane_texels;
+use super::usual_roughness::SMOOTH;
 use super::{Light, Roughness};
 use crate::core::geometry::Mesh;
 use crate::core::image::{Plane, RgbPlane, Wrap};
@@ -58,7 +60,7 @@ pub(super) fn assemble(
         emission,
         confidence: texels.scatter(&confidence, Vec2::splat(1e4)),
         metallic: metallic_texture(surface, light, roughness),
-        transmission: None,
+        transmission: transmission_texture(surface),
         irradiance_error: Some(light.texels.scatter(&light.error, 0.0)),
         camera_masks: surface.camera_masks.clone(),
         rooms: roughness.rooms.clone(),
@@ -84,6 +86,13 @@ fn roughness_per_texel(
     (0..texels.len())
         .into_par_iter()
         .map(|i| {
+            // of a pane nothing but what it lets through is known
+            if surface.panes.of(texels.point[i].triangle).is_some() {
+                return TexelRoughness {
+                    value: SMOOTH,
+                    error: 1e4,
+                };
+            }
             let colour = albedo.error[i].is_finite().then_some(albedo.value[i]);
             let (value, error) = roughness
                 .materials
@@ -128,6 +137,16 @@ fn metallic_texture(surface: &Surface, light: &Light, roughness: &Roughness) -> 
     let mut metal = vec![0.0; surface.texels.len()];
     texels.iter().for_each(|(i, _)| metal[*i as usize] = 1.0);
     Some(filled(&surface.texels, &metal))
+}
+
+/// Where light goes straight through; `None` if nowhere.
+fn transmission_texture(surface: &Surface) -> Option<Plane<f32>> {
+    if surface.panes.is_empty() {
+        return None;
+    }
+    let mut share = vec![0.0; surface.texels.len()];
+    pane_texels(surface).for_each(|(i, _)| share[i] = 1.0);
+    Some(filled(&surface.texels, &share))
 }
 
 /// Roughness at the size asked for.
