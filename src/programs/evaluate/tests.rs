@@ -24,6 +24,7 @@ impl ViewRenderer for Constant {
             albedo: Plane::filled(w, h, Vec3::splat(self.albedo)),
             roughness: Plane::filled(w, h, self.roughness),
             metallic: Plane::filled(w, h, 0.0),
+            transmission: Plane::filled(w, h, 0.0),
             labels: Plane::filled(w, h, 1),
             emission: Plane::filled(w, h, Vec3::ZERO),
             confidence: Plane::filled(w, h, glam::Vec2::splat(0.1)),
