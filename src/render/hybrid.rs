@@ -4,13 +4,14 @@
 
 use super::denoise::{SpecularFeature, filter_specular};
 use super::edges::pixels_at_edges;
+use super::panes::SolutionPanes;
 use crate::core::brdf::BaseColour;
 use crate::core::geometry::Camera;
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::sampling::hash_u64;
-use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer};
+use crate::core::trace::{CutOut, EmbreeTracer, Hit, MOST_LAYERS, Ray, Tracer, beyond};
 use crate::gbuffer::pixel_rays;
 use crate::lights::{Emitters, LitScene};
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
@@ -31,6 +32,8 @@ pub struct RenderedView {
     pub roughness: Plane<f32>,
     /// Share of metal of the surface seen, 0 where there is none.
     pub metallic: Plane<f32>,
+    /// Share of transmitted light of the surface seen, 0 where there is none.
+    pub transmission: Plane<f32>,
     /// Class id of the surface seen, 0 where there is none.
     pub labels: Plane<u16>,
     /// Emitted part of the radiance, 0 where nothing emits.
@@ -164,7 +167,8 @@ impl<'a> HybridRenderer<'a> {
     fn render_row(&self, camera: &Camera, known: &Known, y: usize) -> Row {
         let n = self.options.supersampling.max(1) as usize;
         let columns: Vec<usize> = (0..camera.width).collect();
-        let points = self.points(camera, y, &columns, n);
+        let rays = [self.options.specular_rays, self.options.emitter_samples];
+        let points = self.points(camera, y, &columns, [n as u32, rays[0], rays[1]]);
         let pixel = |x: usize| &points[x * n * n..(x + 1) * n * n];
         let (edges, smooth): (Vec<usize>, Vec<usize>) = columns.iter().partition(|&&x| {
             known.at_edges.as_ref().is_some_and(|e| e[(x, y)]) || shows_edge(pixel(x))
@@ -173,13 +177,11 @@ impl<'a> HybridRenderer<'a> {
             .iter()
             .flat_map(|&x| pixel(x).iter().copied())
             .collect();
-        let mut fine = self.points(camera, y, &edges, n * EDGE_FACTOR);
-        let rays = [self.options.specular_rays, self.options.emitter_samples];
+        let fewer = rays.map(|r| r.div_ceil((EDGE_FACTOR * EDGE_FACTOR) as u32));
+        let finer = [(n * EDGE_FACTOR) as u32, fewer[0], fewer[1]];
+        let mut fine = self.points(camera, y, &edges, finer);
         self.add_specular(&mut even, rays);
-        self.add_specular(
-            &mut fine,
-            rays.map(|r| r.div_ceil((EDGE_FACTOR * EDGE_FACTOR) as u32)),
-        );
+        self.add_specular(&mut fine, fewer);
         let mut even = even.chunks_exact(n * n);
         let mut fine = fine.chunks_exact(n * n * EDGE_FACTOR * EDGE_FACTOR);
         let pixels = columns.iter().filter_map(|x| {
@@ -192,8 +194,17 @@ impl<'a> HybridRenderer<'a> {
         Row::resolve(pixels, |x| known.classes.map(|c| c[(x, y)]))
     }
 
-    /// What n × n rays through each of some pixels of row `y` meet, without their specular part.
-    fn points(&self, camera: &Camera, y: usize, columns: &[usize], n: usize) -> Vec<Point> {
+    /// What n × n rays through each of some pixels of row `y` meet, without their specular part;
+    /// what is seen through panes has its own, of the given numbers of rays along the lobe and of
+    /// emitter samples.
+    fn points(
+        &self,
+        camera: &Camera,
+        y: usize,
+        columns: &[usize],
+        [n, rays_per_lobe, emitter_samples]: [u32; 3],
+    ) -> Vec<Point> {
+        let n = n as usize;
         let samples = n * n;
         let rays = pixel_rays(camera, y, columns.iter().copied(), n);
         let mut hits = vec![Hit::miss(); rays.len()];
@@ -206,7 +217,52 @@ impl<'a> HybridRenderer<'a> {
                 hash_u64(sample as u64, camera.position.x.to_bits().into()),
             )
         };
-        rays.iter().zip(&hits).enumerate().map(point).collect()
+        let mut points: Vec<Point> = rays.iter().zip(&hits).enumerate().map(point).collect();
+        if self.solution.transmission.is_some() {
+            let met = rays.into_iter().zip(hits).enumerate();
+            let layer = met.map(|(of, (ray, hit))| Seen {
+                of,
+                ray,
+                hit,
+                weight: Vec3::ONE,
+            });
+            self.add_behind_panes(
+                &mut points,
+                layer.collect(),
+                [rays_per_lobe, emitter_samples],
+            );
+        }
+        points
+    }
+
+    /// Adds to points on panes what is seen through them, pane after pane.
+    fn add_behind_panes(&self, points: &mut [Point], mut layer: Vec<Seen>, rays: [u32; 2]) {
+        let panes = SolutionPanes(self.solution);
+        for depth in 1..=MOST_LAYERS {
+            layer.retain_mut(|s| {
+                if s.hit.is_hit() {
+                    s.weight *= panes.transmittance(&s.ray, &s.hit);
+                    s.ray = beyond(&s.ray, &s.hit);
+                }
+                s.hit.is_hit() && s.weight != Vec3::ZERO
+            });
+            if layer.is_empty() {
+                return;
+            }
+            let further: Vec<Ray> = layer.iter().map(|s| s.ray).collect();
+            let mut hits = vec![Hit::miss(); further.len()];
+            self.tracer.closest(&further, &mut hits);
+            let shaded = |(s, hit): (&mut Seen, Hit)| {
+                s.hit = hit;
+                let key = points[s.of].gaze.map_or(0, |g| g.key);
+                self.shade_point(&s.ray, &hit, hash_u64(key, depth as u64))
+            };
+            let mut behind: Vec<Point> = layer.iter_mut().zip(hits).map(shaded).collect();
+            self.add_specular(&mut behind, rays);
+            for (s, p) in layer.iter().zip(&behind) {
+                points[s.of].radiance += s.weight * (p.radiance + p.specular);
+            }
+        }
     }
 
     /// Traces the specular part of some points with that many rays along the lobe and emitter
@@ -224,9 +280,15 @@ impl<'a> HybridRenderer<'a> {
             f0: &f0,
         };
         let mut specular = vec![Vec3::ZERO; gazes.len()];
+        let panes = SolutionPanes(self.solution);
+        let through = CutOut::new(&self.tracer, &panes);
+        let tracer: &dyn Tracer = match self.solution.transmission {
+            Some(_) => &through,
+            None => &self.tracer,
+        };
         let lit = LitScene {
             mesh: &self.solution.mesh,
-            tracer: &self.tracer,
+            tracer,
             field: &self.field,
             emitters: &self.emitters,
             offset: self.offset,
@@ -269,6 +331,7 @@ impl<'a> HybridRenderer<'a> {
             .roughness
             .bilinear(at(s.roughness.width, s.roughness.height), Wrap::Clamp);
         let metallic = s.metal_at(uv);
+        let transmission = s.transmission_at(uv);
         let confidence = *s
             .confidence
             .nearest(at(s.confidence.width, s.confidence.height));
@@ -281,6 +344,7 @@ impl<'a> HybridRenderer<'a> {
                 depth,
                 albedo,
                 metallic,
+                transmission,
                 roughness,
                 label,
                 emission: radiance,
@@ -303,6 +367,7 @@ impl<'a> HybridRenderer<'a> {
             depth,
             albedo,
             metallic,
+            transmission,
             roughness,
             label,
             confidence,
@@ -320,7 +385,10 @@ impl<'a> HybridRenderer<'a> {
             .reflectance
             .diffuse_factor(-normal.dot(direction), roughness);
         Point {
-            radiance: point.base().diffuse() * irradiance * (FRAC_1_PI * view_factor),
+            radiance: point.base().diffuse()
+                * (1.0 - transmission)
+                * irradiance
+                * (FRAC_1_PI * view_factor),
             ..point
         }
     }
@@ -415,6 +483,11 @@ impl HybridRenderer<'_> {
                 height: h,
                 data: Vec::with_capacity(w * h),
             },
+            transmission: Plane {
+                width: w,
+                height: h,
+                data: Vec::with_capacity(w * h),
+            },
             labels: Plane {
                 width: w,
                 height: h,
@@ -444,6 +517,7 @@ impl HybridRenderer<'_> {
             out.albedo.data.extend(r.albedo);
             out.roughness.data.extend(r.roughness);
             out.metallic.data.extend(r.metallic);
+            out.transmission.data.extend(r.transmission);
             out.labels.data.extend(r.labels);
             out.emission.data.extend(r.emission);
             out.confidence.data.extend(r.confidence);
@@ -467,11 +541,21 @@ struct Point {
     depth: f32,
     albedo: Vec3,
     metallic: f32,
+    transmission: f32,
     roughness: f32,
     label: u16,
     emission: Vec3,
     confidence: Vec2,
     gaze: Option<ShadingPoint>,
+}
+
+/// What a ray through pixel sample `of` meets, and the share of it that the panes in between let
+/// through.
+struct Seen {
+    of: usize,
+    ray: Ray,
+    hit: Hit,
+    weight: Vec3,
 }
 
 impl Point {
@@ -532,6 +616,7 @@ struct Row {
     albedo: Vec<Vec3>,
     roughness: Vec<f32>,
     metallic: Vec<f32>,
+    transmission: Vec<f32>,
     labels: Vec<u16>,
     emission: Vec<Vec3>,
     confidence: Vec<Vec2>,
@@ -564,6 +649,8 @@ impl Row {
                 .push(same.iter().map(|p| p.roughness).sum::<f32>() * share);
             row.metallic
                 .push(same.iter().map(|p| p.metallic).sum::<f32>() * share);
+            row.transmission
+                .push(same.iter().map(|p| p.transmission).sum::<f32>() * share);
             row.labels.push(label);
             row.specular
                 .push(pixel.iter().map(|p| p.specular).sum::<Vec3>() / samples as f32);
@@ -684,6 +771,53 @@ mod tests {
         let diffuse = f0 * 300.0 * FRAC_1_PI * solution.reflectance.diffuse_factor(1.0, 0.1);
         close(shown(Some(0.5)), 0.5 * diffuse + (f0 + 0.04));
         assert_eq!(shown(None), shown(Some(0.0)), "no metal, to the bit");
+    }
+
+    /// Through a pane an even environment L shows t · tint · (1 − F) of itself beside what a black
+    /// sheet reflects of it; the rest t leaves of the diffuse light is there too.
+    #[test]
+    fn a_pane_shows_what_is_behind_it() {
+        let mut solution = crate::solution::tests::small_solution();
+        let tint = Vec3::new(0.9, 0.95, 0.8);
+        solution.emission.data.fill(Vec3::ZERO);
+        solution.roughness.data.fill(0.1);
+        solution.environment.data.fill(Vec3::splat(2.0));
+        solution.irradiance.data.fill(Vec3::splat(2.0));
+        let camera = Camera {
+            projection: crate::core::geometry::Projection::Equirectangular,
+            width: 8,
+            height: 32,
+            world_from_camera: glam::Mat3::IDENTITY,
+            position: Vec3::new(0.0, 1.1, 0.7),
+        };
+        let shown = |colour: Vec3, transmission: Option<f32>| {
+            let mut solution = solution.clone();
+            solution.albedo.data.fill(colour);
+            solution.transmission = transmission.map(|t| solution.albedo.map(|_| t));
+            let view = HybridRenderer::new(&solution, HybridOptions::default())
+                .expect("embree")
+                .render(&camera)
+                .expect("renders");
+            assert_eq!(view.transmission.data[31 * 8], transmission.unwrap_or(0.0));
+            let row = &view.radiance.data[31 * 8..];
+            row.iter().sum::<Vec3>() / row.len() as f32
+        };
+        let close = |shown: Vec3, expected: Vec3| {
+            let off = (shown / expected - 1.0).abs().max_element();
+            assert!(off < 0.01, "{shown} instead of {expected}");
+        };
+        let reflected = shown(Vec3::ZERO, None);
+        close(shown(tint, Some(1.0)), reflected + 2.0 * 0.96 * tint);
+        let diffuse = tint * 2.0 * FRAC_1_PI * solution.reflectance.diffuse_factor(1.0, 0.1);
+        close(
+            shown(tint, Some(0.25)),
+            reflected + 0.25 * 2.0 * 0.96 * tint + 0.75 * diffuse,
+        );
+        assert_eq!(
+            shown(tint, None),
+            shown(tint, Some(0.0)),
+            "no pane, to the bit"
+        );
     }
 
     #[test]

@@ -13,6 +13,7 @@ mod ies;
 mod lighting_change;
 mod lightmap_bake;
 mod options;
+mod panes;
 pub mod path_tracer;
 mod point_light;
 mod relight;

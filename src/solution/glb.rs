@@ -6,6 +6,8 @@
 //! scene's origin is the node's translation and, in f64, its extras, so that a solution can be
 //! loaded back from this file without loss. An export may divide the mesh into objects: they are
 //! nodes below the scene's, share its material, and are stored relative to where they stand.
+//! Triangles that let light through are a primitive of their own, whose material has
+//! `KHR_materials_transmission`; its extras say where they stand among all triangles.
 
 use super::glb_lights::{LuminousPart, PunctualLight, add_lights};
 use super::{MeshPart, Solution};
@@ -88,6 +90,8 @@ struct Pictures {
     strength: Option<f32>,
     /// What the lightmap is to be multiplied by, if there is one; it comes last.
     lightmap: Option<f32>,
+    /// The number of the share of transmitted light, if there are panes.
+    transmission: Option<usize>,
 }
 
 /// The bytes of `scene.glb`.
@@ -117,9 +121,13 @@ pub(super) fn marked_glb(
         [] => whole.as_slice(),
         parts => parts,
     };
+    let panes = solution.pane_triangles().map(|triangles| Panes {
+        triangles,
+        material: 1 + options.luminous.len(),
+    });
     let mut meshes: Vec<Value> = parts
         .iter()
-        .map(|part| mesh_entry(&mut glb, part, mesh, &pictures))
+        .map(|part| mesh_entry(&mut glb, part, mesh, &pictures, panes.as_ref()))
         .collect();
     for (material, part) in (1..).zip(&options.luminous) {
         meshes.push(luminous_entry(&mut glb, part, material));
@@ -161,8 +169,62 @@ pub(super) fn marked_glb(
     glb.finish(root)
 }
 
-/// Stores the geometry of a part; returns its mesh, of one primitive.
-fn mesh_entry(glb: &mut GlbWriter, part: &MeshPart, whole: &Mesh, pictures: &Pictures) -> Value {
+/// Which triangles let light through, and the number of their material.
+struct Panes {
+    triangles: Vec<bool>,
+    material: usize,
+}
+
+/// Triangles of one material.
+struct Primitive {
+    triangles: Vec<[u32; 3]>,
+    material: usize,
+    /// Of panes: where their triangles stand among the part's, as first and count.
+    runs: Vec<[u32; 2]>,
+}
+
+/// The `triangles` of a part as primitives: panes apart from the rest.
+fn divided(part: &MeshPart, triangles: &[[u32; 3]], panes: Option<&Panes>) -> Vec<Primitive> {
+    let primitive = |material: usize| Primitive {
+        triangles: Vec::new(),
+        material,
+        runs: Vec::new(),
+    };
+    let Some(panes) = panes else {
+        return vec![Primitive {
+            triangles: triangles.to_vec(),
+            ..primitive(0)
+        }];
+    };
+    let (mut rest, mut glass) = (primitive(0), primitive(panes.material));
+    for (i, (corners, &number)) in (0u32..).zip(triangles.iter().zip(&part.triangles)) {
+        if !panes.triangles[number as usize] {
+            rest.triangles.push(*corners);
+            continue;
+        }
+        glass.triangles.push(*corners);
+        match glass
+            .runs
+            .last_mut()
+            .filter(|[first, count]| first + count == i)
+        {
+            Some([_, count]) => *count += 1,
+            None => glass.runs.push([i, 1]),
+        }
+    }
+    let mut out = vec![rest, glass];
+    out.retain(|p| !p.triangles.is_empty());
+    out
+}
+
+/// Stores the geometry of a part; returns its mesh, of one primitive or, with panes, two.
+fn mesh_entry(
+    glb: &mut GlbWriter,
+    part: &MeshPart,
+    whole: &Mesh,
+    pictures: &Pictures,
+    panes: Option<&Panes>,
+) -> Value {
     // a part that is all there is keeps its vertices' order, unused ones included
     let own;
     let mesh = if part.pivot == Vec3::ZERO && part.triangles.len() == whole.triangles.len() {
@@ -171,7 +233,11 @@ fn mesh_entry(glb: &mut GlbWriter, part: &MeshPart, whole: &Mesh, pictures: &Pic
         own = part.mesh(whole);
         &own
     };
-    let indices = glb.triangles(&mesh.triangles);
+    let primitives = divided(part, &mesh.triangles, panes);
+    let indices: Vec<u32> = primitives
+        .iter()
+        .map(|p| glb.triangles(&p.triangles))
+        .collect();
     let position = glb.positions(&mesh.positions, mesh.bounds());
     let normals: Vec<Vec3> = mesh.normals.iter().map(|n| valid_normal(*n)).collect();
     let normal = glb.vectors(&normals);
@@ -180,9 +246,19 @@ fn mesh_entry(glb: &mut GlbWriter, part: &MeshPart, whole: &Mesh, pictures: &Pic
     if pictures.lightmap.is_some() {
         attributes["TEXCOORD_1"] = json!(uv);
     }
-    json!({"name": part.name, "primitives": [
-        {"attributes": attributes, "indices": indices, "material": 0},
-    ]})
+    let primitives: Vec<Value> = primitives
+        .iter()
+        .zip(indices)
+        .map(|(p, indices)| {
+            let mut entry =
+                json!({"attributes": attributes, "indices": indices, "material": p.material});
+            if !p.runs.is_empty() {
+                entry["extras"] = json!({"runs": p.runs});
+            }
+            entry
+        })
+        .collect();
+    json!({"name": part.name, "primitives": primitives})
 }
 
 /// Stores the geometry of a surface that only shines; returns its mesh.
@@ -222,10 +298,20 @@ fn nodes(solution: &Solution, options: &GlbOptions, generation: &str) -> Value {
     json!(below)
 }
 
-/// The material that all surfaces share, and one for each that only shines.
+/// The material that all surfaces share, one for each that only shines, and that of panes.
 fn materials(pictures: &Pictures, options: &GlbOptions) -> Vec<Value> {
     let shining = options.luminous.iter().map(LuminousPart::material);
-    std::iter::once(material(pictures)).chain(shining).collect()
+    let panes = pictures.transmission.map(|texture| {
+        let mut panes = material(pictures);
+        panes["name"] = json!("panes");
+        panes["extensions"]["KHR_materials_transmission"] =
+            json!({"transmissionFactor": 1.0, "transmissionTexture": {"index": texture}});
+        panes
+    });
+    std::iter::once(material(pictures))
+        .chain(shining)
+        .chain(panes)
+        .collect()
 }
 
 /// The textures that do not depend on light, for [`GlbOptions::encoded`] of many files.
@@ -241,7 +327,8 @@ pub fn material_textures(solution: &Solution, options: &GlbOptions) -> Result<Ve
 }
 
 /// The textures of `scene.glb` as PNG files: `BaseColor` (sRGB), `ORM` (occlusion, roughness, metal)
-/// and, where the scene emits, `Emissive` (sRGB, as a share of its maximum).
+/// where the scene emits, `Emissive` (sRGB, as a share of its maximum) and, where it has panes,
+/// `Transmission` (share of transmitted light).
 ///
 /// # Errors
 /// A texture cannot be encoded.
@@ -275,6 +362,12 @@ fn encode_pictures(solution: &Solution, options: &GlbOptions) -> Result<Pictures
     let named = |name: &'static str, bytes: Vec<u8>| NamedImage { name, bytes };
     let mut images = vec![named("BaseColor", base?), named("ORM", orm?)];
     images.extend(emissive?.map(|e| named("Emissive", e)));
+    let mut transmission = None;
+    if let Some(share) = &solution.transmission {
+        transmission = Some(images.len());
+        let bytes = picture(share, options, |t| [byte(*t); 3])?;
+        images.push(named("Transmission", bytes));
+    }
     let lightmap = peak(&solution.irradiance).filter(|_| options.lightmap);
     if let Some(peak) = lightmap {
         let bytes = light_map(&solution.irradiance, peak, options)?;
@@ -284,6 +377,7 @@ fn encode_pictures(solution: &Solution, options: &GlbOptions) -> Result<Pictures
         images,
         strength,
         lightmap,
+        transmission,
     })
 }
 
@@ -328,6 +422,10 @@ fn name_extensions(root: &mut Value, pictures: &Pictures, options: &GlbOptions) 
             "KHR_materials_emissive_strength",
         ),
         (!options.lights.is_empty(), "KHR_lights_punctual"),
+        (
+            pictures.transmission.is_some(),
+            "KHR_materials_transmission",
+        ),
         (options.webp, "EXT_texture_webp"),
     ]
     .into_iter()
@@ -365,8 +463,12 @@ fn base_colour(albedo: &RgbPlane, options: &GlbOptions) -> Result<Vec<u8>> {
     picture(albedo, options, |v| v.to_array().map(srgb8_from_linear))
 }
 
+/// A share in 8 bits, linear.
+fn byte(x: f32) -> u8 {
+    (x.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
+}
+
 fn occlusion_roughness_metallic(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
-    let byte = |x: f32| (x.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
     let roughness = &solution.roughness;
     let Some(metallic) = &solution.metallic else {
         return picture(roughness, options, |r| [255, byte(*r), 0]);
@@ -484,21 +586,32 @@ pub(super) fn read_glb(path: &Path) -> Result<GlbContent> {
         .into_f32()
         .map(Vec2::from)
         .collect();
-    let indices: Vec<u32> = reader
-        .read_indices()
-        .ok_or_else(|| foreign("has no indices"))?
-        .into_u32()
-        .collect();
+    let mut indexed: Vec<Vec<[u32; 3]>> = Vec::new();
+    for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
+        let indices: Vec<u32> = primitive
+            .reader(|buffer| (buffer.index() == 0).then_some(blob))
+            .read_indices()
+            .ok_or_else(|| foreign("has no indices"))?
+            .into_u32()
+            .collect();
+        indexed.push(indices.as_chunks::<3>().0.to_vec());
+    }
     if normals.len() != positions.len() || uvs.len() != positions.len() {
         return Err(foreign("has vertex attributes of different lengths"));
     }
-    if indices.iter().any(|&i| i as usize >= positions.len()) {
+    let json = json_of(&bytes).unwrap_or_default();
+    let triangles = joined(&indexed, &json["meshes"][0]["primitives"])
+        .ok_or_else(|| foreign("does not say which of its triangles are panes"))?;
+    if triangles
+        .iter()
+        .flatten()
+        .any(|&i| i as usize >= positions.len())
+    {
         return Err(foreign(
             "has a triangle that names a vertex beyond the last",
         ));
     }
-    let triangles = indices.as_chunks::<3>().0.to_vec();
-    let extras = extras_of(&bytes).unwrap_or_default();
+    let extras = extras_of(&json).unwrap_or_default();
     let origin = serde_json::from_value::<[f64; 3]>(extras["origin"].clone()).map_or_else(
         |_| DVec3::from_array(node.transform().decomposed().0.map(f64::from)),
         DVec3::from_array,
@@ -517,10 +630,42 @@ pub(super) fn read_glb(path: &Path) -> Result<GlbContent> {
     })
 }
 
-/// The extras of the first node with a mesh.
-fn extras_of(bytes: &[u8]) -> Option<Value> {
+/// The triangles of all primitives in the order they had before panes were parted from the rest;
+/// `None` if what the file says of it does not fit.
+fn joined(indexed: &[Vec<[u32; 3]>], primitives: &Value) -> Option<Vec<[u32; 3]>> {
+    let count = indexed.iter().map(Vec::len).sum::<usize>();
+    let mut out: Vec<Option<[u32; 3]>> = vec![None; count];
+    let mut unplaced: Vec<[u32; 3]> = Vec::new();
+    for (k, triangles) in indexed.iter().enumerate() {
+        let runs = &primitives[k]["extras"]["runs"];
+        if runs.is_null() {
+            unplaced.extend_from_slice(triangles);
+            continue;
+        }
+        let runs: Vec<[u32; 2]> = serde_json::from_value(runs.clone()).ok()?;
+        let places = runs
+            .iter()
+            .flat_map(|&[first, n]| u64::from(first)..u64::from(first) + u64::from(n));
+        let mut triangles = triangles.iter();
+        for place in places {
+            let slot = out.get_mut(usize::try_from(place).ok()?)?;
+            *slot = Some(*triangles.next()?);
+        }
+    }
+    let mut unplaced = unplaced.into_iter();
+    out.into_iter()
+        .map(|t| t.or_else(|| unplaced.next()))
+        .collect()
+}
+
+/// The JSON of a GLB file.
+fn json_of(bytes: &[u8]) -> Option<Value> {
     let glb = gltf::binary::Glb::from_slice(bytes).ok()?;
-    let root: Value = serde_json::from_slice(&glb.json).ok()?;
+    serde_json::from_slice(&glb.json).ok()
+}
+
+/// The extras of the first node with a mesh.
+fn extras_of(root: &Value) -> Option<Value> {
     let node = root["nodes"]
         .as_array()?
         .iter()
@@ -548,6 +693,63 @@ mod tests {
         };
         assert_eq!(mime_type, "image/png");
         &gltf.blob.as_deref().expect("blob")[view.offset()..view.offset() + view.length()]
+    }
+
+    #[test]
+    fn panes_are_a_primitive_and_a_material_and_come_back_in_order() {
+        let mut solution = small_solution();
+        let plain = scene_glb(&solution, &GlbOptions::default()).expect("writes");
+        let find = |bytes: &[u8], w: &str| bytes.windows(w.len()).any(|x| x == w.as_bytes());
+        assert!(!find(&plain, "KHR_materials_transmission") && !find(&plain, "runs"));
+        // the first of the two triangles is a pane: it comes second in the file
+        let uv = |x: usize, y: usize| Vec2::new(x as f32 + 0.5, y as f32 + 0.5) / 16.0;
+        let data = (0..256).map(|i| {
+            let uv = uv(i % 16, i / 16);
+            let inside = solution.mesh.triangles[0].map(|k| solution.mesh.uvs[k as usize]);
+            let side = (inside[1] - inside[0]).perp_dot(uv - inside[0]);
+            let third = (inside[1] - inside[0]).perp_dot(inside[2] - inside[0]);
+            // a texel and more away from the diagonal
+            f32::from(side * third.signum() > 0.15)
+        });
+        solution.transmission = Some(Plane {
+            width: 16,
+            height: 16,
+            data: data.collect(),
+        });
+        let flags = solution.pane_triangles().expect("panes");
+        assert_eq!(flags.iter().filter(|p| **p).count(), 1);
+        let bytes = scene_glb(&solution, &GlbOptions::default()).expect("writes");
+        let gltf = gltf::Gltf::from_slice_without_validation(&bytes).expect("glTF");
+        let mesh = gltf.meshes().next().expect("mesh");
+        assert_eq!(mesh.primitives().count(), 2);
+        let json = json_of(&bytes).expect("JSON");
+        let panes = &json["materials"][1];
+        let factor = &panes["extensions"]["KHR_materials_transmission"]["transmissionFactor"];
+        assert_eq!(
+            (panes["name"].as_str(), factor.as_f64()),
+            (Some("panes"), Some(1.0))
+        );
+        let folder = tempfile::tempdir().expect("temp");
+        let path = folder.path().join("scene.glb");
+        std::fs::write(&path, &bytes).expect("writes");
+        assert_eq!(read_glb(&path).expect("reads").mesh, solution.mesh);
+    }
+
+    #[test]
+    fn runs_that_do_not_fit_are_refused() {
+        let triangles = [vec![[0, 1, 2]], vec![[3, 4, 5], [6, 7, 8]]];
+        let of = |runs: Value| joined(&triangles, &json!([{}, {"extras": {"runs": runs}}]));
+        let whole = Some(vec![[3, 4, 5], [0, 1, 2], [6, 7, 8]]);
+        assert_eq!(of(json!([[0, 1], [2, 1]])), whole);
+        for wrong in [
+            json!([[0, 1]]),
+            json!([[0, 3]]),
+            json!([[2, 2]]),
+            json!([[4_294_967_295_u32, 4_294_967_295_u32]]),
+            json!("all"),
+        ] {
+            assert_eq!(of(wrong.clone()), None, "{wrong}");
+        }
     }
 
     #[test]

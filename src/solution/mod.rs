@@ -91,7 +91,30 @@ impl Solution {
     pub fn transmission_at(&self, uv: Vec2) -> f32 {
         share_at(self.transmission.as_ref(), uv)
     }
+
+    /// Which triangles let light through anywhere, looked at where a grid of [`PANE_STEPS`] steps
+    /// along each edge has its cells' middles; `None` where nothing is transparent.
+    #[must_use]
+    pub fn pane_triangles(&self) -> Option<Vec<bool>> {
+        self.transmission.as_ref()?;
+        let steps = PANE_STEPS as f32;
+        let cells = || (0..PANE_STEPS).flat_map(|i| (0..PANE_STEPS - i).map(move |j| (i, j)));
+        let transparent = |t: usize| {
+            cells().any(|(i, j)| {
+                let at = |k: u32| (k as f32 + 1.0 / 3.0) / steps;
+                self.transmission_at(self.mesh.uv(t, at(i), at(j))) > HALF_A_STEP
+            })
+        };
+        let panes: Vec<bool> = (0..self.mesh.triangles.len()).map(transparent).collect();
+        panes.contains(&true).then_some(panes)
+    }
 }
+
+/// Steps along a triangle's edge at which it is looked at for glass: a pane is as large as a
+/// triangle, or nearly.
+const PANE_STEPS: u32 = 6;
+/// Shares that 8 bits round to 0. Derived.
+const HALF_A_STEP: f32 = 0.5 / 255.0;
 
 /// A texture's value at a place of the atlas; 0 without one.
 fn share_at(share: Option<&Plane<f32>>, uv: Vec2) -> f32 {

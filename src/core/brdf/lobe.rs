@@ -45,6 +45,17 @@ impl BaseColour {
     pub fn f0(self) -> Vec3 {
         DIELECTRIC.lerp(self.colour, self.metallic)
     }
+
+    /// What a thin sheet lets straight through of light at `cosine` to its normal, [0, 1]:
+    /// t · colour · (1 − F), t being the share `transmission` (Khronos Group 2021,
+    /// `KHR_materials_transmission`); metal has none.
+    #[must_use]
+    pub fn transmitted(self, transmission: f32, cosine: f32) -> Vec3 {
+        if transmission == 0.0 {
+            return Vec3::ZERO;
+        }
+        self.diffuse() * (transmission * (1.0 - fresnel(cosine.clamp(0.0, 1.0))))
+    }
 }
 
 /// A specular lobe but for its roughness.

@@ -184,6 +184,7 @@ mod tests {
             albedo: plane(&|_| 0.0),
             roughness: Plane::filled(8, 1, 0.0),
             metallic: Plane::filled(8, 1, 0.0),
+            transmission: Plane::filled(8, 1, 0.0),
             labels: Plane::filled(8, 1, 1),
             emission: plane(&|i| if i >= 2 { e } else { 0.0 }),
             confidence: Plane::filled(8, 1, glam::Vec2::ZERO),

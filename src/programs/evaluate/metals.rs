@@ -1,13 +1,11 @@
 //! How well metal is found: pixels that are more than half metal against those of
 //! `gt/metallic/<stem>.exr`, and what the metal reflects at normal incidence where both agree.
 
+use super::found::FoundTally;
 use super::truth::GroundTruth;
 use crate::core::image::Plane;
 use crate::render::RenderedView;
 use serde::{Deserialize, Serialize};
-
-/// A pixel counts as metal if more than this share of it is.
-const HALF: f32 = 0.5;
 
 /// How well metal is found over a set of views, over the pixels that count for materials.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -30,10 +28,7 @@ pub struct MetalScores {
 /// Sums over views.
 #[derive(Clone, Debug, Default)]
 pub(super) struct MetalTally {
-    views: usize,
-    truth: u64,
-    stated: u64,
-    both: u64,
+    found: FoundTally,
     f0_squares: f64,
     roughness_squares: f64,
 }
@@ -44,35 +39,22 @@ impl MetalTally {
         let Some(metallic) = &truth.metallic else {
             return;
         };
-        self.views += 1;
-        for i in (0..mask.data.len()).filter(|&i| mask.data[i]) {
-            let is = metallic.data[i] > HALF;
-            let stated = rendered.metallic.data[i] > HALF;
-            self.truth += u64::from(is);
-            self.stated += u64::from(stated);
-            if is && stated {
-                self.both += 1;
-                let off = (rendered.albedo.data[i] - truth.albedo.data[i]).as_dvec3();
-                self.f0_squares += off.length_squared() / 3.0;
-                let off = rendered.roughness.data[i] - truth.roughness.data[i];
-                self.roughness_squares += f64::from(off).powi(2);
-            }
+        for i in self.found.add(mask, &rendered.metallic, metallic) {
+            let off = (rendered.albedo.data[i] - truth.albedo.data[i]).as_dvec3();
+            self.f0_squares += off.length_squared() / 3.0;
+            let off = rendered.roughness.data[i] - truth.roughness.data[i];
+            self.roughness_squares += f64::from(off).powi(2);
         }
     }
 
     /// The scores; none where no view has a truth.
     pub(super) fn finish(&self) -> Option<MetalScores> {
-        let share = |part: u64, of: u64| part as f64 / of.max(1) as f64;
-        let root = |squares: f64| (squares / self.both.max(1) as f64).sqrt();
-        (self.views > 0).then(|| MetalScores {
-            true_pixels: self.truth,
-            stated_pixels: self.stated,
-            found: if self.truth > 0 {
-                share(self.both, self.truth)
-            } else {
-                1.0
-            },
-            wrong: share(self.stated - self.both, self.stated),
+        let root = |squares: f64| (squares / self.found.both.max(1) as f64).sqrt();
+        (self.found.views > 0).then(|| MetalScores {
+            true_pixels: self.found.truth,
+            stated_pixels: self.found.stated,
+            found: self.found.found(),
+            wrong: self.found.wrong(),
             f0_error: root(self.f0_squares),
             roughness_error: root(self.roughness_squares),
         })
@@ -98,12 +80,14 @@ mod tests {
             albedo: colour(0.6),
             roughness: plane(&|_| 0.1),
             metallic: None,
+            transmission: None,
         };
         let rendered = RenderedView {
             radiance: colour(0.0),
             albedo: colour(0.7),
             roughness: plane(&|_| 0.3),
             metallic: plane(&|i| if i >= 2 && i != 8 { 1.0 } else { 0.25 }),
+            transmission: plane(&|_| 0.0),
             labels: Plane::filled(10, 1, 1),
             emission: colour(0.0),
             confidence: Plane::filled(10, 1, Vec2::ZERO),

@@ -7,10 +7,12 @@
 
 mod calibration;
 mod emission;
+mod found;
 mod gains;
 mod image_scores;
 mod metals;
 mod options;
+mod panes;
 pub mod protocol;
 mod scores;
 mod table;
@@ -22,6 +24,7 @@ pub use gains::GainScores;
 pub use image_scores::ImageScores;
 pub use metals::MetalScores;
 pub use options::EvalOptions;
+pub use panes::PaneScores;
 pub use scores::{ClassScores, Evaluation, MaterialScores, Protocols, SplitScores, ViewScores};
 pub use table::terminal_table;
 pub use truth::GroundTruth;
@@ -103,10 +106,13 @@ pub fn evaluate(
         ..
     } = scoring;
     let (test, train) = (test.finish(), train.finish());
-    let metals = [&test, &train].into_iter().flatten();
-    let metals = metals.filter_map(|s| s.metals.as_ref()).count() > 0;
+    let scored = || [&test, &train].into_iter().flatten();
+    let known = protocol::Known {
+        metals: scored().any(|s| s.metals.is_some()),
+        panes: scored().any(|s| s.panes.is_some()),
+    };
     let evaluation = Evaluation {
-        protocols: protocol::descriptions(options, metals),
+        protocols: protocol::descriptions(options, known),
         novel_views: test.as_ref().map(|t| t.gains.clone()),
         test,
         train,
@@ -410,6 +416,7 @@ fn score_materials(
     tally.add(labels, &mask, rendered, truth);
     accumulator.calibration.add(&mask, rendered, truth);
     accumulator.metals.add(&mask, rendered, truth);
+    accumulator.panes.add(&mask, rendered, truth);
 }
 
 #[cfg(test)]

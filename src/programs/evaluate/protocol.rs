@@ -11,9 +11,19 @@ use std::collections::BTreeSet;
 /// Largest width at which images are compared (TexIR: 512×256 panoramas).
 pub const WORKING_WIDTH: usize = 512;
 
-/// What every figure means, for the readers of `metrics.json`; that of metals if there are any.
+/// What only some scenes' truth knows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Known {
+    /// Which pixels are metal.
+    pub metals: bool,
+    /// Which pixels show a pane.
+    pub panes: bool,
+}
+
+/// What every figure means, for the readers of `metrics.json`; those of metals and panes where the
+/// truth is known.
 #[must_use]
-pub fn descriptions(options: &EvalOptions, metals: bool) -> Vec<String> {
+pub fn descriptions(options: &EvalOptions, known: Known) -> Vec<String> {
     let mut lines = vec![
         format!(
             "rendering: linear radiance box-averaged to 512x256 (native size if smaller), exposure {:+} EV, clamp(x^(1/2.2), 0, 1); \
@@ -43,10 +53,17 @@ pub fn descriptions(options: &EvalOptions, metals: bool) -> Vec<String> {
             .into(),
         "psnr_of_mean_mse: -10 log10 of the mean over images of the MSE; mean_psnr: mean over images of the PSNR".into(),
     ];
-    if metals {
+    if known.metals {
         lines.push(
             "metals: pixels more than half metal against gt/metallic; found: share of the true ones, wrong: share of the stated ones \
              that are not; f0_error, roughness_error: root mean square over the pixels that are both"
+                .into(),
+        );
+    }
+    if known.panes {
+        lines.push(
+            "panes: pixels more than half transparent against gt/transmission; found: share of the true ones, wrong: share of the \
+             stated ones that are not; transmittance_error: root mean square of transmission times albedo over the pixels that are both"
                 .into(),
         );
     }

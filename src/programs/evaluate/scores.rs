@@ -5,6 +5,7 @@ use super::emission::{EmissionScores, EmissionTally};
 use super::gains::{GainScores, GainTally};
 use super::image_scores::ImageScores;
 use super::metals::{MetalScores, MetalTally};
+use super::panes::{PaneScores, PaneTally};
 use super::truth::GroundTruth;
 use crate::core::image::Plane;
 use crate::core::metrics::{psnr, squared_error};
@@ -112,6 +113,9 @@ pub struct SplitScores {
     /// Which pixels are metal, where the scene's truth says so.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub metals: Option<MetalScores>,
+    /// Which pixels show a pane, where the scene's truth says so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub panes: Option<PaneScores>,
     /// Which pixels emit and how much, where the scene says so.
     #[serde(default)]
     pub emission: Option<EmissionScores>,
@@ -184,6 +188,7 @@ pub(super) struct Accumulator {
     pub(super) classes: ClassTally,
     pub(super) calibration: CalibrationTally,
     pub(super) metals: MetalTally,
+    pub(super) panes: PaneTally,
     pub(super) emission: EmissionTally,
     pub(super) views: Vec<ViewScores>,
 }
@@ -203,6 +208,7 @@ impl Accumulator {
             classes: ClassTally::new(scene),
             calibration: CalibrationTally::default(),
             metals: MetalTally::default(),
+            panes: PaneTally::default(),
             emission: EmissionTally::default(),
             views: Vec::new(),
         }
@@ -236,6 +242,7 @@ impl Accumulator {
             rendering,
             materials,
             metals: self.metals.finish(),
+            panes: self.panes.finish(),
             emission: self.emission.finish(),
             views: self.views,
         })

@@ -57,6 +57,19 @@ fn split_table(out: &mut String, title: &str, kind: &str, split: &SplitScores) {
             m.roughness_error
         );
     }
+    if let Some(p) = &split.panes {
+        let _ = writeln!(
+            out,
+            "  {:<24} found {:.1} % of {} pixels; {:.1} % of the {} stated are none;\n  {:<24} where they are found, transmittance is off by {:.3}",
+            "panes",
+            100.0 * p.found,
+            p.true_pixels,
+            100.0 * p.wrong,
+            p.stated_pixels,
+            "",
+            p.transmittance_error
+        );
+    }
     if let Some(m) = &split.materials {
         row(out, "albedo, linear", &m.albedo.linear);
         row(out, "albedo, FIPT", &m.albedo.fipt);

@@ -24,6 +24,7 @@ impl ViewRenderer for Constant {
             albedo: Plane::filled(w, h, Vec3::splat(self.albedo)),
             roughness: Plane::filled(w, h, self.roughness),
             metallic: Plane::filled(w, h, 0.0),
+            transmission: Plane::filled(w, h, 0.0),
             labels: Plane::filled(w, h, 1),
             emission: Plane::filled(w, h, Vec3::ZERO),
             confidence: Plane::filled(w, h, glam::Vec2::splat(0.1)),
@@ -361,4 +362,36 @@ fn ground_truth_of_another_size_is_refused() {
     .expect_err("refuses");
     assert_eq!(error.exit_code(), 2);
     assert!(error.to_string().contains("8×4"), "{error}");
+}
+
+#[test]
+fn panes_are_scored_where_the_truth_knows_them() {
+    let folder = tempfile::tempdir().expect("temp");
+    let scene = scene(folder.path(), &[("a", Split::Test)]);
+    let renderer = Constant {
+        radiance: 0.5,
+        albedo: 0.5,
+        roughness: 0.125,
+    };
+    let options = EvalOptions::default();
+    let score = || run(&scene, &renderer, &options, None);
+    let e = score();
+    let json = serde_json::to_string(&e).expect("JSON");
+    assert!(!json.contains("panes") && !terminal_table(&e).contains("panes"));
+    let path = folder.path().join("gt/transmission/a.exr");
+    std::fs::create_dir_all(path.parent().expect("folder")).expect("folder");
+    // the scored half is a pane, and nothing is said to be
+    write_plane_half(&path, &Plane::filled(W, H, 1.0)).expect("truth");
+    let e = score();
+    let panes = e.test.as_ref().and_then(|t| t.panes.clone());
+    let panes = panes.expect("scored");
+    assert_eq!(panes.true_pixels, (W * H / 2) as u64);
+    assert_eq!(
+        (panes.found, panes.wrong, panes.stated_pixels),
+        (0.0, 0.0, 0)
+    );
+    assert!(terminal_table(&e).contains("found 0.0 % of 1024 pixels"));
+    assert!(e.protocols.iter().any(|p| p.starts_with("panes:")));
+    write_plane_half(&path, &Plane::filled(8, 4, 1.0)).expect("truth");
+    assert!(true_materials(&scene, &scene.views[0]).is_err());
 }

@@ -17,6 +17,8 @@ pub struct GroundTruth {
     /// Share of metal, where the truth says it; the albedo holds what metal reflects at normal
     /// incidence.
     pub metallic: Option<Plane<f32>>,
+    /// Share of transmitted light, where the truth says it; the albedo holds the tint of panes.
+    pub transmission: Option<Plane<f32>>,
 }
 
 /// An image of ground truth must be as large as its frame.
@@ -42,21 +44,23 @@ pub(crate) fn true_materials(scene: &Scene, view: &View) -> Result<Option<Ground
             .join(kind)
             .join(format!("{}.exr", view.stem))
     };
-    let (albedo, roughness, metallic) = (file("albedo"), file("roughness"), file("metallic"));
+    let (albedo, roughness) = (file("albedo"), file("roughness"));
+    let share = |path: &Path| -> Result<Option<Plane<f32>>> {
+        let plane = path.is_file().then(|| read_plane(path)).transpose()?;
+        if let Some(plane) = &plane {
+            check_size(path, plane.width, plane.height, &view.camera)?;
+        }
+        Ok(plane)
+    };
     if !albedo.is_file() || !roughness.is_file() {
         return Ok(None);
     }
     let truth = GroundTruth {
         albedo: read_rgb(&albedo)?,
         roughness: read_plane(&roughness)?,
-        metallic: metallic
-            .is_file()
-            .then(|| read_plane(&metallic))
-            .transpose()?,
+        metallic: share(&file("metallic"))?,
+        transmission: share(&file("transmission"))?,
     };
-    if let Some(plane) = &truth.metallic {
-        check_size(&metallic, plane.width, plane.height, &view.camera)?;
-    }
     check_size(
         &albedo,
         truth.albedo.width,

@@ -2,7 +2,8 @@
 //!
 //! Mitsuba has no BSDF with this program's specular lobe: `principled` with the same base colour
 //! and roughness looks alike, but is not the same. Its `metallic` parts the base colour as ours
-//! does: metal has no diffuse lobe and reflects its base colour at normal incidence. With
+//! does: metal has no diffuse lobe and reflects its base colour at normal incidence. Panes are
+//! `thindielectric`, tinted by the base colour, as far as light goes through them. With
 //! `diffuse_only` both programs describe exactly the same light, and must agree within their noise.
 
 use crate::core::formats::{write_plane_float, write_rgb_float};
@@ -69,11 +70,19 @@ pub fn write_mitsuba(
         solution.origin
     );
     xml.push_str("  <default name=\"spp\" value=\"64\"/>\n  <integrator type=\"path\">\n    <integer name=\"max_depth\" value=\"65\"/>\n  </integrator>\n");
-    let _ = write!(
-        xml,
-        "  <bsdf type=\"twosided\" id=\"material\">\n{}  </bsdf>\n",
-        material(diffuse_only, metallic.is_some())
-    );
+    let opaque = material(diffuse_only, metallic.is_some());
+    match &solution.transmission {
+        Some(share) => {
+            write_plane_float(files.place("mitsuba_transmission.exr"), share)?;
+            xml.push_str(&with_panes(&opaque));
+        }
+        None => {
+            let _ = write!(
+                xml,
+                "  <bsdf type=\"twosided\" id=\"material\">\n{opaque}  </bsdf>\n"
+            );
+        }
+    }
     xml.push_str(&shapes);
     xml.push_str(environment);
     for c in cameras {
@@ -167,6 +176,26 @@ fn material(diffuse_only: bool, has_metal: bool) -> String {
         "    <bsdf type=\"principled\">\n{}{}{metallic}      <float name=\"specular\" value=\"0.5\"/>\n    </bsdf>\n",
         bitmap("base_color", "mitsuba_albedo.exr", "bilinear", 6),
         bitmap("roughness", "mitsuba_roughness.exr", "nearest", 6)
+    )
+}
+
+/// Index of refraction at which the two faces of a thin pane reflect as much as one lobe of this
+/// program: 2R/(1 + R) = F0 = 0.04 with R = ((n − 1)/(n + 1))². Derived.
+const PANE_INDEX: f32 = 1.3333;
+
+/// The opaque material, and a pane by the share of light that goes through.
+fn with_panes(opaque: &str) -> String {
+    format!(
+        "  <bsdf type=\"blendbsdf\" id=\"material\">\n{}    <bsdf type=\"twosided\">\n{opaque}    </bsdf>\n    \
+         <bsdf type=\"thindielectric\">\n      <float name=\"int_ior\" value=\"{PANE_INDEX}\"/>\n      \
+         <float name=\"ext_ior\" value=\"1\"/>\n{}    </bsdf>\n  </bsdf>\n",
+        bitmap("weight", "mitsuba_transmission.exr", "bilinear", 4),
+        bitmap(
+            "specular_transmittance",
+            "mitsuba_albedo.exr",
+            "bilinear",
+            6
+        )
     )
 }
 
@@ -295,6 +324,16 @@ mod tests {
         assert!(folder.path().join("mitsuba_metallic.exr").is_file());
         assert_eq!(albedo(), solution.albedo);
         assert!(!write(&solution, true).contains("metallic"));
+        assert!(!xml.contains("thindielectric") && xml.contains("twosided\" id=\"material"));
+        solution.transmission = Some(solution.albedo.map(|_| 1.0));
+        let xml = write(&solution, false);
+        assert!(xml.contains("thindielectric") && xml.contains("blendbsdf\" id=\"material"));
+        assert!(folder.path().join("mitsuba_transmission.exr").is_file());
+        let r = ((PANE_INDEX - 1.0) / (PANE_INDEX + 1.0)).powi(2);
+        assert!(
+            (2.0 * r / (1.0 + r) - 0.04).abs() < 1e-4,
+            "F0 of both faces"
+        );
         assert_eq!(albedo().data[77], Vec3::ZERO);
         assert_eq!(albedo().data[78], solution.albedo.data[78]);
     }

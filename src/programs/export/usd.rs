@@ -64,6 +64,10 @@ pub fn write_usd(
         save("usd_metallic.png", &grey(metallic)?)?;
         files.push("usd_metallic.png");
     }
+    if let Some(transmission) = &solution.transmission {
+        save("usd_opacity.png", &grey(&transmission.map(|t| 1.0 - t))?)?;
+        files.push("usd_opacity.png");
+    }
     if peak > 0.0 {
         save("usd_emission.png", &rgb(&solution.emission, 1.0 / peak)?)?;
         files.push("usd_emission.png");
@@ -116,7 +120,9 @@ fn text(solution: &Solution, peak: f32, options: UsdOptions<'_>) -> String {
     if is_lit_from_outside(solution) {
         dome_prim(&mut s, ENVIRONMENT);
     }
-    material_prim(&mut s, peak, solution.metallic.is_some());
+    let metallic = solution.metallic.as_ref().map(|_| "usd_metallic.png");
+    let opacity = solution.transmission.as_ref().map(|_| "usd_opacity.png");
+    material_prim(&mut s, peak, metallic, opacity);
     s.push_str("}\n");
     s
 }
@@ -197,8 +203,9 @@ fn mesh_prim(s: &mut String, part: &MeshPart, mesh: &Mesh, prim: &str) {
     s.push_str("        rel material:binding = </scene/material>\n    }\n\n");
 }
 
-/// The material with its textures; emissive if `peak`, the largest emission, is above 0.
-fn material_prim(s: &mut String, peak: f32, has_metal: bool) {
+/// The material with its textures, of metal and opacity where there are such files; emissive if
+/// `peak`, the largest emission, is above 0.
+fn material_prim(s: &mut String, peak: f32, metallic: Option<&str>, opacity: Option<&str>) {
     s.push_str("    def Material \"material\"\n    {\n");
     s.push_str(
         "        token outputs:surface.connect = </scene/material/surface.outputs:surface>\n\n",
@@ -213,11 +220,16 @@ fn material_prim(s: &mut String, peak: f32, has_metal: bool) {
     if peak > 0.0 {
         s.push_str("            color3f inputs:emissiveColor.connect = </scene/material/emission.outputs:rgb>\n");
     }
-    s.push_str(if has_metal {
+    s.push_str(if metallic.is_some() {
         "            float inputs:metallic.connect = </scene/material/metallic.outputs:r>\n"
     } else {
         "            float inputs:metallic = 0\n"
     });
+    if opacity.is_some() {
+        s.push_str(
+            "            float inputs:opacity.connect = </scene/material/opacity.outputs:r>\n",
+        );
+    }
     s.push_str(
         "            float inputs:ior = 1.5\n            token outputs:surface\n        }\n",
     );
@@ -232,8 +244,9 @@ fn material_prim(s: &mut String, peak: f32, has_metal: bool) {
         1.0,
     );
     let roughness = ("roughness", "usd_roughness.png");
-    let metallic = has_metal.then_some(("metallic", "usd_metallic.png"));
-    for (name, file) in std::iter::once(roughness).chain(metallic) {
+    let metallic = metallic.map(|file| ("metallic", file));
+    let opacity = opacity.map(|file| ("opacity", file));
+    for (name, file) in std::iter::once(roughness).chain(metallic).chain(opacity) {
         texture(s, name, file, "raw", "float outputs:r", 1.0);
     }
     if peak > 0.0 {
@@ -318,13 +331,18 @@ mod tests {
         };
         let (files, text) = write(&solution);
         assert!(text.contains("inputs:metallic = 0\n"));
+        assert!(!text.contains("opacity"));
         assert!(!files.contains(&"usd_metallic.png".to_owned()) && !text.contains("usd_metallic"));
         solution.metallic = Some(solution.albedo.map(|_| 1.0));
+        solution.transmission = Some(solution.albedo.map(|_| 0.5));
         let (files, text) = write(&solution);
         assert!(files.contains(&"usd_metallic.png".to_owned()));
         assert!(folder.path().join("usd_metallic.png").is_file());
         assert!(text.contains("inputs:metallic.connect = </scene/material/metallic.outputs:r>"));
         assert!(text.contains("asset inputs:file = @./usd_metallic.png@"));
+        assert!(files.contains(&"usd_opacity.png".to_owned()));
+        assert!(text.contains("inputs:opacity.connect = </scene/material/opacity.outputs:r>"));
+        assert!(text.contains("asset inputs:file = @./usd_opacity.png@"));
     }
 
     #[test]

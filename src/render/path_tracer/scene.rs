@@ -1,7 +1,7 @@
 //! What the path tracer renders: materials and emission of surfaces, the light from outside, known
 //! irradiance.
 
-use crate::core::brdf::{BaseColour, Material, Reflectance, fresnel};
+use crate::core::brdf::{BaseColour, Material, Reflectance};
 use glam::Vec3;
 
 /// What light meets at a surface point.
@@ -42,15 +42,10 @@ impl Surface {
         }
     }
 
-    /// What goes straight through of light that arrives at `cosine` to the normal, [0, 1]:
-    /// transmission · colour · (1 − F), thin-walled as in glTF's `KHR_materials_transmission`.
+    /// What goes straight through of light that arrives at `cosine` to the normal, [0, 1].
     #[must_use]
     pub fn transmittance(&self, cosine: f32) -> Vec3 {
-        if self.transmission == 0.0 {
-            return Vec3::ZERO;
-        }
-        let reflected = fresnel(cosine.clamp(0.0, 1.0));
-        self.base.diffuse() * (self.transmission * (1.0 - reflected))
+        self.base.transmitted(self.transmission, cosine)
     }
 }
 

@@ -618,3 +618,176 @@ fn known_light_at_first_hits_leaves_only_the_specular_part_to_sample() {
         assert_specular_unbiased(&frame, &reference, 61);
     }
 }
+
+/// An even sky of radiance 1.
+struct One;
+impl Environment for One {
+    fn radiance(&self, _: Vec3) -> Vec3 {
+        Vec3::ONE
+    }
+}
+
+/// Surfaces of which some let light through.
+struct WithPanes(PerTriangle);
+impl SurfaceModel for WithPanes {
+    fn surface(&self, t: usize, u: f32, v: f32) -> Surface {
+        self.0.surface(t, u, v)
+    }
+    fn mean_emission(&self, t: usize) -> Vec3 {
+        self.0.mean_emission(t)
+    }
+    fn label(&self, t: usize) -> u16 {
+        self.0.label(t)
+    }
+    fn has_panes(&self) -> bool {
+        true
+    }
+}
+
+fn sheet(colour: Vec3, transmission: f32) -> Surface {
+    Surface {
+        base: BaseColour {
+            colour,
+            metallic: 0.0,
+        },
+        transmission,
+        roughness: 0.05,
+        emission: Vec3::ZERO,
+    }
+}
+
+/// 1 − F of a dielectric, written out.
+fn not_reflected(cosine: f32) -> f32 {
+    0.96 * (1.0 - f32::exp2((-5.55473 * cosine - 6.98316) * cosine))
+}
+
+/// A wide quad at height `y`, its normal up.
+fn add_ceiling(mesh: &mut Mesh, y: f32) {
+    let corner = Vec3::new(-500.0, y, -500.0);
+    add_quad(mesh, corner, Vec3::Z * 1000.0, Vec3::X * 1000.0);
+}
+
+/// Under an even sky of radiance 1 a camera sees t · tint · (1 − F) of it through a pane, without
+/// noise, beside the reflection of a black sheet and 1 − t of the diffuse light; through two panes
+/// the square.
+#[test]
+fn a_camera_sees_through_panes_what_they_let_through() {
+    let tint = Vec3::new(0.9, 0.95, 0.8);
+    let shown = |of: Surface, layers: usize| {
+        let mut mesh = Mesh::default();
+        (0..layers).for_each(|i| add_ceiling(&mut mesh, -(i as f32)));
+        let model = WithPanes(PerTriangle(vec![of; 2 * layers]));
+        let tracer = BruteForce::new(&mesh);
+        let options = PathTracerOptions {
+            samples: 512,
+            ..Default::default()
+        };
+        PathTracer::new(&mesh, &tracer, &model, &One, options).render(
+            &camera(4, 32, Vec3::Y),
+            0,
+            &Progress::silent(),
+        )
+    };
+    let black = shown(sheet(Vec3::ZERO, 0.0), 1);
+    let [clear, cloudy, double] =
+        [(1.0, 1), (0.25, 1), (1.0, 2)].map(|(t, n)| shown(sheet(tint, t), n));
+    let view = camera(4, 32, Vec3::Y);
+    for row in [20, 24, 28, 31] {
+        let i = row * 4 + 1;
+        let cosine = -view.direction(Vec2::new(1.5, row as f32 + 0.5)).y;
+        let through = tint * not_reflected(cosine);
+        let close = |shown: Vec3, expected: Vec3, off: f32| {
+            let error = (shown - expected).abs().max_element();
+            assert!(error < off, "row {row}: {shown} instead of {expected}");
+        };
+        close(clear.emission.data[i], through, 0.006);
+        close(cloudy.emission.data[i], 0.25 * through, 0.002);
+        close(double.emission.data[i], through * through, 0.012);
+        close(clear.specular.data[i], black.specular.data[i], 0.004);
+        close(cloudy.diffuse.data[i], 0.75 * tint, 0.02);
+        assert_eq!(clear.diffuse.data[i], Vec3::ZERO);
+        assert_eq!(clear.class_transmission.data[i], 1.0);
+    }
+}
+
+/// A lamp behind a pane lights a floor with T(θ) of what it sends without it, whether the tables of
+/// lights or directions drawn by the surface find it.
+#[test]
+fn a_lamp_behind_a_pane_lights_a_floor_by_its_transmittance() {
+    let tint = 0.9;
+    let received = |degrees: f32, transmission: f32| {
+        let angle = degrees.to_radians();
+        let lamp = Vec3::new(2.0 * angle.tan(), 2.0, 0.0);
+        let mut mesh = Mesh::default();
+        let half = Vec3::new(0.05, 0.0, 0.05);
+        add_quad(&mut mesh, lamp - half, Vec3::X * 0.1, Vec3::Z * 0.1);
+        add_ceiling(&mut mesh, 1.0);
+        let shine = surface(0.0, 1.0, 50.0);
+        let pane = sheet(Vec3::splat(tint), transmission);
+        let model = WithPanes(PerTriangle(vec![shine, shine, pane, pane]));
+        if transmission == 0.0 {
+            mesh.triangles.truncate(2);
+        }
+        let tracer = BruteForce::new(&mesh);
+        let renderer = PathTracer::new(
+            &mesh,
+            &tracer,
+            &model,
+            &BlackEnvironment,
+            PathTracerOptions::default(),
+        );
+        let points: Vec<IrradiancePoint> = (0..32)
+            .map(|i| IrradiancePoint {
+                position: Vec3::new(0.0, 0.0, 1e-3 * i as f32),
+                face_normal: Vec3::Y,
+                normal: Vec3::Y,
+            })
+            .collect();
+        let light = renderer.irradiance(&points, 1024, 3, &Progress::silent());
+        light.iter().map(|e| e.x).sum::<f32>() / points.len() as f32
+    };
+    for degrees in [0.0, 40.0, 65.0] {
+        let share = received(degrees, 1.0) / received(degrees, 0.0);
+        let expected = tint * not_reflected(f32::cos(f32::to_radians(degrees)));
+        assert!(
+            (share / expected - 1.0).abs() < 0.015,
+            "{degrees}°: {share} instead of {expected}"
+        );
+    }
+}
+
+/// Between an even sky on both sides a pane adds to what a black sheet reflects the integral of its
+/// transmittance: a path that it stops stands for those that went through.
+#[test]
+fn what_a_pane_stops_counts_for_what_it_lets_through() {
+    let received = |of: Surface| {
+        let mut mesh = Mesh::default();
+        add_ceiling(&mut mesh, 1.0);
+        let model = WithPanes(PerTriangle(vec![of; 2]));
+        let tracer = BruteForce::new(&mesh);
+        let options = PathTracerOptions::default();
+        let renderer = PathTracer::new(&mesh, &tracer, &model, &One, options);
+        let points: Vec<IrradiancePoint> = (0..64)
+            .map(|i| IrradiancePoint {
+                position: Vec3::new(0.0, 0.0, 0.1 * i as f32),
+                face_normal: Vec3::Y,
+                normal: Vec3::Y,
+            })
+            .collect();
+        let light = renderer.irradiance(&points, 2048, 5, &Progress::silent());
+        light.iter().map(|e| e.x / PI).sum::<f32>() / points.len() as f32
+    };
+    let tint = 0.9;
+    let reflected = received(sheet(Vec3::ZERO, 0.0));
+    let steps = 1000;
+    let through: f32 = (0..steps)
+        .map(|i| (i as f32 + 0.5) / steps as f32)
+        .map(|c| tint * not_reflected(c) * 2.0 * c / steps as f32)
+        .sum();
+    let both = received(sheet(Vec3::splat(tint), 1.0));
+    assert!(reflected > 0.03, "{reflected}: enough to tell");
+    assert!(
+        (both / (reflected + through) - 1.0).abs() < 0.01,
+        "{both} instead of {reflected} + {through}"
+    );
+}
