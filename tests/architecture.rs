@@ -158,7 +158,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ("scene", &["vocabulary"]),
     ("brdf", &["math", "sampling", "ffi"]),
     ("texture", &["image", "geometry", "math", "parallel"]),
-    ("trace", &["geometry", "parallel", "ffi"]),
+    ("trace", &["geometry", "sampling", "parallel", "ffi"]),
     ("stats", &["image", "math", "parallel"]),
     ("metrics", &["image", "math", "parallel"]),
     ("formats", &["image", "geometry", "math", "parallel", "ffi"]),

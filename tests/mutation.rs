@@ -259,7 +259,7 @@ fn solution() -> Solution {
         emission: rgb(0.1),
         confidence: Plane::filled(4, 4, Vec2::new(0.1, 0.2)),
         metallic: Some(Plane::filled(4, 4, 0.5)),
-        transmission: Some(Plane::filled(4, 4, 0.5)),
+        transmission: None,
         irradiance_error: Some(Plane::filled(4, 4, 0.1)),
         labels: Plane::filled(4, 4, 3),
         rooms: Plane::filled(4, 4, 1),

@@ -137,6 +137,46 @@ fn metals_have_their_truth() {
     assert!(truth.metallic.is_some());
 }
 
+/// With panes the truth says of every pixel whether it shows one, and what is behind it is seen.
+#[test]
+fn panes_have_their_truth() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let options = SynthOptions {
+        panes: true,
+        truth: true,
+        ..tiny()
+    };
+    let scene = dir.path().join("panes");
+    make(&options, &scene, 2);
+    let text = std::fs::read_to_string(scene.join("transforms.json")).expect("reads");
+    assert!(
+        text.contains("glass door") && text.contains("glass screen") && !text.contains("mirror")
+    );
+    let all: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let classes = all["classes"].as_array().expect("list");
+    let is_glass = |label: u16| {
+        let class = classes.iter().find(|c| c["id"] == u64::from(label));
+        class.is_some_and(|c| c["name"].as_str().is_some_and(|n| n.starts_with("glass")))
+    };
+    let mut pixels = 0;
+    for stem in ["000", "001", "002"] {
+        let labels = formats::read_labels(scene.join(format!("labels/{stem}.png")));
+        let image = formats::read_rgb(scene.join(format!("images/{stem}.exr"))).expect("image");
+        let transmission = formats::read_plane(scene.join(format!("gt/transmission/{stem}.exr")));
+        let (labels, transmission) = (labels.expect("labels"), transmission.expect("truth"));
+        for (i, (label, t)) in labels.data.iter().zip(&transmission.data).enumerate() {
+            assert_eq!(*t > 0.5, is_glass(*label), "{label}");
+            if *t > 0.5 {
+                pixels += 1;
+                assert!(image.data[i].min_element() > 0.0, "black glass");
+            }
+        }
+    }
+    assert!(pixels > 10, "{pixels} pixels of glass");
+    let truth = unbake::solution::Solution::load(&scene.join("gt/solution")).expect("loads");
+    assert!(truth.transmission.is_some());
+}
+
 #[test]
 fn refuses_what_it_cannot_do() {
     let dir = tempfile::tempdir().expect("temporary folder");
@@ -162,6 +202,11 @@ fn refuses_what_it_cannot_do() {
         },
         SynthOptions {
             fittings: true,
+            diffuse: true,
+            ..tiny()
+        },
+        SynthOptions {
+            panes: true,
             diffuse: true,
             ..tiny()
         },

@@ -127,6 +127,12 @@ impl Solution {
     fn metallic<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         buffer::optional_plane(py, &self.inner, |s| s.metallic.as_ref())
     }
+    /// (rows, columns): share of light that goes straight through, in [0, 1], of the albedo's shape; None where the scene has
+    /// no panes.
+    #[getter]
+    fn transmission<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        buffer::optional_plane(py, &self.inner, |s| s.transmission.as_ref())
+    }
     /// (rows, columns, 3), linear RGB in [0, 1]; where there is metal, what it reflects at normal incidence.
     #[getter]
     fn albedo<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {

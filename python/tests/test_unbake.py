@@ -53,6 +53,7 @@ def test_textures_have_shapes_and_types(solved):
     assert 0.05 < result.albedo.mean() < 0.95 and result.irradiance.max() > 0
     assert result.environment.shape[2] == 3 and result.irradiance_error.shape == (128, 128)
     assert result.metallic is None, "nothing here is metal"
+    assert result.transmission is None, "nothing here is glass"
 
 
 def test_geometry_is_that_of_the_scene(solved, scene):

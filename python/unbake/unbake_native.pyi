@@ -167,6 +167,10 @@ class Solution:
         """(rows, columns): share of metal in [0, 1], of the albedo's shape; None where the scene has none."""
 
     @property
+    def transmission(self) -> NDArray[np.float32] | None:
+        """(rows, columns): share of light that goes straight through, of the albedo's shape; None where the scene has no panes."""
+
+    @property
     def labels(self) -> NDArray[np.uint16]:
         """(rows, columns): class ids, 0 = unlabelled."""
 

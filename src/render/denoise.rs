@@ -611,6 +611,7 @@ mod tests {
             variance,
             class_albedo: albedo.clone(),
             class_metallic: Plane::filled(w, h, 0.0),
+            class_transmission: Plane::filled(w, h, 0.0),
             albedo,
             normal,
             depth,

@@ -330,26 +330,27 @@ impl<'a> HybridRenderer<'a> {
         let roughness = s
             .roughness
             .bilinear(at(s.roughness.width, s.roughness.height), Wrap::Clamp);
-        let metallic = s.metal_at(uv);
-        let transmission = s.transmission_at(uv);
         let confidence = *s
             .confidence
             .nearest(at(s.confidence.width, s.confidence.height));
+        let seen = Point {
+            depth,
+            albedo,
+            metallic: s.metal_at(uv),
+            transmission: s.transmission_at(uv),
+            roughness,
+            label,
+            confidence,
+            ..Point::default()
+        };
         if self.field.is_emissive(t)
             && *s.emission.nearest(at(s.emission.width, s.emission.height)) != Vec3::ZERO
         {
             let radiance = self.field.emitted(t, hit.u, hit.v);
             return Point {
                 radiance,
-                depth,
-                albedo,
-                metallic,
-                transmission,
-                roughness,
-                label,
                 emission: radiance,
-                confidence,
-                ..Point::default()
+                ..seen
             };
         }
         let irradiance = s
@@ -363,14 +364,12 @@ impl<'a> HybridRenderer<'a> {
             (normal, face_normal) = (-normal, -face_normal);
         }
         let position = Vec3::from_array(ray.origin) + direction * depth;
-        let point = Point {
-            depth,
-            albedo,
-            metallic,
-            transmission,
-            roughness,
-            label,
-            confidence,
+        let view_factor = s
+            .reflectance
+            .diffuse_factor(-normal.dot(direction), roughness);
+        let diffuse = seen.base().diffuse() * (1.0 - seen.transmission);
+        Point {
+            radiance: diffuse * irradiance * (FRAC_1_PI * view_factor),
             gaze: Some(ShadingPoint {
                 position,
                 normal,
@@ -379,17 +378,7 @@ impl<'a> HybridRenderer<'a> {
                 key,
                 turn: 0,
             }),
-            ..Point::default()
-        };
-        let view_factor = s
-            .reflectance
-            .diffuse_factor(-normal.dot(direction), roughness);
-        Point {
-            radiance: point.base().diffuse()
-                * (1.0 - transmission)
-                * irradiance
-                * (FRAC_1_PI * view_factor),
-            ..point
+            ..seen
         }
     }
 }
@@ -463,52 +452,16 @@ impl HybridRenderer<'_> {
             .map(|y| self.render_row(camera, &known, y))
             .collect();
         let mut out = RenderedView {
-            radiance: Plane {
-                width: w,
-                height: h,
-                data: Vec::with_capacity(w * h),
-            },
-            albedo: Plane {
-                width: w,
-                height: h,
-                data: Vec::with_capacity(w * h),
-            },
-            roughness: Plane {
-                width: w,
-                height: h,
-                data: Vec::with_capacity(w * h),
-            },
-            metallic: Plane {
-                width: w,
-                height: h,
-                data: Vec::with_capacity(w * h),
-            },
-            transmission: Plane {
-                width: w,
-                height: h,
-                data: Vec::with_capacity(w * h),
-            },
-            labels: Plane {
-                width: w,
-                height: h,
-                data: Vec::with_capacity(w * h),
-            },
-            emission: Plane {
-                width: w,
-                height: h,
-                data: Vec::with_capacity(w * h),
-            },
-            confidence: Plane {
-                width: w,
-                height: h,
-                data: Vec::with_capacity(w * h),
-            },
+            radiance: unfilled(w, h),
+            albedo: unfilled(w, h),
+            roughness: unfilled(w, h),
+            metallic: unfilled(w, h),
+            transmission: unfilled(w, h),
+            labels: unfilled(w, h),
+            emission: unfilled(w, h),
+            confidence: unfilled(w, h),
         };
-        let mut specular = Plane {
-            width: w,
-            height: h,
-            data: Vec::with_capacity(w * h),
-        };
+        let mut specular = unfilled(w, h);
         let mut features = Vec::with_capacity(w * h);
         for r in rows {
             specular.data.extend(r.specular);
@@ -529,6 +482,15 @@ impl HybridRenderer<'_> {
             *l += *s;
         }
         out
+    }
+}
+
+/// A plane whose pixels are still to come.
+fn unfilled<T>(width: usize, height: usize) -> Plane<T> {
+    Plane {
+        width,
+        height,
+        data: Vec::with_capacity(width * height),
     }
 }
 

@@ -586,16 +586,7 @@ pub(super) fn read_glb(path: &Path) -> Result<GlbContent> {
         .into_f32()
         .map(Vec2::from)
         .collect();
-    let mut indexed: Vec<Vec<[u32; 3]>> = Vec::new();
-    for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
-        let indices: Vec<u32> = primitive
-            .reader(|buffer| (buffer.index() == 0).then_some(blob))
-            .read_indices()
-            .ok_or_else(|| foreign("has no indices"))?
-            .into_u32()
-            .collect();
-        indexed.push(indices.as_chunks::<3>().0.to_vec());
-    }
+    let indexed = indexed(&node, blob).ok_or_else(|| foreign("has no indices"))?;
     if normals.len() != positions.len() || uvs.len() != positions.len() {
         return Err(foreign("has vertex attributes of different lengths"));
     }
@@ -628,6 +619,16 @@ pub(super) fn read_glb(path: &Path) -> Result<GlbContent> {
         reflectance,
         generation: extras["generation"].as_str().map(str::to_owned),
     })
+}
+
+/// The triangles of each primitive of a node's mesh; `None` if one has no indices.
+fn indexed(node: &gltf::Node<'_>, blob: &[u8]) -> Option<Vec<Vec<[u32; 3]>>> {
+    let triangles = |primitive: gltf::Primitive<'_>| {
+        let reader = primitive.reader(|buffer| (buffer.index() == 0).then_some(blob));
+        let indices: Vec<u32> = reader.read_indices()?.into_u32().collect();
+        Some(indices.as_chunks::<3>().0.to_vec())
+    };
+    node.mesh()?.primitives().map(triangles).collect()
 }
 
 /// The triangles of all primitives in the order they had before panes were parted from the rest;

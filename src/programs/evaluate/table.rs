@@ -43,33 +43,7 @@ fn split_table(out: &mut String, title: &str, kind: &str, split: &SplitScores) {
             "emission", e.iou, e.mean_iou, e.log_l2, e.power_ratio
         );
     }
-    if let Some(m) = &split.metals {
-        let _ = writeln!(
-            out,
-            "  {:<24} found {:.1} % of {} pixels; {:.1} % of the {} stated are none;\n  {:<24} where it is found, F0 is off by {:.3}, R by {:.3}",
-            "metals",
-            100.0 * m.found,
-            m.true_pixels,
-            100.0 * m.wrong,
-            m.stated_pixels,
-            "",
-            m.f0_error,
-            m.roughness_error
-        );
-    }
-    if let Some(p) = &split.panes {
-        let _ = writeln!(
-            out,
-            "  {:<24} found {:.1} % of {} pixels; {:.1} % of the {} stated are none;\n  {:<24} where they are found, transmittance is off by {:.3}",
-            "panes",
-            100.0 * p.found,
-            p.true_pixels,
-            100.0 * p.wrong,
-            p.stated_pixels,
-            "",
-            p.transmittance_error
-        );
-    }
+    add_found(out, split);
     if let Some(m) = &split.materials {
         row(out, "albedo, linear", &m.albedo.linear);
         row(out, "albedo, FIPT", &m.albedo.fipt);
@@ -141,4 +115,35 @@ fn row(out: &mut String, name: &str, s: &super::ImageScores) {
         "  {name:<24} {psnr:>15.2} dB {mean:>9.2} dB {:>9.4} {:>10.5}",
         s.ssim, s.mse
     );
+}
+
+/// The lines of metals and panes, where the truth knows them.
+fn add_found(out: &mut String, split: &SplitScores) {
+    if let Some(m) = &split.metals {
+        let _ = writeln!(
+            out,
+            "  {:<24} found {:.1} % of {} pixels; {:.1} % of the {} stated are none;\n  {:<24} where it is found, F0 is off by {:.3}, R by {:.3}",
+            "metals",
+            100.0 * m.found,
+            m.true_pixels,
+            100.0 * m.wrong,
+            m.stated_pixels,
+            "",
+            m.f0_error,
+            m.roughness_error
+        );
+    }
+    if let Some(p) = &split.panes {
+        let _ = writeln!(
+            out,
+            "  {:<24} found {:.1} % of {} pixels; {:.1} % of the {} stated are none;\n  {:<24} where they are found, transmittance is off by {:.3}",
+            "panes",
+            100.0 * p.found,
+            p.true_pixels,
+            100.0 * p.wrong,
+            p.stated_pixels,
+            "",
+            p.transmittance_error
+        );
+    }
 }

@@ -137,6 +137,30 @@ mod tests {
         compare(options);
     }
 
+    #[test]
+    fn the_truth_of_panes_renders_like_the_apartment() {
+        let options = SynthOptions {
+            rooms: 2,
+            texture: 1024,
+            panes: true,
+            ..SynthOptions::default()
+        };
+        let truth = true_solution(&options).expect("valid");
+        let transmission = truth.transmission.as_ref().expect("panes");
+        let texels = Texels::rasterize(&truth.mesh, transmission.width, transmission.height);
+        let mut panes = std::collections::BTreeSet::new();
+        for &cell in &texels.cell {
+            let class = truth.labels.data[cell as usize];
+            let t = transmission.data[cell as usize];
+            assert_eq!(t, catalogue::transmission(class), "class {class}");
+            if t > 0.0 {
+                panes.insert(class);
+            }
+        }
+        assert!(panes.iter().eq(&catalogue::PANES));
+        compare(options);
+    }
+
     fn compare(options: SynthOptions) {
         let truth = true_solution(&options).expect("valid");
         let built = Built::new(&options, &Progress::silent()).expect("fits");

@@ -19,6 +19,7 @@ mod lights;
 mod options;
 mod panes;
 mod scene;
+mod seeing;
 mod tracer;
 mod transport;
 mod wave;

@@ -8,10 +8,8 @@
 //! what is seen through a pane, and dims, but does not colour, the light that falls through it.
 
 use super::scene::{Surface, SurfaceModel};
-use super::tracer::PathTracer;
-use super::wave::Wave;
 use crate::core::geometry::Mesh;
-use crate::core::trace::{Coverage, CutOut, Hit, MOST_LAYERS, Ray, Tracer, beyond, number_of_ray};
+use crate::core::trace::{Coverage, Hit, Ray, number_of_ray};
 use glam::Vec3;
 
 /// A scene's surfaces as what lets light through.
@@ -22,12 +20,12 @@ pub(super) struct Panes<'a> {
 
 impl Panes<'_> {
     /// What goes through the surface that a ray along the unit `direction` meets.
-    fn transmittance(&self, direction: Vec3, hit: &Hit, surface: &Surface) -> Vec3 {
+    pub(super) fn transmittance(&self, direction: Vec3, hit: &Hit, surface: &Surface) -> Vec3 {
         let normal = self.mesh.face_normal(hit.triangle as usize);
         surface.transmittance(normal.dot(direction).abs())
     }
 
-    fn surface(&self, hit: &Hit) -> Surface {
+    pub(super) fn surface(&self, hit: &Hit) -> Surface {
         self.surfaces.surface(hit.triangle as usize, hit.u, hit.v)
     }
 }
@@ -40,63 +38,7 @@ impl Coverage for Panes<'_> {
     }
 }
 
-fn mean(transmittance: Vec3) -> f32 {
+/// The probability with which a ray passes.
+pub(super) fn mean(transmittance: Vec3) -> f32 {
     transmittance.element_sum() / 3.0
-}
-
-impl<'a> PathTracer<'a> {
-    /// The scene's panes, if it has any.
-    fn panes(&self) -> Option<Panes<'a>> {
-        let (mesh, surfaces) = (self.mesh, self.surfaces);
-        self.has_panes.then_some(Panes { mesh, surfaces })
-    }
-
-    /// Finds what a wave's rays meet. Rays from the camera (bounce 0) meet every pane, and a path
-    /// of its own goes on behind it.
-    pub(super) fn find_hits(&self, wave: &mut Wave, bounce: u32) {
-        wave.hits.clear();
-        wave.hits.resize(wave.rays.len(), Hit::miss());
-        let Some(panes) = self.panes() else {
-            return self.tracer.closest(&wave.rays, &mut wave.hits);
-        };
-        if bounce > 0 {
-            return CutOut::new(self.tracer, &panes).closest(&wave.rays, &mut wave.hits);
-        }
-        let mut first = 0;
-        for _ in 0..MOST_LAYERS {
-            self.tracer
-                .closest(&wave.rays[first..], &mut wave.hits[first..]);
-            let met = first..wave.rays.len();
-            first = met.end;
-            for i in met.filter(|&i| wave.hits[i].is_hit()).collect::<Vec<_>>() {
-                let (ray, hit, mut path) = (wave.rays[i], wave.hits[i], wave.paths[i]);
-                let direction = Vec3::from_array(ray.direction);
-                path.beta *= panes.transmittance(direction, &hit, &panes.surface(&hit));
-                if path.beta != Vec3::ZERO {
-                    wave.paths.push(path);
-                    wave.rays.push(beyond(&ray, &hit));
-                }
-            }
-            wave.hits.resize(wave.rays.len(), Hit::miss());
-            if first == wave.rays.len() {
-                return;
-            }
-        }
-    }
-
-    /// What a path counts that a surface has stopped: of those that arrived at a pane, the others
-    /// went through.
-    pub(super) fn weight_of_stopped(&self, direction: Vec3, hit: &Hit, surface: &Surface) -> f32 {
-        self.panes().map_or(1.0, |panes| {
-            1.0 / (1.0 - mean(panes.transmittance(direction, hit, surface)))
-        })
-    }
-
-    /// Whether anything stops shadow rays.
-    pub(super) fn find_occluded(&self, rays: &[Ray], occluded: &mut [u8]) {
-        match self.panes() {
-            Some(panes) => CutOut::new(self.tracer, &panes).occluded(rays, occluded),
-            None => self.tracer.occluded(rays, occluded),
-        }
-    }
 }
