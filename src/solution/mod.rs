@@ -92,8 +92,8 @@ impl Solution {
         share_at(self.transmission.as_ref(), uv)
     }
 
-    /// Which triangles let light through anywhere, looked at where a grid of [`PANE_STEPS`] steps
-    /// along each edge has its cells' middles; `None` where nothing is transparent.
+    /// Which triangles let light through anywhere, looked at in the cells of a grid of 6 steps along
+    /// each edge; `None` where nothing is transparent.
     #[must_use]
     pub fn pane_triangles(&self) -> Option<Vec<bool>> {
         self.transmission.as_ref()?;

@@ -244,9 +244,14 @@ impl<'a> Photographer<'a> {
                 display_gain(&s.environment),
             ),
         ];
-        if let Some(m) = &s.metallic {
-            let shown = grey(&shrunk(m, MAP_SIDE));
-            maps.insert(2, map("share of metal", m.width, m.height, shown));
+        for (title, share) in [
+            ("share of transmitted light", &s.transmission),
+            ("share of metal", &s.metallic),
+        ] {
+            if let Some(share) = share {
+                let shown = grey(&shrunk(share, MAP_SIDE));
+                maps.insert(2, map(title, share.width, share.height, shown));
+            }
         }
         maps
     }

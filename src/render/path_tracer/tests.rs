@@ -704,7 +704,7 @@ fn a_camera_sees_through_panes_what_they_let_through() {
         close(cloudy.emission.data[i], 0.25 * through, 0.002);
         close(double.emission.data[i], through * through, 0.012);
         close(clear.specular.data[i], black.specular.data[i], 0.004);
-        close(cloudy.diffuse.data[i], 0.75 * tint, 0.02);
+        close(cloudy.diffuse.data[i], 0.75 * tint, 0.05);
         assert_eq!(clear.diffuse.data[i], Vec3::ZERO);
         assert_eq!(clear.class_transmission.data[i], 1.0);
     }
