@@ -8,6 +8,7 @@ use super::frame::FrameWriter;
 use super::importer::PrepareOptions;
 use super::labels::LabelSource;
 use super::lens::Optics;
+use super::network;
 use super::plan::room_ids;
 use super::ply_out::write_ply;
 use crate::core::formats;
@@ -50,6 +51,9 @@ pub fn write_scene(
     rescale(&mut capture, options.scale, account);
     unique_stems(&mut capture.shots);
     hold_out(&mut capture.shots, options.hold_out, account);
+    let meshed = options.mesh.is_some() || capture.surface.is_some();
+    // (what the networks see goes with this, once it is copied)
+    let _seen = network::predict(&mut capture, meshed, &options.networks, account, progress)?;
     let mesh = match mesh_of(&mut capture, options, account)? {
         None => mesh_of_depth(&capture.shots, account, progress)?.map(SceneMesh::Decoded),
         given => given,
@@ -125,6 +129,7 @@ fn rescale(capture: &mut Capture, scale: Option<f64>, account: &mut Account) {
     };
     for shot in &mut capture.shots {
         shot.world_from_camera.w_axis = (shot.world_from_camera.w_axis.truncate() * s).extend(1.0);
+        shot.points.iter_mut().for_each(|p| *p *= s);
     }
     match &mut capture.surface {
         Some(Surface::File {
