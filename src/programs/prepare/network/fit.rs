@@ -23,6 +23,9 @@ use nalgebra::{DMatrix, DVector};
 /// Places of a tile that are compared with others. Derived: two unknowns from so many residuals that half of them may
 /// be hidden and their mean still be a tenth of one's spread.
 const SAMPLES: usize = 400;
+/// The beginning asks one in so many of these places. Derived: it tells steps of √2 apart, where
+/// fifty residuals a tile do.
+const COARSE: usize = 8;
 /// Other cameras that a tile is compared with, the nearest. Derived: those of a room; farther ones see other rooms.
 const NEIGHBOURS: usize = 8;
 /// Spread of residuals that is believed in, coarse to fine: logarithms, thus shares of the depth. Derived: 0.5 is a
@@ -150,12 +153,12 @@ pub(super) fn fit(guesses: &[Guess], freedom: DepthFit) -> Option<Fit> {
     let mut spread = SPREADS[0];
     for least in SPREADS {
         for _ in 0..STEPS {
-            let residuals = problem.residuals(&unknowns);
+            let residuals = problem.residuals(&unknowns, 1);
             spread = least.max(robust_spread(&residuals, 3.0 * least)?);
             unknowns = problem.step(&unknowns, &residuals, spread, common).unknowns;
         }
     }
-    let residuals = problem.residuals(&unknowns);
+    let residuals = problem.residuals(&unknowns, 1);
     let last = problem.step(&unknowns, &residuals, spread, common);
     let lines = (unknowns.iter().zip(&problem.middles)).map(|(u, middle)| Line {
         scale: u.log.exp() / middle,
@@ -237,16 +240,17 @@ impl<'a> Problem<'a> {
         (along > 0.0).then(|| (f64::from((along / seen).ln()), pixel))
     }
 
-    fn residuals(&self, unknowns: &[Unknown]) -> Vec<Residual> {
-        let of = |i: usize| self.residuals_of(i, unknowns);
+    /// Of all tiles, of one place in `every`.
+    fn residuals(&self, unknowns: &[Unknown], every: usize) -> Vec<Residual> {
+        let of = |i: usize| self.residuals_of(i, unknowns, every);
         let all: Vec<Vec<Residual>> = (0..unknowns.len()).into_par_iter().map(of).collect();
         all.into_iter().flatten().collect()
     }
 
-    fn residuals_of(&self, i: usize, unknowns: &[Unknown]) -> Vec<Residual> {
+    fn residuals_of(&self, i: usize, unknowns: &[Unknown], every: usize) -> Vec<Residual> {
         let mut out = Vec::new();
         let tile = &self.guesses[i].tile;
-        for pixel in &self.samples[i] {
+        for pixel in self.samples[i].iter().step_by(every) {
             let Some(d) = self.distance(i, *pixel, unknowns[i]) else {
                 continue;
             };
@@ -347,13 +351,13 @@ impl<'a> Problem<'a> {
 
     /// Mean of ρ over what is compared; everything that could be and is not counts in full.
     fn cost(&self, unknowns: &[Unknown]) -> Option<f64> {
-        let residuals = self.residuals(unknowns);
+        let residuals = self.residuals(unknowns, COARSE);
         let rho = |r: &Residual| {
             let x = (r.value / SPREADS[1]).powi(2);
             x / (1.0 + x)
         };
         let sum: f64 = residuals.iter().map(rho).sum();
-        let most = self.samples.iter().map(Vec::len).sum::<usize>();
+        let most = self.samples.iter().map(Vec::len).sum::<usize>() / COARSE;
         let missing = most.saturating_sub(residuals.len());
         Some((sum + missing as f64) / (residuals.len() + missing).max(1) as f64)
     }

@@ -11,7 +11,7 @@
 use super::engine_types::Shape;
 use super::options::PanoramaTiles;
 use crate::core::geometry::{Camera, Lens, Projection};
-use glam::{Mat3, Vec2};
+use glam::{Mat3, Vec2, Vec3};
 
 /// Share of a tile that the next one sees too, at least. Cited: a third in the sliding window above.
 const OVERLAP: f32 = 1.0 / 3.0;
@@ -187,18 +187,24 @@ impl Tile {
     }
 
     /// Unit direction in the world through a place of the tile.
-    pub fn direction(&self, pixel: Vec2) -> Option<glam::Vec3> {
-        Some(self.photo.direction(self.photo_pixel(pixel)?))
+    pub fn direction(&self, pixel: Vec2) -> Option<Vec3> {
+        match &self.place {
+            Place::Part { .. } => Some(self.photo.direction(self.photo_pixel(pixel)?)),
+            Place::Turned(camera) => Some(camera.direction(pixel)),
+        }
     }
 
     /// The place in the tile of a point of the world.
-    pub fn project(&self, point: glam::Vec3) -> Option<Vec2> {
-        self.tile_pixel(self.photo.project(point)?)
+    pub fn project(&self, point: Vec3) -> Option<Vec2> {
+        match &self.place {
+            Place::Part { .. } => self.tile_pixel(self.photo.project(point)?),
+            Place::Turned(camera) => camera.project(point),
+        }
     }
 
     /// Length of a ray from the camera that goes one along the tile's optical axis; 1 in whole panoramas,
     /// which have none.
-    pub fn along_axis(&self, direction: glam::Vec3) -> f32 {
+    pub fn along_axis(&self, direction: Vec3) -> f32 {
         let camera = match &self.place {
             Place::Turned(camera) => camera,
             Place::Part { .. } => &self.photo,
@@ -246,7 +252,6 @@ impl Tile {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
 
     fn panorama(width: usize) -> Camera {
         Camera {
