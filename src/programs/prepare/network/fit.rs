@@ -133,6 +133,8 @@ struct Unknown {
 /// A residual with its derivatives by the unknowns of its tiles.
 struct Residual {
     value: f64,
+    /// Distance in units of that between the cameras; 1 for what has no parallax.
+    parallax: f64,
     by: [(usize, [f64; 2]); 2],
 }
 
@@ -270,8 +272,17 @@ impl<'a> Problem<'a> {
                     continue;
                 };
                 let slope = (moved - value) / f64::from(PROBE.ln_1p());
+                let apart = tile
+                    .photo
+                    .position
+                    .distance(self.guesses[*j].tile.photo.position);
                 out.push(Residual {
                     value,
+                    parallax: if apart > 0.0 {
+                        f64::from(d / apart)
+                    } else {
+                        1.0
+                    },
                     by: [(i, mine.map(|s| s * slope)), (*j, theirs.map(|s| -s))],
                 });
             }
@@ -282,6 +293,7 @@ impl<'a> Problem<'a> {
             if let (Some(d), Some(mine)) = (d, slopes) {
                 out.push(Residual {
                     value: f64::from((d / anchor.distance).ln()),
+                    parallax: 1.0,
                     by: [(i, mine), (i, [0.0; 2])],
                 });
             }
@@ -353,7 +365,8 @@ impl<'a> Problem<'a> {
     fn cost(&self, unknowns: &[Unknown]) -> Option<f64> {
         let residuals = self.residuals(unknowns, COARSE);
         let rho = |r: &Residual| {
-            let x = (r.value / SPREADS[1]).powi(2);
+            // far away all distances are alike to a small share: by the cameras' distance they are not
+            let x = (r.value * r.parallax / SPREADS[1]).powi(2);
             x / (1.0 + x)
         };
         let sum: f64 = residuals.iter().map(rho).sum();

@@ -121,6 +121,24 @@ fn shifts_are_found_with_the_scales() {
 }
 
 #[test]
+fn a_far_sphere_is_no_agreement() {
+    // a constant added to all depths lets a large scale make them alike: (d + 1.2) in units of 6 m or 4.2 m
+    let tiles = places()
+        .into_iter()
+        .flat_map(|p| tiles_of(&p, shape(128, 64), None));
+    let line = |i: usize| Line {
+        scale: if i < 4 { 8.6 } else { 6.0 },
+        shift: -1.2,
+    };
+    let guesses: Vec<Guess> = (tiles.enumerate())
+        .map(|(i, t)| damaged(t, DepthValues::Ray, line(i)))
+        .collect();
+    let found = fit(&guesses, DepthFit::Affine).expect("overlaps");
+    let [median, most] = errors(&guesses, &found.lines);
+    assert!(median < 0.015 && most < 0.06, "{median} {most}");
+}
+
+#[test]
 fn inverse_depth_of_perspective_tiles_is_brought_to_metres() {
     let guesses = guesses(&places(), shape(48, 48), DepthValues::InverseZ, 0.05);
     let found = fit(&guesses, DepthFit::Affine).expect("overlaps");
