@@ -150,17 +150,9 @@ impl Importer for Colmap {
         }
         // sparse points hold the scale of depth that a network sees
         let points = match options.networks.depth_model {
-            Some(_) => sparse_points(folder)?,
-            None => Vec::new(),
+            Some(_) => add_points(folder, &images, &mut shots)?,
+            None => 0,
         };
-        for point in &points {
-            for (image, shot) in images.iter().zip(&mut shots) {
-                if point.seen_by.contains(&image.id) {
-                    let camera_from_world = shot.world_from_camera.inverse();
-                    (shot.points).push(camera_from_world.transform_point3(point.place));
-                }
-            }
-        }
         if shots.is_empty() {
             return Err(Error::input(folder, "the model holds no image with a pose"));
         }
@@ -172,7 +164,7 @@ impl Importer for Colmap {
             shots.len()
         ));
         account.converted("poses from camera-from-world with y down to camera-to-world with y up");
-        match points.len() {
+        match points {
             0 => account.ignored("sparse points, observations, rigs (each image has its own pose)"),
             n => {
                 account.read(format!(
@@ -536,6 +528,19 @@ struct SparsePoint {
     place: DVec3,
     /// Ids of the images that show it.
     seen_by: BTreeSet<u32>,
+}
+
+/// Gives every photograph the points it shows; how many points there are.
+fn add_points(folder: &Path, images: &[ImageEntry], shots: &mut [Shot]) -> Result<usize> {
+    let points = sparse_points(folder)?;
+    for (image, shot) in images.iter().zip(shots) {
+        let camera_from_world = shot.world_from_camera.inverse();
+        let seen = points.iter().filter(|p| p.seen_by.contains(&image.id));
+        shot.points = seen
+            .map(|p| camera_from_world.transform_point3(p.place))
+            .collect();
+    }
+    Ok(points.len())
 }
 
 /// The points of a model; none where it has no such file.

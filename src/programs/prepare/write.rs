@@ -88,16 +88,7 @@ pub fn write_scene(
         _ => return Err(Error::Inputs(failed)),
     }
     let frames: Vec<Value> = frames.into_iter().flatten().collect();
-    let resampled = capture
-        .shots
-        .iter()
-        .filter(|s| matches!(s.optics, Optics::Distorted(_)))
-        .count();
-    if resampled > 0 {
-        account.converted(format!(
-            "{resampled} photographs of lenses beyond OpenCV's k1 k2 p1 p2 were resampled without distortion, with masks"
-        ));
-    }
+    tell_resampled(&capture.shots, account);
     let rooms = write_rooms(&folder, &capture)?;
     if source.is_some() && !frames.is_empty() {
         account.converted("labels per pixel were rendered from the classes of the surface");
@@ -121,6 +112,17 @@ pub fn write_scene(
         triangles,
         rooms,
     })
+}
+
+/// Says how many photographs were resampled.
+fn tell_resampled(shots: &[Shot], account: &mut Account) {
+    let beyond = |s: &&Shot| matches!(s.optics, Optics::Distorted(_));
+    let resampled = shots.iter().filter(beyond).count();
+    if resampled > 0 {
+        account.converted(format!(
+            "{resampled} photographs of lenses beyond OpenCV's k1 k2 p1 p2 were resampled without distortion, with masks"
+        ));
+    }
 }
 
 fn rescale(capture: &mut Capture, scale: Option<f64>, account: &mut Account) {
