@@ -513,7 +513,11 @@ impl<P: FnMut(u32) -> bool> Around<'_, P> {
         }
         let normal = facing(mesh, point.triangle, direction);
         let back = direction - 2.0 * normal.dot(direction) * normal;
-        let ray = Ray::new(point.position, back, f32::INFINITY);
+        let ray = Ray {
+            // beyond the rounding of positions
+            t_near: 1e-4 * hit.t,
+            ..Ray::new(point.position, back, f32::INFINITY)
+        };
         let hit = behind(self.tracer, ray, &mut self.passes);
         (luminance(behind_it) > 0.0).then_some(SeenThrough {
             seen: look.radiance,
@@ -707,9 +711,8 @@ mod tests {
             };
             let all: Vec<u32> = (SHEETS..SHEETS + 2 * faces).collect();
             assert_eq!((pane.class, &pane.triangles), (SHEET, &all));
-            // of the wall that is mirrored views do not see all
             let off = (pane.tint - TINT).abs().max_element();
-            assert!(off < 0.06, "{faces} faces: {pane:?}");
+            assert!(off < 0.03, "{faces} faces: {pane:?}");
             assert!(pane.tint_error < 0.05, "{pane:?}");
         }
     }

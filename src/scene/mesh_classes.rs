@@ -6,7 +6,7 @@
 //! keep their names whole, for copies ("paint.001") are adapted copies as a rule; objects lose their
 //! numbers ("Chair 2" is a chair). Called by `load`.
 
-use super::words::words;
+use super::words::{is_lamp, words};
 use super::{Class, PreparedMesh};
 use crate::core::formats::{NameKind, RawMesh, SurfaceNames};
 use crate::core::image::Plane;
@@ -284,28 +284,6 @@ fn tells(name: &str) -> bool {
     words(name)
         .iter()
         .any(|w| w.chars().count() >= 3 && !GENERIC.contains(&w.as_str()))
-}
-
-/// Whether a name is that of what emits light: such a word at its end ("ceiling light", not "light
-/// oak", "lamp stand", "lightswitch").
-fn is_lamp(name: &str) -> bool {
-    const LAMPS: [&str; 12] = [
-        "lamp",
-        "lamps",
-        "light",
-        "lights",
-        "bulb",
-        "bulbs",
-        "lightbulb",
-        "luminaire",
-        "downlight",
-        "spotlight",
-        "chandelier",
-        "led",
-    ];
-    words(name)
-        .last()
-        .is_some_and(|w| LAMPS.contains(&w.as_str()))
 }
 
 #[cfg(test)]

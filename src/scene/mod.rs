@@ -37,6 +37,7 @@ pub use rooms::{find_rooms, floor_plan};
 pub use scan::{Scan, ScanColour, ScanColours, ScanOptions};
 pub use staged::StagedScene;
 pub use unwrap::{UnwrapStats, unwrap_mesh};
+pub use words::is_lamp;
 
 use crate::core::formats::ImageAccount;
 use crate::core::geometry::{Camera, Mesh};

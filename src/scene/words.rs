@@ -17,3 +17,26 @@ pub(super) fn words(name: &str) -> Vec<String> {
     }
     out
 }
+
+/// Whether a name is that of what emits light: such a word at its end ("ceiling light", not "light
+/// oak", "lamp stand", "lightswitch").
+#[must_use]
+pub fn is_lamp(name: &str) -> bool {
+    const LAMPS: [&str; 12] = [
+        "lamp",
+        "lamps",
+        "light",
+        "lights",
+        "bulb",
+        "bulbs",
+        "lightbulb",
+        "luminaire",
+        "downlight",
+        "spotlight",
+        "chandelier",
+        "led",
+    ];
+    words(name)
+        .last()
+        .is_some_and(|w| LAMPS.contains(&w.as_str()))
+}

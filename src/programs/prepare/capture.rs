@@ -4,7 +4,7 @@ use super::lens::Optics;
 use crate::core::formats::RawMesh;
 use crate::core::image::Plane;
 use crate::scene::Class;
-use glam::{DMat4, DVec2};
+use glam::{DMat4, DVec2, DVec3};
 use std::path::PathBuf;
 
 /// Pixels to ignore.
@@ -46,6 +46,8 @@ pub struct Shot {
     pub mask: Option<Mask>,
     /// Depth that came with the capture.
     pub depth: Option<Depth>,
+    /// Points of the surface that the photograph shows, in the camera's axes (OpenGL), units of the capture.
+    pub points: Vec<DVec3>,
     /// Working radiance = image · 2^ev.
     pub exposure_ev: Option<f64>,
     /// Stated split of the capture: held out or not.
@@ -70,6 +72,7 @@ impl Shot {
             labels: None,
             mask: None,
             depth: None,
+            points: Vec::new(),
             exposure_ev: None,
             held_out: None,
         }

@@ -12,7 +12,7 @@ use super::lens::{Optics, Perspective};
 use crate::core::formats::{MOST_DATA, read_input, read_input_text};
 use crate::error::{Error, Result};
 use glam::{DMat3, DMat4, DQuat, DVec3};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Where programs put a sparse model below the folder a user names.
@@ -83,6 +83,7 @@ struct CameraEntry {
 /// One image with its pose.
 #[derive(Clone, Debug, PartialEq)]
 struct ImageEntry {
+    id: u32,
     name: String,
     camera: u32,
     camera_from_world: DMat4,
@@ -108,7 +109,7 @@ impl Importer for Colmap {
     fn read(
         &self,
         located: &Located,
-        _options: &PrepareOptions,
+        options: &PrepareOptions,
         account: &mut Account,
     ) -> Result<Capture> {
         let folder = &located.start;
@@ -147,6 +148,11 @@ impl Importer for Colmap {
             shot.size = Some(camera.size);
             shots.push(shot);
         }
+        // sparse points hold the scale of depth that a network sees
+        let points = match options.networks.depth_model {
+            Some(_) => add_points(folder, &images, &mut shots)?,
+            None => 0,
+        };
         if shots.is_empty() {
             return Err(Error::input(folder, "the model holds no image with a pose"));
         }
@@ -158,7 +164,15 @@ impl Importer for Colmap {
             shots.len()
         ));
         account.converted("poses from camera-from-world with y down to camera-to-world with y up");
-        account.ignored("sparse points, observations, rigs (each image has its own pose)");
+        match points {
+            0 => account.ignored("sparse points, observations, rigs (each image has its own pose)"),
+            n => {
+                account.read(format!(
+                    "{n} sparse points, for the scale of the network's depth"
+                ));
+                account.ignored("observations, rigs (each image has its own pose)");
+            }
+        }
         let mesh = MESHES.iter().map(|m| folder.join(m)).find(|m| m.is_file());
         Ok(Capture {
             shots,
@@ -347,6 +361,7 @@ fn text_images(path: &Path) -> Result<Vec<ImageEntry>> {
             // the name is the rest of the line: it may hold spaces
             let name = words.get(9..).filter(|n| !n.is_empty())?.join(" ");
             Some(ImageEntry {
+                id: words.first()?.parse().ok()?,
                 name,
                 camera: words.get(8)?.parse().ok()?,
                 camera_from_world: pose([n[0], n[1], n[2], n[3]], [n[4], n[5], n[6]])?,
@@ -498,12 +513,92 @@ fn binary_images(path: &Path) -> Result<Vec<ImageEntry>> {
                 )
             })?;
         images.push(ImageEntry {
+            id,
             name,
             camera,
             camera_from_world,
         });
     }
     Ok(images)
+}
+
+/// A point of the sparse model.
+#[derive(Clone, Debug, PartialEq)]
+struct SparsePoint {
+    place: DVec3,
+    /// Ids of the images that show it.
+    seen_by: BTreeSet<u32>,
+}
+
+/// Gives every photograph the points it shows; how many points there are.
+fn add_points(folder: &Path, images: &[ImageEntry], shots: &mut [Shot]) -> Result<usize> {
+    let points = sparse_points(folder)?;
+    for (image, shot) in images.iter().zip(shots) {
+        let camera_from_world = shot.world_from_camera.inverse();
+        let seen = points.iter().filter(|p| p.seen_by.contains(&image.id));
+        shot.points = seen
+            .map(|p| camera_from_world.transform_point3(p.place))
+            .collect();
+    }
+    Ok(points.len())
+}
+
+/// The points of a model; none where it has no such file.
+fn sparse_points(folder: &Path) -> Result<Vec<SparsePoint>> {
+    let file = |e: &str| Some(folder.join(format!("points3D.{e}"))).filter(|p| p.is_file());
+    match (file("bin"), file("txt")) {
+        (Some(path), _) => binary_points(&path),
+        (None, Some(path)) => text_points(&path),
+        (None, None) => Ok(Vec::new()),
+    }
+}
+
+fn binary_points(path: &Path) -> Result<Vec<SparsePoint>> {
+    let data = read_input(path, MOST_DATA)?;
+    let mut bytes = Bytes {
+        path,
+        data: &data,
+        at: 0,
+    };
+    let mut points = Vec::new();
+    for _ in 0..bytes.count(51)? {
+        // id, place, colour, error, then pairs of image and number of its point
+        bytes.u64()?;
+        let place = [bytes.f64()?, bytes.f64()?, bytes.f64()?];
+        bytes.take(3 + 8)?;
+        let count = bytes.count(8)?;
+        let track = bytes.take(8 * count)?.chunks_exact(8);
+        let seen_by = track.map(|t| u32::from_le_bytes([t[0], t[1], t[2], t[3]]));
+        points.push(SparsePoint {
+            place: DVec3::from(place),
+            seen_by: seen_by.collect(),
+        });
+    }
+    points.retain(|p| p.place.is_finite());
+    Ok(points)
+}
+
+fn text_points(path: &Path) -> Result<Vec<SparsePoint>> {
+    let text = read_input_text(path)?;
+    let mut points = Vec::new();
+    for (number, line) in lines(&text).filter(|(_, l)| !l.trim().is_empty()) {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let coordinate = |k: usize| words.get(k)?.parse().ok().filter(|x: &f64| x.is_finite());
+        let point = || -> Option<SparsePoint> {
+            let track = words.get(8..)?.iter().step_by(2).map(|w| w.parse().ok());
+            Some(SparsePoint {
+                place: DVec3::new(coordinate(1)?, coordinate(2)?, coordinate(3)?),
+                seen_by: track.collect::<Option<_>>()?,
+            })
+        };
+        points.push(point().ok_or_else(|| {
+            Error::input(
+                path,
+                format!("line {number}: expected POINT3D_ID X Y Z R G B ERROR, then pairs IMAGE_ID POINT2D_IDX; export the model again"),
+            )
+        })?);
+    }
+    Ok(points)
 }
 
 #[cfg(test)]
@@ -527,8 +622,8 @@ mod tests {
             c.extend(camera.parameters.iter().flat_map(|p| p.to_le_bytes()));
         }
         let mut i = (images.len() as u64).to_le_bytes().to_vec();
-        for (n, (image, pose)) in images.iter().enumerate() {
-            i.extend((n as u32).to_le_bytes());
+        for (image, pose) in images {
+            i.extend(image.id.to_le_bytes());
             i.extend(pose.iter().flat_map(|p| p.to_le_bytes()));
             i.extend(image.camera.to_le_bytes());
             i.extend(image.name.as_bytes());
@@ -587,6 +682,45 @@ mod tests {
             std::fs::write(at("cameras.txt"), text).expect("file");
             assert!(text_cameras(&at("cameras.txt")).is_err_and(|e| e.to_string().contains(line)));
         }
+    }
+
+    #[test]
+    fn sparse_points_are_read_from_text_and_binary() {
+        let dir = tempfile::tempdir().expect("folder");
+        let at = |n: &str| dir.path().join(n);
+        assert_eq!(sparse_points(dir.path()).expect("none"), []);
+        let text =
+            "# id, place, colour, error, track\n5 1 2 -3.5 9 9 9 0.4 1 0 2 7\n6 0 0 1 9 9 9 0.4\n";
+        std::fs::write(at("points3D.txt"), text).expect("file");
+        let points = sparse_points(dir.path()).expect("points");
+        let first = SparsePoint {
+            place: DVec3::new(1.0, 2.0, -3.5),
+            seen_by: BTreeSet::from([1, 2]),
+        };
+        assert_eq!((points.len(), &points[0]), (2, &first));
+        let mut b = 2u64.to_le_bytes().to_vec();
+        for (id, point) in [5u64, 6].into_iter().zip(&points) {
+            b.extend(id.to_le_bytes());
+            b.extend(point.place.to_array().iter().flat_map(|x| x.to_le_bytes()));
+            b.extend([9; 3]);
+            b.extend(0.4f64.to_le_bytes());
+            b.extend((point.seen_by.len() as u64).to_le_bytes());
+            let track = point.seen_by.iter().flat_map(|i| [*i, 0]);
+            b.extend(track.flat_map(|i: u32| i.to_le_bytes()));
+        }
+        std::fs::write(at("points3D.bin"), &b).expect("file");
+        assert_eq!(sparse_points(dir.path()).expect("points"), points);
+        for n in 0..b.len() {
+            std::fs::write(at("points3D.bin"), &b[..n]).expect("file");
+            assert!(
+                sparse_points(dir.path()).is_err_and(|e| e.exit_code() == 2),
+                "{n}"
+            );
+        }
+        std::fs::remove_file(at("points3D.bin")).expect("file");
+        std::fs::write(at("points3D.txt"), "1 2 3\n").expect("file");
+        let e = sparse_points(dir.path()).expect_err("short");
+        assert!(e.to_string().contains("line 1"), "{e}");
     }
 
     #[test]

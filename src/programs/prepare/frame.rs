@@ -19,7 +19,7 @@ pub struct FrameWriter<'a> {
     pub folder: &'a SceneFolder,
     /// Where labels come from that no file holds.
     pub labels: Option<&'a LabelSource>,
-    /// Links instead of copies.
+    /// Links to photographs instead of copies.
     pub link: bool,
 }
 
@@ -73,7 +73,8 @@ impl FrameWriter<'_> {
     ) -> Result<()> {
         let take = |path: &Path, folder: &str, key: &str, entry: &mut Map<String, Value>| {
             let name = format!("{folder}/{}.{}", shot.stem, extension(path));
-            self.folder.take(path, &name, self.link)?;
+            self.folder
+                .take(path, &name, self.link && key == "file_path")?;
             entry.insert(key.into(), json!(name));
             Ok(())
         };

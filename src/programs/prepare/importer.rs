@@ -2,6 +2,7 @@
 
 use super::account::Account;
 use super::capture::Capture;
+use super::network::NetworkOptions;
 use crate::error::{Error, Result};
 use glam::DMat3;
 use serde::{Deserialize, Serialize};
@@ -37,6 +38,9 @@ pub struct PrepareOptions {
     /// where it is.
     #[arg(long)]
     pub link: bool,
+    /// Networks that see depth and classes in photographs.
+    #[command(flatten)]
+    pub networks: NetworkOptions,
 }
 
 impl Default for PrepareOptions {
@@ -49,6 +53,7 @@ impl Default for PrepareOptions {
             hold_out: 8,
             exposure_times: None,
             link: false,
+            networks: NetworkOptions::default(),
         }
     }
 }

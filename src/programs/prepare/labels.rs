@@ -10,7 +10,7 @@ use crate::error::Result;
 use glam::{DMat4, DVec3, Vec2};
 
 /// Columns of a rendered label image at most: labels may have any resolution of the same aspect.
-const MOST_COLUMNS: usize = 1024;
+pub(super) const MOST_COLUMNS: usize = 1024;
 
 /// A surface ready to be looked at.
 pub struct LabelSource {

@@ -20,6 +20,7 @@ mod labels;
 mod lens;
 mod metashape;
 mod nerfstudio;
+mod network;
 mod opensfm;
 mod orient;
 mod plan;
@@ -40,6 +41,7 @@ pub use capture::{Capture, Depth, LabelledMesh, Mask, RoomIds, RoomOutline, Shot
 pub use floor_plan::{ROOMS, write_floor_plan};
 pub use importer::{Importer, Located, PrepareOptions, Prepared};
 pub use lens::{Distortion, Lens, Optics, Perspective};
+pub use network::{DepthFit, DepthValues, NetworkOptions, PanoramaTiles};
 pub use write::write_scene;
 
 use crate::core::progress::Progress;

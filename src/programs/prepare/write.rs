@@ -8,6 +8,7 @@ use super::frame::FrameWriter;
 use super::importer::PrepareOptions;
 use super::labels::LabelSource;
 use super::lens::Optics;
+use super::network;
 use super::plan::room_ids;
 use super::ply_out::write_ply;
 use crate::core::formats;
@@ -50,6 +51,9 @@ pub fn write_scene(
     rescale(&mut capture, options.scale, account);
     unique_stems(&mut capture.shots);
     hold_out(&mut capture.shots, options.hold_out, account);
+    let meshed = options.mesh.is_some() || capture.surface.is_some();
+    // (what the networks see goes with this, once it is copied)
+    let _seen = network::predict(&mut capture, meshed, &options.networks, account, progress)?;
     let mesh = match mesh_of(&mut capture, options, account)? {
         None => mesh_of_depth(&capture.shots, account, progress)?.map(SceneMesh::Decoded),
         given => given,
@@ -84,16 +88,7 @@ pub fn write_scene(
         _ => return Err(Error::Inputs(failed)),
     }
     let frames: Vec<Value> = frames.into_iter().flatten().collect();
-    let resampled = capture
-        .shots
-        .iter()
-        .filter(|s| matches!(s.optics, Optics::Distorted(_)))
-        .count();
-    if resampled > 0 {
-        account.converted(format!(
-            "{resampled} photographs of lenses beyond OpenCV's k1 k2 p1 p2 were resampled without distortion, with masks"
-        ));
-    }
+    tell_resampled(&capture.shots, account);
     let rooms = write_rooms(&folder, &capture)?;
     if source.is_some() && !frames.is_empty() {
         account.converted("labels per pixel were rendered from the classes of the surface");
@@ -119,12 +114,24 @@ pub fn write_scene(
     })
 }
 
+/// Says how many photographs were resampled.
+fn tell_resampled(shots: &[Shot], account: &mut Account) {
+    let beyond = |s: &&Shot| matches!(s.optics, Optics::Distorted(_));
+    let resampled = shots.iter().filter(beyond).count();
+    if resampled > 0 {
+        account.converted(format!(
+            "{resampled} photographs of lenses beyond OpenCV's k1 k2 p1 p2 were resampled without distortion, with masks"
+        ));
+    }
+}
+
 fn rescale(capture: &mut Capture, scale: Option<f64>, account: &mut Account) {
     let Some(s) = scale.filter(|&s| s != 1.0) else {
         return;
     };
     for shot in &mut capture.shots {
         shot.world_from_camera.w_axis = (shot.world_from_camera.w_axis.truncate() * s).extend(1.0);
+        shot.points.iter_mut().for_each(|p| *p *= s);
     }
     match &mut capture.surface {
         Some(Surface::File {
