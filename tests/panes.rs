@@ -14,7 +14,7 @@ const TINT: f32 = 0.94;
 fn a_glass_screen_is_found_and_nothing_else() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let options = SynthOptions {
-        views: 8,
+        views: 12,
         spp: 4,
         panes: true,
         ..SynthOptions::small()

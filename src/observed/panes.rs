@@ -7,7 +7,7 @@
 //! The hypothesis that foretells better is the one; neither needs materials or irradiance. What is found is taken out of the way of rays, and the photographs are
 //! given the light that the pane kept back. Called by the pipeline's stage `observe`.
 
-use crate::core::brdf::fresnel;
+use crate::core::brdf::{DIELECTRIC, fresnel};
 use crate::core::geometry::{Mesh, pieces};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
@@ -350,12 +350,13 @@ impl Sheets {
             .map(|(l, through)| MOST * l.as_opaque - through)
             .collect();
         let gain = Mean::over(&places, &gain);
-        let share = |l: &SeenThrough| luminance(l.share());
+        let share = |l: &SeenThrough| luminance(l.share()).clamp(0.0, 1.0);
         let shares: Vec<f64> = (looks.iter())
             .filter_map(|l| median(l.seen_through.iter().map(share).collect()))
             .map(f64::from)
             .collect();
-        let error = Mean::over(&places, &shares).error as f32;
+        // models of reflection differ by about what a face reflects
+        let error = (Mean::over(&places, &shares).error as f32).hypot(DIELECTRIC.x);
         let passed = looks.iter().flat_map(|l| &l.seen_through);
         let passed = median(passed.map(|l| luminance(l.passed())).collect())?;
         let possible = passed <= 1.0 + SURELY * error;
@@ -569,10 +570,9 @@ fn through_error(looks: &[SeenThrough], tint: Vec3) -> f64 {
 /// What passes one face, by the median look; `None` where a channel of all is dark.
 fn tint(looks: &[Foretold]) -> Option<Vec3> {
     let channel = |c: usize| {
-        let lit = looks.iter().flat_map(|l| &l.seen_through);
-        let share =
-            |l: &SeenThrough| (l.seen[c] / l.behind[c] / l.entering).powf(1.0 / l.faces as f32);
-        median(lit.filter(|l| l.behind[c] > 0.0).map(share).collect())
+        let all = looks.iter().flat_map(|l| &l.seen_through);
+        let lit = all.filter(|l| l.behind[c] > 0.0);
+        median(lit.map(|l| l.share()[c]).collect())
     };
     Some(Vec3::new(channel(0)?, channel(1)?, channel(2)?))
 }
