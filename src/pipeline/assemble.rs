@@ -3,8 +3,8 @@
 use super::clipped_light::FoundLight;
 use super::lamp_surfaces::cut_lamps;
 use super::metals::metal_texels;
+use super::panes::pane_texels;
 use super::portal_list::portals;
-use super::settle::pane_texels;
 use super::usual_roughness::SMOOTH;
 use super::{Light, Roughness};
 use crate::core::geometry::Mesh;

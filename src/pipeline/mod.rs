@@ -21,6 +21,7 @@ mod neural;
 mod observe;
 mod options;
 mod painted;
+mod panes;
 mod portal_list;
 mod presets;
 mod published;

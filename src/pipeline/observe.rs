@@ -2,14 +2,14 @@
 //! see is fused on the atlas.
 
 use super::SolveOptions;
-use super::decisions::{choose_sizes, report_panes};
+use super::decisions::choose_sizes;
+use super::panes::{Cleared, clear_panes};
 use crate::Result;
 use crate::core::geometry::Camera;
 use crate::core::image::{CameraMask, Plane, RgbPlane};
 use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
 use crate::core::stats::MAD_SCALE;
-use crate::core::switch::Switch;
 use crate::core::texture::{SurfacePoint, Texels};
 use crate::core::trace::{EmbreeTracer, Hit};
 use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
@@ -110,41 +110,6 @@ fn texel_labels(scene: &Scene, texels: &Texels, fusion: &Fusion, panes: &Panes) 
         }
     }
     labels
-}
-
-/// What photographs look through, and the rays for which it is not there.
-struct Cleared {
-    tracer: EmbreeTracer,
-    panes: Panes,
-}
-
-/// Finds panes and lets the views look through them.
-fn clear_panes(
-    scene: &Scene,
-    whole: EmbreeTracer,
-    views: &mut [ObservedView],
-    options: &SolveOptions,
-    progress: &Progress,
-) -> Result<Cleared> {
-    let (mesh, classes) = (&scene.mesh, scene.mesh_classes.as_ref());
-    let panes = match options.panes {
-        Switch::Off => Panes::default(),
-        _ => progress.stage("panes", 1, |_| {
-            Panes::find(&Observer { mesh, views }, &whole, classes)
-        }),
-    };
-    report_panes(scene, &panes, progress);
-    if panes.is_empty() {
-        return Ok(Cleared {
-            tracer: whole,
-            panes,
-        });
-    }
-    let tracer = panes.cleared(mesh)?;
-    for view in views {
-        panes.look_through(view, &whole, &tracer, (mesh, classes));
-    }
-    Ok(Cleared { tracer, panes })
 }
 
 /// The training views as read, before anything is taken out of them.

@@ -11,6 +11,7 @@ use super::findings::{doubt_of_infinite, findings, spread_of_looks};
 use super::metals::metal_texels;
 use super::missing_light::add_missing_light;
 use super::painted::{Estimate, settle_palettes};
+use super::panes::{pane_texels, show_panes};
 use super::solved::Solved;
 use super::{Light, Roughness, SolveOptions};
 use crate::core::progress::Progress;
@@ -18,7 +19,7 @@ use crate::core::switch::Switch;
 use crate::inverse::{
     AlbedoEstimate, Ground, Metal, StatedErrors, TexelReflectance, settle_contradicted,
 };
-use crate::observed::{Pane, Surface};
+use crate::observed::Surface;
 use crate::verdict::MissingLight;
 
 /// What is estimated before it is settled what it all amounts to.
@@ -53,8 +54,7 @@ pub(super) fn settle(
     let mut lights = clipped_light.map_or_else(Vec::new, |c| c.lights);
     forget_lit(&mut albedo, &lights);
     let metals = metal_texels(surface, &light, &roughness.metals);
-    metals.iter().for_each(|m| albedo.forget(m.0 as usize));
-    pane_texels(surface).for_each(|(i, _)| albedo.forget(i));
+    forget_clear(surface, &metals, &mut albedo);
     let rooms = roughness.texel_rooms(&surface.texels);
     let mut short = progress.stage("energy balance", 0, |p| {
         balance_rooms(surface, &mut light, &mut albedo, &rooms, options, p)
@@ -92,10 +92,7 @@ pub(super) fn settle(
         settle_palettes(surface, &mut light, estimate, options, p);
     });
     show_metals(&metals, &mut albedo, &mut errors);
-    for (i, pane) in pane_texels(surface) {
-        (albedo.value[i], albedo.error[i]) = (pane.tint, pane.tint_error);
-        errors[i] = pane.tint_error;
-    }
+    show_panes(surface, &mut albedo, &mut errors);
     let mut findings = findings(surface, &light, &albedo, &errors, &spread);
     findings.unexplained = f64::from(unexplained);
     let mean = findings.mean_albedo;
@@ -119,10 +116,10 @@ pub(super) fn settle(
     }
 }
 
-/// The texels of surfaces that photographs look through.
-pub(super) fn pane_texels<'a>(surface: &'a Surface<'_>) -> impl Iterator<Item = (usize, &'a Pane)> {
-    let points = surface.texels.point.iter().enumerate();
-    points.filter_map(|(i, p)| Some((i, surface.panes.of(p.triangle)?)))
+/// What metals and panes show is no diffuse light.
+fn forget_clear(surface: &Surface, metals: &[(u32, &Metal)], albedo: &mut AlbedoEstimate) {
+    metals.iter().for_each(|m| albedo.forget(m.0 as usize));
+    pane_texels(surface).for_each(|(i, _)| albedo.forget(i));
 }
 
 /// Gives the texels of metals what these reflect.
