@@ -249,7 +249,7 @@ fn named_numbers_say_where_they_come_from() {
         return;
     };
     let counts: serde_json::Value = serde_json::from_str(&text).expect("JSON");
-    for (what, most) in [("constants", 152), ("constants_without_source", 104)] {
+    for (what, most) in [("constants", 150), ("constants_without_source", 92)] {
         let found = counts[what].as_u64().expect(what);
         assert!(
             found <= most,

@@ -55,7 +55,7 @@ pub fn estimate_albedo(
 ) -> AlbedoEstimate {
     // size of work
     const CHUNK: usize = 2048;
-    // tasks per block that processes share: as where radiance is fused
+    // tasks per block that processes share, as where radiance is fused: size of work
     const BLOCK: usize = 8;
     let mesh = observer.mesh;
     let parts = progress.map_chunks(texels.len(), CHUNK, BLOCK, |range| {

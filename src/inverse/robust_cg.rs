@@ -13,6 +13,7 @@ use crate::core::stats::MAD_SCALE;
 use glam::Vec3;
 
 /// Residuals of that many standard errors count a half.
+/// Measured: ×½ albedo −0.2 dB, ×2 little (docs/constants.md).
 const TOLERANCE: f32 = 2.0;
 /// Reweightings, and steps of conjugate gradients within each.
 const ROUNDS: usize = 4;

@@ -27,7 +27,7 @@ use std::ops::Range;
 const BATCH: usize = 4096;
 /// Emitter samples of a receiver from which a table of the lamps at its numbers pays: size of work.
 const GUIDED: usize = 24;
-/// How many rays before its turn the memory is asked for what a hit needs.
+/// How many rays before its turn the memory is asked for what a hit needs: size of work.
 const AHEAD: usize = 24;
 
 /// What one round of samples has in common for all receivers.

@@ -10,7 +10,7 @@ use crate::radiance::LightField;
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
 
-/// Shadow rays end this share of their length before the surface they aim at: ten times the
+/// Shadow rays end this share of their length before the surface they aim at. Derived: ten times the
 /// rounding of positions and no more, for what lies between would be overlooked.
 pub(crate) const SHORT: f32 = 1e-4;
 

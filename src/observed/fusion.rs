@@ -92,6 +92,18 @@ pub fn fuse_radiance(
     all
 }
 
+impl Fusion {
+    /// Takes a texel for one that no view sees.
+    pub(crate) fn forget(&mut self, texel: usize) {
+        self.radiance[texel] = Vec3::ZERO;
+        self.clean[texel] = false;
+        self.peak[texel] = Vec3::ZERO;
+        self.views[texel] = 0;
+        self.label[texel] = UNSEEN;
+        self.floor[texel] = f32::INFINITY;
+    }
+}
+
 impl Packed for Fusion {
     fn columns(&self) -> Columns {
         let Self {

@@ -59,6 +59,12 @@ pub fn observe<'a>(
             fuse_radiance(&observer, &orientation, &texels, p)
         })
     });
+    // beside a pane's edge views see its frame
+    for (i, point) in texels.point.iter().enumerate() {
+        if panes.of(point.triangle).is_some() {
+            fusion.forget(i);
+        }
+    }
     if let Some(budget) = &options.budget {
         budget.fused(begin.elapsed().as_secs_f64());
     }
