@@ -4,8 +4,9 @@
 //! each what it sees behind, which other views saw directly, weakened, and a little of what it
 //! mirrors. Either way one light is foretold for every look at a point: what the other looks show,
 //! or what lies behind times a constant of the surface, with Fresnel's share of what is mirrored.
-//! The hypothesis that foretells better is the one; neither needs materials or irradiance. What is found is taken out of the way of rays, and the photographs are
-//! given the light that the pane kept back. Called by the pipeline's stage `observe`.
+//! The hypothesis that foretells better is the one; neither needs materials or irradiance. What is
+//! found is taken out of the way of rays, and the photographs are given the light that the pane
+//! kept back (`docs/lab/panes.md`). Called by the pipeline's stage `panes`.
 
 use crate::core::brdf::{DIELECTRIC, fresnel};
 use crate::core::geometry::{Mesh, pieces};
@@ -23,7 +24,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 /// hundred tell a tenth of their spread, and no view is to speak for the others.
 const POINTS: usize = 100;
 const POINTS_OF_A_VIEW: usize = 12;
-/// Fewest points whose mean and standard error are worth something.
+/// Fewest points that tell: their standard error is then known to a sixth (derived: 1/√(2 n)).
 const FEWEST: usize = 20;
 /// Share of light that a face does not reflect in looks that count: at more grazing ones models of
 /// reflection differ, and hardly anything else is seen. Derived: within 62° of the normal.
@@ -31,7 +32,8 @@ const STEEP: f32 = 0.9;
 /// Share of the looks' disagreement that what lies behind leaves at most: where it explains less
 /// than half, something else is at work.
 const MOST: f64 = 0.5;
-/// Area of a pane's far side over that of the near one, rims included, at most.
+/// Area of a pane's far side, which nobody sees, over that of the near one at most. Derived: the
+/// same, and rims of half as much.
 const FAR_SIDE: f32 = 1.5;
 /// Faces of one pane that a ray may pass: panes of more than double glazing tell no more.
 const MOST_FACES: usize = 8;
