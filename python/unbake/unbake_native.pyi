@@ -168,7 +168,7 @@ class Solution:
 
     @property
     def transmission(self) -> NDArray[np.float32] | None:
-        """(rows, columns): share of light that goes straight through, of the albedo's shape; None where the scene has no panes."""
+        """(rows, columns): share of light that goes straight through, in [0, 1], of the albedo's shape; None where the scene has no panes."""
 
     @property
     def labels(self) -> NDArray[np.uint16]:
