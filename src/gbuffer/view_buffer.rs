@@ -144,14 +144,8 @@ impl ViewBuffer {
             return false;
         }
         let (w, h) = (self.triangle.width as i64, self.triangle.height as i64);
-        let label_at = |x: usize, y: usize| {
-            labels.map(|l| {
-                l[(
-                    x * l.width / self.triangle.width,
-                    y * l.height / self.triangle.height,
-                )]
-            })
-        };
+        let size = (self.triangle.width, self.triangle.height);
+        let label_at = |x: usize, y: usize| labels.map(|l| *l.at_pixel_of(size, (x, y)));
         let own_label = label_at(x, y);
         let mut own: Option<(Vec3, Vec3)> = None;
         for (dx, dy) in [

@@ -14,7 +14,7 @@ use super::view_residual::{Disagreement, KNEE, damped_product, points_by_class};
 use crate::core::brdf::{DIELECTRIC, Reflectance};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{Mean, SURELY, median};
+use crate::core::stats::{Mean, SURELY, median_colour};
 use crate::highlight::Evidence;
 use glam::Vec3;
 use std::f32::consts::FRAC_PI_2;
@@ -63,8 +63,7 @@ fn metal(evidence: &Evidence, model: Reflectance, class: u16, points: &[usize]) 
         return None;
     }
     let f0 = colours(evidence, model, points, whole.roughness);
-    let channel = |c: usize| median(f0.iter().map(|f| f[c]).collect()).unwrap_or(0.0);
-    let colour = Vec3::new(channel(0), channel(1), channel(2));
+    let colour = median_colour(&f0)?;
     let bright: Vec<f64> = f0.iter().map(|f| f64::from(luminance(*f))).collect();
     let error = Mean::over(places, &bright).error;
     (luminance(colour) >= LEAST_F0).then_some(Metal {

@@ -123,7 +123,7 @@ fn rig(
     let compared = inside(|d| d.views as f32)?;
     let (w, h) = (camera.width, camera.height);
     let data = (0..w * h)
-        .map(|i| !marked[(i % w * marked.width / w, i / w * marked.height / h)])
+        .map(|i| !marked.at_pixel_of((w, h), (i % w, i / w)))
         .collect();
     Some(CameraRig {
         mask: CameraMask {

@@ -8,15 +8,17 @@
 //! found is taken out of the way of rays, and the photographs are given the light that the pane
 //! kept back (`docs/lab/panes.md`). Called by the pipeline's stage `panes`.
 
-use crate::core::brdf::{DIELECTRIC, fresnel};
+use crate::core::brdf::{BaseColour, DIELECTRIC, fresnel};
 use crate::core::geometry::{Mesh, pieces};
+use crate::core::image::Plane;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{Mean, SURELY, median};
+use crate::core::stats::{Mean, SURELY, median, median_colour};
+use crate::core::texture::Texels;
 use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer, beyond};
-use crate::gbuffer::{Observation, ObservedView, Observer, ViewBuffer};
-use crate::scene::MeshClasses;
-use glam::{Vec2, Vec3};
+use crate::gbuffer::{Observation, ObservedView, Observer, ViewBuffer, pixel_rays};
+use crate::scene::{MeshClasses, Scene};
+use glam::Vec3;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
@@ -114,69 +116,81 @@ impl Panes {
         view: &mut ObservedView,
         whole: &dyn Tracer,
         cleared: &dyn Tracer,
-        (mesh, mesh_classes): (&Mesh, Option<&MeshClasses>),
+        scene: &Scene,
     ) {
-        let first = &view.buffer;
-        let behind = ViewBuffer::trace(&first.camera, cleared);
-        let (width, height) = (first.triangle.width, first.triangle.height);
-        let passed = |i: usize| {
-            self.of(first.triangle.data[i])?;
-            let ray = pixel_ray(first, i);
-            Some(self.passed(mesh, whole, ray))
-        };
-        let share: Vec<Option<Vec3>> = (0..width * height).into_par_iter().map(passed).collect();
-        for (radiance, share) in view.radiance.data.iter_mut().zip(&share) {
+        let behind = ViewBuffer::trace(&view.buffer.camera, cleared);
+        let share = self.passed_by_pixel(&view.buffer, &scene.mesh, whole);
+        for (radiance, share) in view.radiance.data.iter_mut().zip(&share.data) {
             if let Some(share) = share {
                 *radiance /= share.max(Vec3::splat(f32::MIN_POSITIVE));
             }
         }
         if let Some(labels) = &mut view.labels {
-            let (w, h) = (labels.width, labels.height);
+            let size = (labels.width, labels.height);
             for (i, label) in labels.data.iter_mut().enumerate() {
-                let at = (i % w * width / w) + (i / w * height / h) * width;
-                if share[at].is_some() {
-                    let triangle = behind.triangle.data[at] as usize;
-                    let of_mesh = mesh_classes.and_then(|m| m.of_triangle.get(triangle));
+                let at = (i % size.0, i / size.0);
+                if share.at_pixel_of(size, at).is_some() {
+                    let triangle = *behind.triangle.at_pixel_of(size, at) as usize;
+                    let classes = scene.mesh_classes.as_ref();
+                    let of_mesh = classes.and_then(|m| m.of_triangle.get(triangle));
                     *label = of_mesh.copied().unwrap_or(0);
                 }
             }
         }
-        let clean = behind.clean_pixels(mesh, view.labels.as_ref());
+        let clean = behind.clean_pixels(&scene.mesh, view.labels.as_ref());
         for (i, was) in view.clean.data.iter_mut().enumerate() {
-            *was = *was && clean.data[i] && share[i].is_none();
+            *was = *was && clean.data[i] && share.data[i].is_none();
         }
         view.buffer = behind;
+    }
+
+    /// The share of light that comes through the panes before each pixel; `None` where there is
+    /// none.
+    fn passed_by_pixel(
+        &self,
+        first: &ViewBuffer,
+        mesh: &Mesh,
+        whole: &dyn Tracer,
+    ) -> Plane<Option<Vec3>> {
+        let (width, height) = (first.triangle.width, first.triangle.height);
+        let mut share = Plane::filled(width, height, None);
+        (share.data.par_chunks_mut(width).enumerate()).for_each(|(y, row)| {
+            let rays = pixel_rays(&first.camera, y, 0..width, 1);
+            for (x, (share, ray)) in row.iter_mut().zip(rays).enumerate() {
+                let pane = self.of(first.triangle[(x, y)]);
+                *share = pane.map(|_| self.passed(mesh, whole, ray));
+            }
+        });
+        share
+    }
+
+    /// The texels of panes, ascending.
+    pub fn texels<'a>(&'a self, texels: &'a Texels) -> impl Iterator<Item = (usize, &'a Pane)> {
+        let points = texels.point.iter().enumerate();
+        points.filter_map(|(i, p)| Some((i, self.of(p.triangle)?)))
     }
 
     /// The share of light that comes through all panes along a ray.
     fn passed(&self, mesh: &Mesh, tracer: &dyn Tracer, ray: Ray) -> Vec3 {
         let mut share = Vec3::ONE;
-        let pane = |t: u32| self.of(t).map(|p| (p, mesh.face_normal(t as usize)));
         behind(tracer, ray, |t| {
-            let Some((pane, normal)) = pane(t) else {
+            let Some(pane) = self.of(t) else {
                 return false;
             };
-            share *= pane.tint * enters(normal, ray.direction.into());
+            let glass = BaseColour {
+                colour: pane.tint,
+                metallic: 0.0,
+            };
+            share *= glass.transmitted(1.0, cosine(mesh, t, ray.direction.into()));
             true
         });
         share
     }
 }
 
-/// The share of light that is not reflected where a ray meets a face.
-fn enters(normal: Vec3, direction: Vec3) -> f32 {
-    1.0 - fresnel(normal.dot(direction).abs().min(1.0))
-}
-
-/// The ray through the centre of a pixel.
-fn pixel_ray(buffer: &ViewBuffer, pixel: usize) -> Ray {
-    let (x, y) = (pixel % buffer.triangle.width, pixel / buffer.triangle.width);
-    let centre = Vec2::new(x as f32 + 0.5, y as f32 + 0.5);
-    Ray::new(
-        buffer.camera.position,
-        buffer.camera.direction(centre),
-        f32::INFINITY,
-    )
+/// Cosine between a ray and the normal of a triangle, on whichever side.
+fn cosine(mesh: &Mesh, triangle: u32, direction: Vec3) -> f32 {
+    mesh.face_normal(triangle as usize).dot(direction).abs()
 }
 
 /// What a ray meets once it has passed the triangles that `passes` tells of, each asked once.
@@ -389,8 +403,8 @@ fn first_labels(observer: &Observer) -> Vec<u16> {
         };
         let (w, h) = (view.clean.width, view.clean.height);
         for i in (0..w * h).filter(|i| view.clean.data[*i]) {
-            let at = (i % w * labels.width / w) + (i / w * labels.height / h) * labels.width;
-            let key = ((v * w * h + i) as u64) << 16 | u64::from(labels.data[at]);
+            let label = *labels.at_pixel_of((w, h), (i % w, i / w));
+            let key = ((v * w * h + i) as u64) << 16 | u64::from(label);
             first[view.buffer.triangle.data[i] as usize].fetch_min(key, Ordering::Relaxed);
         }
     });
@@ -502,7 +516,7 @@ impl<P: FnMut(u32) -> bool> Around<'_, P> {
             let passes = (self.passes)(t);
             if passes {
                 faces += 1;
-                entering *= enters(mesh.face_normal(t as usize), direction);
+                entering *= 1.0 - fresnel(cosine(mesh, t, direction).min(1.0));
             }
             passes
         });
@@ -515,7 +529,7 @@ impl<P: FnMut(u32) -> bool> Around<'_, P> {
             return None;
         }
         let normal = facing(mesh, point.triangle, direction);
-        let back = direction - 2.0 * normal.dot(direction) * normal;
+        let back = direction.reflect(normal);
         let ray = Ray {
             // beyond the rounding of positions
             t_near: 1e-4 * hit.t,
@@ -540,11 +554,8 @@ impl<P: FnMut(u32) -> bool> Around<'_, P> {
         let normal = facing(self.observer.mesh, hit.triangle, direction);
         let position = Vec3::from(ray.origin) + direction * hit.t;
         self.observer.observe(position, normal, self.there);
-        let channel = |c: usize| {
-            let clean = self.there.iter().filter(|o| o.clean);
-            median(clean.map(|o| o.radiance[c]).collect())
-        };
-        Some(Vec3::new(channel(0)?, channel(1)?, channel(2)?))
+        let clean = self.there.iter().filter(|o| o.clean);
+        median_colour(&clean.map(|o| o.radiance).collect::<Vec<_>>())
     }
 }
 
@@ -583,8 +594,9 @@ fn tint(looks: &[Foretold]) -> Option<Vec3> {
 mod tests {
     use super::*;
     use crate::core::geometry::{Camera, Lens, Projection};
-    use glam::Mat3;
+    use glam::{DVec3, Mat3, Vec2};
     use std::f32::consts::{PI, TAU};
+    use std::path::PathBuf;
 
     /// What passes a face of the tests' panes.
     const TINT: Vec3 = Vec3::new(0.9, 0.8, 0.7);
@@ -643,14 +655,14 @@ mod tests {
                 position: Vec3::new(0.45 * ((k / 2) as f32 - 3.0), 0.1 * (k % 3) as f32, 0.0),
             };
             let buffer = ViewBuffer::trace(&camera, tracer);
-            let radiance = |i: usize| {
-                let ray = pixel_ray(&buffer, i);
+            let rays = (0..height).flat_map(|y| pixel_rays(&camera, y, 0..width, 1));
+            let radiance = |ray: Ray| {
                 let direction = Vec3::from(ray.direction);
                 let (mut share, mut mirrored) = (Vec3::ONE, Vec3::ZERO);
                 let hit = behind(tracer, ray, |t| {
                     let pane = t >= SHEETS && stands != Stands::Painting;
                     if pane && stands != Stands::Nothing {
-                        let enters = enters(Vec3::Z, direction);
+                        let enters = 1.0 - fresnel(direction.z.abs());
                         let face = camera.position + direction * (-2.5 / direction.z);
                         let back = Vec3::new(direction.x, direction.y, -direction.z);
                         let wall = face + back * ((3.0 - face.z) / back.z);
@@ -666,7 +678,7 @@ mod tests {
                     (true, false) => share * pattern(at, 0.0) + mirrored,
                 }
             };
-            let radiance: Vec<Vec3> = (0..width * height).map(radiance).collect();
+            let radiance: Vec<Vec3> = rays.map(radiance).collect();
             let label = |t: &u32| match *t {
                 Hit::MISS => 0,
                 t if t < SHEETS => WALL,
@@ -675,7 +687,7 @@ mod tests {
             let labels = buffer.triangle.map(label);
             ObservedView {
                 clean: buffer.clean_pixels(mesh, Some(&labels)),
-                radiance: crate::core::image::Plane {
+                radiance: Plane {
                     width,
                     height,
                     data: radiance,
@@ -688,7 +700,7 @@ mod tests {
         (0..14).map(view).collect()
     }
 
-    fn found(stands: Stands) -> (Mesh, EmbreeTracer, Vec<ObservedView>, Panes) {
+    fn found(stands: Stands) -> (Scene, EmbreeTracer, Vec<ObservedView>, Panes) {
         let mesh = mesh(match stands {
             Stands::Pane(faces) => faces,
             _ => 1,
@@ -700,7 +712,8 @@ mod tests {
             views: &views,
         };
         let panes = Panes::find(&observer, &tracer, None);
-        (mesh, tracer, views, panes)
+        let scene = Scene::from_parts(PathBuf::new(), DVec3::ZERO, mesh, Vec::new(), Vec::new());
+        (scene, tracer, views, panes)
     }
 
     #[test]
@@ -731,12 +744,12 @@ mod tests {
 
     #[test]
     fn views_that_look_through_show_what_lies_behind_as_it_is() {
-        let (mesh, whole, mut views, panes) = found(Stands::Pane(1));
-        let cleared = panes.cleared(&mesh).expect("Embree");
+        let (scene, whole, mut views, panes) = found(Stands::Pane(1));
+        let cleared = panes.cleared(&scene.mesh).expect("Embree");
         let mut through = 0;
         for view in &mut views {
             let before = view.clone();
-            panes.look_through(view, &whole, &cleared, (&mesh, None));
+            panes.look_through(view, &whole, &cleared, &scene);
             for i in 0..view.clean.data.len() {
                 let was = before.buffer.triangle.data[i];
                 let labels = view.labels.as_ref().expect("labels");

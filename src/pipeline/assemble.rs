@@ -3,7 +3,6 @@
 use super::clipped_light::FoundLight;
 use super::lamp_surfaces::cut_lamps;
 use super::metals::metal_texels;
-use super::panes::pane_texels;
 use super::portal_list::portals;
 use super::usual_roughness::SMOOTH;
 use super::{Light, Roughness};
@@ -144,9 +143,11 @@ fn transmission_texture(surface: &Surface) -> Option<Plane<f32>> {
     if surface.panes.is_empty() {
         return None;
     }
-    let mut share = vec![0.0; surface.texels.len()];
-    pane_texels(surface).for_each(|(i, _)| share[i] = 1.0);
-    Some(filled(&surface.texels, &share))
+    let texels = &surface.texels;
+    let mut share = vec![0.0; texels.len()];
+    let panes = surface.panes.texels(texels);
+    panes.for_each(|(i, _)| share[i] = 1.0);
+    Some(filled(texels, &share))
 }
 
 /// Roughness at the size asked for.

@@ -60,11 +60,7 @@ pub fn observe<'a>(
         })
     });
     // beside a pane's edge views see its frame
-    for (i, point) in texels.point.iter().enumerate() {
-        if panes.of(point.triangle).is_some() {
-            fusion.forget(i);
-        }
-    }
+    panes.texels(&texels).for_each(|(i, _)| fusion.forget(i));
     if let Some(budget) = &options.budget {
         budget.fused(begin.elapsed().as_secs_f64());
     }
@@ -110,11 +106,9 @@ fn texel_labels(scene: &Scene, texels: &Texels, fusion: &Fusion, panes: &Panes) 
         return texels.point.iter().map(class).collect();
     }
     let mut labels = complete_labels(&scene.mesh, texels, fusion);
-    for (label, point) in labels.iter_mut().zip(&texels.point) {
-        if let Some(pane) = panes.of(point.triangle) {
-            *label = pane.class;
-        }
-    }
+    panes
+        .texels(texels)
+        .for_each(|(i, pane)| labels[i] = pane.class);
     labels
 }
 

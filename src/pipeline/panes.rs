@@ -8,7 +8,7 @@ use crate::core::switch::Switch;
 use crate::core::trace::EmbreeTracer;
 use crate::gbuffer::{ObservedView, Observer};
 use crate::inverse::AlbedoEstimate;
-use crate::observed::{Pane, Panes, Surface};
+use crate::observed::{Panes, Surface};
 use crate::scene::Scene;
 
 /// What photographs look through, and the rays for which it is not there.
@@ -26,13 +26,13 @@ pub(super) fn clear_panes(
     progress: &Progress,
 ) -> Result<Cleared> {
     let (mesh, classes) = (&scene.mesh, scene.mesh_classes.as_ref());
-    let panes = match options.panes {
-        Switch::Off => Panes::default(),
-        _ => progress.stage("panes", 1, |_| {
+    let mut panes = Panes::default();
+    if options.panes != Switch::Off {
+        panes = progress.stage("panes", 1, |_| {
             Panes::find(&Observer { mesh, views }, &whole, classes)
-        }),
-    };
-    report_panes(scene, &panes, progress);
+        });
+        report_panes(scene, &panes, progress);
+    }
     if panes.is_empty() {
         return Ok(Cleared {
             tracer: whole,
@@ -41,20 +41,14 @@ pub(super) fn clear_panes(
     }
     let tracer = panes.cleared(mesh)?;
     for view in views {
-        panes.look_through(view, &whole, &tracer, (mesh, classes));
+        panes.look_through(view, &whole, &tracer, scene);
     }
     Ok(Cleared { tracer, panes })
 }
 
-/// The texels of surfaces that photographs look through.
-pub(super) fn pane_texels<'a>(surface: &'a Surface<'_>) -> impl Iterator<Item = (usize, &'a Pane)> {
-    let points = surface.texels.point.iter().enumerate();
-    points.filter_map(|(i, p)| Some((i, surface.panes.of(p.triangle)?)))
-}
-
 /// Gives the texels of panes what these let through.
 pub(super) fn show_panes(surface: &Surface, albedo: &mut AlbedoEstimate, errors: &mut [f32]) {
-    for (i, pane) in pane_texels(surface) {
+    for (i, pane) in surface.panes.texels(&surface.texels) {
         (albedo.value[i], albedo.error[i]) = (pane.tint, pane.tint_error);
         errors[i] = pane.tint_error;
     }

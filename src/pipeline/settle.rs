@@ -11,7 +11,7 @@ use super::findings::{doubt_of_infinite, findings, spread_of_looks};
 use super::metals::metal_texels;
 use super::missing_light::add_missing_light;
 use super::painted::{Estimate, settle_palettes};
-use super::panes::{pane_texels, show_panes};
+use super::panes::show_panes;
 use super::solved::Solved;
 use super::{Light, Roughness, SolveOptions};
 use crate::core::progress::Progress;
@@ -119,7 +119,8 @@ pub(super) fn settle(
 /// What metals and panes show is no diffuse light.
 fn forget_clear(surface: &Surface, metals: &[(u32, &Metal)], albedo: &mut AlbedoEstimate) {
     metals.iter().for_each(|m| albedo.forget(m.0 as usize));
-    pane_texels(surface).for_each(|(i, _)| albedo.forget(i));
+    let panes = surface.panes.texels(&surface.texels);
+    panes.for_each(|(i, _)| albedo.forget(i));
 }
 
 /// Gives the texels of metals what these reflect.

@@ -168,7 +168,7 @@ impl<'a> HybridRenderer<'a> {
         let n = self.options.supersampling.max(1) as usize;
         let columns: Vec<usize> = (0..camera.width).collect();
         let rays = [self.options.specular_rays, self.options.emitter_samples];
-        let points = self.points(camera, y, &columns, [n as u32, rays[0], rays[1]]);
+        let points = self.points(camera, y, &columns, n, rays);
         let pixel = |x: usize| &points[x * n * n..(x + 1) * n * n];
         let (edges, smooth): (Vec<usize>, Vec<usize>) = columns.iter().partition(|&&x| {
             known.at_edges.as_ref().is_some_and(|e| e[(x, y)]) || shows_edge(pixel(x))
@@ -178,8 +178,7 @@ impl<'a> HybridRenderer<'a> {
             .flat_map(|&x| pixel(x).iter().copied())
             .collect();
         let fewer = rays.map(|r| r.div_ceil((EDGE_FACTOR * EDGE_FACTOR) as u32));
-        let finer = [(n * EDGE_FACTOR) as u32, fewer[0], fewer[1]];
-        let mut fine = self.points(camera, y, &edges, finer);
+        let mut fine = self.points(camera, y, &edges, n * EDGE_FACTOR, fewer);
         self.add_specular(&mut even, rays);
         self.add_specular(&mut fine, fewer);
         let mut even = even.chunks_exact(n * n);
@@ -195,16 +194,15 @@ impl<'a> HybridRenderer<'a> {
     }
 
     /// What n × n rays through each of some pixels of row `y` meet, without their specular part;
-    /// what is seen through panes has its own, of the given numbers of rays along the lobe and of
-    /// emitter samples.
+    /// what is seen through panes has its own, of as many rays as [`Self::add_specular`] is given.
     fn points(
         &self,
         camera: &Camera,
         y: usize,
         columns: &[usize],
-        [n, rays_per_lobe, emitter_samples]: [u32; 3],
+        n: usize,
+        rays_per_point: [u32; 2],
     ) -> Vec<Point> {
-        let n = n as usize;
         let samples = n * n;
         let rays = pixel_rays(camera, y, columns.iter().copied(), n);
         let mut hits = vec![Hit::miss(); rays.len()];
@@ -226,11 +224,7 @@ impl<'a> HybridRenderer<'a> {
                 hit,
                 weight: Vec3::ONE,
             });
-            self.add_behind_panes(
-                &mut points,
-                layer.collect(),
-                [rays_per_lobe, emitter_samples],
-            );
+            self.add_behind_panes(&mut points, layer.collect(), rays_per_point);
         }
         points
     }
@@ -693,17 +687,18 @@ mod tests {
         assert!(others.iter().all(|o| shows_edge(&[wall, wall, *o, wall])));
     }
 
-    /// Under an even environment L a smooth metal shows F0·L head-on, whatever irradiance the
-    /// textures hold; half a metal, its share of both lobes.
-    #[test]
-    fn metal_mirrors_its_colour_and_has_no_diffuse_part() {
+    /// A smooth floor under an even environment of 2, of an irradiance.
+    fn lit_by_two(irradiance: f32) -> Solution {
         let mut solution = crate::solution::tests::small_solution();
-        let f0 = Vec3::new(0.91, 0.78, 0.42);
         solution.emission.data.fill(Vec3::ZERO);
-        solution.albedo.data.fill(f0);
         solution.roughness.data.fill(0.1);
         solution.environment.data.fill(Vec3::splat(2.0));
-        solution.irradiance.data.fill(Vec3::splat(300.0));
+        solution.irradiance.data.fill(Vec3::splat(irradiance));
+        solution
+    }
+
+    /// What a camera sees straight below: mean radiance, and the share of transmitted light.
+    fn seen_below(solution: &Solution, options: HybridOptions) -> (Vec3, f32) {
         let camera = Camera {
             projection: crate::core::geometry::Projection::Equirectangular,
             width: 8,
@@ -711,6 +706,22 @@ mod tests {
             world_from_camera: glam::Mat3::IDENTITY,
             position: Vec3::new(0.0, 1.1, 0.7),
         };
+        let view = HybridRenderer::new(solution, options)
+            .expect("embree")
+            .render(&camera)
+            .expect("renders");
+        let row = &view.radiance.data[31 * 8..];
+        let mean = row.iter().sum::<Vec3>() / row.len() as f32;
+        (mean, view.transmission.data[31 * 8])
+    }
+
+    /// Under an even environment L a smooth metal shows F0·L head-on, whatever irradiance the
+    /// textures hold; half a metal, its share of both lobes.
+    #[test]
+    fn metal_mirrors_its_colour_and_has_no_diffuse_part() {
+        let mut solution = lit_by_two(300.0);
+        let f0 = Vec3::new(0.91, 0.78, 0.42);
+        solution.albedo.data.fill(f0);
         let shown = |metallic: Option<f32>| {
             let mut solution = solution.clone();
             solution.metallic = metallic.map(|m| solution.albedo.map(|_| m));
@@ -718,12 +729,7 @@ mod tests {
                 specular_rays: 64,
                 ..HybridOptions::default()
             };
-            let view = HybridRenderer::new(&solution, options)
-                .expect("embree")
-                .render(&camera)
-                .expect("renders");
-            let row = &view.radiance.data[31 * 8..];
-            row.iter().sum::<Vec3>() / row.len() as f32
+            seen_below(&solution, options).0
         };
         let close = |shown: Vec3, expected: Vec3| {
             let off = (shown / expected - 1.0).abs().max_element();
@@ -739,34 +745,18 @@ mod tests {
     /// sheet reflects of it; the rest t leaves of the diffuse light is there too.
     #[test]
     fn a_pane_shows_what_is_behind_it() {
-        let mut solution = crate::solution::tests::small_solution();
+        let solution = lit_by_two(2.0);
         let tint = Vec3::new(0.9, 0.95, 0.8);
-        solution.emission.data.fill(Vec3::ZERO);
-        solution.roughness.data.fill(0.1);
-        solution.environment.data.fill(Vec3::splat(2.0));
-        solution.irradiance.data.fill(Vec3::splat(2.0));
-        let camera = Camera {
-            projection: crate::core::geometry::Projection::Equirectangular,
-            width: 8,
-            height: 32,
-            world_from_camera: glam::Mat3::IDENTITY,
-            position: Vec3::new(0.0, 1.1, 0.7),
-        };
         let shown = |colour: Vec3, transmission: Option<f32>| {
             let mut solution = solution.clone();
             solution.albedo.data.fill(colour);
             solution.transmission = transmission.map(|t| solution.albedo.map(|_| t));
-            let view = HybridRenderer::new(&solution, HybridOptions::default())
-                .expect("embree")
-                .render(&camera)
-                .expect("renders");
-            let stated = view.transmission.data[31 * 8];
+            let (shown, stated) = seen_below(&solution, HybridOptions::default());
             assert!(
                 (stated - transmission.unwrap_or(0.0)).abs() < 1e-5,
                 "{stated}"
             );
-            let row = &view.radiance.data[31 * 8..];
-            row.iter().sum::<Vec3>() / row.len() as f32
+            shown
         };
         let close = |shown: Vec3, expected: Vec3| {
             let off = (shown / expected - 1.0).abs().max_element();

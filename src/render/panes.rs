@@ -1,14 +1,19 @@
-//! The panes of a solution (`transmission.exr`) as the hybrid renderer sees through them.
+//! The panes of a solution (`transmission.exr`) as the hybrid renderer sees through them, and what
+//! both renderers take for the chance to pass one.
 
 use crate::core::brdf::BaseColour;
 use crate::core::image::Wrap;
-use crate::core::trace::{Coverage, Hit, Ray, number_of_ray};
+use crate::core::trace::{Coverage, Hit, Ray, passes_by_chance};
 use crate::solution::Solution;
 use glam::{Vec2, Vec3};
 
+/// The probability with which a ray passes: a tint dims what is met by chance, and does not colour it.
+pub(super) fn grey(transmittance: Vec3) -> f32 {
+    transmittance.element_sum() / 3.0
+}
+
 /// A solution as what lets light through. A reflected ray passes by chance, with the mean
-/// transmittance: what stops it shows the radiance that was observed at the pane, which has the
-/// light behind in it already.
+/// transmittance; what stops it shows the solution's radiance at the pane.
 pub(super) struct SolutionPanes<'a>(pub(super) &'a Solution);
 
 impl SolutionPanes<'_> {
@@ -36,7 +41,6 @@ impl SolutionPanes<'_> {
 
 impl Coverage for SolutionPanes<'_> {
     fn stops(&self, ray: &Ray, hit: &Hit) -> bool {
-        let passing = self.transmittance(ray, hit).element_sum() / 3.0;
-        passing == 0.0 || number_of_ray(ray, hit) >= passing
+        !passes_by_chance(ray, hit, grey(self.transmittance(ray, hit)))
     }
 }

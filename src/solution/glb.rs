@@ -326,7 +326,7 @@ pub fn material_textures(solution: &Solution, options: &GlbOptions) -> Result<Ve
     ])
 }
 
-/// The textures of `scene.glb` as PNG files: `BaseColor` (sRGB), `ORM` (occlusion, roughness, metal)
+/// The textures of `scene.glb` as PNG files: `BaseColor` (sRGB), `ORM` (occlusion, roughness, metal);
 /// where the scene emits, `Emissive` (sRGB, as a share of its maximum) and, where it has panes,
 /// `Transmission` (share of transmitted light).
 ///

@@ -251,19 +251,16 @@ impl Solution {
                 Some(("confidence", i, self.confidence.width))
             })
             .or_else(|| {
-                let error = self.irradiance_error.as_ref()?;
-                let i = error.data.iter().position(|v| !v.is_finite())?;
-                Some(("irradiance error", i, error.width))
-            })
-            .or_else(|| {
-                let metallic = self.metallic.as_ref()?;
-                let i = metallic.data.iter().position(|v| !v.is_finite())?;
-                Some(("metallic", i, metallic.width))
-            })
-            .or_else(|| {
-                let transmission = self.transmission.as_ref()?;
-                let i = transmission.data.iter().position(|v| !v.is_finite())?;
-                Some(("transmission", i, transmission.width))
+                let optional = [
+                    ("irradiance error", &self.irradiance_error),
+                    ("metallic", &self.metallic),
+                    ("transmission", &self.transmission),
+                ];
+                optional.into_iter().find_map(|(name, plane)| {
+                    let plane = plane.as_ref()?;
+                    let i = plane.data.iter().position(|v| !v.is_finite())?;
+                    Some((name, i, plane.width))
+                })
             });
         match first {
             None => Ok(()),

@@ -47,6 +47,13 @@ impl<T> Plane<T> {
         }
     }
 
+    /// The value at the place of pixel `(x, y)` of an image of another size and the same aspect.
+    #[must_use]
+    #[inline]
+    pub fn at_pixel_of(&self, size: (usize, usize), (x, y): (usize, usize)) -> &T {
+        &self[(x * self.width / size.0, y * self.height / size.1)]
+    }
+
     /// The value nearest to continuous pixel coordinates (pixel centres at +0.5), clamped at the
     /// border.
     #[must_use]

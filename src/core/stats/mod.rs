@@ -45,18 +45,22 @@ pub fn median(mut values: Vec<f32>) -> Option<f32> {
     values.get(values.len() / 2).copied()
 }
 
-/// The median colour of each class, channel by channel.
+/// The median of some colours, channel by channel; `None` without any.
+#[must_use]
+pub fn median_colour(values: &[Vec3]) -> Option<Vec3> {
+    let channel = |c: usize| median(values.iter().map(|v| v[c]).collect());
+    Some(Vec3::new(channel(0)?, channel(1)?, channel(2)?))
+}
+
+/// The median colour of each class.
 #[must_use]
 pub fn median_colours(values: impl IntoIterator<Item = (u16, Vec3)>) -> BTreeMap<u16, Vec3> {
-    let mut members: BTreeMap<u16, [Vec<f32>; 3]> = BTreeMap::new();
+    let mut members: BTreeMap<u16, Vec<Vec3>> = BTreeMap::new();
     for (class, colour) in values {
-        let channels = members.entry(class).or_default();
-        let values = channels.iter_mut().zip(colour.to_array());
-        values.for_each(|(channel, value)| channel.push(value));
+        members.entry(class).or_default().push(colour);
     }
-    // (no class is without members)
-    let colour = |c: [Vec<f32>; 3]| Vec3::from_array(c.map(|v| median(v).unwrap_or_default()));
-    members.into_iter().map(|(k, v)| (k, colour(v))).collect()
+    let median = |(class, all): (u16, Vec<Vec3>)| Some((class, median_colour(&all)?));
+    members.into_iter().filter_map(median).collect()
 }
 
 /// Within this share of a mark a value has neither passed nor missed it. Derived: a standard error

@@ -28,6 +28,13 @@ pub fn number_of_ray(ray: &Ray, hit: &Hit) -> f32 {
     ((key >> 40) as f32) / ((1u64 << 24) as f32)
 }
 
+/// Whether a ray passes by chance what lets a share of the light through, [0, 1]: the same ray
+/// always or never.
+#[must_use]
+pub fn passes_by_chance(ray: &Ray, hit: &Hit, share: f32) -> bool {
+    share > 0.0 && number_of_ray(ray, hit) < share
+}
+
 /// The ray behind what it has hit.
 #[must_use]
 pub fn beyond(ray: &Ray, hit: &Hit) -> Ray {

@@ -9,7 +9,7 @@ mod tests;
 
 pub use crate::ffi::ray::{Hit, Ray};
 pub use brute::BruteForce;
-pub use cut_out::{Coverage, CutOut, MOST_LAYERS, beyond, number_of_ray};
+pub use cut_out::{Coverage, CutOut, MOST_LAYERS, beyond, number_of_ray, passes_by_chance};
 pub use embree::{BATCH, EmbreeTracer, embree_version, rays_traced};
 
 /// Anything that answers visibility queries in batches.

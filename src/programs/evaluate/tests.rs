@@ -303,8 +303,32 @@ fn a_nan_rendering_scores_as_the_largest_error_and_is_counted() {
     assert_eq!(test.views[0].nonfinite_pixels, W * H);
 }
 
+/// Pixels truly of a kind, stated to be, and the shares found and wrong.
+type Found = (u64, u64, f64, f64);
+
 #[test]
 fn metals_are_scored_where_the_truth_knows_them() {
+    let found = |s: &SplitScores| -> Option<Found> {
+        let m = s.metals.as_ref()?;
+        Some((m.true_pixels, m.stated_pixels, m.found, m.wrong))
+    };
+    scored_where_the_truth_knows("metals", "metallic", found);
+}
+
+#[test]
+fn panes_are_scored_where_the_truth_knows_them() {
+    let found = |s: &SplitScores| -> Option<Found> {
+        let p = s.panes.as_ref()?;
+        Some((p.true_pixels, p.stated_pixels, p.found, p.wrong))
+    };
+    scored_where_the_truth_knows("panes", "transmission", found);
+}
+
+fn scored_where_the_truth_knows(
+    kind: &str,
+    truth: &str,
+    found: impl Fn(&SplitScores) -> Option<Found>,
+) {
     let folder = tempfile::tempdir().expect("temp");
     let scene = scene(folder.path(), &[("a", Split::Test)]);
     let renderer = Constant {
@@ -316,21 +340,20 @@ fn metals_are_scored_where_the_truth_knows_them() {
     let score = || run(&scene, &renderer, &options, None);
     let e = score();
     let json = serde_json::to_string(&e).expect("JSON");
-    assert!(!json.contains("metals") && !terminal_table(&e).contains("metals"));
-    let path = folder.path().join("gt/metallic/a.exr");
+    assert!(!json.contains(kind) && !terminal_table(&e).contains(kind));
+    let path = folder.path().join("gt").join(truth).join("a.exr");
     std::fs::create_dir_all(path.parent().expect("folder")).expect("folder");
-    // the scored half is metal, and nothing is said to be
+    // the scored half is of the kind, and nothing is said to be
     write_plane_half(&path, &Plane::filled(W, H, 1.0)).expect("truth");
     let e = score();
-    let metals = e.test.as_ref().and_then(|t| t.metals.clone());
-    let metals = metals.expect("scored");
-    assert_eq!(metals.true_pixels, (W * H / 2) as u64);
-    assert_eq!(
-        (metals.found, metals.wrong, metals.stated_pixels),
-        (0.0, 0.0, 0)
-    );
+    let scores = e.test.as_ref().and_then(found).expect("scored");
+    assert_eq!(scores, ((W * H / 2) as u64, 0, 0.0, 0.0));
     assert!(terminal_table(&e).contains("found 0.0 % of 1024 pixels"));
-    assert!(e.protocols.iter().any(|p| p.starts_with("metals:")));
+    assert!(
+        e.protocols
+            .iter()
+            .any(|p| p.starts_with(&format!("{kind}:")))
+    );
     write_plane_half(&path, &Plane::filled(8, 4, 1.0)).expect("truth");
     let view = &scene.views[0];
     let error = true_materials(&scene, view).expect_err("of another size");
@@ -362,36 +385,4 @@ fn ground_truth_of_another_size_is_refused() {
     .expect_err("refuses");
     assert_eq!(error.exit_code(), 2);
     assert!(error.to_string().contains("8×4"), "{error}");
-}
-
-#[test]
-fn panes_are_scored_where_the_truth_knows_them() {
-    let folder = tempfile::tempdir().expect("temp");
-    let scene = scene(folder.path(), &[("a", Split::Test)]);
-    let renderer = Constant {
-        radiance: 0.5,
-        albedo: 0.5,
-        roughness: 0.125,
-    };
-    let options = EvalOptions::default();
-    let score = || run(&scene, &renderer, &options, None);
-    let e = score();
-    let json = serde_json::to_string(&e).expect("JSON");
-    assert!(!json.contains("panes") && !terminal_table(&e).contains("panes"));
-    let path = folder.path().join("gt/transmission/a.exr");
-    std::fs::create_dir_all(path.parent().expect("folder")).expect("folder");
-    // the scored half is a pane, and nothing is said to be
-    write_plane_half(&path, &Plane::filled(W, H, 1.0)).expect("truth");
-    let e = score();
-    let panes = e.test.as_ref().and_then(|t| t.panes.clone());
-    let panes = panes.expect("scored");
-    assert_eq!(panes.true_pixels, (W * H / 2) as u64);
-    assert_eq!(
-        (panes.found, panes.wrong, panes.stated_pixels),
-        (0.0, 0.0, 0)
-    );
-    assert!(terminal_table(&e).contains("found 0.0 % of 1024 pixels"));
-    assert!(e.protocols.iter().any(|p| p.starts_with("panes:")));
-    write_plane_half(&path, &Plane::filled(8, 4, 1.0)).expect("truth");
-    assert!(true_materials(&scene, &scene.views[0]).is_err());
 }

@@ -9,7 +9,8 @@
 
 use super::scene::{Surface, SurfaceModel};
 use crate::core::geometry::Mesh;
-use crate::core::trace::{Coverage, Hit, Ray, number_of_ray};
+use crate::core::trace::{Coverage, Hit, Ray, passes_by_chance};
+use crate::render::panes::grey;
 use glam::Vec3;
 
 /// A scene's surfaces as what lets light through.
@@ -33,12 +34,7 @@ impl Panes<'_> {
 impl Coverage for Panes<'_> {
     fn stops(&self, ray: &Ray, hit: &Hit) -> bool {
         let direction = Vec3::from_array(ray.direction);
-        let passing = mean(self.transmittance(direction, hit, &self.surface(hit)));
-        passing == 0.0 || number_of_ray(ray, hit) >= passing
+        let passing = grey(self.transmittance(direction, hit, &self.surface(hit)));
+        !passes_by_chance(ray, hit, passing)
     }
-}
-
-/// The probability with which a ray passes.
-pub(super) fn mean(transmittance: Vec3) -> f32 {
-    transmittance.element_sum() / 3.0
 }

@@ -1,10 +1,11 @@
 //! What the rays of a wave meet, and what stops shadow rays, with panes in between (`panes.rs`).
 
-use super::panes::{Panes, mean};
+use super::panes::Panes;
 use super::scene::Surface;
 use super::tracer::PathTracer;
 use super::wave::Wave;
 use crate::core::trace::{CutOut, Hit, MOST_LAYERS, Ray, Tracer, beyond};
+use crate::render::panes::grey;
 use glam::Vec3;
 
 impl<'a> PathTracer<'a> {
@@ -51,7 +52,7 @@ impl<'a> PathTracer<'a> {
     /// went through.
     pub(super) fn weight_of_stopped(&self, direction: Vec3, hit: &Hit, surface: &Surface) -> f32 {
         self.panes().map_or(1.0, |panes| {
-            1.0 / (1.0 - mean(panes.transmittance(direction, hit, surface)))
+            1.0 / (1.0 - grey(panes.transmittance(direction, hit, surface)))
         })
     }
 

@@ -24,6 +24,7 @@ use super::capture::{Capture, Surface};
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
 use model::Model;
+use std::path::Path;
 use tempfile::TempDir;
 
 /// Gives the capture's photographs depth and labels by the networks of `options`. The files lie in the folder that is
@@ -54,19 +55,13 @@ pub(super) fn predict(
             "--depth-model: the capture has a mesh, which is better than depth by a network; take the mesh away to use it",
         ),
         Some(path) => {
-            let mut model = Model::load(path, options)?;
-            account.read(format!("network {}, input {}", path.display(), model.input()));
+            let mut model = load(path, options, account)?;
             depth::predict(&mut capture.shots, &mut model, options, folder.path(), account, progress)?;
         }
         None => {}
     }
     if let Some(path) = &options.semantic_model {
-        let mut model = Model::load(path, options)?;
-        account.read(format!(
-            "network {}, input {}",
-            path.display(),
-            model.input()
-        ));
+        let mut model = load(path, options, account)?;
         semantic::predict(
             capture,
             &mut model,
@@ -80,4 +75,15 @@ pub(super) fn predict(
         }
     }
     Ok(Some(folder))
+}
+
+/// Reads a network and says so.
+fn load(path: &Path, options: &NetworkOptions, account: &mut Account) -> Result<Model> {
+    let model = Model::load(path, options)?;
+    account.read(format!(
+        "network {}, input {}",
+        path.display(),
+        model.input()
+    ));
+    Ok(model)
 }
