@@ -12,6 +12,7 @@ use super::metals::metal_texels;
 use super::missing_light::add_missing_light;
 use super::painted::{Estimate, settle_palettes};
 use super::panes::show_panes;
+use super::room_levels::pool_room_levels;
 use super::solved::Solved;
 use super::{Light, Roughness, SolveOptions};
 use crate::core::progress::Progress;
@@ -74,6 +75,11 @@ pub(super) fn settle(
         options,
         progress,
     );
+    if short.is_some() {
+        // what was added to a room whose level its paint told takes the place of what that asked for
+        let found = albedo.value.clone();
+        pool_room_levels(surface, &mut light, &mut albedo, &found, &rooms);
+    }
     let spread = spread_of_looks(&albedo);
     settle_hidden(surface, &mut albedo, &rooms);
     let StatedErrors {
