@@ -18,7 +18,7 @@ pub(crate) enum SceneOrPath {
 
 /// Reconstructs a scene, writes what `unbake solve` writes into the folder `out`, the same bits, and reads it back.
 ///
-/// Options are the flags of `unbake solve` with underscores: quality ("draft", "standard", "high"; default "standard"), albedo_size,
+/// Options are the flags of `unbake solve` with underscores: quality ("preview", "draft", "standard", "high"; default "standard"), albedo_size,
 /// roughness_size, irradiance_size (texels), budget (seconds), edges ("auto", "on", "off", or True and False), fix_alignment, force, …
 /// A `Scene` keeps the options that it was read with; of a path, they may be given here.
 ///

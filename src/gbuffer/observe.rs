@@ -100,17 +100,42 @@ impl Observer<'_> {
     pub fn observe(&self, position: Vec3, face_normal: Vec3, out: &mut Vec<Observation>) {
         out.clear();
         for (i, view) in self.views.iter().enumerate() {
-            out.extend(self.observe_in(i as u32, view, position, face_normal));
+            let clean = |k: usize| {
+                let valid = view.valid.as_ref().is_none_or(|v| v.data[k]);
+                valid.then(|| view.clean.data[k])
+            };
+            out.extend(self.observe_in(i as u32, position, face_normal, clean));
         }
     }
 
+    /// Appends to `out` every view that sees `position` at pixels of `some` alone, which are given per
+    /// view, as [`Self::observe`] does at valid ones.
+    pub fn observe_at(
+        &self,
+        some: &[Option<Plane<bool>>],
+        position: Vec3,
+        face_normal: Vec3,
+        out: &mut Vec<Observation>,
+    ) {
+        for (i, pixels) in some.iter().enumerate() {
+            let Some(pixels) = pixels else {
+                continue;
+            };
+            let clean = |k: usize| pixels.data[k].then_some(true);
+            let seen = self.observe_in(i as u32, position, face_normal, clean);
+            out.extend(seen.filter(|o| o.clean));
+        }
+    }
+
+    /// The look of one view at pixels of which `is_clean` says whether they are; `None`: not used.
     fn observe_in(
         &self,
         index: u32,
-        view: &ObservedView,
         position: Vec3,
         face_normal: Vec3,
+        is_clean: impl Fn(usize) -> Option<bool>,
     ) -> Option<Observation> {
+        let view = &self.views[index as usize];
         let camera: &Camera = &view.buffer.camera;
         let to_camera = camera.position - position;
         let distance = to_camera.length();
@@ -129,9 +154,9 @@ impl Observer<'_> {
         let (mut sum, mut weight, mut clean) = (Vec3::ZERO, 0.0f32, true);
         for (k, w) in taps {
             let t = view.buffer.distance.data[k];
-            if w <= 0.0 || !t.is_finite() || view.valid.as_ref().is_some_and(|v| !v.data[k]) {
+            let Some(is_clean) = is_clean(k).filter(|_| w > 0.0 && t.is_finite()) else {
                 continue;
-            }
+            };
             let (x, y) = (k % camera.width, k / camera.width);
             let offset = camera.position
                 + camera.direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5)) * t
@@ -148,7 +173,7 @@ impl Observer<'_> {
             if !plane.holds(offset, || self.mesh.face_normal(triangle)) {
                 continue;
             }
-            clean &= view.clean.data[k];
+            clean &= is_clean;
             sum += view.radiance.data[k] * w;
             weight += w;
         }

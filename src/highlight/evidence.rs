@@ -8,7 +8,7 @@
 use super::{Candidate, LOBES};
 use crate::core::blocks::{Columns, Packed, column, values};
 use crate::core::brdf::{DIELECTRIC, Reflectance, SpecularLobe};
-use crate::core::image::bilinear_taps;
+use crate::core::image::{Plane, bilinear_taps};
 use crate::core::math::luminance;
 use crate::core::progress::Progress;
 use crate::core::sampling::{SobolSequence, hash_u64};
@@ -34,6 +34,9 @@ pub struct EvidencePoint {
     pub first: u32,
     /// Number of sights, at least two.
     pub count: u32,
+    /// Number of sights behind those that are lower bounds: photographs clip the brightest part of a
+    /// highlight.
+    pub bounds: u32,
 }
 
 /// One view's look at an evidence point.
@@ -197,6 +200,7 @@ impl Packed for Evidence {
             column(&positions),
             column(&of_points(|p| p.first)),
             column(&of_points(|p| p.count)),
+            column(&of_points(|p| p.bounds)),
             column(&views),
             column(&radiance),
             column(&of_sights(|s| s.n_v)),
@@ -212,7 +216,10 @@ impl Packed for Evidence {
     }
 
     fn restored(columns: &[Vec<u8>]) -> Option<Self> {
-        let [class, triangle, position, first, count, sights @ ..] = columns else {
+        let [class, triangle, position, spans @ ..] = columns else {
+            return None;
+        };
+        let [first, count, bounds, sights @ ..] = spans else {
             return None;
         };
         let [view, radiance, n_v, weight, tables @ ..] = sights else {
@@ -229,6 +236,7 @@ impl Packed for Evidence {
         let lobes: Option<Vec<SpecularLobe>> = models.iter().zip(&f0).map(lobe).collect();
         let (class, triangle): (Vec<u32>, Vec<u32>) = (values(class)?, values(triangle)?);
         let (first, count): (Vec<u32>, Vec<u32>) = (values(first)?, values(count)?);
+        let bounds: Vec<u32> = values(bounds)?;
         let position: Vec<Vec3> = values(position)?;
         let point = |i: usize| {
             Some(EvidencePoint {
@@ -237,6 +245,7 @@ impl Packed for Evidence {
                 position: *position.get(i)?,
                 first: *first.get(i)?,
                 count: *count.get(i)?,
+                bounds: *bounds.get(i)?,
             })
         };
         let (view, radiance): (Vec<u32>, Vec<Vec3>) = (values(view)?, values(radiance)?);
@@ -301,7 +310,7 @@ pub fn gather_evidence(
     // tasks per block that processes share. Derived: at 6 looks a point, 16 gazes and 6 lobes of 8 rays
     // each, some 10^5 rays: a tenth of a second
     const BLOCK: usize = 1;
-    let observer = surface.observer();
+    let (observer, bounds) = (surface.observer(), surface.clean_bounds());
     let rays_per_lobe = tabulation.rays_per_lobe.div_ceil(FOOTPRINT as u32);
     let reflector = Reflector {
         lit,
@@ -314,7 +323,8 @@ pub fn gather_evidence(
         let mut out = Observed::default();
         let mut seen: Vec<Observation> = Vec::new();
         for i in range.clone() {
-            out.push(surface, &observer, (i, &candidates[i]), &mut seen);
+            let of = (surface, &observer, &*bounds);
+            out.push(of, (i, &candidates[i]), &mut seen);
         }
         let evidence = out.trace(surface, &reflector, tabulation);
         progress.advance(range.len() as u64);
@@ -338,26 +348,29 @@ struct Observed {
 
 impl Observed {
     /// Adds candidate `c`, the `i`th of all, with the views that see it clean, if they are two at
-    /// least; `seen` is room for them.
+    /// least, and those that bound it; `seen` is room for them.
     fn push(
         &mut self,
-        surface: &Surface,
-        observer: &Observer,
+        (surface, observer, bounds): (&Surface, &Observer, &[Option<Plane<bool>>]),
         (i, c): (usize, &Candidate),
         seen: &mut Vec<Observation>,
     ) {
         let (normal, face_normal) = surface.normals_at(c.triangle, c.position);
         observer.observe(c.position, face_normal, seen);
         seen.retain(|o| o.clean && o.n_v > 0.12);
-        if seen.len() < 2 {
+        let count = seen.len();
+        if count < 2 {
             return;
         }
+        observer.observe_at(bounds, c.position, face_normal, seen);
+        seen.retain(|o| o.n_v > 0.12);
         self.evidence.points.push(EvidencePoint {
             class: c.class,
             triangle: c.triangle,
             position: c.position,
             first: self.evidence.sights.len() as u32,
-            count: seen.len() as u32,
+            count: count as u32,
+            bounds: (seen.len() - count) as u32,
         });
         for o in seen.iter() {
             let buffer = &observer.views[o.view as usize].buffer;
@@ -471,5 +484,51 @@ impl Footprints {
             }
         };
         self.rays.iter().zip(&hits).enumerate().map(gaze).collect()
+    }
+}
+
+/// One view's look at a point of a test.
+#[cfg(test)]
+pub(crate) struct TestSight<'a> {
+    /// Radiance.
+    pub(crate) radiance: Vec3,
+    /// Burley's diffuse radiance over Lambert's, as a polynomial in the roughness.
+    pub(crate) diffuse: [f32; 3],
+    /// Two estimates of what a lobe mirrors at a roughness.
+    pub(crate) response: &'a dyn Fn(SpecularLobe, f32) -> [Vec3; 2],
+}
+
+#[cfg(test)]
+impl Evidence {
+    /// Adds a point a metre from the last one, whose last sights, `bounds` of them, are lower bounds.
+    pub(crate) fn push_test(&mut self, class: u16, sights: &[TestSight], bounds: usize) {
+        if self.levels.is_empty() {
+            self.levels = super::LEVELS.to_vec();
+        }
+        let first = self.sights.len() as u32;
+        for (view, sight) in sights.iter().enumerate() {
+            self.sights.push(ViewSample {
+                view: view as u32,
+                radiance: sight.radiance,
+                n_v: 0.8,
+                weight: 1.0,
+            });
+            self.diffuse.push(sight.diffuse);
+            for lobe in self.lobes {
+                for level in &self.levels {
+                    let [a, b] = (sight.response)(lobe, *level);
+                    self.specular.push(0.5 * (a + b));
+                    self.noise.push(0.5 * luminance(a - b));
+                }
+            }
+        }
+        self.points.push(EvidencePoint {
+            class,
+            triangle: 0,
+            position: Vec3::X * self.points.len() as f32,
+            first,
+            count: (sights.len() - bounds) as u32,
+            bounds: bounds as u32,
+        });
     }
 }

@@ -4,6 +4,9 @@
 mod evidence;
 mod select;
 
+#[cfg(test)]
+pub(crate) use evidence::TestSight;
+
 pub use evidence::{DIELECTRICS, Evidence, EvidencePoint, Tabulation, ViewSample, gather_evidence};
 pub use select::{Candidate, SelectOptions, select_points};
 

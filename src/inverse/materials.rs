@@ -448,8 +448,9 @@ fn divide(colours: &[Vec3]) -> Option<(Axis, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::brdf::SpecularLobe;
     use crate::core::sampling::KeyedRng;
-    use crate::highlight::{DIELECTRICS, EvidencePoint, LEVELS, ViewSample};
+    use crate::highlight::TestSight;
     use crate::inverse::fit_groups;
 
     /// `n` albedos of normal scatter around a colour, relative standard deviation `spread`.
@@ -493,38 +494,23 @@ mod tests {
     /// Evidence of one class: per point its albedo and roughness; six views each, of which two meet
     /// a highlight.
     fn evidence_of(rng: &mut KeyedRng, points: &[(Vec3, f32)]) -> Evidence {
-        let mut out = Evidence {
-            levels: LEVELS.to_vec(),
-            ..Evidence::default()
-        };
-        for (i, &(albedo, roughness)) in points.iter().enumerate() {
-            let first = out.sights.len() as u32;
-            for view in 0..6 {
-                let strength = if view < 2 { 0.05 * rng.next_f32() } else { 0.0 };
-                let response = |r: f32| Vec3::splat(strength / (0.05 + r * r));
-                let radiance = albedo * LIGHT / PI + response(roughness);
-                out.sights.push(ViewSample {
-                    view,
-                    radiance,
-                    n_v: 0.8,
-                    weight: 1.0,
-                });
-                out.diffuse.push([1.0, 0.0, 0.0]);
-                DIELECTRICS
-                    .iter()
-                    .for_each(|_| out.specular.extend(LEVELS.map(response)));
-                DIELECTRICS
-                    .iter()
-                    .for_each(|_| out.noise.extend(LEVELS.map(|_| 0.0)));
-            }
-            let position = Vec3::X * i as f32;
-            out.points.push(EvidencePoint {
-                class: 7,
-                triangle: 0,
-                position,
-                first,
-                count: 6,
-            });
+        let mut out = Evidence::default();
+        for &(albedo, roughness) in points {
+            let looks: Vec<_> = (0..6)
+                .map(|view| {
+                    let strength = if view < 2 { 0.05 * rng.next_f32() } else { 0.0 };
+                    move |_: SpecularLobe, r: f32| [Vec3::splat(strength / (0.05 + r * r)); 2]
+                })
+                .collect();
+            let sights: Vec<TestSight> = looks
+                .iter()
+                .map(|response| TestSight {
+                    radiance: albedo * LIGHT / PI + response(out.lobes[0], roughness)[0],
+                    diffuse: [1.0, 0.0, 0.0],
+                    response,
+                })
+                .collect();
+            out.push_test(7, &sights, 0);
         }
         out
     }

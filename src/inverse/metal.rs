@@ -260,7 +260,7 @@ mod tests {
     use super::*;
     use crate::core::brdf::SpecularLobe;
     use crate::core::sampling::KeyedRng;
-    use crate::highlight::{EvidencePoint, LEVELS, ViewSample};
+    use crate::highlight::TestSight;
 
     const MODEL: Reflectance = Reflectance::Smith;
     const GOLD: Vec3 = Vec3::new(1.0, 0.77, 0.34);
@@ -270,42 +270,34 @@ mod tests {
     fn seen(diffuse: Vec3, f0: Vec3) -> Evidence {
         let mut rng = KeyedRng::new(7, 1);
         let mut out = Evidence {
-            levels: LEVELS.to_vec(),
             lobes: [
                 SpecularLobe::dielectric(MODEL),
                 SpecularLobe::white_metal(MODEL),
             ],
             ..Evidence::default()
         };
-        for i in 0..200 {
-            let first = out.sights.len() as u32;
-            for view in 0..6 {
+        for _ in 0..200 {
+            let mut look = || {
                 // most looks mirror a wall, some a lamp
                 let lamp = if rng.next_f32() < 0.3 { 4.0 } else { 0.0 };
                 let (wall, lamp) = (0.5 + rng.next_f32(), lamp * rng.next_f32());
                 let grazing = 0.02 * rng.next_f32();
-                let white = |r: f32| wall + lamp * 0.1 / (0.05 + r * r);
-                let lobe = |f0: Vec3, r: f32| (f0 + (1.0 - f0) * grazing) * white(r);
+                let white = move |r: f32| wall + lamp * 0.1 / (0.05 + r * r);
+                let lobe = move |f0: Vec3, r: f32| (f0 + (1.0 - f0) * grazing) * white(r);
                 let noise = 1.0 + 0.02 * (rng.next_f32() - 0.5);
-                out.sights.push(ViewSample {
-                    view,
-                    radiance: (diffuse + lobe(f0, 0.31)) * noise,
-                    n_v: 0.8,
-                    weight: 1.0,
-                });
-                out.diffuse.push([1.0, 0.0, 0.0]);
-                for base in out.lobes.map(|l| l.f0) {
-                    out.specular.extend(LEVELS.map(|r| lobe(base, r)));
-                    out.noise.extend(LEVELS.map(|_| 0.0));
-                }
-            }
-            out.points.push(EvidencePoint {
-                class: 3,
-                triangle: 0,
-                position: Vec3::X * i as f32,
-                first,
-                count: 6,
-            });
+                let radiance = (diffuse + lobe(f0, 0.31)) * noise;
+                (radiance, move |l: SpecularLobe, r: f32| [lobe(l.f0, r); 2])
+            };
+            let looks: Vec<_> = (0..6).map(|_| look()).collect();
+            let sights: Vec<TestSight> = looks
+                .iter()
+                .map(|(radiance, response)| TestSight {
+                    radiance: *radiance,
+                    diffuse: [1.0, 0.0, 0.0],
+                    response,
+                })
+                .collect();
+            out.push_test(3, &sights, 0);
         }
         out
     }

@@ -35,29 +35,39 @@ pub fn fit_groups(evidence: &Evidence, model: Reflectance) -> Vec<GroupFit> {
 }
 
 /// Fits all groups under every model and keeps the simplest that explains the views; also returns
-/// the mean disagreement per model.
+/// the mean disagreement per model. The model is that of the surface at large; a class that another
+/// one explains better has the roughness that it has there.
 #[must_use]
 pub fn choose_model(evidence: &Evidence) -> (Reflectance, Vec<GroupFit>, Vec<(Reflectance, f64)>) {
-    let mut best: Option<(Reflectance, Vec<GroupFit>, f64)> = None;
-    let mut scores = Vec::new();
-    for model in Reflectance::ALL {
-        let fits = fit_groups(evidence, model);
+    let fits = Reflectance::ALL.map(|model| fit_groups(evidence, model));
+    let mean = |fits: &Vec<GroupFit>| {
         let points: usize = fits.iter().map(|f| f.points).sum();
-        let total: f64 = fits
-            .iter()
-            .map(|f| f.points as f64 * f.disagreement())
-            .sum();
-        let score = total / points.max(1) as f64;
-        scores.push((model, score));
-        if best
-            .as_ref()
-            .is_none_or(|b| score < b.2 * (1.0 - MODEL_GAIN))
-        {
-            best = Some((model, fits, score));
+        let all = fits.iter().map(|f| f.points as f64 * f.disagreement());
+        all.sum::<f64>() / points.max(1) as f64
+    };
+    let scores: Vec<f64> = fits.iter().map(mean).collect();
+    let best = (1..fits.len()).fold(0, |best, k| {
+        if explains_better(scores[k], scores[best]) {
+            k
+        } else {
+            best
         }
-    }
-    let (model, fits, _) = best.unwrap_or((Reflectance::Paper, Vec::new(), 0.0));
-    (model, fits, scores)
+    });
+    let of_class = |class: usize| {
+        let own = &fits[best][class];
+        let others = fits.iter().map(|of_model| &of_model[class]);
+        let least = others.min_by(|a, b| a.disagreement().total_cmp(&b.disagreement()));
+        let better = least.filter(|f| explains_better(f.disagreement(), own.disagreement()));
+        better.unwrap_or(own).clone()
+    };
+    let chosen = (0..fits[best].len()).map(of_class).collect();
+    let scores = Reflectance::ALL.into_iter().zip(scores).collect();
+    (Reflectance::ALL[best], chosen, scores)
+}
+
+/// Whether a disagreement is so much less than another that its model explains the views better.
+fn explains_better(disagreement: f64, than: f64) -> bool {
+    disagreement < than * (1.0 - MODEL_GAIN)
 }
 
 /// Sum over the points of how far their views disagree at the roughness that the other points ask
@@ -196,7 +206,8 @@ pub(super) fn parabola_minimum(levels: &[f32], best: usize, objective: &[f64]) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::highlight::LEVELS;
+    use crate::core::brdf::SpecularLobe;
+    use crate::highlight::{DIELECTRICS, LEVELS, TestSight};
     use glam::Vec3;
 
     fn bowl(centre: f32, depth: f64) -> Vec<f64> {
@@ -265,5 +276,37 @@ mod tests {
         );
         let known = fit(1, &table(bowl(0.9, 1.0)));
         assert!((known.roughness - 0.9).abs() < 0.02, "{known:?}");
+    }
+
+    /// A glossy Lambertian among walls that follow Burley's model.
+    #[test]
+    fn a_class_that_another_model_explains_better_has_its_roughness_there() {
+        let diffuse = |view: usize| [0.7 + 0.1 * view as f32, 0.2, 0.0];
+        let highlight = |view: usize| {
+            let strength = if view == 0 { 0.02 } else { 0.0 };
+            move |_: SpecularLobe, r: f32| [Vec3::splat(strength / (0.02 + r * r)); 2]
+        };
+        let none = |_: SpecularLobe, _: f32| [Vec3::ZERO; 2];
+        let looks: Vec<_> = (0..6).map(highlight).collect();
+        let mut evidence = Evidence::default();
+        for i in 0..400 {
+            let wall = |view: usize| TestSight {
+                radiance: Vec3::splat(Reflectance::diffuse_at(diffuse(view), 0.9)),
+                diffuse: diffuse(view),
+                response: &none,
+            };
+            let vase = |view: usize| TestSight {
+                radiance: Vec3::ONE + looks[view](DIELECTRICS[0], 0.15)[0],
+                diffuse: diffuse(view),
+                response: &looks[view],
+            };
+            evidence.push_test(1, &(0..6).map(wall).collect::<Vec<_>>(), 0);
+            if i % 4 == 0 {
+                evidence.push_test(2, &(0..6).map(vase).collect::<Vec<_>>(), 0);
+            }
+        }
+        let (model, fits, _) = choose_model(&evidence);
+        assert_eq!(model, Reflectance::Burley);
+        assert!((fits[1].roughness - 0.15).abs() < 0.03, "{:?}", fits[1]);
     }
 }

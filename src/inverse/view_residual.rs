@@ -2,7 +2,9 @@
 //!
 //! A point's views, less their specular part, must agree on one diffuse radiance. It is eliminated
 //! in closed form (variable projection, Golub & Pereyra 1973), so that neither albedo nor
-//! irradiance is needed.
+//! irradiance is needed. Looks that photographs clip are lower bounds: they disagree only where the
+//! diffuse radiance of the others and the specular part fall short of them (censored observations,
+//! Tobin 1958).
 
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
@@ -11,6 +13,7 @@ use crate::core::stats::weighted_median;
 use crate::highlight::Evidence;
 use glam::Vec3;
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// Relative disagreement beyond which a view counts as an outlier (moving object, misregistration).
 const OUTLIER: f32 = 0.25;
@@ -124,11 +127,22 @@ impl Views {
     }
 }
 
+/// A sight less its specular part.
+struct Look {
+    /// Diffuse radiance, and its weight.
+    diffuse: Vec3,
+    weight: f32,
+    /// Noise of its luminance.
+    noise: f32,
+}
+
 /// A point's views less their specular part: what is left should be one diffuse radiance.
 struct Looks<'a> {
     evidence: &'a Evidence,
     model: Reflectance,
     sights: Vec<usize>,
+    /// Sights that are lower bounds.
+    bounds: Vec<usize>,
     /// Median luminance of the views.
     scale: f32,
     /// Diffuse radiance at the level last asked for, and its weight.
@@ -142,35 +156,46 @@ struct Looks<'a> {
 impl<'a> Looks<'a> {
     fn of(evidence: &'a Evidence, model: Reflectance, point: usize, views: Views) -> Self {
         let p = &evidence.points[point];
-        let all = p.first as usize..(p.first + p.count) as usize;
-        let sights: Vec<usize> = all
-            .filter(|&j| views.has(evidence.sights[j].view))
-            .collect();
+        let end = p.first + p.count;
+        let some = |span: Range<u32>| {
+            let all = span.start as usize..span.end as usize;
+            all.filter(|&j| views.has(evidence.sights[j].view))
+                .collect()
+        };
+        let sights: Vec<usize> = some(p.first..end);
         Self {
             evidence,
             model,
             scale: evidence.median_luminance(sights.iter().copied()),
             sights,
+            bounds: some(end..end + p.bounds),
             diffuse: Vec::new(),
             noise: Vec::new(),
             share: Vec::new(),
         }
     }
 
-    /// The diffuse radiance the views agree on best if the roughness is that of level `k`.
-    fn centre(&mut self, k: usize) -> Vec3 {
+    /// Sight `j` less its specular part if the roughness is that of level `k`.
+    fn look(&self, j: usize, k: usize) -> Look {
         let (evidence, model) = (self.evidence, self.model);
         let m = evidence.dielectric(model);
+        let s = &evidence.sights[j];
+        let factor = evidence.diffuse_factor(j, model, evidence.levels[k]);
+        Look {
+            diffuse: (s.radiance - evidence.response(j, m)[k]) / factor,
+            weight: s.weight * factor,
+            noise: evidence.noise(j, m)[k] / factor,
+        }
+    }
+
+    /// The diffuse radiance the views agree on best if the roughness is that of level `k`.
+    fn centre(&mut self, k: usize) -> Vec3 {
         self.diffuse.clear();
         self.noise.clear();
-        for &j in &self.sights {
-            let s = &evidence.sights[j];
-            let factor = evidence.diffuse_factor(j, model, evidence.levels[k]);
-            self.diffuse.push((
-                (s.radiance - evidence.response(j, m)[k]) / factor,
-                s.weight * factor,
-            ));
-            self.noise.push(evidence.noise(j, m)[k] / factor);
+        for i in 0..self.sights.len() {
+            let look = self.look(self.sights[i], k);
+            self.diffuse.push((look.diffuse, look.weight));
+            self.noise.push(look.noise);
         }
         robust_centre(&self.diffuse, self.scale, &mut self.share)
     }
@@ -197,6 +222,17 @@ impl<'a> Looks<'a> {
             sum += f64::from(w * product * (1.0 / 3.0));
             weight += f64::from(*w);
         }
+        for &j in &self.bounds {
+            let Look {
+                diffuse,
+                weight: w,
+                noise,
+            } = self.look(j, k);
+            let e = (diffuse - centre) / self.scale;
+            let noise = (noise - common) / self.scale;
+            sum += f64::from(w * damped_shortfall(e, noise) * (1.0 / 3.0));
+            weight += f64::from(w);
+        }
         sum / weight
     }
 }
@@ -212,6 +248,13 @@ fn damped(residual: Vec3) -> Vec3 {
 pub(super) fn damped_product(residual: Vec3, noise: f32) -> f32 {
     let noise = Vec3::splat(noise.clamp(-KNOWN_NOISE, KNOWN_NOISE));
     (damped(residual + noise) * damped(residual - noise)).element_sum()
+}
+
+/// [`damped_product`] of a lower bound, of which the residuals that meet it count nothing.
+fn damped_shortfall(residual: Vec3, noise: f32) -> f32 {
+    let noise = Vec3::splat(noise.clamp(-KNOWN_NOISE, KNOWN_NOISE));
+    let short = |r: Vec3| damped(r.max(Vec3::ZERO));
+    (short(residual + noise) * short(residual - noise)).element_sum()
 }
 
 /// The diffuse radiance that the views of a point agree on best, if its roughness is about
@@ -248,48 +291,68 @@ fn robust_centre(values: &[(Vec3, f32)], scale: f32, share: &mut Vec<f32>) -> Ve
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::brdf::SpecularLobe;
     use crate::core::sampling::KeyedRng;
-    use crate::highlight::{DIELECTRICS, EvidencePoint, LEVELS, ViewSample};
+    use crate::highlight::TestSight;
     use crate::inverse::fit_groups;
 
     /// Points of roughness 0.62, six views each, whose traced responses are the noisier the
     /// narrower the lobe. `known`: whether the halves' difference is.
     fn noisy(known: bool) -> Evidence {
         let mut rng = KeyedRng::new(11, 5);
-        let mut out = Evidence {
-            levels: LEVELS.to_vec(),
-            ..Evidence::default()
-        };
+        let mut out = Evidence::default();
         let response = |strength: f32, r: f32| strength / (0.2 + r * r);
-        for i in 0..600 {
-            let first = out.sights.len() as u32;
-            for view in 0..6 {
-                let strength = 0.03 * rng.next_f32();
-                let radiance =
-                    Vec3::splat(1.0 + response(strength, 0.62) + 0.01 * (rng.next_f32() - 0.5));
-                out.sights.push(ViewSample {
-                    view,
-                    radiance,
-                    n_v: 0.8,
-                    weight: 1.0,
-                });
-                out.diffuse.push([1.0, 0.0, 0.0]);
-                let halves = [rng.next_f32(), rng.next_f32()].map(|u| 2.0 * u - 1.0);
-                for r in DIELECTRICS.iter().flat_map(|_| LEVELS) {
-                    let [a, b] = halves.map(|h| response(strength, r) + 0.03 * (1.2 - r) * h);
-                    out.specular.push(Vec3::splat(0.5 * (a + b)));
-                    out.noise.push(if known { 0.5 * (a - b) } else { 0.0 });
+        for _ in 0..600 {
+            let looks: Vec<[f32; 4]> = (0..6)
+                .map(|_| std::array::from_fn(|_| rng.next_f32()))
+                .collect();
+            let estimates = looks.iter().map(|[strength, _, a, b]| {
+                move |_: SpecularLobe, r: f32| {
+                    let [a, b] = [a, b].map(|u| {
+                        let noise = 0.03 * (1.2 - r) * (2.0 * u - 1.0);
+                        Vec3::splat(response(0.03 * strength, r) + noise)
+                    });
+                    if known { [a, b] } else { [0.5 * (a + b); 2] }
                 }
-            }
-            out.points.push(EvidencePoint {
-                class: 7,
-                triangle: 0,
-                position: Vec3::X * i as f32,
-                first,
-                count: 6,
             });
+            let estimates: Vec<_> = estimates.collect();
+            let sights: Vec<TestSight> = (looks.iter().zip(&estimates))
+                .map(|([strength, noise, ..], response_of)| TestSight {
+                    radiance: Vec3::splat(
+                        1.0 + response(0.03 * strength, 0.62) + 0.01 * (noise - 0.5),
+                    ),
+                    diffuse: [1.0, 0.0, 0.0],
+                    response: response_of,
+                })
+                .collect();
+            out.push_test(7, &sights, 0);
         }
         out
+    }
+
+    /// Two views that see no highlight, and one that sees its brightest part clipped: whatever falls
+    /// short of the ceiling is too rough, and what exceeds it does as well as any other.
+    #[test]
+    fn a_clipped_highlight_is_a_lower_bound() {
+        let highlight = |_: SpecularLobe, r: f32| [Vec3::splat(0.05 / (0.05 + r * r)); 2];
+        let none = |_: SpecularLobe, _: f32| [Vec3::ZERO; 2];
+        let sight = |radiance: f32, response| TestSight {
+            radiance: Vec3::splat(radiance),
+            diffuse: [1.0, 0.0, 0.0],
+            response,
+        };
+        let found = |clipped: usize| {
+            let mut out = Evidence::default();
+            for _ in 0..200 {
+                // the true highlight is of 0.83, at R = 0.1; half of R² is allowed at most
+                let sights = [sight(1.0, &none), sight(1.0, &none), sight(1.5, &highlight)];
+                out.push_test(7, &sights[..2 + clipped], clipped);
+            }
+            fit_groups(&out, Reflectance::Paper).remove(0)
+        };
+        let (told, untold) = (found(1), found(0));
+        assert!(told.roughness < 0.23, "{told:?}");
+        assert!(untold.error > 0.25, "{untold:?}");
     }
 
     #[test]

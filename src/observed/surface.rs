@@ -4,6 +4,7 @@
 use super::{Contradictions, Fusion, Panes};
 use crate::core::geometry::Mesh;
 use crate::core::image::{CameraMask, Plane};
+use crate::core::parallel::prelude::*;
 use crate::core::texture::{Texels, fill_uncovered};
 use crate::core::trace::EmbreeTracer;
 use crate::gbuffer::{ObservedView, Observer, Orientation};
@@ -90,6 +91,20 @@ impl Surface<'_> {
     #[must_use]
     pub fn is_labelled(&self) -> bool {
         self.scene.mesh_classes.is_some() || self.views.iter().any(|v| v.labels.is_some())
+    }
+
+    /// The lower bounds ([`Self::bounds`]) at pixels that show one surface alone.
+    #[must_use]
+    pub fn clean_bounds(&self) -> Vec<Option<Plane<bool>>> {
+        let clean = |(bounds, view): (&Option<Plane<bool>>, &ObservedView)| {
+            let mut bounds = bounds.clone()?;
+            let clean = (view.buffer).clean_pixels(&self.scene.mesh, view.labels.as_ref());
+            (bounds.data.iter_mut().zip(&clean.data)).for_each(|(b, clean)| *b &= clean);
+            Some(bounds)
+        };
+        (self.bounds.par_iter().zip(&self.views))
+            .map(clean)
+            .collect()
     }
 
     /// Texels of one class close to each other: the parts of `texels` that hang together, each

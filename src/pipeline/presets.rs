@@ -58,6 +58,22 @@ impl SolveOptions {
             seed: 0,
         };
         match quality {
+            Quality::Preview => Self {
+                albedo_size: 512,
+                roughness_size: 512,
+                irradiance_size: 192,
+                photo_reduction: 4,
+                irradiance_rays: 30,
+                emitter_samples: 15,
+                irradiance_rounds: 2,
+                evidence_points: 100,
+                evidence_rays: 16,
+                roughness_levels: 12,
+                specular_rays: 1,
+                metals: Switch::Off,
+                edges: Switch::Off,
+                ..standard
+            },
             Quality::Draft => Self {
                 albedo_size: 1024,
                 roughness_size: 1024,
@@ -289,6 +305,10 @@ impl SolveRequest {
             Switch::On => true,
             Switch::Off => false,
         };
+        let preset_or = |preset: Switch, switch: Switch| match switch {
+            Switch::Auto => preset,
+            asked => asked,
+        };
         SolveOptions {
             quality: self.quality,
             albedo_size: self.albedo_size.unwrap_or(preset.albedo_size),
@@ -316,9 +336,9 @@ impl SolveRequest {
             specular_rays: self.specular_rays.unwrap_or(preset.specular_rays),
             matte: self.matte,
             divide: self.divide_classes,
-            metals: self.metals,
+            metals: preset_or(preset.metals, self.metals),
             panes: self.panes,
-            edges: self.edges,
+            edges: preset_or(preset.edges, self.edges),
             missing_light: self.missing_light,
             clipped_light: self.clipped_light,
             segments: self.segments,
@@ -343,7 +363,12 @@ mod tests {
 
     #[test]
     fn flags_override_the_preset_and_nothing_else_does() {
-        for quality in [Quality::Draft, Quality::Standard, Quality::High] {
+        for quality in [
+            Quality::Preview,
+            Quality::Draft,
+            Quality::Standard,
+            Quality::High,
+        ] {
             let plain = SolveRequest {
                 quality,
                 ..SolveRequest::default()
@@ -397,11 +422,13 @@ mod tests {
                 o.evidence_points as u64,
             ]
         };
-        let (draft, standard, high) = (
-            cost(Quality::Draft),
-            cost(Quality::Standard),
-            cost(Quality::High),
-        );
-        assert!((0..3).all(|i| draft[i] < standard[i] && standard[i] < high[i]));
+        let rising = [
+            Quality::Preview,
+            Quality::Draft,
+            Quality::Standard,
+            Quality::High,
+        ];
+        let costs = rising.map(cost);
+        assert!(costs.windows(2).all(|c| (0..3).all(|i| c[0][i] < c[1][i])));
     }
 }

@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Quality {
+    /// A first relightable result: a quarter of the texture resolution and of the photographs'; no
+    /// metals, and edges as their pixels show them.
+    Preview,
     /// A quick look: half the texture resolution, a quarter of the samples.
     Draft,
     /// The default.

@@ -83,7 +83,7 @@ pub fn write_report(
     let mut missing = shown_views(scene);
     missing.retain(|view| !views.iter().any(|v| v.stem == view.stem));
     let rendered = missing.par_iter().map(|view| {
-        let rendered = renderer.render(&report_camera(view))?;
+        let rendered = renderer.render(&report_camera(view, solution))?;
         photographer.view(view, &rendered, None)
     });
     views.extend(rendered.collect::<Result<Vec<_>>>()?);

@@ -349,9 +349,9 @@ pub fn spread(scene: &Scene, split: Split, count: usize) -> Vec<&View> {
 
 /// The camera of a view at the size at which reports show it.
 #[must_use]
-pub fn report_camera(view: &View) -> Camera {
+pub fn report_camera(view: &View, solution: &Solution) -> Camera {
     let (w, h) = (view.camera.width, view.camera.height);
-    let width = w.min(RENDER_WIDTH);
+    let width = w.min(RENDER_WIDTH).min(solution.albedo.width);
     if width == w {
         view.camera
     } else {
