@@ -14,3 +14,24 @@ pub enum Switch {
     /// Never.
     Off,
 }
+
+impl Switch {
+    /// The choice, `otherwise` if it is left to the program.
+    #[must_use]
+    pub fn or(self, otherwise: bool) -> bool {
+        match self {
+            Self::Auto => otherwise,
+            Self::On => true,
+            Self::Off => false,
+        }
+    }
+
+    /// The choice, that of a preset if it is left to the program.
+    #[must_use]
+    pub fn or_preset(self, preset: Self) -> Self {
+        match self {
+            Self::Auto => preset,
+            told => told,
+        }
+    }
+}

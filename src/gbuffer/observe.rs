@@ -108,20 +108,17 @@ impl Observer<'_> {
         }
     }
 
-    /// Appends to `out` every view that sees `position` at pixels of `some` alone, which are given per
-    /// view, as [`Self::observe`] does at valid ones.
+    /// Appends to `out` every view that sees `position` at pixels of which `are_taken` (view, pixel)
+    /// says so, and at no others.
     pub fn observe_at(
         &self,
-        some: &[Option<Plane<bool>>],
+        are_taken: impl Fn(usize, usize) -> bool,
         position: Vec3,
         face_normal: Vec3,
         out: &mut Vec<Observation>,
     ) {
-        for (i, pixels) in some.iter().enumerate() {
-            let Some(pixels) = pixels else {
-                continue;
-            };
-            let clean = |k: usize| pixels.data[k].then_some(true);
+        for i in 0..self.views.len() {
+            let clean = |k: usize| are_taken(i, k).then_some(true);
             let seen = self.observe_in(i as u32, position, face_normal, clean);
             out.extend(seen.filter(|o| o.clean));
         }

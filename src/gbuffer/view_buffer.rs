@@ -117,7 +117,6 @@ impl ViewBuffer {
     #[must_use]
     pub fn clean_pixels(&self, mesh: &Mesh, labels: Option<&Plane<u16>>) -> Plane<bool> {
         let (w, h) = (self.triangle.width, self.triangle.height);
-        let wraps = self.wrap() == Wrap::Repeat;
         let mut clean = Plane::filled(w, h, false);
         clean
             .data
@@ -125,19 +124,19 @@ impl ViewBuffer {
             .enumerate()
             .for_each(|(y, row)| {
                 for (x, out) in row.iter_mut().enumerate() {
-                    *out = self.is_clean(mesh, labels, wraps, x, y);
+                    *out = self.is_clean(mesh, labels, (x, y));
                 }
             });
         clean
     }
 
-    fn is_clean(
+    /// Whether a pixel is one of [`Self::clean_pixels`].
+    #[must_use]
+    pub fn is_clean(
         &self,
         mesh: &Mesh,
         labels: Option<&Plane<u16>>,
-        wraps: bool,
-        x: usize,
-        y: usize,
+        (x, y): (usize, usize),
     ) -> bool {
         let t = self.triangle[(x, y)];
         if t == Hit::MISS {
@@ -159,7 +158,7 @@ impl ViewBuffer {
             (1, 1),
         ] {
             let (mut nx, ny) = (x as i64 + dx, y as i64 + dy);
-            if wraps {
+            if self.wrap() == Wrap::Repeat {
                 nx = nx.rem_euclid(w);
             }
             if nx < 0 || nx >= w || ny < 0 || ny >= h {

@@ -8,7 +8,7 @@
 use super::{Candidate, LOBES};
 use crate::core::blocks::{Columns, Packed, column, values};
 use crate::core::brdf::{DIELECTRIC, Reflectance, SpecularLobe};
-use crate::core::image::{Plane, bilinear_taps};
+use crate::core::image::bilinear_taps;
 use crate::core::math::luminance;
 use crate::core::progress::Progress;
 use crate::core::sampling::{SobolSequence, hash_u64};
@@ -310,7 +310,7 @@ pub fn gather_evidence(
     // tasks per block that processes share. Derived: at 6 looks a point, 16 gazes and 6 lobes of 8 rays
     // each, some 10^5 rays: a tenth of a second
     const BLOCK: usize = 1;
-    let (observer, bounds) = (surface.observer(), surface.clean_bounds());
+    let observer = surface.observer();
     let rays_per_lobe = tabulation.rays_per_lobe.div_ceil(FOOTPRINT as u32);
     let reflector = Reflector {
         lit,
@@ -323,8 +323,7 @@ pub fn gather_evidence(
         let mut out = Observed::default();
         let mut seen: Vec<Observation> = Vec::new();
         for i in range.clone() {
-            let of = (surface, &observer, &*bounds);
-            out.push(of, (i, &candidates[i]), &mut seen);
+            out.push(surface, &observer, (i, &candidates[i]), &mut seen);
         }
         let evidence = out.trace(surface, &reflector, tabulation);
         progress.advance(range.len() as u64);
@@ -351,7 +350,8 @@ impl Observed {
     /// least, and those that bound it; `seen` is room for them.
     fn push(
         &mut self,
-        (surface, observer, bounds): (&Surface, &Observer, &[Option<Plane<bool>>]),
+        surface: &Surface,
+        observer: &Observer,
         (i, c): (usize, &Candidate),
         seen: &mut Vec<Observation>,
     ) {
@@ -362,8 +362,11 @@ impl Observed {
         if count < 2 {
             return;
         }
-        observer.observe_at(bounds, c.position, face_normal, seen);
-        seen.retain(|o| o.n_v > 0.12);
+        if !surface.bounds.is_empty() {
+            let bound = |view, pixel| surface.is_clean_bound(view, pixel);
+            observer.observe_at(bound, c.position, face_normal, seen);
+            seen.retain(|o| o.n_v > 0.12);
+        }
         self.evidence.points.push(EvidencePoint {
             class: c.class,
             triangle: c.triangle,

@@ -6,7 +6,6 @@
 //! answer honest.
 
 use crate::core::brdf::fresnel;
-use crate::core::image::Plane;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::sampling::hash_u64;
@@ -70,7 +69,6 @@ pub fn select_points(
         lit,
         surface,
         classes,
-        bounds: &surface.clean_bounds(),
     };
     let by_class = |common: &BTreeSet<u16>, options: &SelectOptions| {
         let per_view: Vec<Vec<Candidate>> = (0..surface.views.len())
@@ -122,8 +120,6 @@ struct Search<'a> {
     lit: &'a LitScene<'a>,
     surface: &'a Surface<'a>,
     classes: &'a ClassMap<'a>,
-    /// Pixels of each view that a highlight may have clipped.
-    bounds: &'a [Option<Plane<bool>>],
 }
 
 impl Search<'_> {
@@ -136,7 +132,6 @@ impl Search<'_> {
     ) -> Vec<Candidate> {
         let (lit, view) = (self.lit, &self.surface.views[index]);
         let b = &view.buffer;
-        let bounds = self.bounds.get(index).and_then(Option::as_ref);
         let (w, h) = (b.triangle.width, b.triangle.height);
         let stride = options.stride.max(1);
         let mut found = Vec::new();
@@ -148,8 +143,9 @@ impl Search<'_> {
             for x in (0..w).step_by(stride) {
                 let t = b.triangle[(x, y)];
                 let valid = view.valid.as_ref().is_none_or(|v| v[(x, y)]);
-                let told = view.clean[(x, y)] && valid || bounds.is_some_and(|b| b[(x, y)]);
-                if t == Hit::MISS || !told {
+                // (a highlight may have clipped it)
+                let bound = || self.surface.is_clean_bound(index, y * w + x);
+                if t == Hit::MISS || !(view.clean[(x, y)] && valid || bound()) {
                     continue;
                 }
                 let d = b

@@ -140,6 +140,8 @@ struct Look {
 struct Looks<'a> {
     evidence: &'a Evidence,
     model: Reflectance,
+    /// The model's lobe among those of the evidence.
+    lobe: usize,
     sights: Vec<usize>,
     /// Sights that are lower bounds.
     bounds: Vec<usize>,
@@ -166,6 +168,7 @@ impl<'a> Looks<'a> {
         Self {
             evidence,
             model,
+            lobe: evidence.dielectric(model),
             scale: evidence.median_luminance(sights.iter().copied()),
             sights,
             bounds: some(end..end + p.bounds),
@@ -177,14 +180,12 @@ impl<'a> Looks<'a> {
 
     /// Sight `j` less its specular part if the roughness is that of level `k`.
     fn look(&self, j: usize, k: usize) -> Look {
-        let (evidence, model) = (self.evidence, self.model);
-        let m = evidence.dielectric(model);
-        let s = &evidence.sights[j];
-        let factor = evidence.diffuse_factor(j, model, evidence.levels[k]);
+        let (evidence, s) = (self.evidence, &self.evidence.sights[j]);
+        let factor = evidence.diffuse_factor(j, self.model, evidence.levels[k]);
         Look {
-            diffuse: (s.radiance - evidence.response(j, m)[k]) / factor,
+            diffuse: (s.radiance - evidence.response(j, self.lobe)[k]) / factor,
             weight: s.weight * factor,
-            noise: evidence.noise(j, m)[k] / factor,
+            noise: evidence.noise(j, self.lobe)[k] / factor,
         }
     }
 
@@ -223,15 +224,11 @@ impl<'a> Looks<'a> {
             weight += f64::from(*w);
         }
         for &j in &self.bounds {
-            let Look {
-                diffuse,
-                weight: w,
-                noise,
-            } = self.look(j, k);
-            let e = (diffuse - centre) / self.scale;
-            let noise = (noise - common) / self.scale;
-            sum += f64::from(w * damped_shortfall(e, noise) * (1.0 / 3.0));
-            weight += f64::from(w);
+            let look = self.look(j, k);
+            let e = (look.diffuse - centre) / self.scale;
+            let product = damped_shortfall(e, (look.noise - common) / self.scale);
+            sum += f64::from(look.weight * product * (1.0 / 3.0));
+            weight += f64::from(look.weight);
         }
         sum / weight
     }
@@ -246,15 +243,20 @@ fn damped(residual: Vec3) -> Vec3 {
 /// The product of the residuals of two estimates that are `noise` above and below their mean, which
 /// is off by `residual`; summed over colours.
 pub(super) fn damped_product(residual: Vec3, noise: f32) -> f32 {
-    let noise = Vec3::splat(noise.clamp(-KNOWN_NOISE, KNOWN_NOISE));
-    (damped(residual + noise) * damped(residual - noise)).element_sum()
+    let [a, b] = estimates(residual, noise);
+    (damped(a) * damped(b)).element_sum()
 }
 
-/// [`damped_product`] of a lower bound, of which the residuals that meet it count nothing.
+/// [`damped_product`] of a lower bound: residuals that meet it count nothing.
 fn damped_shortfall(residual: Vec3, noise: f32) -> f32 {
+    let [a, b] = estimates(residual, noise).map(|r| r.max(Vec3::ZERO));
+    (damped(a) * damped(b)).element_sum()
+}
+
+/// The residuals of two estimates that are `noise` above and below their mean.
+fn estimates(residual: Vec3, noise: f32) -> [Vec3; 2] {
     let noise = Vec3::splat(noise.clamp(-KNOWN_NOISE, KNOWN_NOISE));
-    let short = |r: Vec3| damped(r.max(Vec3::ZERO));
-    (short(residual + noise) * short(residual - noise)).element_sum()
+    [residual + noise, residual - noise]
 }
 
 /// The diffuse radiance that the views of a point agree on best, if its roughness is about

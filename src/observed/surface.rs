@@ -4,7 +4,6 @@
 use super::{Contradictions, Fusion, Panes};
 use crate::core::geometry::Mesh;
 use crate::core::image::{CameraMask, Plane};
-use crate::core::parallel::prelude::*;
 use crate::core::texture::{Texels, fill_uncovered};
 use crate::core::trace::EmbreeTracer;
 use crate::gbuffer::{ObservedView, Observer, Orientation};
@@ -93,18 +92,17 @@ impl Surface<'_> {
         self.scene.mesh_classes.is_some() || self.views.iter().any(|v| v.labels.is_some())
     }
 
-    /// The lower bounds ([`Self::bounds`]) at pixels that show one surface alone.
+    /// Whether a pixel of a view gives a lower bound ([`Self::bounds`]) of one surface alone.
     #[must_use]
-    pub fn clean_bounds(&self) -> Vec<Option<Plane<bool>>> {
-        let clean = |(bounds, view): (&Option<Plane<bool>>, &ObservedView)| {
-            let mut bounds = bounds.clone()?;
-            let clean = (view.buffer).clean_pixels(&self.scene.mesh, view.labels.as_ref());
-            (bounds.data.iter_mut().zip(&clean.data)).for_each(|(b, clean)| *b &= clean);
-            Some(bounds)
+    pub fn is_clean_bound(&self, view: usize, pixel: usize) -> bool {
+        let Some(Some(bounds)) = self.bounds.get(view) else {
+            return false;
         };
-        (self.bounds.par_iter().zip(&self.views))
-            .map(clean)
-            .collect()
+        let (v, at) = (
+            &self.views[view],
+            (pixel % bounds.width, pixel / bounds.width),
+        );
+        bounds.data[pixel] && (v.buffer).is_clean(&self.scene.mesh, v.labels.as_ref(), at)
     }
 
     /// Texels of one class close to each other: the parts of `texels` that hang together, each

@@ -6,7 +6,6 @@ use crate::core::image::Plane;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
-use crate::core::switch::Switch;
 use crate::inverse::{
     AlbedoEstimate, ErrorSources, Ground, LeastAlbedo, MixedPixelSolver, Shading, StatedErrors,
     albedo_error, estimate_albedo, settle_clipped,
@@ -54,10 +53,7 @@ pub fn solve_albedo(
         budget.is_none_or(|b| b.allows_edges(progress))
     };
     // a pixel's mixture says nothing where what it mixes is not in the mesh
-    let allowed = match options.edges {
-        Switch::Auto => surface.contradictions.deviation.is_empty(),
-        switch => switch == Switch::On,
-    };
+    let allowed = (options.edges).or(surface.contradictions.deviation.is_empty());
     let rays = if allowed && affordable() {
         let known = Known {
             reflections,

@@ -20,42 +20,7 @@ impl SolveOptions {
     pub fn preset(quality: Quality) -> Self {
         let standard = Self {
             quality,
-            albedo_size: 2048,
-            roughness_size: 4096,
-            irradiance_size: 1024,
-            fit: Fit::default(),
-            photo_reduction: 1,
-            irradiance_estimator: Estimator::Mis,
-            nirf: None,
-            irradiance_rays: 136,
-            emitter_samples: 68,
-            irradiance_rounds: 4,
-            irradiance_error: 0.01,
-            irradiance_filter: true,
-            prefilter: true,
-            evidence_points: 1200,
-            evidence_rays: 32,
-            roughness_levels: LEVELS.len(),
-            specular_rays: 4,
-            matte: Switch::Auto,
-            divide: Switch::Auto,
-            metals: Switch::Auto,
-            panes: Switch::Auto,
-            edges: Switch::Auto,
-            missing_light: Switch::Auto,
-            clipped_light: Switch::Auto,
-            segments: Switch::Auto,
-            painted: Switch::Auto,
-            exposure: Switch::Auto,
-            emission: Switch::Auto,
-            environment: Switch::Auto,
-            rooms: Switch::Auto,
-            published: None,
-            reflectance: None,
-            target_error: None,
-            budget: None,
-            checkpoints: Checkpoints::default(),
-            seed: 0,
+            ..Self::standard()
         };
         match quality {
             Quality::Preview => Self {
@@ -106,6 +71,49 @@ impl SolveOptions {
                 )),
                 ..standard
             },
+        }
+    }
+
+    /// The preset that is the default.
+    fn standard() -> Self {
+        Self {
+            quality: Quality::Standard,
+            albedo_size: 2048,
+            roughness_size: 4096,
+            irradiance_size: 1024,
+            fit: Fit::default(),
+            photo_reduction: 1,
+            irradiance_estimator: Estimator::Mis,
+            nirf: None,
+            irradiance_rays: 136,
+            emitter_samples: 68,
+            irradiance_rounds: 4,
+            irradiance_error: 0.01,
+            irradiance_filter: true,
+            prefilter: true,
+            evidence_points: 1200,
+            evidence_rays: 32,
+            roughness_levels: LEVELS.len(),
+            specular_rays: 4,
+            matte: Switch::Auto,
+            divide: Switch::Auto,
+            metals: Switch::Auto,
+            panes: Switch::Auto,
+            edges: Switch::Auto,
+            missing_light: Switch::Auto,
+            clipped_light: Switch::Auto,
+            segments: Switch::Auto,
+            painted: Switch::Auto,
+            exposure: Switch::Auto,
+            emission: Switch::Auto,
+            environment: Switch::Auto,
+            rooms: Switch::Auto,
+            published: None,
+            reflectance: None,
+            target_error: None,
+            budget: None,
+            checkpoints: Checkpoints::default(),
+            seed: 0,
         }
     }
 }
@@ -294,21 +302,8 @@ impl SolveRequest {
     #[must_use]
     pub fn options(&self, seed: u64, start: Instant) -> SolveOptions {
         let preset = SolveOptions::preset(self.quality);
-        let fit = |given: bool| match self.fit_textures {
-            // the published sizes are part of its method
-            Switch::Auto => !given && self.quality != Quality::Paper,
-            Switch::On => true,
-            Switch::Off => false,
-        };
-        let or = |switch: Switch, preset: bool| match switch {
-            Switch::Auto => preset,
-            Switch::On => true,
-            Switch::Off => false,
-        };
-        let preset_or = |preset: Switch, switch: Switch| match switch {
-            Switch::Auto => preset,
-            asked => asked,
-        };
+        // the published sizes are part of its method
+        let fit = |given: bool| (self.fit_textures).or(!given && self.quality != Quality::Paper);
         SolveOptions {
             quality: self.quality,
             albedo_size: self.albedo_size.unwrap_or(preset.albedo_size),
@@ -328,17 +323,17 @@ impl SolveRequest {
             emitter_samples: self.emitter_samples.unwrap_or(preset.emitter_samples),
             irradiance_rounds: self.irradiance_rounds.unwrap_or(preset.irradiance_rounds),
             irradiance_error: self.irradiance_error.unwrap_or(preset.irradiance_error),
-            irradiance_filter: or(self.irradiance_filter, preset.irradiance_filter),
-            prefilter: or(self.prefilter, preset.prefilter),
+            irradiance_filter: self.irradiance_filter.or(preset.irradiance_filter),
+            prefilter: self.prefilter.or(preset.prefilter),
             evidence_points: self.evidence_points.unwrap_or(preset.evidence_points),
             evidence_rays: self.evidence_rays.unwrap_or(preset.evidence_rays),
             roughness_levels: self.roughness_levels.unwrap_or(preset.roughness_levels),
             specular_rays: self.specular_rays.unwrap_or(preset.specular_rays),
             matte: self.matte,
             divide: self.divide_classes,
-            metals: preset_or(preset.metals, self.metals),
+            metals: self.metals.or_preset(preset.metals),
             panes: self.panes,
-            edges: preset_or(preset.edges, self.edges),
+            edges: self.edges.or_preset(preset.edges),
             missing_light: self.missing_light,
             clipped_light: self.clipped_light,
             segments: self.segments,
@@ -361,14 +356,17 @@ impl SolveRequest {
 mod tests {
     use super::*;
 
+    /// Our own presets, the cheapest first.
+    const RISING: [Quality; 4] = [
+        Quality::Preview,
+        Quality::Draft,
+        Quality::Standard,
+        Quality::High,
+    ];
+
     #[test]
     fn flags_override_the_preset_and_nothing_else_does() {
-        for quality in [
-            Quality::Preview,
-            Quality::Draft,
-            Quality::Standard,
-            Quality::High,
-        ] {
+        for quality in RISING {
             let plain = SolveRequest {
                 quality,
                 ..SolveRequest::default()
@@ -422,13 +420,7 @@ mod tests {
                 o.evidence_points as u64,
             ]
         };
-        let rising = [
-            Quality::Preview,
-            Quality::Draft,
-            Quality::Standard,
-            Quality::High,
-        ];
-        let costs = rising.map(cost);
+        let costs = RISING.map(cost);
         assert!(costs.windows(2).all(|c| (0..3).all(|i| c[0][i] < c[1][i])));
     }
 }

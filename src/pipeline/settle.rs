@@ -21,7 +21,7 @@ use crate::inverse::{
     AlbedoEstimate, Ground, Metal, StatedErrors, TexelReflectance, settle_contradicted,
 };
 use crate::observed::Surface;
-use crate::verdict::MissingLight;
+use crate::verdict::{Findings, MissingLight};
 
 /// What is estimated before it is settled what it all amounts to.
 pub(super) struct Estimated<'a> {
@@ -76,9 +76,7 @@ pub(super) fn settle(
         progress,
     );
     if short.is_some() {
-        // what was added to a room whose level its paint told takes the place of what that asked for
-        let found = albedo.value.clone();
-        pool_room_levels(surface, &mut light, &mut albedo, &found, &rooms);
+        keep_room_levels(surface, &mut light, &mut albedo, &rooms);
     }
     let spread = spread_of_looks(&albedo);
     settle_hidden(surface, &mut albedo, &rooms);
@@ -101,14 +99,10 @@ pub(super) fn settle(
     show_panes(surface, &mut albedo, &mut errors);
     let mut findings = findings(surface, &light, &albedo, &errors, &spread);
     findings.unexplained = f64::from(unexplained);
-    let mean = findings.mean_albedo;
-    findings
-        .others
-        .extend(doubts.into_iter().map(|d| d.reason(mean)));
+    add_doubts(&mut findings, doubts);
     if clipped.is_none() {
-        findings
-            .others
-            .extend(doubt_of_infinite(&surface.shortfalls));
+        let doubt = doubt_of_infinite(&surface.shortfalls);
+        findings.others.extend(doubt);
     }
     findings.light_missing = MissingLight::both(clipped, short.map(|s: Balanced| s.missing));
     // what no texel knows of by itself
@@ -161,6 +155,17 @@ fn unseen_light(
     added.rays
 }
 
+/// Lets what was added to a room whose level its paint told take the place of what that asked for.
+fn keep_room_levels(
+    surface: &Surface,
+    light: &mut Light,
+    albedo: &mut AlbedoEstimate,
+    rooms: &[u16],
+) {
+    let found = albedo.value.clone();
+    pool_room_levels(surface, light, albedo, &found, rooms);
+}
+
 /// Surface before which something stands that the mesh lacks takes what its class is like.
 fn settle_hidden(surface: &Surface, albedo: &mut AlbedoEstimate, rooms: &[u16]) {
     let contradicted: Vec<u32> = (0..surface.texels.len() as u32)
@@ -173,6 +178,13 @@ fn settle_hidden(surface: &Surface, albedo: &mut AlbedoEstimate, rooms: &[u16]) 
         rooms,
     };
     settle_contradicted(&ground, &contradicted, albedo);
+}
+
+/// Adds what is against the result besides what its own texels tell.
+fn add_doubts(findings: &mut Findings, doubts: Vec<Doubt>) {
+    let mean = findings.mean_albedo;
+    let reasons = doubts.into_iter().map(|d| d.reason(mean));
+    findings.others.extend(reasons);
 }
 
 /// Adds an independent error to every texel's.
