@@ -359,11 +359,11 @@ fn accumulate(
         return;
     }
     // light times what it counts for beside a dielectric's
-    let coloured = |f0: Vec3| {
+    let coloured = |f0: Vec3, m: Reflectance| {
         if f0 == DIELECTRIC {
             weighted
         } else {
-            weighted * over_dielectric(f0, half.v_h.min(1.0))
+            weighted * over_dielectric(f0, m.fresnel(half.v_h.min(1.0)))
         }
     };
     let term = |light: Vec3, m: Reflectance, r: f32| {
@@ -383,7 +383,7 @@ fn accumulate(
             let k = evaluate.len();
             let row = &mut out[i * k * models.len()..(i + 1) * k * models.len()];
             for (part, lobe) in row.chunks_mut(k).zip(*models) {
-                let light = coloured(lobe.f0);
+                let light = coloured(lobe.f0, lobe.model);
                 for (value, &r) in part.iter_mut().zip(*evaluate) {
                     *value += term(light, lobe.model, r);
                 }
@@ -391,7 +391,7 @@ fn accumulate(
         }
         Levels::Own(own) => {
             let f0 = own.f0.get(i).copied().unwrap_or(DIELECTRIC);
-            out[i] += term(coloured(f0), model, own.roughness[i]);
+            out[i] += term(coloured(f0, model), model, own.roughness[i]);
         }
     }
 }

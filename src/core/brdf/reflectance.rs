@@ -1,12 +1,13 @@
 //! Which reflection model explains the photographs.
 //!
-//! The paper's model is Lambert plus GGX with Karis' remapped masking (k = (R+1)²/8). Other
-//! renderers, and real surfaces, follow the exact Smith masking of GGX, and a diffuse part that
-//! darkens or brightens at grazing angles (Burley 2012, "Physically-Based Shading at Disney"). The
-//! difference is up to a third of a highlight and several percent of a white wall, so the solver
-//! compares the models on the evidence and uses the one that explains it.
+//! The paper's model is Lambert plus GGX with Karis' remapped masking (k = (R+1)²/8) and a fit to
+//! Schlick's Fresnel term. Other renderers, and real surfaces, follow the exact Smith masking of
+//! GGX, Fresnel's equations, and a diffuse part that darkens or brightens at grazing angles (Burley
+//! 2012, "Physically-Based Shading at Disney"). The difference is up to a third of a highlight and
+//! several percent of a white wall, so the solver compares the models on the evidence and uses the
+//! one that explains it.
 
-use super::ggx::{fresnel, ggx_d, specular};
+use super::ggx::{fresnel, fresnel_exact, ggx_d, specular};
 use super::material::MIN_ROUGHNESS;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -18,15 +19,25 @@ pub enum Reflectance {
     /// The paper's eq. 1–4: Lambert, k = (R+1)²/8.
     #[default]
     Paper,
-    /// Lambert with the exact Smith masking, as glTF prescribes.
+    /// Lambert with the exact Smith masking and Fresnel's equations.
     Smith,
-    /// Burley's diffuse part with the exact Smith masking.
+    /// Burley's diffuse part with the exact Smith masking and Fresnel's equations.
     Burley,
 }
 
 impl Reflectance {
     /// All models, simplest first.
     pub const ALL: [Self; 3] = [Self::Paper, Self::Smith, Self::Burley];
+
+    /// What a dielectric's facet reflects at the cosine `v_h` to its normal, [0, 1].
+    #[inline]
+    #[must_use]
+    pub fn fresnel(self, v_h: f32) -> f32 {
+        match self {
+            Self::Paper => fresnel(v_h),
+            Self::Smith | Self::Burley => fresnel_exact(v_h),
+        }
+    }
 
     /// Specular BRDF D·F·G/(4 n·l n·v); arguments as [`specular`].
     #[inline]
@@ -36,7 +47,7 @@ impl Reflectance {
             return specular(n_l, n_v, sin2_nh, v_h, roughness);
         }
         let alpha = roughness * roughness;
-        ggx_d(sin2_nh, alpha) * fresnel(v_h) * smith_visibility(n_l, n_v, alpha)
+        ggx_d(sin2_nh, alpha) * fresnel_exact(v_h) * smith_visibility(n_l, n_v, alpha)
     }
 
     /// As [`Self::specular`] in world space: unit normal, directions to viewer and light; 0 where
@@ -216,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn exact_masking_is_brighter_than_the_papers_for_smooth_surfaces_and_equal_at_normal_incidence()
+    fn exact_terms_are_brighter_than_the_papers_for_smooth_surfaces_and_equal_at_normal_incidence()
     {
         let args = (0.5f32, 0.5f32, 0.0f32, 0.5f32, 0.2f32);
         let (paper, smith) = (
@@ -224,11 +235,14 @@ mod tests {
             Reflectance::Smith.specular(args.0, args.1, args.2, args.3, args.4),
         );
         // G1 = x/(x(1−k)+k) with k = 0.18 is 0.847 at x = 0.5; exact Smith is 0.998
+        let masking = (0.9988f32 / 0.847_457_6).powi(2);
+        let facets = Reflectance::Smith.fresnel(args.3) / Reflectance::Paper.fresnel(args.3);
         assert!(
-            (smith / paper - (0.9988f32 / 0.847_457_6).powi(2)).abs() < 0.01,
+            (smith / paper / facets / masking - 1.0).abs() < 0.01,
             "{}",
             smith / paper
         );
+        assert!((1.2..1.35).contains(&facets), "at 60°: {facets}");
         let head_on = |m: Reflectance| m.specular(1.0, 1.0, 0.0, 1.0, 0.4);
         assert!((head_on(Reflectance::Smith) / head_on(Reflectance::Paper) - 1.0).abs() < 1e-4);
     }

@@ -37,6 +37,9 @@ pub struct EmissionScores {
     /// Σ stated radiance / Σ true radiance over the pixels that are both (luminance): 1 is exact; 1
     /// where there are none.
     pub power_ratio: f64,
+    /// The same with each view's stated radiance under the view's one gain: photographs exposed for
+    /// themselves give light in a unit of their own, which says nothing of the lamps' share of it.
+    pub power_ratio_gained: f64,
     /// Whether the truth is a file of the scene (otherwise derived from classes of kind light and
     /// photographs).
     pub truth_from_file: bool,
@@ -52,13 +55,15 @@ pub(super) struct EmissionTally {
     log_squares: f64,
     channels: u64,
     ious: Vec<f64>,
-    power: (f64, f64),
+    /// Luminance where both emit: stated, the same under the view's gain, true.
+    power: [f64; 3],
     from_file: bool,
 }
 
 impl EmissionTally {
-    /// Adds a view; `truth` and its rendering have the same size.
-    pub(super) fn add(&mut self, truth: &EmissionTruth, rendered: &RenderedView) {
+    /// Adds a view; `truth` and its rendering have the same size, and `gain` on linear radiance
+    /// brings the rendering closest to the photograph.
+    pub(super) fn add(&mut self, truth: &EmissionTruth, rendered: &RenderedView, gain: f64) {
         let (mut both, mut either) = (0u64, 0u64);
         for (t, p) in truth.radiance.data.iter().zip(&rendered.emission.data) {
             let (is, said) = (*t != Vec3::ZERO, *p != Vec3::ZERO);
@@ -67,8 +72,9 @@ impl EmissionTally {
             both += u64::from(is && said);
             either += u64::from(is || said);
             if is && said {
-                self.power.0 += f64::from(luminance(*p));
-                self.power.1 += f64::from(luminance(*t));
+                let stated = f64::from(luminance(*p));
+                let terms = [stated, gain * stated, f64::from(luminance(*t))];
+                self.power.iter_mut().zip(terms).for_each(|(s, t)| *s += t);
             }
             for c in 0..3 {
                 self.log_squares +=
@@ -93,7 +99,8 @@ impl EmissionTally {
             log_l2: self.log_squares / self.channels as f64,
             true_pixels: self.truth,
             stated_pixels: self.stated,
-            power_ratio: ratio(self.power.0, self.power.1),
+            power_ratio: ratio(self.power[0], self.power[2]),
+            power_ratio_gained: ratio(self.power[1], self.power[2]),
             truth_from_file: self.from_file,
         })
     }
@@ -191,7 +198,7 @@ mod tests {
         };
         let mut tally = EmissionTally::default();
         assert!(tally.finish().is_none());
-        tally.add(&truth, &rendered);
+        tally.add(&truth, &rendered, 0.5);
         let s = tally.finish().expect("one view");
         assert!((s.iou - 2.0 / 8.0).abs() < 1e-12 && (s.mean_iou - s.iou).abs() < 1e-12);
         let ln2 = 2f64.ln();
@@ -202,6 +209,7 @@ mod tests {
             s.log_l2
         );
         assert!((s.power_ratio - f64::from(e)).abs() < 1e-6);
+        assert!((s.power_ratio_gained - 0.5 * f64::from(e)).abs() < 1e-6);
         assert_eq!((s.true_pixels, s.stated_pixels), (4, 6));
     }
 }

@@ -197,7 +197,7 @@ impl Scoring<'_> {
         if let Some(emission) =
             EmissionTruth::of(self.scene, view, &photograph, &labels, &accumulator.lights)?
         {
-            accumulator.emission.add(&emission, &rendered);
+            accumulator.emission.add(&emission, &rendered, scores.gain);
         }
         if let Some(truth) = truth {
             score_materials(

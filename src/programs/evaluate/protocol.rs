@@ -46,7 +46,7 @@ pub fn descriptions(options: &EvalOptions, known: Known) -> Vec<String> {
             .into(),
         "emission: IoU of emitting pixels and mean squared difference of log(1 + L_e) over all pixels, as FIPT; truth from \
          gt/emission, otherwise pixels of classes of kind light emit what the photograph shows there (pixels far darker than their \
-         class are housing)"
+         class are housing); power_ratio: stated over true radiance where both emit, power_ratio_gained: with one gain per view"
             .into(),
         "calibration: pixels binned by the stated standard error (confidence.exr), root mean square of the actual error per bin; \
          albedo by luminance"

@@ -335,8 +335,8 @@ fn split_tables(title: &str, kind: &str, split: &SplitScores) -> Markup {
         @if let Some(e) = &split.emission {
             p.remark {
                 (format!(
-                    "Emission: IoU {:.3}, log-L2 {:.4}, {:.3} of the true power where both emit.",
-                    e.iou, e.log_l2, e.power_ratio
+                    "Emission: IoU {:.3}, log-L2 {:.4}, {:.3} of the true power where both emit ({:.3} with one gain per view).",
+                    e.iou, e.log_l2, e.power_ratio, e.power_ratio_gained
                 ))
             }
         }

@@ -81,7 +81,7 @@ impl Scattering<'_> {
         };
         Factors {
             diffuse,
-            specular: specular * self.vertex.metal_share(v, l),
+            specular: specular * self.vertex.metal_share(self.reflectance, v, l),
         }
     }
 

@@ -1,7 +1,7 @@
 //! What paths carry from bounce to bounce, and the buffers they are traced in.
 
 use super::scene::KnownLight;
-use crate::core::brdf::{BaseColour, DIELECTRIC, Material, over_dielectric};
+use crate::core::brdf::{BaseColour, DIELECTRIC, Material, Reflectance, over_dielectric};
 use crate::core::trace::{Hit, Ray};
 use crate::lights::LightSampler;
 use glam::Vec3;
@@ -40,13 +40,13 @@ pub(super) struct Vertex {
 }
 
 impl Vertex {
-    /// What the specular lobe reflects over a dielectric's.
-    pub(super) fn metal_share(&self, view: Vec3, light: Vec3) -> Vec3 {
+    /// What the specular lobe reflects over a dielectric's under a model.
+    pub(super) fn metal_share(&self, model: Reflectance, view: Vec3, light: Vec3) -> Vec3 {
         if self.f0 == DIELECTRIC {
             return Vec3::ONE;
         }
         let h = (view + light).normalize_or(self.normal);
-        over_dielectric(self.f0, view.dot(h).clamp(0.0, 1.0))
+        over_dielectric(self.f0, model.fresnel(view.dot(h).clamp(0.0, 1.0)))
     }
 }
 
