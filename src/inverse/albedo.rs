@@ -4,7 +4,7 @@
 use super::TexelReflectance;
 use crate::core::blocks::{Columns, Packed, column, flags, truths, values};
 use crate::core::image::RgbPlane;
-use crate::core::math::luminance;
+use crate::core::math::{HALF_STEP, luminance};
 use crate::core::progress::Progress;
 use crate::core::stats::weighted_median;
 use crate::core::texture::Texels;
@@ -12,8 +12,8 @@ use crate::gbuffer::{Observation, Observer, Orientation};
 use glam::Vec3;
 use std::f32::consts::PI;
 
-/// Albedo below which ln albedo means nothing. Derived: half a step of 8-bit albedo.
-pub const BLACK: f32 = 2e-3;
+/// Albedo below which ln albedo means nothing.
+pub const BLACK: f32 = HALF_STEP;
 
 /// Albedo per covered texel.
 #[derive(Clone, Debug, Default)]

@@ -10,14 +10,15 @@
 //! that is none of the colours keeps its value, and so does every class with texture.
 
 use super::class_prior::{ENOUGH_NEAR, LEAST_SPREAD, NEAR};
-use super::flat_surface::{ENOUGH_FLAT, FLAT_AROUND, FlatSurface};
+use super::flat_surface::{ENOUGH_FLAT, FLAT_AROUND, FlatSurface, LAG};
+use super::mixed_pixels::COVERAGE_ERROR;
 use super::palette_detail::kept_details;
 use super::palette_look::Look;
 use super::{AlbedoEstimate, BLACK};
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{SURELY, median, passing_weight};
+use crate::core::stats::{GROSS_ERRORS, SURELY, USUALLY, median, passing_weight};
 use crate::core::texture::Texels;
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -26,11 +27,6 @@ use std::collections::BTreeMap;
 /// to 2.5 %, wood by 4 to 15 %.
 /// Measured: ×½ albedo −0.9 dB, ×2 albedo within two errors −1 % (docs/constants.md).
 const MOST_TEXTURE: f32 = 0.03;
-/// Distance of the texels compared.
-/// Measured: ×½ albedo within two errors −3 %, ×2 albedo −0.9 dB (docs/constants.md).
-const LAG: i64 = 2;
-/// Relative error added where no view sees a texel clean.
-const EDGE_ERROR: f32 = 0.1;
 /// A class has at most this many colours, each of at least this share of its clean texels, and
 /// together this share.
 const MOST_COLOURS: usize = 6;
@@ -40,12 +36,8 @@ const COVERED: f32 = 0.9;
 /// Clean texels per class that the colours are found from. Derived: of a colour of the least share
 /// there are 80, whose mean is known to a ninth of their spread.
 const SAMPLES: usize = 4000;
-/// Modes tried.
-const STARTS: usize = 24;
 /// Density of albedos that are no paint, per unit of (ln albedo)³. Derived: even from 0.02 to 1, 1 / (ln 50)³.
 const ANYTHING: f32 = 1.0 / 60.0;
-/// Share of labels that belong to the surface next to a texel.
-const WRONG_LABEL: f32 = 0.05;
 /// Share of the error that all texels of a colour have in common.
 /// Measured: ×½ albedo within two errors −2 %, ×2 little (docs/constants.md).
 const COMMON: f32 = 0.5;
@@ -171,13 +163,16 @@ impl PaletteFit<'_> {
                         n.texels / all * look.density(look.distance2(n.sum / n.texels))
                     })
                     .sum();
-                posterior(&look, (paint, logs), share, WRONG_LABEL * mislabelled).map_or(
-                    own,
-                    |mut p| {
-                        p.log += details[i];
-                        p.over(own)
-                    },
+                posterior(
+                    &look,
+                    (paint, logs),
+                    share,
+                    GROSS_ERRORS as f32 * mislabelled,
                 )
+                .map_or(own, |mut p| {
+                    p.log += details[i];
+                    p.over(own)
+                })
             })
             .collect()
     }
@@ -192,7 +187,7 @@ impl PaletteFit<'_> {
         let error = if self.albedo.clean[i] {
             error
         } else {
-            error.hypot(EDGE_ERROR)
+            error.hypot(COVERAGE_ERROR)
         };
         Look {
             log: value.ln(),
@@ -366,7 +361,9 @@ fn colours(looks: &[Look]) -> Option<(Vec<(Vec3, f32)>, f32)> {
     let mut starts: Vec<(u32, Vec3)> = cells.into_values().collect();
     starts.sort_by_key(|s| std::cmp::Reverse(s.0));
     let mut modes: Vec<Vec3> = Vec::new();
-    for (count, sum) in starts.into_iter().take(STARTS) {
+    // no more colours can have the least share
+    let most = LEAST_SHARE.recip() as usize;
+    for (count, sum) in starts.into_iter().take(most) {
         let mode = climb(looks, sum / count as f32);
         // modes nearer than the errors are one
         let same = |m: &Vec3| {
@@ -375,7 +372,7 @@ fn colours(looks: &[Look]) -> Option<(Vec<(Vec3, f32)>, f32)> {
                 error: LEAST_SPREAD,
             }
             .distance2(*m)
-                < 4.0
+                < USUALLY * USUALLY
         };
         if !modes.iter().any(same) {
             modes.push(mode);

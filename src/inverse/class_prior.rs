@@ -4,7 +4,7 @@ use super::AlbedoEstimate;
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{MAD_SCALE, median, weighted_median};
+use crate::core::stats::{ENOUGH, MAD_SCALE, median, weighted_median};
 use crate::core::texture::Texels;
 use glam::{DVec3, IVec3, Vec3};
 use std::collections::BTreeMap;
@@ -20,10 +20,10 @@ const PRIOR_DOUBT: f32 = 2.0;
 /// Measured: ×½ albedo −0.1 dB, ×2 albedo +0.2 dB (docs/constants.md).
 const ANYTHING: f32 = 0.3;
 
-/// Side of the cubes, in texels, within which texels count as near, and how many clean ones there
-/// outweigh the class.
+/// Side of the cubes, in texels, within which texels count as near.
 pub(super) const NEAR: f32 = 32.0;
-pub(super) const ENOUGH_NEAR: f32 = 50.0;
+/// How many clean texels there outweigh the class.
+pub(super) const ENOUGH_NEAR: f32 = ENOUGH as f32;
 
 /// What an albedo should be expected to be.
 #[derive(Clone, Copy, Debug)]

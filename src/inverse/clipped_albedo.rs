@@ -14,16 +14,13 @@
 //! texels are known.
 
 use super::class_prior::{Place, class_prior};
+use super::confidence::PRIOR_LOOKS;
 use super::{AlbedoEstimate, BLACK};
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::stats::inverse_mills;
 use crate::core::texture::Texels;
 use glam::Vec3;
-
-/// A look that says so much of itself that the class's typical spread, which counts for as many
-/// looks, adds nothing to speak of (derived: `PRIOR_LOOKS` of `confidence`).
-pub(super) const LOOKS: f32 = 2.0;
 
 /// The least that a texel sends out.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,7 +81,7 @@ pub fn settle_clipped(
         let above = Truncated::above(spread, least.ln(), bound.error);
         albedo.value[i] = mean * above.mean.exp();
         albedo.error[i] = above.deviation * luminance(albedo.value[i]);
-        albedo.looks[i] = LOOKS;
+        albedo.looks[i] = PRIOR_LOOKS;
         albedo.specular_share[i] = 0.0;
         albedo.clean[i] = false;
         albedo.footprint[i] = bound.footprint;

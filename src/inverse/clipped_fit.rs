@@ -23,7 +23,7 @@
 
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{design_effect, median};
+use crate::core::stats::{USUALLY, design_effect, median};
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 use std::f32::consts::PI;
@@ -31,8 +31,6 @@ use std::f32::consts::PI;
 /// Least spread of ln L of a class about its model: bakes of few samples and unmodelled gloss leave
 /// as much on perfect paint (measured: 1.6 to 2.3 % on grey-white-room, 6 % on aws-house).
 const LEAST_SPREAD: f32 = 0.03;
-/// A residual of this many spreads has a quarter of its weight.
-const NARROW: f32 = 2.0;
 const ITERATIONS: usize = 40;
 /// Fits, each with the design effects and the spreads of the one before.
 const PASSES: usize = 3;
@@ -671,9 +669,9 @@ impl Problem<'_> {
     }
 }
 
-/// Geman & McClure's weight of a deviation (mean over channels).
+/// Geman & McClure's weight of a deviation (mean over channels): a quarter at [`USUALLY`] spreads.
 fn robust_weight(off: Vec3, spread: f32) -> f32 {
-    let d = off.abs().element_sum() / (3.0 * NARROW * spread);
+    let d = off.abs().element_sum() / (3.0 * USUALLY * spread);
     1.0 / (1.0 + d * d).powi(2)
 }
 

@@ -21,10 +21,12 @@ use crate::core::stats::{MAD_SCALE, median};
 use crate::core::texture::Texels;
 use std::collections::BTreeMap;
 
-/// Relative uncertainty of the specular part.
-const SPECULAR_DOUBT: f32 = 0.2;
-/// Looks that a class's typical disagreement counts for beside a texel's own.
-const PRIOR_LOOKS: f32 = 2.0;
+/// Relative uncertainty of the specular part, and so of the slope of what is seen on what is predicted. Measured: .1 to
+/// .4 alike (docs/lab/roughness.md).
+pub(super) const SPECULAR_DOUBT: f64 = 0.2;
+/// Looks that a class's typical disagreement counts for beside a texel's own, and that a texel has whose error is known
+/// by other ways. Derived: the fewest that can disagree.
+pub(super) const PRIOR_LOOKS: f32 = 2.0;
 /// The unexplained part is read from the class at this share of the observed texels, ordered by
 /// scatter, and is at most this.
 const QUIET_SHARE: f64 = 0.25;
@@ -83,7 +85,7 @@ pub fn albedo_error(
                 let typical = scatter.typical.get(&labels[i]).map_or(0.0, |t| t * t);
                 let own = estimate.spread(i).powi(2) * looks + typical * PRIOR_LOOKS;
                 let share = albedo.specular_share[i].min(0.9);
-                let specular = SPECULAR_DOUBT * share / (1.0 - share);
+                let specular = SPECULAR_DOUBT as f32 * share / (1.0 - share);
                 let relative = own / (looks + PRIOR_LOOKS)
                     + sources.irradiance[i].powi(2)
                     + specular * specular

@@ -12,7 +12,8 @@
 
 use super::AlbedoEstimate;
 use super::class_prior::class_prior;
-use super::clipped_albedo::{Ground, LOOKS};
+use super::clipped_albedo::Ground;
+use super::confidence::PRIOR_LOOKS;
 
 /// Gives the texels `ids`, whose looks contradict each other, the mean of what they show and of what
 /// their class is like nearby, each by its certainty. They are no evidence for classes any more.
@@ -34,7 +35,7 @@ pub fn settle_contradicted(ground: &Ground<'_>, ids: &[u32], albedo: &mut Albedo
         let share = looks / (looks + prior.variance).max(f32::MIN_POSITIVE);
         albedo.value[i] = albedo.value[i].lerp(prior.mean, share);
         albedo.error[i] = (prior.variance * share).sqrt();
-        albedo.looks[i] = LOOKS;
+        albedo.looks[i] = PRIOR_LOOKS;
     }
 }
 

@@ -3,14 +3,19 @@
 //! noise: errors of the light are smooth. Called by the albedo palette.
 
 use crate::core::geometry::Mesh;
+use crate::core::stats::ENOUGH;
 use crate::core::texture::Texels;
 use glam::Vec3;
 
 /// Texels around one that must be flat and clean for it to tell of texture and noise.
 /// Measured: ×½ albedo −0.1 dB, ×2 albedo +0.1 dB (docs/constants.md).
 pub(super) const FLAT_AROUND: i64 = 4;
-/// Such texels from which texture and noise of a class are known.
-pub(super) const ENOUGH_FLAT: usize = 200;
+/// Distance of the texels compared: nearer ones share their noise.
+/// Measured: ×½ albedo within two errors −3 %, ×2 albedo −0.9 dB (docs/constants.md).
+pub(super) const LAG: i64 = 2;
+/// Such texels from which texture and noise of a class are known. Derived: what differs between a texel and the four
+/// around it is theirs too; about one in four is independent.
+pub(super) const ENOUGH_FLAT: usize = 4 * ENOUGH;
 /// Cosine between normals of one plane, whichever way its triangles are wound.
 /// Measured: ×½ same bits, ×2 (no two planes are alike) albedo −0.9 dB (docs/constants.md).
 const COPLANAR: f32 = 0.999;

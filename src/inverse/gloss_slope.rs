@@ -10,10 +10,12 @@
 //! gloss, and the slope says nothing. Products of the two halves of a response have no noise bias.
 //! Called by [`super::roughness`] for every class.
 
+use super::confidence::SPECULAR_DOUBT;
 use super::group_fit::GroupFit;
+use super::view_residual::COMMON_SHARE;
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
-use crate::core::stats::passing_weight;
+use crate::core::stats::{GROSS_ERRORS, passing_weight};
 use crate::highlight::Evidence;
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -21,16 +23,9 @@ use std::collections::BTreeMap;
 /// Roughness below which highlights can be seen, and above which a fit counts as matte. Measured:
 /// .55 to .6 change no scene's roughness by more than half a decibel (docs/lab/roughness.md).
 const GLOSSY: f32 = 0.55;
-/// Relative rise of the disagreement that the model's common errors amount to. Measured on four
-/// scenes, of which dining-room decides: .03 costs it 1.8 dB (docs/lab/roughness.md).
-const COMMON: f64 = 0.05;
-/// Chance that the slope is no evidence at all. Cited: the usual level of significance (Fisher 1925).
-const CORRUPT: f64 = 0.05;
 /// Least slope of gloss. Derived: a prediction of signal s and error e has the slope s² / (s² + e²) (regression
 /// dilution), and s ≥ e.
 const DILUTED: f64 = 0.5;
-/// Standard deviation of the slope that errors common to all points add. Measured: .1 to .4 alike.
-const SLOPE_ERROR: f64 = 0.2;
 /// Points from which slopes are taken: fewer leave a block too few for its error to be known.
 const FEWEST: f64 = 100.0;
 /// Brightness over the median beyond which a view counts no more.
@@ -97,11 +92,11 @@ impl Slopes {
         Some(Self((0..evidence.levels.len()).map(slope).collect()))
     }
 
-    /// How likely the slope of level `k` is.
+    /// How likely the slope of level `k` is, which errors common to all points make uncertain, or corrupt.
     fn likelihood(&self, k: usize) -> f64 {
         let (a, error) = self.0[k];
-        let z = (a - a.clamp(DILUTED, 1.0)) / error.hypot(SLOPE_ERROR);
-        (1.0 - CORRUPT) * (-0.5 * z * z).exp() + CORRUPT
+        let z = (a - a.clamp(DILUTED, 1.0)) / error.hypot(SPECULAR_DOUBT);
+        (1.0 - GROSS_ERRORS) * (-0.5 * z * z).exp() + GROSS_ERRORS
     }
 
     fn average(&self, levels: &[f32], matte: f64, found: &mut GroupFit) {
@@ -113,7 +108,7 @@ impl Slopes {
         }
         let last = levels.len() - 1;
         // the mean of n disagreements that scatter as much as they are large is known to 1/√n
-        let common = COMMON.hypot((found.points.max(1) as f64).sqrt().recip());
+        let common = COMMON_SHARE.hypot((found.points.max(1) as f64).sqrt().recip());
         let (mut all, mut glossy, mut first, mut second) = (0.0, 0.0, 0.0, 0.0);
         for (k, level) in levels.iter().enumerate() {
             let (below, above) = (levels[k.saturating_sub(1)], levels[(k + 1).min(last)]);

@@ -15,7 +15,7 @@
 use super::group_fit::GroupFit;
 use super::roughness::{fit, held_out};
 use super::spatial_roughness::{self, Field};
-use super::view_residual::{Disagreement, diffuse_radiance, points_by_class};
+use super::view_residual::{COMMON_SHARE, Disagreement, diffuse_radiance, points_by_class};
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
@@ -32,12 +32,12 @@ pub(super) const FEWEST: usize = 40;
 const APART: f32 = 3.0;
 /// Share of the held-out views' disagreement that a division must explain: tiles and grout explain
 /// 9 %, surfaces of one roughness whose colour merely follows their place up to 4 %.
-pub const SPLIT_GAIN: f64 = 0.05;
+pub const SPLIT_GAIN: f64 = COMMON_SHARE;
 /// The same for roughness that follows the place: on surfaces of one roughness it explains up to 8
 /// %.
 const PLACE_GAIN: f64 = 0.15;
 /// Share of the way from one colour to the other on which points tell of the first, and of the
-/// second.
+/// second. Derived: they are nearer to it than to an even mixture.
 const PURE: f32 = 0.25;
 
 /// The roughness of every class and of the materials within.

@@ -29,9 +29,9 @@ const MOST_TERMS: usize = 64 << 20;
 /// Relative error of a pixel that is none of the unknowns' making: irradiance, specular part,
 /// camera.
 const MODEL_ERROR: f32 = 0.04;
-/// Error of coverage from `GRID`² rays, as a share of the contrast within the pixel. Derived: the mean of √(p (1 − p)) /
-/// `GRID` over shares p, π/32.
-const COVERAGE_ERROR: f32 = 0.1;
+/// Error of coverage from `GRID`² rays, as a share of the contrast within the pixel; a texel seen at edges alone is as
+/// uncertain. Derived: the mean of √(p (1 − p)) / `GRID` over shares p, π/32.
+pub(super) const COVERAGE_ERROR: f32 = 0.1;
 /// Side of a piece of surface with one albedo, at most, as a power of two of texels.
 const MOST_LEVELS: f32 = 6.0;
 

@@ -8,20 +8,19 @@
 //! Laird and Rubin 1977). What is kept of d is its posterior share of pattern: nothing of ordinary
 //! noise, all of what stands out far, in hue above all, in which light errs least.
 
-use super::flat_surface::{ENOUGH_FLAT, FLAT_AROUND, FlatSurface};
+use super::flat_surface::{ENOUGH_FLAT, FLAT_AROUND, FlatSurface, LAG};
 use super::palette_look::Look;
 use crate::core::parallel::prelude::*;
 use crate::core::stats::{ROUNDS, median, passing_weight};
 use glam::Vec3;
 use std::collections::BTreeMap;
 
-/// The level around a texel is that of 81 texels in a square of this share of the atlas, and of so
-/// many cells at least, to either side: light varies over more, patterns over less (measured:
-/// docs/lab/albedo.md).
+/// The level around a texel is that of 81 texels in a square of this share of the atlas to either
+/// side, [`LAG`] apart at least: light varies over more, patterns over less (measured: docs/lab/albedo.md).
 const AROUND: usize = 128;
-const LEAST_AROUND: usize = 8;
+/// Texels to either side. Derived: the median of (2 · 4 + 1)² errs by √(π/2) / 9, a seventh of their spread.
 const SAMPLES: i64 = 4;
-/// Texels that tell a level, of 81.
+/// Texels that tell a level, of 81. Derived: between the 45 that a straight edge leaves and the 25 of a corner.
 const ENOUGH: usize = 27;
 /// Scale of a pattern over that of the noise from which it is one. Measured: noise with tails gives
 /// 2.0 to 3.2 on plain paint of four scenes, pale sprigs 4.4 (docs/lab/albedo.md).
@@ -36,7 +35,7 @@ fn deviation(flat: &FlatSurface, looks: &[Look], i: usize) -> Option<Vec3> {
     if !flat.reaches(i, FLAT_AROUND) {
         return None;
     }
-    let step = (flat.width() / AROUND).max(LEAST_AROUND) as i64 / SAMPLES;
+    let step = ((flat.width() / AROUND) as i64 / SAMPLES).max(LAG);
     let mut around = Vec::with_capacity(81);
     for y in -SAMPLES..=SAMPLES {
         for x in -SAMPLES..=SAMPLES {

@@ -2,19 +2,16 @@
 //! prior.
 //!
 //! Least squares over pixels and prior by conjugate gradients on the normal equations, repeated
-//! with new weights: residuals beyond the noise lose weight (Cauchy), and so does the prior where
+//! with new weights: residuals beyond the noise lose weight (Cauchy: half at [`USUALLY`] standard errors), and so does the prior where
 //! the pixels contradict it. Pixels that are lower bounds count where the unknowns fall short of them.
 
 use super::class_prior::Expected;
 use crate::core::math::luminance;
 use crate::core::parallel;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::MAD_SCALE;
+use crate::core::stats::{MAD_SCALE, USUALLY};
 use glam::Vec3;
 
-/// Residuals of that many standard errors count a half.
-/// Measured: ×½ albedo −0.2 dB, ×2 little (docs/constants.md).
-const TOLERANCE: f32 = 2.0;
 /// Reweightings, and steps of conjugate gradients within each.
 const ROUNDS: usize = 4;
 const STEPS: usize = 12;
@@ -129,7 +126,7 @@ impl RobustSystem {
                     return 0.0;
                 }
                 let variance = p.variance * misfit * misfit;
-                1.0 / (variance + (luminance(*r) / TOLERANCE).powi(2))
+                1.0 / (variance + (luminance(*r) / USUALLY).powi(2))
             })
             .collect()
     }
@@ -172,7 +169,7 @@ fn pull(prior: &[Expected], x: &[Vec3], data: &[f32]) -> Vec<f32> {
             } else {
                 f32::MAX
             };
-            let off = luminance(x[u] - mean).powi(2) / (TOLERANCE * TOLERANCE * (variance + own));
+            let off = luminance(x[u] - mean).powi(2) / (USUALLY * USUALLY * (variance + own));
             // many pixels do not average out an error that they share
             let shared = data[u] * (SHARED_ERROR * luminance(x[u])).powi(2);
             (1.0 + shared) / (variance * (1.0 + off))

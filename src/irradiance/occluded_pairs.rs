@@ -57,7 +57,7 @@ impl OccludedPairs {
     pub(crate) fn part<T>(&self, i: usize, near: &mut Vec<T>, id: impl Fn(&T) -> u32) {
         let hidden = self.of(i);
         if !hidden.is_empty() {
-            // most are told apart by a few bits of their numbers
+            // most are told apart by a few bits of their numbers (derived: two cache lines of bits)
             const WORDS: usize = 16;
             let mut some = [0u64; WORDS];
             let bit = |id: u32| ((id >> 6) as usize % WORDS, 1u64 << (id % 64));

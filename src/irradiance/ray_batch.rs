@@ -12,7 +12,7 @@ use crate::core::sampling::{
     KeyedRng, SobolBlock, SobolSequence, hammersley, square_to_cosine_hemisphere,
     square_to_uniform_hemisphere,
 };
-use crate::core::trace::{Hit, Ray};
+use crate::core::trace::{BATCH, Hit, Ray};
 use crate::ffi::simd::{Kernel, floor_to_index, run_widest};
 use crate::lights::LitScene;
 use crate::lights::PORTAL;
@@ -22,9 +22,6 @@ use glam::Vec3;
 use std::f32::consts::{FRAC_1_PI, PI, TAU};
 use std::ops::Range;
 
-/// Rays per batch, about: enough to hide the cost of a foreign call, few enough to stay in the
-/// cache.
-const BATCH: usize = 4096;
 /// Emitter samples of a receiver from which a table of the lamps at its numbers pays: size of work.
 const GUIDED: usize = 24;
 /// How many rays before its turn the memory is asked for what a hit needs: size of work.
@@ -117,7 +114,7 @@ impl SamplePass {
         self.lights.len() >= GUIDED
     }
 
-    /// Receivers per batch.
+    /// Receivers per batch of rays, about as many as the tracer takes at once.
     pub(crate) fn group(&self) -> usize {
         (BATCH / (self.hemisphere.len() + self.lights.len()).max(1)).clamp(1, 64)
     }

@@ -12,7 +12,7 @@
 use super::surfel_grid::{Discs, Near, Surfel, SurfelGrid};
 use super::surfel_visibility::find_occluded;
 use super::{Irradiance, SUB_ESTIMATES, spread};
-use crate::core::math::luminance;
+use crate::core::math::{HALF_STEP, luminance};
 use crate::core::parallel::prelude::*;
 use crate::core::sampling::hash_u64;
 use crate::core::trace::Tracer;
@@ -26,8 +26,6 @@ const REACH: f32 = 6.0;
 /// edges survive.
 /// Measured: ×½ little, ×2 albedo −1.1 dB (docs/constants.md).
 const DISC: f32 = 2.35;
-/// Relative differences that never separate two texels.
-const INDIFFERENT: f32 = 2e-3;
 /// Squared differences, in variances beyond the one that noise explains, from which texels have
 /// nothing in common. A kernel that falls faster picks neighbours by their noise
 /// (docs/lab/irradiance.md).
@@ -51,8 +49,10 @@ const COMPLEMENTARY: f32 = 0.4;
 /// part's variance.
 const CHANCE: f32 = 0.36;
 /// Of the texels that may be left without samples one in so many has some, and so have those in
-/// whose disc fewer than `COMPANY` have.
+/// whose disc fewer than `COMPANY` have. Derived: a doubling in place of one that samples are too few for; the unknowns
+/// of the regression, a value, two slopes in place and two in turn.
 const SAMPLED_ONE_IN: u64 = 2;
+/// Derived: as above.
 const COMPANY: usize = 5;
 /// How many other parts a part is compared with (derived).
 const OTHERS: f32 = (SUB_ESTIMATES - 1) as f32;
@@ -492,9 +492,9 @@ impl Kernel for Guide<'_> {
     }
 }
 
-/// Squared differences below this never separate two texels of the luminance `own`.
+/// Squared differences below this, which no image shows, never separate two texels of the luminance `own`.
 fn indifferent(own: f32) -> f32 {
-    (INDIFFERENT * own).powi(2).max(f32::MIN_POSITIVE)
+    (HALF_STEP * own).powi(2).max(f32::MIN_POSITIVE)
 }
 
 /// Which texels count as like one.

@@ -33,6 +33,9 @@ pub fn luminance(rgb: Vec3) -> f32 {
     rgb.dot(Vec3::new(0.2126, 0.7152, 0.0722))
 }
 
+/// Half a step of 8 bits, as a share of white: images do not show less. Derived: 0.5 / 255.
+pub const HALF_STEP: f32 = 2e-3;
+
 /// sRGB opto-electronic transfer (IEC 61966-2-1); input clamped to [0, 1].
 #[must_use]
 pub fn srgb_from_linear(x: f32) -> f32 {

@@ -14,6 +14,18 @@ pub const MAD_SCALE: f32 = 1.4826;
 /// 370 times.
 pub const SURELY: f32 = 3.0;
 
+/// Standard errors within which nearly all of chance stays; a residual beyond them counts less. Derived: a Gaussian
+/// is within two in 95 of 100 cases.
+pub const USUALLY: f32 = 2.0;
+
+/// Samples from which a statistic speaks for itself. Derived: the spread of so many is known to 1/√(2 · 50), a tenth
+/// of itself.
+pub const ENOUGH: usize = 50;
+
+/// Chance that a datum is wrong as a whole: a label, a piece of evidence. Cited: one to ten in a hundred of routine
+/// data (Hampel et al. 1986, §1.2c).
+pub const GROSS_ERRORS: f64 = 0.05;
+
 /// Rounds of an alternation that has settled by then: assignment and mean (Lloyd 1982), expectation and maximisation.
 /// The share of a pattern moves by less than a percent of itself after ten.
 pub const ROUNDS: usize = 15;
