@@ -1,5 +1,8 @@
 //! Run-time dispatch to wider vector instructions, and hints to the cache.
 
+/// Numbers of 32 bits that the widest vector register in use holds. Derived: 256 bits.
+pub const LANES: usize = 256 / 32;
+
 /// Runs `f` compiled for AVX2 with fused multiply-add where the processor has them, for the
 /// baseline elsewhere. Only code inlined into `f` profits: mark kernels `#[inline(always)]`. The
 /// bits are the same either way; `mul_add` is a slow library call on the baseline.

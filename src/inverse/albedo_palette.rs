@@ -9,7 +9,7 @@
 //! posterior mean: its own value and the colours around it, each weighed by its precision. A texel
 //! that is none of the colours keeps its value, and so does every class with texture.
 
-use super::class_prior::{ENOUGH_NEAR, LEAST_SPREAD, NEAR};
+use super::class_prior::{ENOUGH_NEAR, LEAST_SHARE, LEAST_SPREAD, NEAR};
 use super::flat_surface::{ENOUGH_FLAT, FLAT_AROUND, FlatSurface, LAG};
 use super::mixed_pixels::COVERAGE_ERROR;
 use super::palette_detail::kept_details;
@@ -18,7 +18,7 @@ use super::{AlbedoEstimate, BLACK};
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{GROSS_ERRORS, SURELY, USUALLY, median, passing_weight};
+use crate::core::stats::{GROSS_ERRORS, MANY, ROUNDS, SURELY, USUALLY, median, passing_weight};
 use crate::core::texture::Texels;
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -27,15 +27,11 @@ use std::collections::BTreeMap;
 /// to 2.5 %, wood by 4 to 15 %.
 /// Measured: ×½ albedo −0.9 dB, ×2 albedo within two errors −1 % (docs/constants.md).
 const MOST_TEXTURE: f32 = 0.03;
-/// A class has at most this many colours, each of at least this share of its clean texels, and
-/// together this share.
+/// A class has at most this many colours, each of at least [`LEAST_SHARE`] of its clean texels.
 const MOST_COLOURS: usize = 6;
-const LEAST_SHARE: f32 = 0.02;
+/// Share of the clean texels that they explain together.
 /// Measured: ×½ same bits, ×2 albedo −1.0 dB (docs/constants.md).
 const COVERED: f32 = 0.9;
-/// Clean texels per class that the colours are found from. Derived: of a colour of the least share
-/// there are 80, whose mean is known to a ninth of their spread.
-const SAMPLES: usize = 4000;
 /// Density of albedos that are no paint, per unit of (ln albedo)³. Derived: even from 0.02 to 1, 1 / (ln 50)³.
 const ANYTHING: f32 = 1.0 / 60.0;
 /// Share of the error that all texels of a colour have in common.
@@ -103,7 +99,7 @@ impl PaletteFit<'_> {
                 if surely <= 0.0 {
                     return None;
                 }
-                let stride = members.len().div_ceil(SAMPLES);
+                let stride = members.len().div_ceil(MANY);
                 let looks: Vec<Look> = members
                     .iter()
                     .step_by(stride)
@@ -417,8 +413,7 @@ fn colours(looks: &[Look]) -> Option<(Vec<(Vec3, f32)>, f32)> {
 
 /// The mode that mean shift reaches from `log`.
 fn climb(looks: &[Look], mut log: Vec3) -> Vec3 {
-    const STEPS: usize = 30;
-    for _ in 0..STEPS {
+    for _ in 0..ROUNDS {
         let (mut sum, mut total) = (Vec3::ZERO, 0.0);
         for l in looks {
             let d2 = l.distance2(log);

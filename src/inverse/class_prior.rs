@@ -4,22 +4,25 @@ use super::AlbedoEstimate;
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{ENOUGH, MAD_SCALE, median, weighted_median};
+use crate::core::stats::{ENOUGH, MAD_SCALE, MANY, median, weighted_median};
 use crate::core::texture::Texels;
 use glam::{DVec3, IVec3, Vec3};
 use std::collections::BTreeMap;
 
-/// Least relative standard deviation of an albedo: what lies nearer together is one colour.
+/// Least relative standard deviation of an albedo, and of a pixel that albedos explain: irradiance, specular part and
+/// camera err by as much. What lies nearer together is one colour.
 /// Measured: ×½ albedo within two errors −4 %, ×2 views +0.2 dB (docs/constants.md).
 pub(super) const LEAST_SPREAD: f32 = 0.05;
 /// Variance of the prior relative to that of the clean texels: surfaces at edges are often others
 /// than those between them.
 /// Measured: ×½ views −0.2 dB, ×2 views +0.2 dB (docs/constants.md).
 const PRIOR_DOUBT: f32 = 2.0;
-/// Standard deviation of the prior where there is no class, or nothing of it is seen clean.
+/// Standard deviation of the prior where there is no class, or nothing of it is seen clean: no albedo is less certain.
 /// Measured: ×½ albedo −0.1 dB, ×2 albedo +0.2 dB (docs/constants.md).
-const ANYTHING: f32 = 0.3;
+pub(super) const ANYTHING: f32 = 0.3;
 
+/// Share of a surface from which a part of it is no accident.
+pub(super) const LEAST_SHARE: f32 = 0.02;
 /// Side of the cubes, in texels, within which texels count as near.
 pub(super) const NEAR: f32 = 32.0;
 /// How many clean texels there outweigh the class.
@@ -120,7 +123,7 @@ impl<'a> CleanTexels<'a> {
     fn typical(&self, members: &[usize]) -> Expected {
         let some: Vec<(Vec3, f32)> = members
             .iter()
-            .step_by(members.len() / 40_000 + 1)
+            .step_by(members.len() / MANY + 1)
             .map(|&i| (self.value(i), self.trust(i)))
             .collect();
         let middle = |of: &dyn Fn(Vec3) -> f32| {
@@ -173,7 +176,7 @@ impl<'a> Cubes<'a> {
         let sides = clean
             .ids
             .iter()
-            .step_by(clean.ids.len() / 4096 + 1)
+            .step_by(clean.ids.len() / MANY + 1)
             .map(|&i| texels.area(mesh, i).sqrt())
             .collect();
         let usual_side = median(sides).unwrap_or(1.0);

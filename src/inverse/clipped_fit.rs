@@ -21,31 +21,31 @@
 //!
 //! Called by the pipeline's stage `clipped_light`.
 
+use super::class_prior::LEAST_SHARE;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::stats::{USUALLY, design_effect, median};
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 use std::f32::consts::PI;
+use std::f64::consts::{LN_2, LN_10};
 
 /// Least spread of ln L of a class about its model: bakes of few samples and unmodelled gloss leave
 /// as much on perfect paint (measured: 1.6 to 2.3 % on grey-white-room, 6 % on aws-house).
 const LEAST_SPREAD: f32 = 0.03;
-const ITERATIONS: usize = 40;
+/// Steps of a fit at most. Derived: [`MOST_STEP`] by [`MOST_STEP`] through all of [`RANGE`] and, with the damping gone,
+/// back.
+const ITERATIONS: usize = 2 * (RANGE.1 / MOST_STEP) as usize;
 /// Fits, each with the design effects and the spreads of the one before.
 const PASSES: usize = 3;
-/// Largest step of ln t per iteration. Derived: ln 2, a doubling.
-const MOST_STEP: f64 = 0.7;
-/// First guesses of excess over ceiling, and the one to begin with.
-const STEPS: [f64; 12] = [
-    0.03, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0, 8.0, 16.0, 40.0, 120.0, 500.0,
-];
-const MIDDLE: usize = 4;
-/// ln of radiance over ceiling, at least and at most.
+/// Largest step of ln t per iteration: a doubling.
+const MOST_STEP: f64 = LN_2;
+/// ln of radiance over ceiling, at least and at most. Derived: by a step of 8-bit sRGB at white, 0.9 %, and by as much as a
+/// half float holds, 65 504.
 const RANGE: (f64, f64) = (0.01, 11.0);
-/// Prior of a kind's mean ln(t/ceiling): lamps are some ten times brighter than white paint beside
+/// Prior of a kind's mean ln(t/ceiling), and its spread: lamps are some ten times brighter than white paint beside
 /// them, give or take a factor of ten.
-const KIND: (f64, f64) = (2.0, 2.5);
+const KIND: f64 = LN_10;
 /// How far lights of a kind differ as long as nothing is known of it.
 const UNLIKE: Spread = Spread {
     level: 1.0,
@@ -56,12 +56,11 @@ const USUAL: Spread = Spread {
     level: 0.3,
     colour: 0.15,
 };
-/// Colour of a kind's mean against neutral (ln).
+/// Colour of a kind's mean against neutral: ln of one channel over the next. Derived: of a black body of 4000 K, between
+/// incandescent light and daylight, 0.42 and 0.55.
 const NEUTRAL: f64 = 0.5;
-/// No class of more than [`LARGE`] of the surface reflects more than this; softness of the bound.
+/// No class of more than [`LEAST_SHARE`] of the surface reflects more than this. The bound is as soft as it is far from 1.
 const MOST_ALBEDO: f64 = 0.95;
-const SOFTNESS: f64 = 0.05;
-const LARGE: f32 = 0.02;
 /// White paint: ln albedo of the brightest large class, and its spread.
 const WHITE: (f64, f64) = (0.82, 0.35);
 
@@ -120,7 +119,7 @@ pub fn fit_clipped(rows: &[ShadingRow], groups: &[LightGroup], classes: usize) -
         spread: Vec::new(),
     };
     problem.spread = vec![UNLIKE; problem.kinds()];
-    let middle = problem.guess(&vec![MIDDLE; problem.kinds()]);
+    let middle = problem.guess(&vec![KIND; problem.kinds()]);
     problem.worth = problem.worths(&problem.state(&middle));
     let mut phi = problem.first_guess();
     if phi.is_empty() {
@@ -302,14 +301,13 @@ impl Problem<'_> {
         f64::from(self.groups[k].ceiling[c].max(1e-9))
     }
 
-    /// Every kind at a step of [`STEPS`].
-    fn guess(&self, choice: &[usize]) -> Vec<f64> {
+    /// Every kind so far above its ceiling (ln).
+    fn guess(&self, choice: &[f64]) -> Vec<f64> {
         let mut phi: Vec<f64> = (0..self.groups.len())
             .flat_map(|k| {
-                let step = STEPS[choice[self.groups[k].kind]];
-                (0..3).map(move |c| (k, c, step))
+                let above = choice[self.groups[k].kind];
+                (0..3).map(move |c| self.ceiling(k, c).ln() + above)
             })
-            .map(|(k, c, step)| ((1.0 + step) * self.ceiling(k, c)).ln())
             .collect();
         let means: Vec<f64> = (0..choice.len())
             .flat_map(|kind| {
@@ -321,22 +319,22 @@ impl Problem<'_> {
         phi
     }
 
-    /// The best of a grid of excess over ceiling, one factor for each kind.
+    /// The best of a grid over [`RANGE`], a doubling from one guess to the next, each kind by itself.
     fn first_guess(&self) -> Vec<f64> {
         let kinds = self.kinds();
-        let mut choice = vec![MIDDLE; kinds];
+        let mut choice = vec![KIND; kinds];
+        let steps = 0..=((RANGE.1 - RANGE.0) / MOST_STEP) as usize;
+        let grid: Vec<f64> = steps.map(|s| RANGE.0 + s as f64 * MOST_STEP).collect();
         // coordinate by coordinate, twice: kinds are few and the score is nearly convex
         for kind in (0..kinds).chain(0..kinds) {
-            let scores: Vec<f64> = (0..STEPS.len())
-                .map(|s| {
-                    let mut trial = choice.clone();
-                    trial[kind] = s;
-                    self.score(&self.guess(&trial))
-                })
-                .collect();
-            choice[kind] = (0..STEPS.len())
-                .min_by(|a, b| scores[*a].total_cmp(&scores[*b]))
-                .unwrap_or(0);
+            let score = |above: f64| {
+                let mut trial = choice.clone();
+                trial[kind] = above;
+                self.score(&self.guess(&trial))
+            };
+            let scores: Vec<(f64, f64)> = grid.iter().map(|g| (score(*g), *g)).collect();
+            let best = scores.iter().min_by(|a, b| a.0.total_cmp(&b.0));
+            choice[kind] = best.map_or(KIND, |b| b.1);
         }
         self.guess(&choice)
     }
@@ -350,8 +348,8 @@ impl Problem<'_> {
                 let told = f64::from(self.share[c] * total * self.worth[c]);
                 let fit = told * f64::from(state.spread[c]).ln();
                 let over = f64::from(state.log_albedo[c].max_element()) - MOST_ALBEDO.ln();
-                let bound = if self.share[c] > LARGE {
-                    0.5 * (over.max(0.0) / SOFTNESS).powi(2)
+                let bound = if self.share[c] > LEAST_SHARE {
+                    0.5 * (over.max(0.0) / (1.0 - MOST_ALBEDO)).powi(2)
                 } else {
                     0.0
                 };
@@ -521,7 +519,7 @@ impl Problem<'_> {
     /// Bound and expectation of large classes' albedo: ln ρ falls with every share of the light.
     fn add_albedo_priors(&self, c: usize, state: &State, mean: &[Vec<f64>], out: &mut Normal) {
         let k = self.groups.len();
-        let large = |class: &usize| self.share[*class] > LARGE;
+        let large = |class: &usize| self.share[*class] > LEAST_SHARE;
         let brightest = (0..self.classes).filter(large).max_by(|x, y| {
             let l = |i: &usize| luminance(state.log_albedo[*i]);
             l(x).total_cmp(&l(y))
@@ -539,7 +537,7 @@ impl Problem<'_> {
                 }
             };
             if log > MOST_ALBEDO.ln() {
-                pull(log - MOST_ALBEDO.ln(), SOFTNESS);
+                pull(log - MOST_ALBEDO.ln(), 1.0 - MOST_ALBEDO);
             }
             if Some(class) == brightest {
                 pull(log - WHITE.0.ln(), WHITE.1);
@@ -579,7 +577,7 @@ impl Problem<'_> {
             };
             for c in 0..3 {
                 let own = self.mean_at(kind, c);
-                term(&[(own, 1.0)], ceiling(c) + KIND.0, KIND.1 * 3f64.sqrt());
+                term(&[(own, 1.0)], ceiling(c) + KIND, KIND * 3f64.sqrt());
                 let next = (c + 1) % 3;
                 let other = self.mean_at(kind, next);
                 term(&[(own, 1.0), (other, -1.0)], 0.0, NEUTRAL);
@@ -646,7 +644,7 @@ impl Problem<'_> {
                 .map(|(c, d)| {
                     covariance
                         .as_ref()
-                        .map_or(KIND.1 * KIND.1, |v| v[(Self::at(k, c), Self::at(k, d))])
+                        .map_or(KIND * KIND, |v| v[(Self::at(k, c), Self::at(k, d))])
                 })
                 .sum();
             (sum.max(0.0).sqrt() / n) as f32

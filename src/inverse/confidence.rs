@@ -15,9 +15,10 @@
 //!   light and shading amount to.
 
 use super::AlbedoEstimate;
+use super::class_prior::ANYTHING;
 use crate::core::image::Plane;
 use crate::core::math::luminance;
-use crate::core::stats::{MAD_SCALE, median};
+use crate::core::stats::{MAD_SCALE, MANY, median};
 use crate::core::texture::Texels;
 use std::collections::BTreeMap;
 
@@ -28,12 +29,8 @@ pub(super) const SPECULAR_DOUBT: f64 = 0.2;
 /// by other ways. Derived: the fewest that can disagree.
 pub(super) const PRIOR_LOOKS: f32 = 2.0;
 /// The unexplained part is read from the class at this share of the observed texels, ordered by
-/// scatter, and is at most this.
+/// scatter. Cited: the lower quartile (Tukey 1977).
 const QUIET_SHARE: f64 = 0.25;
-const MOST_UNEXPLAINED: f32 = 0.2;
-/// At most this many texels per class are looked at. Derived: the median of so many is known to
-/// √(π/2) / 200 = 0.6 % of their spread.
-const SAMPLES: usize = 40_000;
 
 /// What the albedo inherits errors from besides its looks, per covered texel.
 #[derive(Clone, Debug)]
@@ -151,7 +148,7 @@ impl<'a> Luminances<'a> {
         let mut typical = BTreeMap::new();
         let mut scatter: Vec<(f32, usize)> = Vec::new();
         for (label, ids) in members {
-            let stride = (ids.len() / SAMPLES).max(1);
+            let stride = (ids.len() / MANY).max(1);
             let chosen: Vec<usize> = ids.iter().copied().step_by(stride).collect();
             let spreads = chosen.iter().map(|&i| self.spread(i)).collect();
             typical.insert(label, median(spreads).unwrap_or(0.0));
@@ -170,7 +167,7 @@ impl<'a> Luminances<'a> {
         });
         Scatter {
             typical,
-            unexplained: quiet.map_or(MOST_UNEXPLAINED, |q| q.0.min(MOST_UNEXPLAINED)),
+            unexplained: quiet.map_or(ANYTHING, |q| q.0.min(ANYTHING)),
         }
     }
 }

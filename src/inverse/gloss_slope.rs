@@ -15,10 +15,9 @@ use super::group_fit::GroupFit;
 use super::view_residual::COMMON_SHARE;
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
-use crate::core::stats::{GROSS_ERRORS, passing_weight};
+use crate::core::stats::{ENOUGH, GROSS_ERRORS, Mean, passing_weight};
 use crate::highlight::Evidence;
 use glam::Vec3;
-use std::collections::BTreeMap;
 
 /// Roughness below which highlights can be seen, and above which a fit counts as matte. Measured:
 /// .55 to .6 change no scene's roughness by more than half a decibel (docs/lab/roughness.md).
@@ -26,14 +25,10 @@ const GLOSSY: f32 = 0.55;
 /// Least slope of gloss. Derived: a prediction of signal s and error e has the slope s² / (s² + e²) (regression
 /// dilution), and s ≥ e.
 const DILUTED: f64 = 0.5;
-/// Points from which slopes are taken: fewer leave a block too few for its error to be known.
-const FEWEST: f64 = 100.0;
 /// Brightness over the median beyond which a view counts no more.
 const BRIGHTEST: f32 = 1.5;
-/// Blocks along the longest side of a class's evidence: errors within one are taken as common.
-const BLOCKS: f32 = 6.0;
 
-/// Slope and standard error (clustered by block) per level.
+/// Slope and standard error per level.
 struct Slopes(Vec<(f64, f64)>);
 
 /// Sums of observed by predicted, and of predicted by predicted differences per level.
@@ -47,49 +42,35 @@ pub(super) fn reconsider(
     found: &mut GroupFit,
 ) {
     let matte = passing_weight(f64::from(found.roughness), f64::from(GLOSSY));
-    let enough = passing_weight(points.len() as f64, FEWEST);
+    let enough = passing_weight(points.len() as f64, ENOUGH as f64);
     if matte * enough <= 0.0 {
         return;
     }
-    if let Some(slopes) = Slopes::of(evidence, model, points) {
-        slopes.average(&evidence.levels, matte * enough, found);
-    }
+    Slopes::of(evidence, model, points).average(&evidence.levels, matte * enough, found);
 }
 
 impl Slopes {
-    fn of(evidence: &Evidence, model: Reflectance, points: &[usize]) -> Option<Self> {
-        let places = || points.iter().map(|&i| evidence.points[i].position);
-        let low = places().fold(Vec3::splat(f32::INFINITY), Vec3::min);
-        let high = places().fold(Vec3::splat(f32::NEG_INFINITY), Vec3::max);
-        let side = (high - low).max_element().max(f32::MIN_POSITIVE) / BLOCKS;
-        let mut blocks: BTreeMap<[i32; 3], Moments> = BTreeMap::new();
-        for &i in points {
-            let block = ((evidence.points[i].position - low) / side).floor();
-            let sums = blocks
-                .entry(block.as_ivec3().to_array())
-                .or_insert_with(|| vec![[0.0; 2]; evidence.levels.len()]);
-            let own = moments(evidence, model, i);
-            for (sum, m) in sums.iter_mut().zip(own) {
-                *sum = [sum[0] + m[0], sum[1] + m[1]];
-            }
-        }
-        let n = blocks.len() as f64;
-        if n < 2.0 {
-            return None;
-        }
+    fn of(evidence: &Evidence, model: Reflectance, points: &[usize]) -> Self {
+        let places: Vec<Vec3> = (points.iter())
+            .map(|&i| evidence.points[i].position)
+            .collect();
+        let own: Vec<Moments> = (points.iter())
+            .map(|&i| moments(evidence, model, i))
+            .collect();
         let slope = |k: usize| {
-            let total: f64 = blocks.values().map(|b| b[k][1]).sum();
+            let total: f64 = own.iter().map(|m| m[k][1]).sum();
             if total <= 0.0 {
                 return (0.0, f64::INFINITY);
             }
-            let a = blocks.values().map(|b| b[k][0]).sum::<f64>() / total;
-            let scatter: f64 = blocks
-                .values()
-                .map(|b| (b[k][0] - a * b[k][1]).powi(2))
-                .sum();
-            (a, (scatter * n / (n - 1.0)).sqrt() / total)
+            let a = own.iter().map(|m| m[k][0]).sum::<f64>() / total;
+            // of a ratio (Cochran 1977, 2.11); neighbours err together
+            let off: Vec<f64> = own.iter().map(|m| m[k][0] - a * m[k][1]).collect();
+            (
+                a,
+                Mean::over(&places, &off).error * off.len() as f64 / total,
+            )
         };
-        Some(Self((0..evidence.levels.len()).map(slope).collect()))
+        Self((0..evidence.levels.len()).map(slope).collect())
     }
 
     /// How likely the slope of level `k` is, which errors common to all points make uncertain, or corrupt.

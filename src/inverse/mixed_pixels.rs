@@ -8,7 +8,7 @@
 //! beyond the noise lose weight (Cauchy), and where the equations as a whole fit badly (mesh or
 //! poses are off) their noise is taken to be what they show, so that the prior decides.
 
-use super::class_prior::{Expected, Place, class_prior};
+use super::class_prior::{Expected, LEAST_SPREAD, NEAR, Place, class_prior};
 use super::robust_cg::{Pixel, RobustSystem};
 use super::{AlbedoEstimate, TexelReflectance};
 use crate::core::image::{Plane, RgbPlane, Wrap};
@@ -26,14 +26,9 @@ use std::f32::consts::FRAC_1_PI;
 const GRID: usize = 4;
 /// Terms kept in memory at most; beyond it pixels are skipped evenly. Derived: a GiB of 16 bytes each.
 const MOST_TERMS: usize = 64 << 20;
-/// Relative error of a pixel that is none of the unknowns' making: irradiance, specular part,
-/// camera.
-const MODEL_ERROR: f32 = 0.04;
 /// Error of coverage from `GRID`² rays, as a share of the contrast within the pixel; a texel seen at edges alone is as
 /// uncertain. Derived: the mean of √(p (1 − p)) / `GRID` over shares p, π/32.
 pub(super) const COVERAGE_ERROR: f32 = 0.1;
-/// Side of a piece of surface with one albedo, at most, as a power of two of texels.
-const MOST_LEVELS: f32 = 6.0;
 
 /// What the equations are made from.
 pub struct MixedPixelSolver<'a> {
@@ -179,7 +174,7 @@ impl MixedPixelSolver<'_> {
     }
 
     /// The unknowns: pieces of surface about as large as the sharpest pixel that sees them, of one
-    /// class and one main direction. Texels may be far smaller, and most of those would lie between
+    /// class and one main direction, within what counts as near. Texels may be far smaller, and most of those would lie between
     /// the rays. Unknown of every texel, and the texels of every unknown.
     fn patches(&self, albedo: &AlbedoEstimate, ids: &[u32]) -> (Vec<u32>, Vec<u32>) {
         let (texels, mesh) = (self.texels, self.observer.mesh);
@@ -197,7 +192,7 @@ impl MixedPixelSolver<'_> {
                 .max(0.5)
                 .log2()
                 .ceil()
-                .min(MOST_LEVELS - 1.0) as i32
+                .min(NEAR.log2() - 1.0) as i32
                 + 1) as u32;
             let (x, y) = (
                 texels.cell[i] % texels.width as u32,
@@ -374,7 +369,7 @@ impl MixedPixelSolver<'_> {
         let contrast2 = (square / SAMPLES as f32 - mean * mean).max(0.0);
         let level = luminance(observed.radiance).max(mean);
         let variance =
-            (MODEL_ERROR * level).powi(2) + COVERAGE_ERROR.powi(2) * contrast2 + f32::MIN_POSITIVE;
+            (LEAST_SPREAD * level).powi(2) + COVERAGE_ERROR.powi(2) * contrast2 + f32::MIN_POSITIVE;
         out.pixel.push(Pixel {
             rest: observed.radiance - known,
             variance,

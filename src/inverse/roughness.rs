@@ -12,7 +12,7 @@ use crate::core::stats::{Mean, passing_weight};
 use crate::highlight::Evidence;
 
 /// Width of the range of values that explain the views equally well from which a roughness counts
-/// as unknown.
+/// as unknown. Derived: half of all there are, [0, 1]: less than one bit is known.
 const UNKNOWN: f32 = 0.5;
 /// Error that all points of a class have in common: lobes between tabulated levels, highlights
 /// blurred by pixels, light baked at finite resolution. Measured: classes that are sure to 0.003 to

@@ -8,9 +8,10 @@
 //! the room shows none, the nearest anywhere. Called by the pipeline once the seen texels are settled.
 
 use super::AlbedoEstimate;
-use super::class_prior::NEAR;
+use super::class_prior::{LEAST_SPREAD, NEAR};
+use super::mixed_pixels::COVERAGE_ERROR;
 use crate::core::geometry::Mesh;
-use crate::core::stats::median;
+use crate::core::stats::{MANY, median};
 use crate::core::texture::Texels;
 use glam::Vec3;
 use rstar::RTree;
@@ -21,8 +22,6 @@ use std::collections::{BTreeMap, BinaryHeap};
 /// Side of a cell in texels of the usual size. Derived: a quarter of what counts as near, so that a
 /// cell spans no wall but averages noise.
 const CELL: f32 = NEAR / 4.0;
-/// What a texel seen at edges alone counts for beside a clean one.
-const UNCLEAN: f32 = 0.1;
 /// Lengths of the steps to a cell that shares a face, an edge or a corner. Derived: 1000 √k.
 const STEP: [u32; 4] = [0, 1000, 1414, 1732];
 
@@ -70,11 +69,14 @@ impl Unseen<'_> {
                     .to_array(),
             })
             .collect();
+        // a clean texel's variance is the least there is, that of one seen at edges alone larger by coverage's
+        let clean = LEAST_SPREAD.powi(2);
+        let unclean = clean / (clean + COVERAGE_ERROR.powi(2));
         let mut cells: BTreeMap<Cell, Sum> = BTreeMap::new();
         for (i, cell) in cell.iter().enumerate() {
             let sum = cells.entry(*cell).or_default();
             if error[i].is_finite() && (self.reflects)(i) {
-                let weight = if albedo.clean[i] { 1.0 } else { UNCLEAN };
+                let weight = if albedo.clean[i] { 1.0 } else { unclean };
                 sum.albedo += albedo.value[i] * weight;
                 sum.weight += weight;
             }
@@ -95,7 +97,7 @@ impl Unseen<'_> {
 
     /// The median side of a texel, times [`CELL`].
     fn cell_side(&self) -> f32 {
-        let stride = self.texels.len() / 4096 + 1;
+        let stride = self.texels.len() / MANY + 1;
         let side = |i| self.texels.area(self.mesh, i).sqrt();
         let sides = (0..self.texels.len()).step_by(stride).map(side);
         let side = median(sides.collect()).unwrap_or(1.0);

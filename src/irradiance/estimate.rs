@@ -4,14 +4,15 @@
 use super::next_bounce::NextBounce;
 use crate::core::blocks::{Columns, Packed, column, values};
 use crate::core::parallel::prelude::*;
+use crate::ffi::simd::LANES;
 use crate::lights::LitScene;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// Independent estimates that a bake keeps of every value: what the others say decides which
-/// neighbours one is filtered with, so more of them leave more to decide by. Derived: as many numbers
-/// as a vector register of 256 bits holds.
-pub const SUB_ESTIMATES: usize = 8;
+/// neighbours one is filtered with, so more of them leave more to decide by. As many as run side by
+/// side.
+pub const SUB_ESTIMATES: usize = LANES;
 
 /// How irradiance is estimated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]

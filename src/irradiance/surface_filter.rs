@@ -15,9 +15,11 @@ use super::{Irradiance, SUB_ESTIMATES, spread};
 use crate::core::math::{HALF_STEP, luminance};
 use crate::core::parallel::prelude::*;
 use crate::core::sampling::hash_u64;
+use crate::core::stats::SURELY;
 use crate::core::trace::Tracer;
 use crate::ffi::simd::{Kernel, run_widest};
 use glam::Vec3;
+use std::f32::consts::SQRT_2;
 
 /// Reach of the regression in texels.
 /// Measured: ×½ albedo −0.5 dB, ×2 albedo −0.2 dB (docs/constants.md).
@@ -31,23 +33,18 @@ const DISC: f32 = 2.35;
 /// (docs/lab/irradiance.md).
 /// Measured: ×½ albedo −0.2 dB, ×2 little (docs/constants.md).
 const DIFFERENT: f32 = 16.0;
-/// A turn of the normal that counts as much as the reach.
-const TURN: f32 = 4.0;
 /// Ridge on the slopes relative to the weights' sum: decides only where the neighbours do not. Derived: as
 /// far below 1 as above the rounding of its sums, 1e-8 or less.
 const RIDGE: f32 = 1e-4;
-/// Standard deviations of the small disc's mean that the regression may lie off it.
-const PLAUSIBLE: f32 = 4.0;
 /// How far irradiance departs from the regression, relative: as much of a texel's own estimate is
-/// mixed in as its noise, beside this, deserves. Measured over texels of few and of many samples
-/// alike (docs/lab/irradiance.md).
-const UNEVEN: f32 = 0.008;
-/// Variance of the mean of the parts of a net as a share of that of unrelated parts that differ as
-/// much: they complement each other.
-const COMPLEMENTARY: f32 = 0.4;
+/// mixed in as its noise, beside this, deserves. The parts of a net complement each other: their mean has 0.4 of the
+/// variance that their scatter tells, for which this is larger by √(1 / 0.4). Measured over texels of few and of many
+/// samples alike (docs/lab/irradiance.md).
+const UNEVEN: f32 = 0.0126;
 /// Standard deviation of the mean of squares by which parts and filtered parts differ, in one
-/// part's variance.
-const CHANCE: f32 = 0.36;
+/// part's variance. Derived: their means differ by twice the variance of one at most, and the square of a Gaussian
+/// deviates by √2 of its variance.
+const CHANCE: f32 = 2.0 * SQRT_2 / SUB_ESTIMATES as f32;
 /// Of the texels that may be left without samples one in so many has some, and so have those in
 /// whose disc fewer than `COMPANY` have. Derived: a doubling in place of one that samples are too few for; the unknowns
 /// of the regression, a value, two slopes in place and two in turn.
@@ -86,7 +83,7 @@ impl Noise {
     /// [`UNEVEN`].
     fn own_share(&self) -> f32 {
         let uneven = (UNEVEN * self.mean()).powi(2);
-        let variance = COMPLEMENTARY / SUB_ESTIMATES as f32 * self.variance;
+        let variance = self.variance / SUB_ESTIMATES as f32;
         if uneven > 0.0 {
             uneven / (uneven + variance)
         } else {
@@ -623,7 +620,7 @@ impl Kernel for Regression<'_> {
                 [p, q, r, s, t],
             )
         };
-        let reach = PLAUSIBLE * own.variance.sqrt();
+        let reach = SURELY * own.variance.sqrt();
         let mut out = [Vec3::ZERO; SUB_ESTIMATES];
         for (p, out) in out.iter_mut().enumerate() {
             let value = Vec3::new(red[p], green[p], blue[p]);
@@ -653,7 +650,7 @@ fn is_flat(near: &[Near]) -> bool {
     let steepest = near.iter().fold(0.0f32, |most, n| {
         most.max(n.along[2].abs()).max(n.along[3].abs())
     });
-    (TURN * steepest).powi(2) < 0.01 * RIDGE
+    steepest.powi(2) < 0.01 * RIDGE
 }
 
 /// A neighbour's terms of the slopes of position.
@@ -665,7 +662,7 @@ fn place(n: &Near) -> [f32; 2] {
 /// Its terms of the slopes of the normal.
 #[inline(always)]
 fn turn(n: &Near) -> [f32; 2] {
-    [TURN * n.along[2], TURN * n.along[3]]
+    [n.along[2], n.along[3]]
 }
 
 // Sums over the neighbours: every one has a name so that it stays in a register, as many in each

@@ -13,7 +13,7 @@ use super::grouping::{bright_sets, split_into_lamps, uncovered};
 use super::light_model::LightModel;
 use super::light_sampler::{LightSampler, LightShapes, Piece};
 use super::portal_grid::PortalGrid;
-use super::portals::find_exits;
+use super::portals::{self, find_exits};
 use super::primitives::{Columns, GRAZING, PORTAL, SHORT, Sources};
 use super::reach::{Found, ReachTable};
 use crate::core::geometry::{Mesh, SMOOTH};
@@ -30,8 +30,6 @@ use std::collections::BTreeMap;
 const MAX_LAMPS: usize = 128;
 /// At most this many portals.
 const MAX_PORTALS: usize = 64;
-/// Receivers that look for openings.
-const PORTAL_PROBES: usize = 16_384;
 /// Cells along the longest side of the scene: about one metre in a flat.
 /// Measured: ×½ roughness +0.8 dB, ×2 albedo +0.2 dB (docs/constants.md).
 const CELLS_LONGEST: f32 = 20.0;
@@ -229,7 +227,7 @@ impl Emitters {
         tracer: &dyn Tracer,
         receivers: &[(Vec3, Vec3)],
     ) {
-        let stride = (receivers.len() / PORTAL_PROBES).max(1);
+        let stride = (receivers.len() / portals::PROBES).max(1);
         let probes: Vec<(Vec3, Vec3)> = receivers.iter().copied().step_by(stride).collect();
         let mut light: BTreeMap<u32, f64> = BTreeMap::new();
         let (mut sum, mut crossings) = (0.0, 0.0);

@@ -1,6 +1,6 @@
 //! Which triangles are worth sampling as lights, and how they are gathered into lamps.
 
-use super::light_model::LightModel;
+use super::light_model::{LightModel, PLACES};
 use super::primitives::SHORT;
 use crate::core::geometry::Mesh;
 use crate::core::trace::{Hit, Ray, Tracer};
@@ -42,12 +42,6 @@ pub(super) fn uncovered(
     tracer: &dyn Tracer,
     triangles: Vec<u32>,
 ) -> Vec<u32> {
-    const PLACES: [(f32, f32); 4] = [
-        (1.0 / 3.0, 1.0 / 3.0),
-        (0.7, 0.15),
-        (0.15, 0.7),
-        (0.15, 0.15),
-    ];
     let (lo, hi) = mesh.bounds();
     let above = 0.5 * SHORT * (hi - lo).length();
     let rays: Vec<Ray> = triangles

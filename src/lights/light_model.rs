@@ -9,7 +9,8 @@ use glam::Vec3;
 
 /// Barycentrics at which a triangle is looked at. Cited: the places of the four-point rule of degree 3 (Hammer and
 /// Stroud 1956).
-const PLACES: [(f32, f32); 4] = [(1.0 / 3.0, 1.0 / 3.0), (0.6, 0.2), (0.2, 0.6), (0.2, 0.2)];
+pub(super) const PLACES: [(f32, f32); 4] =
+    [(1.0 / 3.0, 1.0 / 3.0), (0.6, 0.2), (0.2, 0.6), (0.2, 0.2)];
 
 /// A scene as a source of light. Only `radiance` and `environment` enter an estimate; the rest
 /// decides how often what is sampled, and so the noise.

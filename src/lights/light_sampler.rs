@@ -2,7 +2,7 @@
 //! irradiance it is expected to send there, by its shape and by what was learned about its
 //! visibility in that part of space.
 
-use crate::ffi::simd::{Kernel, run_widest};
+use crate::ffi::simd::{Kernel, LANES, run_widest};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
@@ -37,9 +37,6 @@ pub(crate) struct Piece {
     pub power: f64,
 }
 
-/// Sums over lamps that run side by side: a single one would wait for every addition. Derived: as many numbers as a
-/// vector register of 256 bits holds.
-const LANES: usize = 8;
 /// Steps in which the level of [`LightShapes::rebalance`] is found, nearly; each leaves lamps out.
 const LEVEL_STEPS: u32 = 2;
 /// Least factor on a lamp's probability, however well hemisphere rays meet it and however seldom light of it arrives:
@@ -192,7 +189,7 @@ impl Kernel for Rebalance<'_> {
 }
 
 /// Σ w and Σ w·d over those whose d is below `limit`, in lanes whose order is the same on every
-/// processor.
+/// processor: a single sum would wait for every addition.
 #[inline(always)]
 fn sums_below(limit: f32, weights: &[f32], dimness: &[f32]) -> [f32; 2] {
     let (mut sum, mut met) = ([0.0f32; LANES], [0.0f32; LANES]);

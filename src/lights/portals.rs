@@ -14,7 +14,7 @@ use glam::Vec3;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Surface points from which openings are looked for.
-const PROBES: usize = 8192;
+pub(super) const PROBES: usize = 16_384;
 /// Rays from each.
 const RAYS: u32 = 32;
 /// Cells of a rectangle that must be open, else it is cut in two.

@@ -14,7 +14,7 @@ use glam::{Vec2, Vec3};
 /// rounding of positions and no more, for what lies between would be overlooked.
 pub(crate) const SHORT: f32 = 1e-4;
 
-/// Below this cosine at the source it counts as seen from behind.
+/// Below this cosine at the source it counts as seen from behind. Derived: ten times the rounding of a cosine.
 pub(crate) const GRAZING: f32 = 1e-6;
 
 /// A flat piece of a lamp, one cache line: a triangle or a parallelogram, turned so that edge 1 ×
