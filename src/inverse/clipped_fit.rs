@@ -28,24 +28,27 @@ use crate::core::stats::{USUALLY, design_effect, median};
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 use std::f32::consts::PI;
-use std::f64::consts::{LN_2, LN_10};
+use std::f64::consts::LN_2;
 
 /// Least spread of ln L of a class about its model: bakes of few samples and unmodelled gloss leave
 /// as much on perfect paint (measured: 1.6 to 2.3 % on grey-white-room, 6 % on aws-house).
 const LEAST_SPREAD: f32 = 0.03;
-/// Steps of a fit at most. Derived: [`MOST_STEP`] by [`MOST_STEP`] through all of [`RANGE`] and, with the damping gone,
-/// back.
-const ITERATIONS: usize = 2 * (RANGE.1 / MOST_STEP) as usize;
+const ITERATIONS: usize = 40;
 /// Fits, each with the design effects and the spreads of the one before.
 const PASSES: usize = 3;
 /// Largest step of ln t per iteration: a doubling.
 const MOST_STEP: f64 = LN_2;
+/// First guesses of excess over ceiling, and the one to begin with.
+const STEPS: [f64; 12] = [
+    0.03, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0, 8.0, 16.0, 40.0, 120.0, 500.0,
+];
+const MIDDLE: usize = 4;
 /// ln of radiance over ceiling, at least and at most. Derived: by a step of 8-bit sRGB at white, 0.9 %, and by as much as a
 /// half float holds, 65 504.
 const RANGE: (f64, f64) = (0.01, 11.0);
-/// Prior of a kind's mean ln(t/ceiling), and its spread: lamps are some ten times brighter than white paint beside
+/// Prior of a kind's mean ln(t/ceiling): lamps are some ten times brighter than white paint beside
 /// them, give or take a factor of ten.
-const KIND: f64 = LN_10;
+const KIND: (f64, f64) = (2.0, 2.5);
 /// How far lights of a kind differ as long as nothing is known of it.
 const UNLIKE: Spread = Spread {
     level: 1.0,
@@ -119,7 +122,7 @@ pub fn fit_clipped(rows: &[ShadingRow], groups: &[LightGroup], classes: usize) -
         spread: Vec::new(),
     };
     problem.spread = vec![UNLIKE; problem.kinds()];
-    let middle = problem.guess(&vec![KIND; problem.kinds()]);
+    let middle = problem.guess(&vec![MIDDLE; problem.kinds()]);
     problem.worth = problem.worths(&problem.state(&middle));
     let mut phi = problem.first_guess();
     if phi.is_empty() {
@@ -301,13 +304,14 @@ impl Problem<'_> {
         f64::from(self.groups[k].ceiling[c].max(1e-9))
     }
 
-    /// Every kind so far above its ceiling (ln).
-    fn guess(&self, choice: &[f64]) -> Vec<f64> {
+    /// Every kind at a step of [`STEPS`].
+    fn guess(&self, choice: &[usize]) -> Vec<f64> {
         let mut phi: Vec<f64> = (0..self.groups.len())
             .flat_map(|k| {
-                let above = choice[self.groups[k].kind];
-                (0..3).map(move |c| self.ceiling(k, c).ln() + above)
+                let step = STEPS[choice[self.groups[k].kind]];
+                (0..3).map(move |c| (k, c, step))
             })
+            .map(|(k, c, step)| ((1.0 + step) * self.ceiling(k, c)).ln())
             .collect();
         let means: Vec<f64> = (0..choice.len())
             .flat_map(|kind| {
@@ -319,22 +323,22 @@ impl Problem<'_> {
         phi
     }
 
-    /// The best of a grid over [`RANGE`], a doubling from one guess to the next, each kind by itself.
+    /// The best of a grid of excess over ceiling, one factor for each kind.
     fn first_guess(&self) -> Vec<f64> {
         let kinds = self.kinds();
-        let mut choice = vec![KIND; kinds];
-        let steps = 0..=((RANGE.1 - RANGE.0) / MOST_STEP) as usize;
-        let grid: Vec<f64> = steps.map(|s| RANGE.0 + s as f64 * MOST_STEP).collect();
+        let mut choice = vec![MIDDLE; kinds];
         // coordinate by coordinate, twice: kinds are few and the score is nearly convex
         for kind in (0..kinds).chain(0..kinds) {
-            let score = |above: f64| {
-                let mut trial = choice.clone();
-                trial[kind] = above;
-                self.score(&self.guess(&trial))
-            };
-            let scores: Vec<(f64, f64)> = grid.iter().map(|g| (score(*g), *g)).collect();
-            let best = scores.iter().min_by(|a, b| a.0.total_cmp(&b.0));
-            choice[kind] = best.map_or(KIND, |b| b.1);
+            let scores: Vec<f64> = (0..STEPS.len())
+                .map(|s| {
+                    let mut trial = choice.clone();
+                    trial[kind] = s;
+                    self.score(&self.guess(&trial))
+                })
+                .collect();
+            choice[kind] = (0..STEPS.len())
+                .min_by(|a, b| scores[*a].total_cmp(&scores[*b]))
+                .unwrap_or(0);
         }
         self.guess(&choice)
     }
@@ -577,7 +581,7 @@ impl Problem<'_> {
             };
             for c in 0..3 {
                 let own = self.mean_at(kind, c);
-                term(&[(own, 1.0)], ceiling(c) + KIND, KIND * 3f64.sqrt());
+                term(&[(own, 1.0)], ceiling(c) + KIND.0, KIND.1 * 3f64.sqrt());
                 let next = (c + 1) % 3;
                 let other = self.mean_at(kind, next);
                 term(&[(own, 1.0), (other, -1.0)], 0.0, NEUTRAL);
@@ -644,7 +648,7 @@ impl Problem<'_> {
                 .map(|(c, d)| {
                     covariance
                         .as_ref()
-                        .map_or(KIND * KIND, |v| v[(Self::at(k, c), Self::at(k, d))])
+                        .map_or(KIND.1 * KIND.1, |v| v[(Self::at(k, c), Self::at(k, d))])
                 })
                 .sum();
             (sum.max(0.0).sqrt() / n) as f32

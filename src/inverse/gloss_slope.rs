@@ -160,6 +160,7 @@ mod tests {
             class: 1,
             roughness: 1.0,
             error: 0.05,
+            own_error: 0.05,
             objective: LEVELS
                 .iter()
                 .map(|r| 0.05 * (1.0 + 0.04 * f64::from(1.0 - r)))

@@ -7,8 +7,11 @@ pub struct GroupFit {
     pub class: u16,
     /// Best roughness.
     pub roughness: f32,
-    /// Standard error of the roughness from the curvature of the objective.
+    /// Standard error of the roughness.
     pub error: f32,
+    /// The same by the points alone, for differences within a class: without what all its points
+    /// have in common.
+    pub own_error: f32,
     /// Objective per level (mean relative disagreement).
     pub objective: Vec<f64>,
     /// Points used.

@@ -375,7 +375,7 @@ fn explained(class: u16, sides: &[Disagreement]) -> Option<Explained> {
     let fits: Vec<GroupFit> = sides.iter().map(|s| fit(class, s)).collect();
     let by_value = |a: &&GroupFit, b: &&GroupFit| a.roughness.total_cmp(&b.roughness);
     let (low, high) = (fits.iter().min_by(by_value)?, fits.iter().max_by(by_value)?);
-    let mark = f64::from(SURELY * low.error.hypot(high.error));
+    let mark = f64::from(SURELY * low.own_error.hypot(high.own_error));
     let different = passing_weight(f64::from(high.roughness - low.roughness), mark);
     (different > 0.0).then_some(Explained {
         fits,

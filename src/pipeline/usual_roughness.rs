@@ -98,6 +98,7 @@ mod tests {
             class,
             roughness,
             error,
+            own_error: error,
             objective: Vec::new(),
             points: 100,
         }

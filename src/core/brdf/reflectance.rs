@@ -244,6 +244,7 @@ mod tests {
         );
         assert!((1.2..1.35).contains(&facets), "at 60°: {facets}");
         let head_on = |m: Reflectance| m.specular(1.0, 1.0, 0.0, 1.0, 0.4);
-        assert!((head_on(Reflectance::Smith) / head_on(Reflectance::Paper) - 1.0).abs() < 1e-4);
+        // (the fit to Schlick's term is 0.4 % above 0.04 there)
+        assert!((head_on(Reflectance::Smith) / head_on(Reflectance::Paper) - 1.0).abs() < 5e-3);
     }
 }
