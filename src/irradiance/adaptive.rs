@@ -26,6 +26,11 @@ const SPARED: u8 = 2;
 /// Doublings of a texel in one round, and in all.
 const MAX_STEPS: u8 = 4;
 const MAX_LEVEL: u8 = 9 + SPARED;
+/// Share of the budget that is kept back: of the samples of doubled texels, fewer may go untraced
+/// than of the others'.
+const KEPT_BACK: f64 = 0.005;
+/// Irradiance, as a share of the mean, below which an error counts less than its relative size.
+const DIM: f32 = 0.5;
 
 /// What a texture's irradiance may cost.
 #[derive(Clone, Debug, PartialEq)]
@@ -198,7 +203,7 @@ pub fn bake_surface(
         progress,
     };
     spending.first_round();
-    let total = f64::from(budget.samples.iter().sum::<u32>()) * count as f64;
+    let total = (1.0 - KEPT_BACK) * f64::from(budget.samples.iter().sum::<u32>()) * count as f64;
     for round in 1..budget.rounds {
         let (baked, level) = (&spending.baked, &spending.level);
         let Judgement { light, error } = filter.judge(baked, |i| samples(level[i]) as f32);
@@ -289,9 +294,9 @@ fn most_promising(
         .filter(|&i| error(i) > 0.0)
         .flat_map_iter(|i| {
             // between relative error, which albedos inherit, and absolute error, by which
-            // irradiance is judged; below the mean an error counts less still
+            // irradiance is judged
             let share = light[i] / mean.max(f32::MIN_POSITIVE);
-            let weight = share * share * share / (share * share + 1.0);
+            let weight = share * share * share / (share * share + DIM * DIM);
             let gain = weight * error(i).powi(2) / samples(level[i]) as f32;
             (0..MAX_STEPS.min(MAX_LEVEL - level[i]))
                 .map(move |s| (gain / f32::from(1u16 << (2 * s)), i as u32))
