@@ -18,7 +18,9 @@ use super::{AlbedoEstimate, BLACK};
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{GROSS_ERRORS, MANY, ROUNDS, SURELY, USUALLY, median, passing_weight};
+use crate::core::stats::{
+    GROSS_ERRORS, ROUNDS, SURELY, USUALLY, median, passing_weight, step_over_many,
+};
 use crate::core::texture::Texels;
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -99,10 +101,9 @@ impl PaletteFit<'_> {
                 if surely <= 0.0 {
                     return None;
                 }
-                let stride = members.len().div_ceil(MANY);
                 let looks: Vec<Look> = members
                     .iter()
-                    .step_by(stride)
+                    .step_by(step_over_many(members.len()))
                     .map(|&i| self.look(i, texture))
                     .collect();
                 let (colours, explained) = colours(&looks)?;

@@ -4,7 +4,7 @@ use super::AlbedoEstimate;
 use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{ENOUGH, MAD_SCALE, MANY, median, weighted_median};
+use crate::core::stats::{ENOUGH, MAD_SCALE, median, step_over_many, weighted_median};
 use crate::core::texture::Texels;
 use glam::{DVec3, IVec3, Vec3};
 use std::collections::BTreeMap;
@@ -123,7 +123,7 @@ impl<'a> CleanTexels<'a> {
     fn typical(&self, members: &[usize]) -> Expected {
         let some: Vec<(Vec3, f32)> = members
             .iter()
-            .step_by(members.len() / MANY + 1)
+            .step_by(step_over_many(members.len()))
             .map(|&i| (self.value(i), self.trust(i)))
             .collect();
         let middle = |of: &dyn Fn(Vec3) -> f32| {
@@ -176,7 +176,7 @@ impl<'a> Cubes<'a> {
         let sides = clean
             .ids
             .iter()
-            .step_by(clean.ids.len() / MANY + 1)
+            .step_by(step_over_many(clean.ids.len()))
             .map(|&i| texels.area(mesh, i).sqrt())
             .collect();
         let usual_side = median(sides).unwrap_or(1.0);

@@ -9,8 +9,8 @@ pub struct GroupFit {
     pub roughness: f32,
     /// Standard error of the roughness.
     pub error: f32,
-    /// The same by the points alone, for differences within a class: without what all its points
-    /// have in common.
+    /// The same by the points alone, as they were fitted, for differences within a class: without
+    /// what all its points have in common.
     pub own_error: f32,
     /// Objective per level (mean relative disagreement).
     pub objective: Vec<f64>,

@@ -138,13 +138,13 @@ pub(super) fn fit(class: u16, table: &Disagreement) -> GroupFit {
     // would do errs least
     let any = passing_weight(f64::from(high - low), f64::from(UNKNOWN)) as f32;
     let roughness = roughness + any * (0.5 * (low + high) - roughness);
-    let silent = |range| noise.hypot(distance_within(range, roughness));
+    let error_over = |range| noise.hypot(distance_within(range, roughness));
     let common = within(COMMON_SHARE, levels, &objective);
     GroupFit {
         class,
         roughness,
-        error: silent(common).hypot(COMMON).min(1.0),
-        own_error: silent([low, high]).min(1.0),
+        error: error_over(common).hypot(COMMON).min(1.0),
+        own_error: error_over([low, high]).min(1.0),
         objective,
         points: rows.len(),
     }

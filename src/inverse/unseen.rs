@@ -11,7 +11,7 @@ use super::AlbedoEstimate;
 use super::class_prior::{LEAST_SPREAD, NEAR};
 use super::mixed_pixels::COVERAGE_ERROR;
 use crate::core::geometry::Mesh;
-use crate::core::stats::{MANY, median};
+use crate::core::stats::{median, step_over_many};
 use crate::core::texture::Texels;
 use glam::Vec3;
 use rstar::RTree;
@@ -97,7 +97,7 @@ impl Unseen<'_> {
 
     /// The median side of a texel, times [`CELL`].
     fn cell_side(&self) -> f32 {
-        let stride = self.texels.len() / MANY + 1;
+        let stride = step_over_many(self.texels.len());
         let side = |i| self.texels.area(self.mesh, i).sqrt();
         let sides = (0..self.texels.len()).step_by(stride).map(side);
         let side = median(sides.collect()).unwrap_or(1.0);

@@ -26,6 +26,12 @@ pub const ENOUGH: usize = 50;
 /// 2 % of their spread.
 pub const MANY: usize = 4096;
 
+/// The step at which a list of `length` is walked so that no more than [`MANY`] are asked; at least 1.
+#[must_use]
+pub const fn step_over_many(length: usize) -> usize {
+    length / MANY + 1
+}
+
 /// Chance that a datum is wrong as a whole: a label, a piece of evidence. Cited: one to ten in a hundred of routine
 /// data (Hampel et al. 1986, §1.2c).
 pub const GROSS_ERRORS: f64 = 0.05;
