@@ -25,10 +25,15 @@ impl EvidenceSize {
         width: 192,
         samples: 450,
     };
-    /// For the refinement of poses.
-    pub const FINE: Self = Self {
+    /// For the refinement of poses, from what the verdict saw to half a degree per pixel.
+    pub const REFINING: [Self; 3] = [Self::COARSE, Self::MIDDLE, Self::FINE];
+    const MIDDLE: Self = Self {
         width: 384,
-        samples: 1200,
+        samples: 3000,
+    };
+    pub(super) const FINE: Self = Self {
+        width: 768,
+        samples: 4000,
     };
 }
 
@@ -205,34 +210,50 @@ impl ViewEvidence {
 /// # Errors
 /// Images, labels or masks that cannot be read.
 pub fn gather(scene: &Scene, most: usize, size: EvidenceSize) -> Result<Vec<ViewEvidence>> {
+    let sizes = gather_sizes(scene, most, &[size])?;
+    Ok(sizes.into_iter().flatten().collect())
+}
+
+/// The same at several sizes, each photograph read once: one list of views per size.
+///
+/// # Errors
+/// Images, labels or masks that cannot be read.
+pub fn gather_sizes(
+    scene: &Scene,
+    most: usize,
+    sizes: &[EvidenceSize],
+) -> Result<Vec<Vec<ViewEvidence>>> {
     let train: Vec<&View> = scene.train_views().collect();
     let n = train.len().min(most);
     let chosen: Vec<&View> = (0..n).map(|i| train[i * train.len() / n.max(1)]).collect();
-    let all: Vec<Result<ViewEvidence>> = chosen
+    let all: Vec<Result<Vec<ViewEvidence>>> = chosen
         .par_iter()
         .map(|view| {
             let image = scene.load_radiance(view)?;
             let labels = scene.load_labels(view)?;
             let mask = scene.load_mask(view)?;
-            Ok(ViewEvidence::new(
-                &view.stem,
-                &view.camera,
-                &image,
-                mask.as_ref(),
-                labels.as_ref(),
-                size,
-            ))
+            let at_size = |size: &EvidenceSize| {
+                ViewEvidence::new(
+                    &view.stem,
+                    &view.camera,
+                    &image,
+                    mask.as_ref(),
+                    labels.as_ref(),
+                    *size,
+                )
+            };
+            Ok(sizes.iter().map(at_size).collect())
         })
         .collect();
-    let (mut views, mut errors) = (Vec::new(), Vec::new());
+    let (mut out, mut errors) = (vec![Vec::new(); sizes.len()], Vec::new());
     for one in all {
         match one {
-            Ok(v) => views.push(v),
+            Ok(view) => out.iter_mut().zip(view).for_each(|(o, v)| o.push(v)),
             Err(e) => errors.push(e),
         }
     }
     if errors.is_empty() {
-        Ok(views)
+        Ok(out)
     } else {
         Err(Error::Inputs(errors))
     }

@@ -2,13 +2,15 @@
 //!
 //! `evidence` reads the photographs once at low resolution; `score` says how well a set of cameras
 //! agrees with the mesh; `hypotheses` are the usual mistakes; `search` tries them; `verdict` decides
-//! by the differences of paired scores; `refine` mends small errors of single poses. Called by
+//! by the differences of paired scores; `refine` mends small errors of single poses, by `joint_fit`.
+//! Called by
 //! `check` and `solve`.
 
 mod apply;
 mod correction;
 mod evidence;
 mod hypotheses;
+mod joint_fit;
 mod options;
 mod refine;
 mod score;

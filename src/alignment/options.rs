@@ -1,7 +1,7 @@
 //! What `check` and `solve` do about alignment.
 
 use super::apply::{apply, refine_poses};
-use super::evidence::{EvidenceSize, gather};
+use super::evidence::{EvidenceSize, gather_sizes};
 use super::refine::{RefinedPose, refine};
 use super::score::Ground;
 use super::verdict::{Alignment, assess};
@@ -67,14 +67,11 @@ fn refined(scene: &Scene, switch: Switch) -> Result<Vec<RefinedPose>> {
         tracer: &tracer,
     };
     if switch == Switch::Auto {
-        let coarse = gather(scene, usize::MAX, EvidenceSize::COARSE)?;
-        if refine(&ground, &coarse, 1).is_empty() {
+        let coarse = gather_sizes(scene, usize::MAX, &[EvidenceSize::COARSE])?;
+        if refine(&ground, &coarse).is_empty() {
             return Ok(Vec::new());
         }
     }
-    let fine = gather(scene, usize::MAX, EvidenceSize::FINE)?;
-    Ok(refine(&ground, &fine, ROUNDS))
+    let views = gather_sizes(scene, usize::MAX, &EvidenceSize::REFINING)?;
+    Ok(refine(&ground, &views))
 }
-
-/// Rounds of refinement.
-const ROUNDS: usize = 8;

@@ -1,34 +1,37 @@
-//! Small errors of single poses: each camera is turned and moved until its photograph agrees with
-//! what the other photographs show of the same surface points.
+//! Small errors of single poses: all cameras are turned and moved together until their photographs
+//! agree on what the surface shows ([`super::joint_fit`]), from coarse images to fine ones.
 //!
-//! Gauss–Newton on log radiance with Geman–McClure weights (Engel, Koltun, Cremers 2018 align
-//! photographs alike): the residual of a point is the difference of two photographs less the
-//! pair's median, its derivative the image's gradient times the projection's. A pose is changed
-//! only if the residuals of points that took no part in the estimate become smaller, in both halves
-//! of a two-fold split, and the change is larger than three of its standard errors and than what
-//! the photographs resolve.
+//! A pose is changed only if residuals of points that took no part in the estimate become smaller by
+//! its own change, in both halves of a two-fold split, and the change is larger than what the
+//! photographs resolve.
 
 use super::evidence::ViewEvidence;
-use super::score::{Ground, Lookup, lookups};
-use crate::core::geometry::{Camera, Projection};
-use crate::core::image::Wrap;
+use super::joint_fit::{
+    JointFit, Pair, Pose, Used, WIDE, cameras_of, joint_fit, moved, pairs, pose_vector, scales,
+};
+use super::score::Ground;
+use crate::core::geometry::Camera;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::median;
-use glam::{DQuat, DVec3, Mat3, Quat, Vec2, Vec3, Vec4};
-use nalgebra::{SMatrix, SVector};
+use crate::core::stats::{SURELY, median};
+use glam::{DQuat, DVec3, Vec4};
 use serde::{Deserialize, Serialize};
 
-/// Steps of Gauss–Newton per round.
-const STEPS: usize = 4;
-/// Points a view needs.
-const FEWEST: usize = 120;
+/// Rounds per size of the images: after each, what sees what is looked up again.
+const ROUNDS: usize = 4;
 /// Held-out improvement in standard errors.
 const SIGNIFICANT: f64 = 3.5;
-/// Changes below this, as seen by the camera, are below half a pixel of a panorama 700 wide: no
-/// texture shows them. Degrees.
+/// Changes below this, as seen by the camera, are below half a pixel of a panorama 700 wide, and within
+/// three errors of fits of right poses ([`MODEL_ERROR`]). Degrees.
 const LEAST: f64 = 0.25;
-/// Changes beyond this are no small errors, degrees.
-const MOST: f64 = 12.0;
+/// What fits of right poses are off by, degrees as seen by the camera. Measured: 0.04 to 0.2° about
+/// their mean in the four shared scenes (docs/lab/alignment.md).
+const MODEL_ERROR: f64 = 0.15;
+/// By what fits of right poses drift together, degrees as the cameras see it. Measured: 0.1 to 0.2° in the
+/// four shared scenes (docs/lab/alignment.md).
+const DRIFT: f64 = 0.15;
+/// Points of one half of the split lie together in runs of this many, so that neighbours do not
+/// vouch for one another.
+const RUN: usize = 16;
 
 /// What was changed of one view's pose.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -60,278 +63,204 @@ impl RefinedPose {
     }
 }
 
-type Pose = SVector<f64, 6>;
-type Information = SMatrix<f64, 6, 6>;
-
-fn pose_vector(turn: DVec3, shift: DVec3) -> Pose {
-    Pose::from_column_slice(&[turn.x, turn.y, turn.z, shift.x, shift.y, shift.z])
-}
-
-fn moved(camera: &Camera, x: &Pose) -> Camera {
-    let turn = DVec3::new(x[0], x[1], x[2]);
-    let by = DQuat::from_scaled_axis(turn);
-    let quat = Quat::from_xyzw(by.x as f32, by.y as f32, by.z as f32, by.w as f32);
-    Camera {
-        world_from_camera: camera.world_from_camera * Mat3::from_quat(quat),
-        position: camera.position + Vec3::new(x[3] as f32, x[4] as f32, x[5] as f32),
-        ..*camera
-    }
-}
-
-/// A point of the surface as another view shows it.
-struct Target {
-    point: Vec3,
-    feature: Vec4,
-    /// Which other view: its gain is eliminated.
-    pair: usize,
-}
-
-/// Refines the poses of all views, in some rounds over all of them: in each a view moves towards
-/// what the others showed in the round before. Views that stay as they are do not occur in the
-/// answer.
+/// Refines the poses of all views. `sizes` holds the same views at growing image sizes. Views that
+/// stay as they are do not occur in the answer.
 #[must_use]
-pub fn refine(ground: &Ground<'_>, views: &[ViewEvidence], rounds: usize) -> Vec<RefinedPose> {
-    let given: Vec<Camera> = views.iter().map(|v| v.camera).collect();
+pub fn refine(ground: &Ground<'_>, sizes: &[Vec<ViewEvidence>]) -> Vec<RefinedPose> {
+    let Some(views) = sizes.last() else {
+        return Vec::new();
+    };
+    let all: &Used<'_> = &|_| true;
     let mut poses = vec![Pose::zeros(); views.len()];
-    for round in 0..rounds {
-        let cameras: Vec<Camera> = given.iter().zip(&poses).map(|(c, x)| moved(c, x)).collect();
-        let targets = targets_of(ground, views, &cameras);
-        // all views move at once: half steps keep two that look at one another from changing places
-        let damping = if round + 1 < rounds { 0.6 } else { 1.0 };
-        poses = (0..views.len())
-            .into_par_iter()
-            .map(|v| {
-                let fit = fit(&views[v], &given[v], &targets[v], poses[v], |_| true);
-                fit.map_or(poses[v], |f| poses[v] + (f.pose - poses[v]) * damping)
-            })
-            .collect();
+    for views in sizes {
+        for _ in 0..ROUNDS {
+            let pairs = pairs(ground, views, &cameras_of(views, &poses));
+            match joint_fit(views, &pairs, &poses, all) {
+                Some(fit) => poses = fit.poses,
+                None => return Vec::new(),
+            }
+        }
     }
-    let cameras: Vec<Camera> = given.iter().zip(&poses).map(|(c, x)| moved(c, x)).collect();
-    let targets = targets_of(ground, views, &cameras);
+    let found = Found {
+        views,
+        pairs: pairs(ground, views, &cameras_of(views, &poses)),
+    };
+    let Some(fit) = found.fit(&poses, all) else {
+        return Vec::new();
+    };
+    let gains = found.held_out_gains(&poses);
     (0..views.len())
-        .into_par_iter()
-        .filter_map(|v| accepted(&views[v], &given[v], &targets[v], poses[v]))
+        .filter(|&v| gains[v] > SIGNIFICANT && found.is_small(&fit, v))
+        .map(|v| found.change(&fit, v, gains[v]))
         .collect()
 }
 
-fn targets_of(ground: &Ground<'_>, views: &[ViewEvidence], cameras: &[Camera]) -> Vec<Vec<Target>> {
-    let mut out: Vec<Vec<Target>> = views.iter().map(|_| Vec::new()).collect();
-    for Lookup {
-        from,
-        into,
-        point,
-        feature,
-    } in lookups(ground, views, cameras)
-    {
-        out[into].push(Target {
-            point,
-            feature,
-            pair: from,
-        });
+/// Turn and shift of a pose.
+fn halves(x: &Pose) -> [DVec3; 2] {
+    [DVec3::new(x[0], x[1], x[2]), DVec3::new(x[3], x[4], x[5])]
+}
+
+/// The views and what they share once their poses fit.
+struct Found<'a> {
+    views: &'a [ViewEvidence],
+    pairs: Vec<Pair>,
+}
+
+impl Found<'_> {
+    /// The poses that fit, less what all cameras have in common.
+    fn fit(&self, start: &[Pose], used: &Used<'_>) -> Option<JointFit> {
+        let mut fit = joint_fit(self.views, &self.pairs, start, used)?;
+        fit.poses = self.anchored(fit.poses);
+        Some(fit)
     }
-    out
-}
 
-struct Fit {
-    pose: Pose,
-    covariance: Information,
-}
-
-/// Residual of a target under a camera, and the derivative of its pixel.
-fn residuals(view: &ViewEvidence, camera: &Camera, targets: &[Target]) -> Vec<Option<Vec4>> {
-    let wrap = wrap_of(camera);
-    let mut raw: Vec<Option<Vec4>> = targets
-        .iter()
-        .map(|t| {
-            let p = camera.project(t.point)?;
-            (*view.valid.nearest(p)).then(|| view.features.bilinear(p, wrap) - t.feature)
-        })
-        .collect();
-    let pairs = targets.iter().map(|t| t.pair).max().map_or(0, |m| m + 1);
-    for pair in 0..pairs {
-        let of_pair = |c: usize| -> Vec<f32> {
-            let all = targets.iter().zip(&raw);
-            all.filter(|(t, _)| t.pair == pair)
-                .filter_map(|(_, r)| r.map(|r| r[c]))
-                .collect()
+    /// Photographs of walls say little of a motion that all cameras share: their mean drifts by
+    /// [`DRIFT`] while each is right to 0.1° against the others. Independent errors of n poses have a
+    /// mean √n times smaller than they are themselves, so that of the shared motion as much is kept
+    /// as these two variances say. (Middle and size are those of most, which one wrong pose does not move.)
+    fn anchored(&self, poses: Vec<Pose>) -> Vec<Pose> {
+        let cameras = || self.views.iter().map(|v| &v.camera);
+        let turns: Vec<DVec3> = (cameras().zip(&poses))
+            .map(|(c, x)| c.world_from_camera.as_dmat3() * halves(x)[0])
+            .collect();
+        let n = poses.len().max(1) as f64;
+        let centre = cameras().map(|c| c.position.as_dvec3()).sum::<DVec3>() / n;
+        let turn = middle(&turns);
+        let lever = |c: &Camera| turn.cross(c.position.as_dvec3() - centre);
+        let shifts: Vec<DVec3> = (cameras().zip(&poses))
+            .map(|(c, x)| halves(x)[1] - lever(c))
+            .collect();
+        let shift = middle(&shifts);
+        let common = |c: &Camera| {
+            let local = c.world_from_camera.as_dmat3().transpose() * turn;
+            pose_vector(local, shift + lever(c))
         };
-        let gain = Vec4::from_array(std::array::from_fn(|c| median(of_pair(c)).unwrap_or(0.0)));
-        for (t, r) in targets.iter().zip(&mut raw) {
-            if let (true, Some(r)) = (t.pair == pair, r) {
-                *r -= gain;
-            }
+        let own = (0..poses.len())
+            .map(|v| self.seen_change(&(poses[v] - common(&self.views[v].camera)), v) as f32);
+        let own = f64::from(median(own.collect()).unwrap_or(0.0));
+        let drift = n * DRIFT * DRIFT;
+        let share = drift / (drift + own * own);
+        let (turn, shift) = (share * turn, share * shift);
+        let lever = |c: &Camera| turn.cross(c.position.as_dvec3() - centre);
+        let back = DQuat::from_scaled_axis(-turn);
+        (cameras().zip(&poses))
+            .map(|(c, x)| {
+                let given = DQuat::from_mat3(&c.world_from_camera.as_dmat3());
+                let [own, moved] = halves(x);
+                let world = back * given * DQuat::from_scaled_axis(own);
+                let own = (given.inverse() * world).to_scaled_axis();
+                pose_vector(own, moved - shift - lever(c))
+            })
+            .collect()
+    }
+
+    /// How a pose differs from the given one. Its error holds, beside noise, what fits of right poses
+    /// are off by.
+    fn change(&self, fit: &JointFit, v: usize, significance: f64) -> RefinedPose {
+        let [turn, shift] = halves(&fit.poses[v]);
+        let [turn_noise, shift_noise] = halves(&fit.variances[v].map(f64::sqrt)).map(DVec3::length);
+        let eye = self.views[v].camera.position;
+        let of_view = self.pairs.iter().filter(|p| p.into == v);
+        let distances = of_view
+            .flat_map(|p| &p.targets)
+            .map(|t| t.point.distance(eye));
+        let distance = f64::from(median(distances.collect()).unwrap_or(0.0));
+        RefinedPose {
+            stem: self.views[v].stem.clone(),
+            turn,
+            shift,
+            degrees: turn.length().to_degrees(),
+            degrees_error: turn_noise.to_degrees().hypot(MODEL_ERROR),
+            metres: shift.length(),
+            metres_error: shift_noise.hypot(MODEL_ERROR.to_radians() * distance),
+            significance,
         }
     }
-    raw
-}
 
-fn wrap_of(camera: &Camera) -> Wrap {
-    match camera.projection {
-        Projection::Equirectangular => Wrap::Repeat,
-        Projection::Pinhole(_) => Wrap::Clamp,
+    /// Whether a change is visible, and little enough to be believed.
+    fn is_small(&self, fit: &JointFit, v: usize) -> bool {
+        let seen = self.seen_change(&fit.poses[v], v);
+        seen > LEAST && seen < WIDE
+    }
+
+    /// Median angle by which what a view sees moves in it, degrees.
+    fn seen_change(&self, pose: &Pose, v: usize) -> f64 {
+        let given = &self.views[v].camera;
+        let after = moved(given, pose);
+        let of_view = self.pairs.iter().filter(|p| p.into == v);
+        let angles = of_view.flat_map(|p| &p.targets).map(|t| {
+            let local = |c: &Camera| c.world_from_camera.transpose() * (t.point - c.position);
+            local(given).angle_between(local(&after))
+        });
+        f64::from(median(angles.collect()).unwrap_or(0.0)).to_degrees()
+    }
+
+    /// For each view, by how many standard errors the change of its pose, estimated with all others
+    /// from one half of the points, makes the residuals of the other half smaller: the smaller of
+    /// both halves.
+    fn held_out_gains(&self, start: &[Pose]) -> Vec<f64> {
+        let gains = [0usize, 1].map(|fold| {
+            let in_fold = move |i: usize| (i / RUN) % 2 == fold;
+            let fit = self.fit(start, &in_fold);
+            fit.map(|fit| self.gains(&fit.poses, &|i| !in_fold(i)))
+        });
+        (0..self.views.len())
+            .map(|v| {
+                let of_fold = gains.iter().map(|g| g.as_ref().map_or(0.0, |g| g[v]));
+                of_fold.fold(f64::INFINITY, f64::min)
+            })
+            .collect()
+    }
+
+    /// The same of one half, `tested` being the other.
+    fn gains(&self, poses: &[Pose], tested: &Used<'_>) -> Vec<f64> {
+        let after = cameras_of(self.views, poses);
+        let scales = scales(self.views, &self.pairs, &after);
+        (0..self.views.len())
+            .into_par_iter()
+            .map(|v| {
+                // the others as fitted, the view as it was given
+                let mut before = after.clone();
+                before[v] = self.views[v].camera;
+                let mut means = Vec::new();
+                for p in (self.pairs.iter()).filter(|p| p.from == v || p.into == v) {
+                    let scale = scales[p.into];
+                    let loss = |r: Vec4| {
+                        let s2 = (r / scale) * (r / scale);
+                        f64::from((s2 / (s2 + 1.0)).element_sum())
+                    };
+                    let [old, new] = [&before, &after].map(|c| p.residuals(&self.views[p.into], c));
+                    let gains: Vec<f64> = (0..p.targets.len())
+                        .filter(|&i| tested(i))
+                        .filter_map(|i| Some(loss(old[i]?) - loss(new[i]?)))
+                        .collect();
+                    // means of runs are nearly independent, single points are not
+                    let runs = gains.chunks(RUN / 2);
+                    means.extend(runs.map(|r| r.iter().sum::<f64>() / r.len() as f64));
+                }
+                significance(&means)
+            })
+            .collect()
     }
 }
 
-/// Median length of the residuals.
-fn spread(residuals: &[Option<Vec4>]) -> f32 {
-    let all = residuals.iter().flatten().map(|r| r.truncate().length());
-    median(all.collect()).unwrap_or(0.0).max(1e-3)
-}
-
-fn fit(
-    view: &ViewEvidence,
-    given: &Camera,
-    targets: &[Target],
-    start: Pose,
-    used: impl Fn(usize) -> bool,
-) -> Option<Fit> {
-    let chosen: Vec<usize> = (0..targets.len()).filter(|&i| used(i)).collect();
-    if chosen.len() < FEWEST {
-        return None;
-    }
-    let mut pose = start;
-    let mut covariance = Information::identity();
-    for _ in 0..STEPS {
-        let camera = moved(given, &pose);
-        let all = residuals(view, &camera, targets);
-        let scale = spread(&all);
-        let mut a = Information::zeros();
-        let mut b = Pose::zeros();
-        let mut scatter = Information::zeros();
-        for &i in &chosen {
-            let Some(r) = all[i] else { continue };
-            let Some(j) = jacobian(view, given, &pose, targets[i].point) else {
-                continue;
-            };
-            let s = r.truncate().length() / scale;
-            let weight = f64::from(1.0 / (1.0 + s * s).powi(2));
-            let mut g = Pose::zeros();
-            for (row, value) in j.iter().zip(r.to_array()) {
-                a += row * row.transpose() * weight;
-                g += row * (weight * f64::from(value));
-            }
-            b += g;
-            scatter += g * g.transpose();
-        }
-        let trace = a.trace();
-        if !(trace > 0.0 && trace.is_finite()) {
-            return None;
-        }
-        for k in 0..6 {
-            a[(k, k)] += 1e-6 * trace;
-        }
-        let inverse = a.try_inverse()?;
-        pose -= inverse * b;
-        // heteroscedastic ("sandwich") errors: weights and noise need not be right
-        covariance = inverse * scatter * inverse;
-        if !pose.iter().all(|x| x.is_finite()) || pose.norm() > 2.0 {
-            return None;
-        }
-    }
-    Some(Fit { pose, covariance })
-}
-
-/// Derivatives of the three features of a point by the six parameters.
-fn jacobian(view: &ViewEvidence, given: &Camera, pose: &Pose, point: Vec3) -> Option<[Pose; 3]> {
-    const STEP: f64 = 2e-3;
-    let camera = moved(given, pose);
-    let at = camera.project(point)?;
-    let wrap = wrap_of(&camera);
-    let gradient = |d: Vec2| -> Vec4 {
-        (view.features.bilinear(at + d, wrap) - view.features.bilinear(at - d, wrap)) * 0.5
+/// Mean of what lies around the median of each coordinate, within three times the usual distance.
+fn middle(of: &[DVec3]) -> DVec3 {
+    let coordinate = |k: usize| {
+        let all = of.iter().map(|x| x[k] as f32).collect();
+        f64::from(median(all).unwrap_or(0.0))
     };
-    let (gx, gy) = (gradient(Vec2::X), gradient(Vec2::Y));
-    let mut out = [Pose::zeros(); 3];
-    let width = camera.width as f32;
-    for k in 0..6 {
-        let mut tried = *pose;
-        tried[k] += STEP;
-        let mut d = moved(given, &tried).project(point)? - at;
-        if wrap == Wrap::Repeat {
-            d.x -= width * (d.x / width).round();
-        }
-        let d = d / STEP as f32;
-        for (c, row) in out.iter_mut().enumerate() {
-            row[k] = f64::from(gx[c] * d.x + gy[c] * d.y);
-        }
-    }
-    Some(out)
+    let centre = DVec3::from_array(std::array::from_fn(coordinate));
+    let distances = of.iter().map(|x| x.distance(centre) as f32);
+    let reach = f64::from(SURELY * median(distances.collect()).unwrap_or(0.0));
+    let near = || of.iter().filter(|x| x.distance(centre) <= reach);
+    near().sum::<DVec3>() / near().count().max(1) as f64
 }
 
-/// The change of a pose if it is significant, larger than its error, and visible.
-fn accepted(
-    view: &ViewEvidence,
-    given: &Camera,
-    targets: &[Target],
-    start: Pose,
-) -> Option<RefinedPose> {
-    let best = fit(view, given, targets, start, |_| true)?;
-    let significance = [0usize, 1]
-        .iter()
-        .map(|fold| held_out_gain(view, given, targets, start, *fold))
-        .fold(f64::INFINITY, f64::min);
-    let turn = DVec3::new(best.pose[0], best.pose[1], best.pose[2]);
-    let shift = DVec3::new(best.pose[3], best.pose[4], best.pose[5]);
-    let sigma = |k: usize| best.covariance[(k, k)].max(0.0);
-    let turn_error = (sigma(0) + sigma(1) + sigma(2)).sqrt();
-    let shift_error = (sigma(3) + sigma(4) + sigma(5)).sqrt();
-    let seen = seen_change(given, &best.pose, targets);
-    let larger = turn.length() > 3.0 * turn_error || shift.length() > 3.0 * shift_error;
-    let fine = significance > SIGNIFICANT && larger && seen > LEAST && seen < MOST;
-    fine.then(|| RefinedPose {
-        stem: view.stem.clone(),
-        turn,
-        shift,
-        degrees: turn.length().to_degrees(),
-        degrees_error: turn_error.to_degrees(),
-        metres: shift.length(),
-        metres_error: shift_error,
-        significance,
-    })
-}
-
-/// Median angle by which the targets move as the camera sees them, degrees.
-fn seen_change(given: &Camera, pose: &Pose, targets: &[Target]) -> f64 {
-    let after = moved(given, pose);
-    let angles = targets.iter().map(|t| {
-        let local = |c: &Camera| c.world_from_camera.transpose() * (t.point - c.position);
-        local(given).angle_between(local(&after))
-    });
-    f64::from(median(angles.collect()).unwrap_or(0.0)).to_degrees()
-}
-
-/// By how many standard errors a pose estimated from one half of the points makes the residuals of
-/// the other half smaller.
-fn held_out_gain(
-    view: &ViewEvidence,
-    given: &Camera,
-    targets: &[Target],
-    start: Pose,
-    fold: usize,
-) -> f64 {
-    // blocks of points lie together on the sphere, so that neighbours do not vouch for one another
-    let in_fold = |i: usize| (i / 16) % 2 == fold;
-    let Some(fit) = fit(view, given, targets, start, in_fold) else {
-        return f64::NEG_INFINITY;
-    };
-    let before = residuals(view, given, targets);
-    let after = residuals(view, &moved(given, &fit.pose), targets);
-    let scale = f64::from(spread(&before));
-    let loss = |r: Vec4| {
-        let s = f64::from(r.truncate().length()) / scale;
-        s * s / (1.0 + s * s)
-    };
-    let gains: Vec<f64> = (0..targets.len())
-        .filter(|i| !in_fold(*i))
-        .filter_map(|i| Some(loss(before[i]?) - loss(after[i]?)))
-        .collect();
-    // means of blocks are nearly independent, single points are not
-    let blocks: Vec<f64> = gains
-        .chunks(8)
-        .map(|b| b.iter().sum::<f64>() / b.len() as f64)
-        .collect();
-    let n = blocks.len() as f64;
-    let mean = blocks.iter().sum::<f64>() / n.max(1.0);
-    let spread = blocks.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+/// Mean of independent numbers over its standard error.
+fn significance(of: &[f64]) -> f64 {
+    let n = of.len() as f64;
+    let mean = of.iter().sum::<f64>() / n.max(1.0);
+    let spread = of.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
     mean / (spread / n.max(1.0)).sqrt().max(1e-9)
 }

@@ -324,6 +324,8 @@ pub struct Lookup {
     pub into: usize,
     /// The point, relative to the scene's origin.
     pub point: Vec3,
+    /// Normal of the surface there.
+    pub normal: Vec3,
     /// What `from` shows.
     pub feature: Vec4,
 }
@@ -348,6 +350,7 @@ pub fn lookups(ground: &Ground<'_>, views: &[ViewEvidence], cameras: &[Camera]) 
                         from,
                         into,
                         point: traced[from].points[s.place],
+                        normal: traced[from].normals[s.place],
                         feature: views[from].samples[s.sample].feature,
                     }),
             );
