@@ -9,6 +9,7 @@
 //! Triangles that let light through are a primitive of their own, whose material has
 //! `KHR_materials_transmission`; its extras say where they stand among all triangles.
 
+use super::glb_geometry::{Panes, PartGeometry, luminous_entry};
 use super::glb_lights::{LuminousPart, PunctualLight, add_lights};
 use super::{MeshPart, Solution};
 use crate::core::brdf::Reflectance;
@@ -34,6 +35,8 @@ pub struct GlbOptions {
     pub lightmap: bool,
     /// Textures as lossless WebP (`EXT_texture_webp`, required) instead of PNG.
     pub webp: bool,
+    /// Tangents at the vertices, for normal maps.
+    pub tangents: bool,
     /// Objects, a node each; empty = all triangles in one node, stored to the bit.
     pub parts: Vec<MeshPart>,
     /// Surfaces that only shine and that the solution's mesh does not have.
@@ -59,6 +62,7 @@ impl Default for GlbOptions {
             lights: Vec::new(),
             lightmap: false,
             webp: false,
+            tangents: false,
             parts: Vec::new(),
             luminous: Vec::new(),
             encoded: Vec::new(),
@@ -125,9 +129,15 @@ pub(super) fn marked_glb(
         triangles,
         material: 1 + options.luminous.len(),
     });
+    let geometry = PartGeometry {
+        whole: mesh,
+        panes,
+        lightmap: pictures.lightmap.is_some(),
+        tangents: options.tangents,
+    };
     let mut meshes: Vec<Value> = parts
         .iter()
-        .map(|part| mesh_entry(&mut glb, part, mesh, &pictures, panes.as_ref()))
+        .map(|part| geometry.mesh_entry(&mut glb, part))
         .collect();
     for (material, part) in (1..).zip(&options.luminous) {
         meshes.push(luminous_entry(&mut glb, part, material));
@@ -167,110 +177,6 @@ pub(super) fn marked_glb(
     add_lights(&mut root, &options.lights);
     name_extensions(&mut root, &pictures, options);
     glb.finish(root)
-}
-
-/// Which triangles let light through, and the number of their material.
-struct Panes {
-    triangles: Vec<bool>,
-    material: usize,
-}
-
-/// Triangles of one material.
-struct Primitive {
-    triangles: Vec<[u32; 3]>,
-    material: usize,
-    /// Of panes: where their triangles stand among the part's, as first and count.
-    runs: Vec<[u32; 2]>,
-}
-
-/// The `triangles` of a part as primitives: panes apart from the rest.
-fn divided(part: &MeshPart, triangles: &[[u32; 3]], panes: Option<&Panes>) -> Vec<Primitive> {
-    let primitive = |material: usize| Primitive {
-        triangles: Vec::new(),
-        material,
-        runs: Vec::new(),
-    };
-    let Some(panes) = panes else {
-        return vec![Primitive {
-            triangles: triangles.to_vec(),
-            ..primitive(0)
-        }];
-    };
-    let (mut rest, mut glass) = (primitive(0), primitive(panes.material));
-    for (i, (corners, &number)) in (0u32..).zip(triangles.iter().zip(&part.triangles)) {
-        if !panes.triangles[number as usize] {
-            rest.triangles.push(*corners);
-            continue;
-        }
-        glass.triangles.push(*corners);
-        match glass
-            .runs
-            .last_mut()
-            .filter(|[first, count]| first + count == i)
-        {
-            Some([_, count]) => *count += 1,
-            None => glass.runs.push([i, 1]),
-        }
-    }
-    let mut out = vec![rest, glass];
-    out.retain(|p| !p.triangles.is_empty());
-    out
-}
-
-/// Stores the geometry of a part; returns its mesh, of one primitive or, with panes, two.
-fn mesh_entry(
-    glb: &mut GlbWriter,
-    part: &MeshPart,
-    whole: &Mesh,
-    pictures: &Pictures,
-    panes: Option<&Panes>,
-) -> Value {
-    // a part that is all there is keeps its vertices' order, unused ones included
-    let own;
-    let mesh = if part.pivot == Vec3::ZERO && part.triangles.len() == whole.triangles.len() {
-        whole
-    } else {
-        own = part.mesh(whole);
-        &own
-    };
-    let primitives = divided(part, &mesh.triangles, panes);
-    let indices: Vec<u32> = primitives
-        .iter()
-        .map(|p| glb.triangles(&p.triangles))
-        .collect();
-    let position = glb.positions(&mesh.positions, mesh.bounds());
-    let normals: Vec<Vec3> = mesh.normals.iter().map(|n| valid_normal(*n)).collect();
-    let normal = glb.vectors(&normals);
-    let uv = glb.uvs(&mesh.uvs);
-    let mut attributes = json!({"POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv});
-    if pictures.lightmap.is_some() {
-        attributes["TEXCOORD_1"] = json!(uv);
-    }
-    let primitives: Vec<Value> = primitives
-        .iter()
-        .zip(indices)
-        .map(|(p, indices)| {
-            let mut entry =
-                json!({"attributes": attributes, "indices": indices, "material": p.material});
-            if !p.runs.is_empty() {
-                entry["extras"] = json!({"runs": p.runs});
-            }
-            entry
-        })
-        .collect();
-    json!({"name": part.name, "primitives": primitives})
-}
-
-/// Stores the geometry of a surface that only shines; returns its mesh.
-fn luminous_entry(glb: &mut GlbWriter, part: &LuminousPart, material: usize) -> Value {
-    let mesh = &part.mesh;
-    let indices = glb.triangles(&mesh.triangles);
-    let position = glb.positions(&mesh.positions, mesh.bounds());
-    let normals: Vec<Vec3> = mesh.normals.iter().map(|n| valid_normal(*n)).collect();
-    let normal = glb.vectors(&normals);
-    json!({"name": part.name, "primitives": [
-        {"attributes": {"POSITION": position, "NORMAL": normal}, "indices": indices, "material": material},
-    ]})
 }
 
 /// The scene's node, which has the mesh or, of several objects, a node for each below it; surfaces
@@ -448,15 +354,6 @@ fn node(origin: DVec3, reflectance: Reflectance, generation: &str) -> Value {
         node["translation"] = json!(origin.to_array());
     }
     node
-}
-
-/// glTF demands unit normals; anything else (a vertex without area) points up.
-fn valid_normal(n: Vec3) -> Vec3 {
-    if (n.length_squared() - 1.0).abs() < 1e-3 {
-        n
-    } else {
-        n.normalize_or(Vec3::Y)
-    }
 }
 
 fn base_colour(albedo: &RgbPlane, options: &GlbOptions) -> Result<Vec<u8>> {

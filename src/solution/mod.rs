@@ -5,6 +5,7 @@ mod aside;
 mod camera_masks;
 mod generation;
 mod glb;
+mod glb_geometry;
 mod glb_lights;
 mod lamps;
 mod mesh_part;

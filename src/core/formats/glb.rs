@@ -6,7 +6,7 @@
 //! scenes.
 
 use crate::error::{Error, Result};
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec4};
 use gltf::json::accessor::{ComponentType, GenericComponentType, Type};
 use gltf::json::buffer::{Target, View};
 use gltf::json::validation::{Checked, USize64};
@@ -47,6 +47,13 @@ impl GlbWriter {
         let view = self.view(bytemuck::cast_slice(vectors), Some(Target::ArrayBuffer));
         let kind = (ComponentType::F32, Type::Vec3);
         self.accessor(view, vectors.len(), kind, None)
+    }
+
+    /// Adds tangents, w the bitangent's sign; returns their accessor.
+    pub fn tangents(&mut self, tangents: &[Vec4]) -> u32 {
+        let view = self.view(bytemuck::cast_slice(tangents), Some(Target::ArrayBuffer));
+        let kind = (ComponentType::F32, Type::Vec4);
+        self.accessor(view, tangents.len(), kind, None)
     }
 
     /// Adds texture coordinates; returns their accessor.

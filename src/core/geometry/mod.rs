@@ -4,11 +4,13 @@ mod camera;
 mod clusters;
 mod mesh;
 mod shells;
+mod tangents;
 
 pub use camera::{Camera, Lens, Projection};
 pub use clusters::{clusters, numbered, pieces, smooth_patches, touching};
 pub use mesh::{Mesh, triangle_normal, vector_key};
 pub use shells::{Neighbour, Shells};
+pub use tangents::{TangentMesh, tangent_mesh};
 
 /// Normals closer than this cosine belong to one smooth surface, whose points see nearly the same light.
 pub const SMOOTH: f32 = 0.95;

@@ -47,6 +47,9 @@ pub struct ExportOptions {
     /// by class: an object per class, or per connected piece of a class ("chair", "chair 2").
     #[arg(long, value_enum, default_value_t = Self::default().split)]
     pub split: Split,
+    /// Give the glTF file's vertices tangents (MikkTSpace), for normal maps of your own.
+    #[arg(long)]
+    pub tangents: bool,
     /// Write the glTF file's textures beside it too, as 8-bit PNG: scene_BaseColor.png,
     /// scene_ORM.png (occlusion, roughness, metal), scene_Emissive.png.
     #[arg(long)]
@@ -75,6 +78,7 @@ impl Default for ExportOptions {
             lights: false,
             lightmap: false,
             split: Split::None,
+            tangents: false,
             textures: false,
             lightmap_size: 0,
             lightmap_paths: 64,
@@ -178,6 +182,7 @@ fn write_glb(
         },
         lightmap: options.lightmap,
         webp: options.webp,
+        tangents: options.tangents,
         parts: parts.to_vec(),
         ..GlbOptions::default()
     };

@@ -166,6 +166,7 @@ fn packing(options: &ExportOptions) -> GlbOptions {
     GlbOptions {
         max_texture: options.max_texture,
         webp: options.webp,
+        tangents: options.tangents,
         ..GlbOptions::default()
     }
 }
@@ -177,15 +178,13 @@ fn save(folder: &Path, name: &str, bytes: &[u8]) -> Result<()> {
 
 impl Workshop<'_> {
     fn glb(&self, solution: &Solution, more: GlbOptions) -> Result<Vec<u8>> {
-        let GlbOptions {
-            max_texture, webp, ..
-        } = packing(self.options);
         let options = GlbOptions {
-            max_texture,
-            webp,
+            lights: more.lights,
+            lightmap: more.lightmap,
+            luminous: more.luminous,
             parts: objects(solution, self.options.split, self.exported.classes),
             encoded: self.encoded.clone(),
-            ..more
+            ..packing(self.options)
         };
         scene_glb(solution, &options)
     }

@@ -1,0 +1,172 @@
+//! The geometry of `scene.glb`: each part's mesh with its vertices' attributes, divided by material.
+
+use super::MeshPart;
+use super::glb_lights::LuminousPart;
+use crate::core::formats::GlbWriter;
+use crate::core::geometry::{Mesh, tangent_mesh};
+use glam::Vec3;
+use serde_json::{Value, json};
+
+/// Which triangles let light through, and the number of their material.
+pub(super) struct Panes {
+    pub triangles: Vec<bool>,
+    pub material: usize,
+}
+
+/// Triangles of one material.
+struct Primitive {
+    triangles: Vec<[u32; 3]>,
+    material: usize,
+    /// Of panes: where their triangles stand among the part's, as first and count.
+    runs: Vec<[u32; 2]>,
+}
+
+/// The `triangles` of a part as primitives: panes apart from the rest.
+fn divided(part: &MeshPart, triangles: &[[u32; 3]], panes: Option<&Panes>) -> Vec<Primitive> {
+    let primitive = |material: usize| Primitive {
+        triangles: Vec::new(),
+        material,
+        runs: Vec::new(),
+    };
+    let Some(panes) = panes else {
+        return vec![Primitive {
+            triangles: triangles.to_vec(),
+            ..primitive(0)
+        }];
+    };
+    let (mut rest, mut glass) = (primitive(0), primitive(panes.material));
+    for (i, (corners, &number)) in (0u32..).zip(triangles.iter().zip(&part.triangles)) {
+        if !panes.triangles[number as usize] {
+            rest.triangles.push(*corners);
+            continue;
+        }
+        glass.triangles.push(*corners);
+        match glass
+            .runs
+            .last_mut()
+            .filter(|[first, count]| first + count == i)
+        {
+            Some([_, count]) => *count += 1,
+            None => glass.runs.push([i, 1]),
+        }
+    }
+    let mut out = vec![rest, glass];
+    out.retain(|p| !p.triangles.is_empty());
+    out
+}
+
+/// What all parts have in common.
+pub(super) struct PartGeometry<'a> {
+    /// The mesh that they are parts of.
+    pub whole: &'a Mesh,
+    pub panes: Option<Panes>,
+    /// A second texture set, equal to the first, for the lightmap.
+    pub lightmap: bool,
+    pub tangents: bool,
+}
+
+impl PartGeometry<'_> {
+    /// Stores the geometry of a part; returns its mesh, of one primitive or, with panes, two.
+    pub fn mesh_entry(&self, glb: &mut GlbWriter, part: &MeshPart) -> Value {
+        // a part that is all there is keeps its vertices' order, unused ones included
+        let own;
+        let whole = self.whole;
+        let mesh = if part.pivot == Vec3::ZERO && part.triangles.len() == whole.triangles.len() {
+            whole
+        } else {
+            own = part.mesh(whole);
+            &own
+        };
+        let tangents = self
+            .tangents
+            .then(|| tangent_mesh(&with_valid_normals(mesh)));
+        let mesh = tangents.as_ref().map_or(mesh, |t| &t.mesh);
+        let primitives = divided(part, &mesh.triangles, self.panes.as_ref());
+        let indices: Vec<u32> = primitives
+            .iter()
+            .map(|p| glb.triangles(&p.triangles))
+            .collect();
+        let mut attributes = attributes(glb, mesh);
+        if let Some(t) = &tangents {
+            attributes["TANGENT"] = json!(glb.tangents(&t.tangents));
+        }
+        if self.lightmap {
+            attributes["TEXCOORD_1"] = attributes["TEXCOORD_0"].clone();
+        }
+        let primitives: Vec<Value> = primitives
+            .iter()
+            .zip(indices)
+            .map(|(p, indices)| {
+                let mut entry =
+                    json!({"attributes": attributes, "indices": indices, "material": p.material});
+                if !p.runs.is_empty() {
+                    entry["extras"] = json!({"runs": p.runs});
+                }
+                entry
+            })
+            .collect();
+        json!({"name": part.name, "primitives": primitives})
+    }
+}
+
+/// Stores what a mesh says of its vertices; returns the accessors.
+fn attributes(glb: &mut GlbWriter, mesh: &Mesh) -> Value {
+    let position = glb.positions(&mesh.positions, mesh.bounds());
+    let normal = glb.vectors(&valid_normals(mesh));
+    let uv = glb.uvs(&mesh.uvs);
+    json!({"POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv})
+}
+
+/// Stores the geometry of a surface that only shines; returns its mesh.
+pub(super) fn luminous_entry(glb: &mut GlbWriter, part: &LuminousPart, material: usize) -> Value {
+    let mesh = &part.mesh;
+    let indices = glb.triangles(&mesh.triangles);
+    let position = glb.positions(&mesh.positions, mesh.bounds());
+    let normal = glb.vectors(&valid_normals(mesh));
+    json!({"name": part.name, "primitives": [
+        {"attributes": {"POSITION": position, "NORMAL": normal}, "indices": indices, "material": material},
+    ]})
+}
+
+/// glTF demands unit normals; anything else (a vertex without area) points up.
+fn valid_normals(mesh: &Mesh) -> Vec<Vec3> {
+    let valid = |n: &Vec3| match (n.length_squared() - 1.0).abs() < 1e-3 {
+        true => *n,
+        false => n.normalize_or(Vec3::Y),
+    };
+    mesh.normals.iter().map(valid).collect()
+}
+
+fn with_valid_normals(mesh: &Mesh) -> Mesh {
+    Mesh {
+        normals: valid_normals(mesh),
+        ..mesh.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::solution::tests::small_solution;
+    use crate::solution::{GlbOptions, scene_glb};
+    use glam::{Vec3, Vec4};
+
+    #[test]
+    fn tangents_are_there_where_they_are_wanted() {
+        let solution = small_solution();
+        let mut options = GlbOptions::default();
+        let written = |options: &GlbOptions| -> Option<Vec<Vec4>> {
+            let bytes = scene_glb(&solution, options).expect("writes");
+            let gltf = gltf::Gltf::from_slice(&bytes).expect("valid");
+            let mesh = gltf.meshes().next().expect("a mesh");
+            let primitive = mesh.primitives().next().expect("a primitive");
+            let reader = primitive.reader(|_| gltf.blob.as_deref());
+            let tangents = reader.read_tangents()?;
+            Some(tangents.map(Vec4::from_array).collect())
+        };
+        assert_eq!(written(&options), None);
+        options.tangents = true;
+        // u grows along x, and v along z: up in the texture is −z, as is normal × tangent
+        let expected = vec![Vec3::X.extend(1.0); 4];
+        assert_eq!(written(&options), Some(expected));
+    }
+}
