@@ -12,7 +12,11 @@ def triangles_of_glb(path):
     data = path.read_bytes()
     length = struct.unpack_from("<I", data, 12)[0]
     root = json.loads(data[20:20 + length])
-    uses = [p["indices"] for n in root["nodes"] if "mesh" in n for p in root["meshes"][n["mesh"]]["primitives"]]
+    shown, queue = [], list(root["scenes"][0]["nodes"])  # not levels of detail
+    while queue:
+        shown.append(root["nodes"][queue.pop()])
+        queue += shown[-1].get("children", [])
+    uses = [p["indices"] for n in shown if "mesh" in n for p in root["meshes"][n["mesh"]]["primitives"]]
     return sum(root["accessors"][i]["count"] // 3 for i in uses)
 
 

@@ -1,12 +1,12 @@
 //! meshoptimizer (crate `meshopt`, which builds the library's sources): its decoders of vertex and
 //! index streams, for `EXT_meshopt_compression`, and its simplifier. Called by
-//! `core::formats::gltf_compressed` and `prepare`.
+//! `core::formats::gltf_compressed`, `prepare` and, for levels of detail, `export`.
 //!
 //! The crate's own functions take the size of an element as a type; a file states it as a number,
 //! so the C functions are called here. They are made for input from strangers: any bytes give an
 //! error or numbers, never an access outside the two buffers.
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use meshopt::{SimplifyOptions, ffi};
 
 /// How the elements of a stream are packed.
@@ -95,6 +95,62 @@ pub fn simplified(indices: &[u32], positions: &[Vec3], error: f32) -> Vec<u32> {
     }
     let options = SimplifyOptions::ErrorAbsolute;
     meshopt::simplify_decoder(indices, &positions, 0, error, options, None)
+}
+
+/// A surface with a texture, to be simplified.
+#[derive(Clone, Copy, Debug)]
+pub struct Textured<'a> {
+    /// Vertex numbers, three for each triangle.
+    pub indices: &'a [u32],
+    /// Places of the vertices.
+    pub positions: &'a [Vec3],
+    /// Texture coordinates of the vertices.
+    pub uvs: &'a [Vec2],
+    /// Length of a step of 1 in the texture, in the unit of the positions: what a texture that slides
+    /// counts for against a surface that moves.
+    pub texture_length: f32,
+    /// Vertices that stay.
+    pub locked: &'a [bool],
+}
+
+/// Vertex indices of about `target` or more triangles that leave the surface by about `error` (in the
+/// unit of the positions) at most, textures included: quadrics of attributes (Hoppe 1999). Vertices
+/// stay where they are, and some are used no more.
+#[must_use]
+pub fn simplified_texture(surface: Textured<'_>, target: usize, error: f32) -> Vec<u32> {
+    let Textured {
+        indices,
+        positions,
+        uvs,
+        texture_length,
+        locked,
+    } = surface;
+    let count = positions.len();
+    let valid = indices.iter().all(|i| (*i as usize) < count);
+    let fits = uvs.len() == count && locked.len() == count && indices.len().is_multiple_of(3);
+    if indices.is_empty() || !valid || !fits {
+        return indices.to_vec();
+    }
+    let mut low_high = [Vec3::INFINITY, Vec3::NEG_INFINITY];
+    for p in positions {
+        low_high = [low_high[0].min(*p), low_high[1].max(*p)];
+    }
+    // the library measures in the longest side of the bounding box
+    let side = (low_high[1] - low_high[0]).max_element();
+    let weights = [texture_length / side.max(f32::MIN_POSITIVE); 2];
+    let positions: Vec<[f32; 3]> = positions.iter().map(Vec3::to_array).collect();
+    meshopt::simplify_with_attributes_and_locks_decoder(
+        indices,
+        &positions,
+        bytemuck::cast_slice(uvs),
+        &weights,
+        size_of::<Vec2>(),
+        locked,
+        3 * target,
+        error,
+        SimplifyOptions::ErrorAbsolute,
+        None,
+    )
 }
 
 #[cfg(test)]

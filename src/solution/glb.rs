@@ -142,6 +142,10 @@ pub(super) fn marked_glb(
     for (material, part) in (1..).zip(&options.luminous) {
         meshes.push(luminous_entry(&mut glb, part, material));
     }
+    for (part, k) in levels(parts) {
+        let name = level_name(part, k);
+        meshes.push(geometry.level_entry(&mut glb, &name, &part.levels[k]));
+    }
     let mime = if options.webp {
         "image/webp"
     } else {
@@ -201,7 +205,46 @@ fn nodes(solution: &Solution, options: &GlbOptions, generation: &str) -> Value {
         scene["children"] = json!((1..=below.len()).collect::<Vec<usize>>());
     }
     below.insert(0, scene);
+    add_levels(&mut below, &options.parts, mesh);
     json!(below)
+}
+
+/// The levels of detail of all parts, as part and number from 0, in the order of their meshes and
+/// nodes.
+fn levels(parts: &[MeshPart]) -> impl Iterator<Item = (&MeshPart, usize)> {
+    parts
+        .iter()
+        .flat_map(|part| (0..part.levels.len()).map(move |k| (part, k)))
+}
+
+/// What engines call a level: the object itself is level 0.
+fn level_name(part: &MeshPart, k: usize) -> String {
+    format!("{}_LOD{}", part.name, k + 1)
+}
+
+/// Adds the nodes of the parts' levels of detail (`MSFT_lod`) behind all others; no node has them
+/// below it, the parts' nodes name them. Their meshes are numbered from `mesh` on.
+fn add_levels(nodes: &mut Vec<Value>, parts: &[MeshPart], mesh: usize) {
+    let first = nodes.len();
+    for (i, (part, k)) in levels(parts).enumerate() {
+        nodes.push(json!({
+            "name": level_name(part, k),
+            "mesh": mesh + i,
+            "translation": part.pivot.as_dvec3().to_array(),
+            "extras": {"error": part.levels[k].error},
+        }));
+    }
+    let mut next = first;
+    for (node, part) in nodes[1..].iter_mut().zip(parts) {
+        let ids: Vec<usize> = (next..next + part.levels.len()).collect();
+        next += ids.len();
+        if !ids.is_empty() {
+            node["extensions"] = json!({"MSFT_lod": {"ids": ids}});
+            // the last is shown however small it gets
+            let least = part.levels.iter().map(|l| l.coverage).chain([0.0]);
+            node["extras"] = json!({"MSFT_screencoverage": least.collect::<Vec<f32>>()});
+        }
+    }
 }
 
 /// The material that all surfaces share, one for each that only shines, and that of panes.
@@ -332,6 +375,7 @@ fn name_extensions(root: &mut Value, pictures: &Pictures, options: &GlbOptions) 
             pictures.transmission.is_some(),
             "KHR_materials_transmission",
         ),
+        (levels(&options.parts).next().is_some(), "MSFT_lod"),
         (options.webp, "EXT_texture_webp"),
     ]
     .into_iter()

@@ -1,7 +1,7 @@
 //! The geometry of `scene.glb`: each part's mesh with its vertices' attributes, divided by material.
 
-use super::MeshPart;
 use super::glb_lights::LuminousPart;
+use super::{DetailLevel, MeshPart};
 use crate::core::formats::GlbWriter;
 use crate::core::geometry::{Mesh, tangent_mesh};
 use glam::Vec3;
@@ -15,32 +15,36 @@ pub(super) struct Panes {
 
 /// Triangles of one material.
 struct Primitive {
-    triangles: Vec<[u32; 3]>,
+    /// Numbers of triangles of the mesh they are stored with.
+    triangles: Vec<u32>,
     material: usize,
     /// Of panes: where their triangles stand among the part's, as first and count.
     runs: Vec<[u32; 2]>,
 }
 
-/// The `triangles` of a part as primitives: panes apart from the rest.
-fn divided(part: &MeshPart, triangles: &[[u32; 3]], panes: Option<&Panes>) -> Vec<Primitive> {
-    let primitive = |material: usize| Primitive {
-        triangles: Vec::new(),
-        material,
-        runs: Vec::new(),
-    };
+impl Primitive {
+    fn of(material: usize, triangles: impl Iterator<Item = u32>) -> Self {
+        Self {
+            triangles: triangles.collect(),
+            material,
+            runs: Vec::new(),
+        }
+    }
+}
+
+/// The triangles of a part as primitives: panes apart from the rest.
+fn divided(part: &MeshPart, panes: Option<&Panes>) -> Vec<Primitive> {
+    let count = part.triangles.len() as u32;
     let Some(panes) = panes else {
-        return vec![Primitive {
-            triangles: triangles.to_vec(),
-            ..primitive(0)
-        }];
+        return vec![Primitive::of(0, 0..count)];
     };
-    let (mut rest, mut glass) = (primitive(0), primitive(panes.material));
-    for (i, (corners, &number)) in (0u32..).zip(triangles.iter().zip(&part.triangles)) {
+    let (mut rest, mut glass) = (Primitive::of(0, 0..0), Primitive::of(panes.material, 0..0));
+    for (i, &number) in (0..count).zip(&part.triangles) {
         if !panes.triangles[number as usize] {
-            rest.triangles.push(*corners);
+            rest.triangles.push(i);
             continue;
         }
-        glass.triangles.push(*corners);
+        glass.triangles.push(i);
         match glass
             .runs
             .last_mut()
@@ -77,14 +81,35 @@ impl PartGeometry<'_> {
             own = part.mesh(whole);
             &own
         };
+        let primitives = divided(part, self.panes.as_ref());
+        json!({"name": part.name, "primitives": self.stored(glb, mesh, &primitives)})
+    }
+
+    /// Stores the geometry of a level of detail; returns its mesh.
+    pub fn level_entry(&self, glb: &mut GlbWriter, name: &str, level: &DetailLevel) -> Value {
+        let count = level.mesh.triangles.len() as u32;
+        let panes = count - level.panes as u32;
+        let glass = self.panes.as_ref().map_or(0, |p| p.material);
+        let mut primitives = vec![
+            Primitive::of(0, 0..panes),
+            Primitive::of(glass, panes..count),
+        ];
+        primitives.retain(|p| !p.triangles.is_empty());
+        json!({"name": name, "primitives": self.stored(glb, &level.mesh, &primitives)})
+    }
+
+    /// Stores a mesh; returns its primitives.
+    fn stored(&self, glb: &mut GlbWriter, mesh: &Mesh, primitives: &[Primitive]) -> Vec<Value> {
         let tangents = self
             .tangents
             .then(|| tangent_mesh(&with_valid_normals(mesh)));
         let mesh = tangents.as_ref().map_or(mesh, |t| &t.mesh);
-        let primitives = divided(part, &mesh.triangles, self.panes.as_ref());
         let indices: Vec<u32> = primitives
             .iter()
-            .map(|p| glb.triangles(&p.triangles))
+            .map(|p| {
+                let corners = p.triangles.iter().map(|&t| mesh.triangles[t as usize]);
+                glb.triangles(&corners.collect::<Vec<_>>())
+            })
             .collect();
         let mut attributes = attributes(glb, mesh);
         if let Some(t) = &tangents {
@@ -93,19 +118,16 @@ impl PartGeometry<'_> {
         if self.lightmap {
             attributes["TEXCOORD_1"] = attributes["TEXCOORD_0"].clone();
         }
-        let primitives: Vec<Value> = primitives
-            .iter()
-            .zip(indices)
-            .map(|(p, indices)| {
-                let mut entry =
-                    json!({"attributes": attributes, "indices": indices, "material": p.material});
-                if !p.runs.is_empty() {
-                    entry["extras"] = json!({"runs": p.runs});
-                }
-                entry
-            })
-            .collect();
-        json!({"name": part.name, "primitives": primitives})
+        let entries = primitives.iter().zip(indices);
+        let entry = |(p, indices): (&Primitive, u32)| {
+            let mut entry =
+                json!({"attributes": attributes, "indices": indices, "material": p.material});
+            if !p.runs.is_empty() {
+                entry["extras"] = json!({"runs": p.runs});
+            }
+            entry
+        };
+        entries.map(entry).collect()
     }
 }
 

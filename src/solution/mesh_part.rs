@@ -14,6 +14,21 @@ pub struct MeshPart {
     pub pivot: Vec3,
     /// Its triangles in the solution's mesh.
     pub triangles: Vec<u32>,
+    /// Coarser meshes to show it by from afar, the finest first; empty = none.
+    pub levels: Vec<DetailLevel>,
+}
+
+/// A coarser mesh of a part.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DetailLevel {
+    /// Geometry, relative to the part's pivot; panes last.
+    pub mesh: Mesh,
+    /// How many of its triangles are panes.
+    pub panes: usize,
+    /// Longest distance of a vertex of the part to this mesh, metres.
+    pub error: f32,
+    /// Share of the picture's height from which on downwards it serves.
+    pub coverage: f32,
 }
 
 impl MeshPart {
@@ -24,6 +39,7 @@ impl MeshPart {
             name: name.to_owned(),
             pivot: Vec3::ZERO,
             triangles: (0..mesh.triangles.len() as u32).collect(),
+            levels: Vec::new(),
         }
     }
 
@@ -40,6 +56,7 @@ impl MeshPart {
             name,
             pivot: Vec3::new(middle.x, low.y, middle.z),
             triangles,
+            levels: Vec::new(),
         }
     }
 

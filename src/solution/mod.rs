@@ -16,7 +16,7 @@ pub use generation::check_generation;
 pub use glb::{GlbOptions, NamedImage, material_textures, png_textures, scene_glb};
 pub use glb_lights::{LuminousPart, PunctualLight, SpotCone};
 pub use lamps::{LIGHTS, Lamp, LampKind, find_lamps, lamp_gap, triangle_emission};
-pub use mesh_part::MeshPart;
+pub use mesh_part::{DetailLevel, MeshPart};
 pub use store::{FILES, SaveOptions};
 
 use crate::core::brdf::Reflectance;

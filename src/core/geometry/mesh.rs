@@ -143,10 +143,17 @@ impl Mesh {
     /// first use.
     #[must_use]
     pub fn part(&self, triangles: &[u32]) -> Self {
+        self.of_corners(triangles.iter().map(|&t| self.triangles[t as usize]))
+    }
+
+    /// A mesh of triangles between vertices of this one, with only the vertices they use, in the
+    /// order of their first use.
+    #[must_use]
+    pub fn of_corners(&self, triangles: impl Iterator<Item = [u32; 3]>) -> Self {
         let mut new_index = vec![u32::MAX; self.positions.len()];
         let mut out = Self::default();
-        for &t in triangles {
-            let corners = self.triangles[t as usize].map(|i| {
+        for corners in triangles {
+            let corners = corners.map(|i| {
                 let i = i as usize;
                 if new_index[i] == u32::MAX {
                     new_index[i] = out.positions.len() as u32;

@@ -2,12 +2,14 @@
 
 mod camera;
 mod clusters;
+mod distance;
 mod mesh;
 mod shells;
 mod tangents;
 
 pub use camera::{Camera, Lens, Projection};
 pub use clusters::{clusters, numbered, pieces, smooth_patches, touching};
+pub use distance::SurfaceDistance;
 pub use mesh::{Mesh, triangle_normal, vector_key};
 pub use shells::{Neighbour, Shells};
 pub use tangents::{TangentMesh, tangent_mesh};

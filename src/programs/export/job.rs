@@ -1,5 +1,6 @@
 //! `unbake export`: a solution in the formats of other programs.
 
+use super::levels::{MOST_LEVELS, levels};
 use super::objects::{ClassName, Split, objects};
 use super::{UsdOptions, punctual_lights, write_mitsuba, write_usd};
 use crate::core::geometry::{Camera, Projection};
@@ -47,6 +48,10 @@ pub struct ExportOptions {
     /// by class: an object per class, or per connected piece of a class ("chair", "chair 2").
     #[arg(long, value_enum, default_value_t = Self::default().split)]
     pub split: Split,
+    /// Add N coarser meshes to each object of the glTF file (MSFT_lod), each of half the triangles of
+    /// the one before it and on the same textures.
+    #[arg(long, value_name = "N", default_value_t = Self::default().lods)]
+    pub lods: u32,
     /// Give the glTF file's vertices tangents (MikkTSpace), for normal maps of your own.
     #[arg(long)]
     pub tangents: bool,
@@ -78,6 +83,7 @@ impl Default for ExportOptions {
             lights: false,
             lightmap: false,
             split: Split::None,
+            lods: 0,
             tangents: false,
             textures: false,
             lightmap_size: 0,
@@ -105,6 +111,12 @@ impl ExportOptions {
             return Err(Error::Usage(format!(
                 "--lightmap-size {}: expected at most {LARGEST_LIGHTMAP} texels",
                 self.lightmap_size
+            )));
+        }
+        if self.lods > MOST_LEVELS {
+            return Err(Error::Usage(format!(
+                "--lods {}: expected at most {MOST_LEVELS}",
+                self.lods
             )));
         }
         if self.lightmap_paths == 0 {
@@ -138,7 +150,7 @@ pub fn export(
     let Exported {
         solution, cameras, ..
     } = *exported;
-    let parts = objects(solution, options.split, exported.classes);
+    let parts = shown_parts(exported, options);
     let aside = AsideFolder::new(folder)?;
     let mut files = Vec::new();
     for format in &options.format {
@@ -164,6 +176,24 @@ pub fn export(
     files.dedup();
     aside.publish(folder, &files)?;
     Ok(files)
+}
+
+/// The objects that the glTF and USD files divide the surfaces into, with their levels of detail;
+/// empty = all surfaces are one.
+pub(super) fn shown_parts(exported: &Exported<'_>, options: &ExportOptions) -> Vec<MeshPart> {
+    let solution = exported.solution;
+    let mut parts = objects(solution, options.split, exported.classes);
+    if options.lods == 0 {
+        return parts;
+    }
+    if parts.is_empty() {
+        parts.push(MeshPart::whole("surfaces", &solution.mesh));
+    }
+    let panes = solution.pane_triangles();
+    for part in &mut parts {
+        part.levels = levels(part, &solution.mesh, panes.as_deref(), options.lods);
+    }
+    parts
 }
 
 /// Writes `scene.glb` and, where wanted, its textures; returns the names of the files.

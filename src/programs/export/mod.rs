@@ -3,6 +3,7 @@
 mod area_light;
 mod frames;
 mod job;
+mod levels;
 mod light_mix;
 mod lightings;
 mod mitsuba;

@@ -1,10 +1,9 @@
 //! `export --lightings`: one reconstruction under many lightings, a glTF file with a baked lightmap
 //! each; one without any light; and `manifest.json`, which says what was changed in each.
 
-use super::job::{ExportOptions, Exported};
+use super::job::{ExportOptions, Exported, shown_parts};
 use super::light_mix::{LightMix, LightmapQuality, relit};
 use super::lightings::{Lightings, NamedLighting};
-use super::objects::objects;
 use super::punctual::{point_light, punctual_lights, surface_light};
 use crate::core::geometry::clusters;
 use crate::core::image::{Plane, RgbPlane};
@@ -13,8 +12,8 @@ use crate::core::texture::{Texels, fill_uncovered};
 use crate::error::{Error, Result};
 use crate::render::{EditableScene, Lighting, SurfaceModel};
 use crate::solution::{
-    AsideFolder, GlbOptions, Lamp, LuminousPart, NamedImage, PunctualLight, Solution, lamp_gap,
-    material_textures, scene_glb,
+    AsideFolder, GlbOptions, Lamp, LuminousPart, MeshPart, NamedImage, PunctualLight, Solution,
+    lamp_gap, material_textures, scene_glb,
 };
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -98,6 +97,7 @@ struct Workshop<'a> {
     surface: Texels,
     /// Textures of the materials, the same in every file.
     encoded: Vec<NamedImage>,
+    parts: Vec<MeshPart>,
 }
 
 /// Writes the lightings into `folder`, all or nothing; returns the file names.
@@ -129,6 +129,7 @@ pub fn export_lightings(
         emission: EmissionMap::of(solution),
         surface: Texels::rasterize(&solution.mesh, quality.side, quality.side),
         encoded: material_textures(solution, &packing(options))?,
+        parts: shown_parts(exported, options),
         mix,
     };
     let aside = AsideFolder::new(folder)?;
@@ -182,7 +183,7 @@ impl Workshop<'_> {
             lights: more.lights,
             lightmap: more.lightmap,
             luminous: more.luminous,
-            parts: objects(solution, self.options.split, self.exported.classes),
+            parts: self.parts.clone(),
             encoded: self.encoded.clone(),
             ..packing(self.options)
         };
