@@ -1,12 +1,15 @@
 //! `unbake export`: a solution in the formats of other programs.
 
+use super::hulls::{COLLISION, ObjectHulls, collision_glb, object_hulls};
 use super::levels::{MOST_LEVELS, levels};
 use super::objects::{ClassName, Split, objects};
 use super::{UsdOptions, punctual_lights, write_mitsuba, write_usd};
 use crate::core::geometry::{Camera, Projection};
 use crate::error::{Error, Result};
 use crate::render::NamedCamera;
-use crate::solution::{AsideFolder, GlbOptions, MeshPart, Solution, png_textures, scene_glb};
+use crate::solution::{
+    AsideFolder, GlbOptions, MeshPart, Solution, png_textures, scene_glb,
+};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -52,6 +55,10 @@ pub struct ExportOptions {
     /// the one before it and on the same textures.
     #[arg(long, value_name = "N", default_value_t = Self::default().lods)]
     pub lods: u32,
+    /// Add convex bodies of each object, to collide by: scene_collision.glb beside the glTF file (nodes
+    /// UCX_NAME_01, as Unreal reads them), meshes of UsdPhysics in the USD file.
+    #[arg(long)]
+    pub hulls: bool,
     /// Give the glTF file's vertices tangents (MikkTSpace), for normal maps of your own.
     #[arg(long)]
     pub tangents: bool,
@@ -84,6 +91,7 @@ impl Default for ExportOptions {
             lightmap: false,
             split: Split::None,
             lods: 0,
+            hulls: false,
             tangents: false,
             textures: false,
             lightmap_size: 0,
@@ -151,6 +159,7 @@ pub fn export(
         solution, cameras, ..
     } = *exported;
     let parts = shown_parts(exported, options);
+    let hulls = collision_bodies(solution, &parts, options);
     let aside = AsideFolder::new(folder)?;
     let mut files = Vec::new();
     for format in &options.format {
@@ -159,6 +168,7 @@ pub fn export(
             Format::Usd => {
                 let usd = UsdOptions {
                     parts: &parts,
+                    hulls: &hulls,
                     lights: options.lights,
                 };
                 write_usd(aside.path(), solution, usd)?
@@ -167,6 +177,12 @@ pub fn export(
                 write_mitsuba(aside.path(), solution, cameras, options.mitsuba_diffuse)?
             }
         });
+    }
+    if options.hulls && options.format.contains(&Format::Glb) {
+        let path = aside.path().join(COLLISION);
+        let bytes = collision_glb(solution, &hulls)?;
+        std::fs::write(&path, bytes).map_err(|e| Error::io(&path, e))?;
+        files.push(COLLISION.to_owned());
     }
     let path = aside.path().join("cameras.json");
     let text = format!("{:#}\n", camera_file(cameras, solution.origin));
@@ -194,6 +210,22 @@ pub(super) fn shown_parts(exported: &Exported<'_>, options: &ExportOptions) -> V
         part.levels = levels(part, &solution.mesh, panes.as_deref(), options.lods);
     }
     parts
+}
+
+/// The convex bodies of the objects, where they are wanted.
+fn collision_bodies(
+    solution: &Solution,
+    parts: &[MeshPart],
+    options: &ExportOptions,
+) -> Vec<ObjectHulls> {
+    match parts {
+        _ if !options.hulls => Vec::new(),
+        [] => {
+            let whole = MeshPart::whole("surfaces", &solution.mesh);
+            object_hulls(&solution.mesh, &[whole])
+        }
+        parts => object_hulls(&solution.mesh, parts),
+    }
 }
 
 /// Writes `scene.glb` and, where wanted, its textures; returns the names of the files.

@@ -2,6 +2,7 @@
 
 mod area_light;
 mod frames;
+mod hulls;
 mod job;
 mod levels;
 mod light_mix;
@@ -10,11 +11,14 @@ mod mitsuba;
 mod objects;
 mod punctual;
 mod usd;
+mod usd_collision;
 mod usd_lights;
+mod usd_text;
 mod variants;
 
 pub use area_light::{AreaLight, LightShape, area_lights};
 pub use frames::FrameWriter;
+pub use hulls::{Hull, ObjectHulls, collision_glb, object_hulls};
 pub use job::{ExportOptions, Exported, Format, camera_file, export};
 pub use lightings::{Lightings, NamedLighting};
 pub use mitsuba::write_mitsuba;

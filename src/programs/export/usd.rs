@@ -2,14 +2,18 @@
 //! it. Every object is a mesh with a translation of its own below the scene's.
 
 use super::area_light::area_lights;
+use super::hulls::ObjectHulls;
 use super::objects::unlike;
+use super::usd_collision::hull_prims;
 use super::usd_lights::{dome_prim, lamp_prim};
+use super::usd_text::{identifier, list, quoted};
 use crate::core::formats::{encode_grey8, encode_rgb8, srgb8_from_linear, write_rgb_float};
 use crate::core::geometry::Mesh;
 use crate::core::image::Plane;
 use crate::error::{Error, Result};
 use crate::solution::{MeshPart, Solution};
 use glam::Vec3;
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::Path;
@@ -19,6 +23,8 @@ use std::path::Path;
 pub struct UsdOptions<'a> {
     /// Objects, a mesh each; empty = all surfaces are one.
     pub parts: &'a [MeshPart],
+    /// Convex bodies of the objects, to collide by.
+    pub hulls: &'a [ObjectHulls],
     /// Lamps as lights of UsdLux, for renderers that do not light by emissive surfaces.
     pub lights: bool,
 }
@@ -96,7 +102,6 @@ fn text(solution: &Solution, peak: f32, options: UsdOptions<'_>) -> String {
         o.x, o.y, o.z
     );
     s.push_str("    uniform token[] xformOpOrder = [\"xformOp:translate\"]\n\n");
-    let parts = options.parts;
     let lights = if options.lights {
         area_lights(solution)
     } else {
@@ -104,17 +109,22 @@ fn text(solution: &Solution, peak: f32, options: UsdOptions<'_>) -> String {
     };
     let mut taken: BTreeSet<String> = lights.iter().map(|l| identifier(&l.name)).collect();
     taken.extend(["material", "environment"].map(str::to_owned));
-    if parts.is_empty() {
-        mesh_prim(
-            &mut s,
-            &MeshPart::whole("surfaces", &solution.mesh),
-            &solution.mesh,
-            "surfaces",
-        );
-    }
+    let whole = [MeshPart::whole("surfaces", &solution.mesh)];
+    let parts = match options.parts {
+        [] => whole.as_slice(),
+        parts => parts,
+    };
     for part in parts {
         let prim = unlike(&identifier(&part.name), '_', &mut taken);
-        mesh_prim(&mut s, part, &part.mesh(&solution.mesh), &prim);
+        // all surfaces as one keep their vertices' order
+        let mesh = match options.parts {
+            [] => Cow::Borrowed(&solution.mesh),
+            _ => Cow::Owned(part.mesh(&solution.mesh)),
+        };
+        mesh_prim(&mut s, part, &mesh, &prim);
+        if let Some(object) = options.hulls.iter().find(|h| h.name == part.name) {
+            hull_prims(&mut s, object, &prim, &mut taken);
+        }
     }
     lights.iter().for_each(|light| lamp_prim(&mut s, light));
     if is_lit_from_outside(solution) {
@@ -125,26 +135,6 @@ fn text(solution: &Solution, peak: f32, options: UsdOptions<'_>) -> String {
     material_prim(&mut s, peak, metallic, opacity);
     s.push_str("}\n");
     s
-}
-
-/// A name as USD has them: letters, digits and underscores, no digit first.
-fn identifier(name: &str) -> String {
-    let word: String = name
-        .chars()
-        .map(|c| if c.is_ascii_alphanumeric() { c } else { '_' })
-        .collect();
-    if word.starts_with(|c: char| c.is_ascii_digit()) {
-        format!("_{word}")
-    } else {
-        word
-    }
-}
-
-/// A text in quotes.
-fn quoted(text: &str) -> String {
-    let plain = |c: char| if c.is_control() { ' ' } else { c };
-    let text: String = text.chars().map(plain).collect();
-    format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\""))
 }
 
 /// The mesh of a part, relative to its pivot, bound to the material.
@@ -262,17 +252,6 @@ fn material_prim(s: &mut String, peak: f32, metallic: Option<&str>, opacity: Opt
     s.push_str("    }\n");
 }
 
-fn list(s: &mut String, name: &str, items: impl Iterator<Item = String>, metadata: &str) {
-    let _ = write!(s, "        {name} = [");
-    for (i, item) in items.enumerate() {
-        if i > 0 {
-            s.push_str(if i % 64 == 0 { ",\n" } else { ", " });
-        }
-        s.push_str(&item);
-    }
-    let _ = writeln!(s, "]{metadata}");
-}
-
 fn texture(s: &mut String, name: &str, file: &str, space: &str, output: &str, scale: f32) {
     let _ = write!(
         s,
@@ -297,7 +276,7 @@ mod tests {
         let parts = [part("table \"a\"", 0), part("table_a_", 1), part("2nd", 1)];
         let options = UsdOptions {
             parts: &parts,
-            lights: false,
+            ..UsdOptions::default()
         };
         let text = text(&solution, 0.0, options);
         assert_eq!(text.matches('{').count(), text.matches('}').count());
