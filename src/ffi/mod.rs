@@ -4,6 +4,8 @@
 //! rule permits it.
 
 #[allow(unsafe_code)]
+pub mod basis;
+#[allow(unsafe_code)]
 pub mod clock;
 #[allow(unsafe_code)]
 pub mod embree;

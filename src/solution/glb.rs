@@ -11,17 +11,16 @@
 
 use super::glb_geometry::{Panes, PartGeometry, luminous_entry};
 use super::glb_lights::{LuminousPart, PunctualLight, add_lights};
+use super::glb_textures::{
+    NamedImage, Pictures, TextureFormat, TexturePacking, WantedTextures, encode_pictures,
+};
 use super::{MeshPart, Solution};
 use crate::core::brdf::Reflectance;
-use crate::core::formats::{
-    GlbWriter, MOST_DATA, encode_rgb8, encode_webp8, read_input, srgb8_from_linear,
-};
+use crate::core::formats::{GlbWriter, MOST_DATA, read_input};
 use crate::core::geometry::Mesh;
-use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::error::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use serde_json::{Value, json};
-use std::ops::{Add, Mul};
 use std::path::Path;
 
 /// Choices of the glTF export.
@@ -33,26 +32,17 @@ pub struct GlbOptions {
     pub lights: Vec<PunctualLight>,
     /// Irradiance as a lightmap on the second texture set.
     pub lightmap: bool,
-    /// Textures as lossless WebP (`EXT_texture_webp`, required) instead of PNG.
-    pub webp: bool,
+    /// How textures are stored.
+    pub textures: TextureFormat,
     /// Tangents at the vertices, for normal maps.
     pub tangents: bool,
     /// Objects, a node each; empty = all triangles in one node, stored to the bit.
     pub parts: Vec<MeshPart>,
     /// Surfaces that only shine and that the solution's mesh does not have.
     pub luminous: Vec<LuminousPart>,
-    /// Textures that need not be encoded again: those of [`material_textures`] with the same
+    /// Textures that need not be encoded again: those of [`super::material_textures`] with the same
     /// options.
     pub encoded: Vec<NamedImage>,
-}
-
-/// A texture, encoded.
-#[derive(Clone, Debug, PartialEq)]
-pub struct NamedImage {
-    /// What engines call it: `BaseColor`, `ORM`, `Emissive`, `Lightmap`.
-    pub name: &'static str,
-    /// The bytes of a PNG or WebP file.
-    pub bytes: Vec<u8>,
 }
 
 impl Default for GlbOptions {
@@ -61,11 +51,22 @@ impl Default for GlbOptions {
             max_texture: 4096,
             lights: Vec::new(),
             lightmap: false,
-            webp: false,
+            textures: TextureFormat::Png,
             tangents: false,
             parts: Vec::new(),
             luminous: Vec::new(),
             encoded: Vec::new(),
+        }
+    }
+}
+
+impl GlbOptions {
+    /// How its textures are packed.
+    #[must_use]
+    pub fn packing(&self) -> TexturePacking {
+        TexturePacking {
+            largest: self.max_texture,
+            format: self.textures,
         }
     }
 }
@@ -85,18 +86,6 @@ pub(super) struct GlbContent {
 const LINEAR: u32 = 9729;
 const LINEAR_MIPMAP_LINEAR: u32 = 9987;
 const CLAMP_TO_EDGE: u32 = 33071;
-
-/// The textures of a file, encoded.
-struct Pictures {
-    /// In the order of their numbers.
-    images: Vec<NamedImage>,
-    /// What the emissive texture is to be multiplied by, if the scene emits; its number is 2.
-    strength: Option<f32>,
-    /// What the lightmap is to be multiplied by, if there is one; it comes last.
-    lightmap: Option<f32>,
-    /// The number of the share of transmitted light, if there are panes.
-    transmission: Option<usize>,
-}
 
 /// The bytes of `scene.glb`.
 ///
@@ -118,7 +107,12 @@ pub(super) fn marked_glb(
             "scene.glb cannot be written: the mesh has no triangles".into(),
         ));
     }
-    let pictures = encode_pictures(solution, options)?;
+    let wanted = WantedTextures {
+        packing: options.packing(),
+        lightmap: options.lightmap,
+        encoded: &options.encoded,
+    };
+    let pictures = encode_pictures(solution, &wanted)?;
     let mut glb = GlbWriter::default();
     let whole = [MeshPart::whole("scene", mesh)];
     let parts = match options.parts.as_slice() {
@@ -146,20 +140,16 @@ pub(super) fn marked_glb(
         let name = level_name(part, k);
         meshes.push(geometry.level_entry(&mut glb, &name, &part.levels[k]));
     }
-    let mime = if options.webp {
-        "image/webp"
-    } else {
-        "image/png"
-    };
+    let mime = options.textures.mime();
     let images: Vec<Value> = pictures
         .images
         .iter()
         .map(|i| json!({"name": i.name, "mimeType": mime, "bufferView": glb.image(&i.bytes)}))
         .collect();
     let textures: Vec<Value> = (0..images.len())
-        .map(|i| match options.webp {
-            true => json!({"sampler": 0, "extensions": {"EXT_texture_webp": {"source": i}}}),
-            false => json!({"sampler": 0, "source": i}),
+        .map(|i| match options.textures.extension() {
+            Some(name) => json!({"sampler": 0, "extensions": {name: {"source": i}}}),
+            None => json!({"sampler": 0, "source": i}),
         })
         .collect();
     let mut root = json!({
@@ -263,79 +253,6 @@ fn materials(pictures: &Pictures, options: &GlbOptions) -> Vec<Value> {
         .collect()
 }
 
-/// The textures that do not depend on light, for [`GlbOptions::encoded`] of many files.
-///
-/// # Errors
-/// A texture cannot be encoded.
-pub fn material_textures(solution: &Solution, options: &GlbOptions) -> Result<Vec<NamedImage>> {
-    let named = |name: &'static str, bytes: Vec<u8>| NamedImage { name, bytes };
-    Ok(vec![
-        named("BaseColor", base_colour(&solution.albedo, options)?),
-        named("ORM", occlusion_roughness_metallic(solution, options)?),
-    ])
-}
-
-/// The textures of `scene.glb` as PNG files: `BaseColor` (sRGB), `ORM` (occlusion, roughness, metal);
-/// where the scene emits, `Emissive` (sRGB, as a share of its maximum) and, where it has panes,
-/// `Transmission` (share of transmitted light).
-///
-/// # Errors
-/// A texture cannot be encoded.
-pub fn png_textures(solution: &Solution, max_texture: usize) -> Result<Vec<NamedImage>> {
-    let options = GlbOptions {
-        max_texture,
-        ..GlbOptions::default()
-    };
-    Ok(encode_pictures(solution, &options)?.images)
-}
-
-/// Encodes the textures side by side.
-fn encode_pictures(solution: &Solution, options: &GlbOptions) -> Result<Pictures> {
-    let strength = peak(&solution.emission);
-    let (base, (orm, emissive)) = crate::core::parallel::join(
-        || known("BaseColor", options).unwrap_or_else(|| base_colour(&solution.albedo, options)),
-        || {
-            crate::core::parallel::join(
-                || {
-                    known("ORM", options)
-                        .unwrap_or_else(|| occlusion_roughness_metallic(solution, options))
-                },
-                || {
-                    strength
-                        .map(|s| light_map(&solution.emission, s, options))
-                        .transpose()
-                },
-            )
-        },
-    );
-    let named = |name: &'static str, bytes: Vec<u8>| NamedImage { name, bytes };
-    let mut images = vec![named("BaseColor", base?), named("ORM", orm?)];
-    images.extend(emissive?.map(|e| named("Emissive", e)));
-    let mut transmission = None;
-    if let Some(share) = &solution.transmission {
-        transmission = Some(images.len());
-        let bytes = picture(share, options, |t| [byte(*t); 3])?;
-        images.push(named("Transmission", bytes));
-    }
-    let lightmap = peak(&solution.irradiance).filter(|_| options.lightmap);
-    if let Some(peak) = lightmap {
-        let bytes = light_map(&solution.irradiance, peak, options)?;
-        images.push(named("Lightmap", bytes));
-    }
-    Ok(Pictures {
-        images,
-        strength,
-        lightmap,
-        transmission,
-    })
-}
-
-/// A texture that is encoded already.
-fn known(name: &str, options: &GlbOptions) -> Option<Result<Vec<u8>>> {
-    let image = options.encoded.iter().find(|i| i.name == name);
-    image.map(|i| Ok(i.bytes.clone()))
-}
-
 fn material(pictures: &Pictures) -> Value {
     let mut material = json!({
         "name": "reconstruction",
@@ -376,13 +293,13 @@ fn name_extensions(root: &mut Value, pictures: &Pictures, options: &GlbOptions) 
             "KHR_materials_transmission",
         ),
         (levels(&options.parts).next().is_some(), "MSFT_lod"),
-        (options.webp, "EXT_texture_webp"),
     ]
     .into_iter()
     .filter_map(|(uses, name)| uses.then_some(name))
+    .chain(options.textures.extension())
     .collect();
-    if options.webp {
-        root["extensionsRequired"] = json!(["EXT_texture_webp"]);
+    if let Some(name) = options.textures.extension() {
+        root["extensionsRequired"] = json!([name]);
     }
     if !used.is_empty() {
         root["extensionsUsed"] = json!(used);
@@ -398,90 +315,6 @@ fn node(origin: DVec3, reflectance: Reflectance, generation: &str) -> Value {
         node["translation"] = json!(origin.to_array());
     }
     node
-}
-
-fn base_colour(albedo: &RgbPlane, options: &GlbOptions) -> Result<Vec<u8>> {
-    picture(albedo, options, |v| v.to_array().map(srgb8_from_linear))
-}
-
-/// A share in 8 bits, linear.
-fn byte(x: f32) -> u8 {
-    (x.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
-}
-
-fn occlusion_roughness_metallic(solution: &Solution, options: &GlbOptions) -> Result<Vec<u8>> {
-    let roughness = &solution.roughness;
-    let Some(metallic) = &solution.metallic else {
-        return picture(roughness, options, |r| [255, byte(*r), 0]);
-    };
-    // the finer of the two decides the size
-    let (width, height) = (
-        roughness.width.max(metallic.width),
-        roughness.height.max(metallic.height),
-    );
-    let at = |plane: &Plane<f32>, i: usize| {
-        let centre = Vec2::new((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
-        let scale = Vec2::new(
-            plane.width as f32 / width as f32,
-            plane.height as f32 / height as f32,
-        );
-        plane.bilinear(centre * scale, Wrap::Clamp)
-    };
-    let both = Plane {
-        width,
-        height,
-        data: (0..width * height)
-            .map(|i| Vec2::new(at(roughness, i), at(metallic, i)))
-            .collect(),
-    };
-    picture(&both, options, |v| [255, byte(v.x), byte(v.y)])
-}
-
-/// Light as a share of its peak.
-fn light_map(light: &RgbPlane, peak: f32, options: &GlbOptions) -> Result<Vec<u8>> {
-    picture(light, options, |v| {
-        (*v / peak).to_array().map(srgb8_from_linear)
-    })
-}
-
-fn picture<T>(
-    plane: &Plane<T>,
-    options: &GlbOptions,
-    bytes: impl Fn(&T) -> [u8; 3],
-) -> Result<Vec<u8>>
-where
-    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
-{
-    let plane = fitted(plane, options.max_texture);
-    let rgb: Vec<u8> = plane.data.iter().flat_map(bytes).collect();
-    if options.webp {
-        encode_webp8(plane.width, plane.height, &rgb)
-    } else {
-        encode_rgb8(plane.width, plane.height, &rgb)
-    }
-}
-
-/// The largest finite channel of the emission, if anything emits.
-fn peak(emission: &RgbPlane) -> Option<f32> {
-    let max = emission
-        .data
-        .iter()
-        .flat_map(|v| v.to_array())
-        .filter(|v| v.is_finite())
-        .fold(0.0, f32::max);
-    (max > 0.0).then_some(max)
-}
-
-/// The plane itself, or halved until both sides are at most `max`.
-fn fitted<T>(plane: &Plane<T>, max: usize) -> std::borrow::Cow<'_, Plane<T>>
-where
-    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
-{
-    let mut out = std::borrow::Cow::Borrowed(plane);
-    while out.width.max(out.height) > max.max(1) {
-        out = std::borrow::Cow::Owned(out.half());
-    }
-    out
 }
 
 /// Mesh, origin and reflection model of a file that [`scene_glb`] wrote; positions come back bit
@@ -618,6 +451,9 @@ fn extras_of(root: &Value) -> Option<Value> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::formats::srgb8_from_linear;
+    use crate::core::image::Plane;
+    use crate::solution::png_textures;
     use crate::solution::tests::small_solution;
 
     fn decoded(bytes: &[u8]) -> (usize, usize, Vec<u8>) {
@@ -821,7 +657,7 @@ mod tests {
             cone: None,
         };
         let options = GlbOptions {
-            webp: true,
+            textures: TextureFormat::WebP,
             lights: vec![light],
             lightmap: true,
             ..GlbOptions::default()

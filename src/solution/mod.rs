@@ -7,14 +7,18 @@ mod generation;
 mod glb;
 mod glb_geometry;
 mod glb_lights;
+mod glb_textures;
 mod lamps;
 mod mesh_part;
 mod store;
 
 pub use aside::AsideFolder;
 pub use generation::check_generation;
-pub use glb::{GlbOptions, NamedImage, material_textures, png_textures, scene_glb};
+pub use glb::{GlbOptions, scene_glb};
 pub use glb_lights::{LuminousPart, PunctualLight, SpotCone};
+pub use glb_textures::{
+    NamedImage, TextureFormat, TexturePacking, material_textures, png_textures,
+};
 pub use lamps::{LIGHTS, Lamp, LampKind, find_lamps, lamp_gap, triangle_emission};
 pub use mesh_part::{DetailLevel, MeshPart};
 pub use store::{FILES, SaveOptions};

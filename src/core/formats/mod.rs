@@ -18,6 +18,7 @@ mod hdr;
 mod image_format;
 mod image_io;
 mod input;
+mod ktx2;
 pub mod obj;
 mod photograph;
 mod picture;
@@ -45,6 +46,7 @@ pub use image_io::{
     write_rgb_float, write_rgb_half, write_two_channels_float, write_two_channels_half,
 };
 pub use input::{MOST_DATA, MOST_TEXT, open_regular, read_input, read_input_text};
+pub use ktx2::{Rgb8, Transfer, encode_ktx2};
 pub use photograph::{ImageAccount, Photograph, image_account, read_photograph};
 pub use picture::{
     Picture8, decode_rgba8, encode_grey8, encode_rgb8, encode_webp8, srgb8_from_linear,

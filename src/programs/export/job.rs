@@ -8,7 +8,7 @@ use crate::core::geometry::{Camera, Projection};
 use crate::error::{Error, Result};
 use crate::render::NamedCamera;
 use crate::solution::{
-    AsideFolder, GlbOptions, MeshPart, Solution, png_textures, scene_glb,
+    AsideFolder, GlbOptions, MeshPart, Solution, TextureFormat, png_textures, scene_glb,
 };
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -74,8 +74,12 @@ pub struct ExportOptions {
     #[arg(long, value_name = "N", default_value_t = Self::default().lightmap_paths)]
     pub lightmap_paths: u32,
     /// Store the glTF file's textures as lossless WebP (EXT_texture_webp) instead of PNG.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "ktx2")]
     pub webp: bool,
+    /// Store the glTF file's textures as KTX2 of UASTC blocks with mipmaps (KHR_texture_basisu), which
+    /// graphics cards keep compressed: 8 bits per texel, not lossless.
+    #[arg(long)]
+    pub ktx2: bool,
     /// Mitsuba: leave out specular reflection, so that its rendering must equal `unbake render
     /// --renderer path --diffuse-only --flat`.
     #[arg(long)]
@@ -97,6 +101,7 @@ impl Default for ExportOptions {
             lightmap_size: 0,
             lightmap_paths: 64,
             webp: false,
+            ktx2: false,
             mitsuba_diffuse: false,
         }
     }
@@ -107,6 +112,15 @@ impl Default for ExportOptions {
 const LARGEST_LIGHTMAP: usize = 16_384;
 
 impl ExportOptions {
+    /// How the glTF file's textures are stored.
+    pub(super) fn texture_format(&self) -> TextureFormat {
+        match (self.ktx2, self.webp) {
+            (true, _) => TextureFormat::Ktx2,
+            (false, true) => TextureFormat::WebP,
+            (false, false) => TextureFormat::Png,
+        }
+    }
+
     /// Whether the numbers make sense.
     ///
     /// # Errors
@@ -120,6 +134,10 @@ impl ExportOptions {
                 "--lightmap-size {}: expected at most {LARGEST_LIGHTMAP} texels",
                 self.lightmap_size
             )));
+        }
+        if self.webp && self.ktx2 {
+            let wrong = "webp and ktx2 are both true; expected one of them at most";
+            return Err(Error::Usage(wrong.into()));
         }
         if self.lods > MOST_LEVELS {
             return Err(Error::Usage(format!(
@@ -243,7 +261,7 @@ fn write_glb(
             Vec::new()
         },
         lightmap: options.lightmap,
-        webp: options.webp,
+        textures: options.texture_format(),
         tangents: options.tangents,
         parts: parts.to_vec(),
         ..GlbOptions::default()

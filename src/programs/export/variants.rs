@@ -128,7 +128,7 @@ pub fn export_lightings(
         options,
         emission: EmissionMap::of(solution),
         surface: Texels::rasterize(&solution.mesh, quality.side, quality.side),
-        encoded: material_textures(solution, &packing(options))?,
+        encoded: material_textures(solution, packing(options).packing())?,
         parts: shown_parts(exported, options),
         mix,
     };
@@ -166,7 +166,7 @@ pub fn export_lightings(
 fn packing(options: &ExportOptions) -> GlbOptions {
     GlbOptions {
         max_texture: options.max_texture,
-        webp: options.webp,
+        textures: options.texture_format(),
         tangents: options.tangents,
         ..GlbOptions::default()
     }
@@ -440,7 +440,7 @@ mod tests {
         // all share the materials
         let bytes = |file: &str| std::fs::read(folder.path().join("out").join(file)).expect("read");
         let options = ExportOptions::default();
-        for image in material_textures(&solution, &packing(&options)).expect("encodes") {
+        for image in material_textures(&solution, packing(&options).packing()).expect("encodes") {
             for file in [UNLIT, "dark.glb", "warm.glb"] {
                 let file = bytes(file);
                 assert!(file.windows(image.bytes.len()).any(|w| w == image.bytes));

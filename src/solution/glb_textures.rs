@@ -1,0 +1,379 @@
+//! The textures of `scene.glb`: base colour, occlusion-roughness-metallic, and what shines, lets light
+//! through or is baked, reduced to the largest side and encoded as PNG, WebP or KTX2.
+
+use super::Solution;
+use crate::core::formats::{
+    Rgb8, Transfer, encode_ktx2, encode_rgb8, encode_webp8, srgb8_from_linear,
+};
+use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::error::Result;
+use glam::Vec2;
+use std::ops::{Add, Mul};
+
+/// How textures are stored.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TextureFormat {
+    /// PNG, which all programs read.
+    #[default]
+    Png,
+    /// Lossless WebP (`EXT_texture_webp`, required).
+    WebP,
+    /// KTX2 of UASTC blocks with all smaller copies (`KHR_texture_basisu`, required): what graphics
+    /// cards keep compressed.
+    Ktx2,
+}
+
+impl TextureFormat {
+    /// Type of its bytes.
+    pub(super) fn mime(self) -> &'static str {
+        match self {
+            Self::Png => "image/png",
+            Self::WebP => "image/webp",
+            Self::Ktx2 => "image/ktx2",
+        }
+    }
+
+    /// The extension of glTF that allows it, where it needs one.
+    pub(super) fn extension(self) -> Option<&'static str> {
+        match self {
+            Self::Png => None,
+            Self::WebP => Some("EXT_texture_webp"),
+            Self::Ktx2 => Some("KHR_texture_basisu"),
+        }
+    }
+}
+
+/// How a plane becomes the bytes of a texture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TexturePacking {
+    /// Largest side, texels; larger planes are halved until they fit.
+    pub largest: usize,
+    /// How it is stored.
+    pub format: TextureFormat,
+}
+
+/// Which textures a file has.
+pub(super) struct WantedTextures<'a> {
+    pub packing: TexturePacking,
+    /// The irradiance.
+    pub lightmap: bool,
+    /// Textures that need not be encoded again.
+    pub encoded: &'a [NamedImage],
+}
+
+/// A texture, encoded.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NamedImage {
+    /// What engines call it: `BaseColor`, `ORM`, `Emissive`, `Lightmap`.
+    pub name: &'static str,
+    /// The bytes of its file.
+    pub bytes: Vec<u8>,
+}
+
+/// The textures of a file, encoded.
+pub(super) struct Pictures {
+    /// In the order of their numbers.
+    pub images: Vec<NamedImage>,
+    /// What the emissive texture is to be multiplied by, if the scene emits; its number is 2.
+    pub strength: Option<f32>,
+    /// What the lightmap is to be multiplied by, if there is one; it comes last.
+    pub lightmap: Option<f32>,
+    /// The number of the share of transmitted light, if there are panes.
+    pub transmission: Option<usize>,
+}
+
+/// The textures that do not depend on light, for [`super::GlbOptions::encoded`] of many files.
+///
+/// # Errors
+/// A texture cannot be encoded.
+pub fn material_textures(solution: &Solution, packing: TexturePacking) -> Result<Vec<NamedImage>> {
+    let named = |name: &'static str, bytes: Vec<u8>| NamedImage { name, bytes };
+    Ok(vec![
+        named("BaseColor", base_colour(&solution.albedo, packing)?),
+        named("ORM", occlusion_roughness_metallic(solution, packing)?),
+    ])
+}
+
+/// The textures of `scene.glb` as PNG files: `BaseColor` (sRGB), `ORM` (occlusion, roughness, metal);
+/// where the scene emits, `Emissive` (sRGB, as a share of its maximum) and, where it has panes,
+/// `Transmission` (share of transmitted light).
+///
+/// # Errors
+/// A texture cannot be encoded.
+pub fn png_textures(solution: &Solution, max_texture: usize) -> Result<Vec<NamedImage>> {
+    let wanted = WantedTextures {
+        packing: TexturePacking {
+            largest: max_texture,
+            format: TextureFormat::Png,
+        },
+        lightmap: false,
+        encoded: &[],
+    };
+    Ok(encode_pictures(solution, &wanted)?.images)
+}
+
+/// Encodes the textures side by side.
+pub(super) fn encode_pictures(
+    solution: &Solution,
+    wanted: &WantedTextures<'_>,
+) -> Result<Pictures> {
+    let packing = wanted.packing;
+    let strength = peak(&solution.emission);
+    let (base, (orm, emissive)) = crate::core::parallel::join(
+        || known("BaseColor", wanted).unwrap_or_else(|| base_colour(&solution.albedo, packing)),
+        || {
+            crate::core::parallel::join(
+                || {
+                    known("ORM", wanted)
+                        .unwrap_or_else(|| occlusion_roughness_metallic(solution, packing))
+                },
+                || {
+                    strength
+                        .map(|s| light_map(&solution.emission, s, packing))
+                        .transpose()
+                },
+            )
+        },
+    );
+    let named = |name: &'static str, bytes: Vec<u8>| NamedImage { name, bytes };
+    let mut images = vec![named("BaseColor", base?), named("ORM", orm?)];
+    images.extend(emissive?.map(|e| named("Emissive", e)));
+    let mut transmission = None;
+    if let Some(share) = &solution.transmission {
+        transmission = Some(images.len());
+        let bytes = picture(share, packing, Transfer::Linear, |t| [byte(*t); 3])?;
+        images.push(named("Transmission", bytes));
+    }
+    let lightmap = peak(&solution.irradiance).filter(|_| wanted.lightmap);
+    if let Some(peak) = lightmap {
+        let bytes = light_map(&solution.irradiance, peak, packing)?;
+        images.push(named("Lightmap", bytes));
+    }
+    Ok(Pictures {
+        images,
+        strength,
+        lightmap,
+        transmission,
+    })
+}
+
+/// A texture that is encoded already.
+fn known(name: &str, wanted: &WantedTextures<'_>) -> Option<Result<Vec<u8>>> {
+    let image = wanted.encoded.iter().find(|i| i.name == name);
+    image.map(|i| Ok(i.bytes.clone()))
+}
+
+fn base_colour(albedo: &RgbPlane, packing: TexturePacking) -> Result<Vec<u8>> {
+    picture(albedo, packing, Transfer::Srgb, |v| {
+        v.to_array().map(srgb8_from_linear)
+    })
+}
+
+/// A share in 8 bits, linear.
+fn byte(x: f32) -> u8 {
+    (x.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
+}
+
+fn occlusion_roughness_metallic(solution: &Solution, packing: TexturePacking) -> Result<Vec<u8>> {
+    let roughness = &solution.roughness;
+    let Some(metallic) = &solution.metallic else {
+        return picture(roughness, packing, Transfer::Linear, |r| [255, byte(*r), 0]);
+    };
+    // the finer of the two decides the size
+    let (width, height) = (
+        roughness.width.max(metallic.width),
+        roughness.height.max(metallic.height),
+    );
+    let at = |plane: &Plane<f32>, i: usize| {
+        let centre = Vec2::new((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
+        let scale = Vec2::new(
+            plane.width as f32 / width as f32,
+            plane.height as f32 / height as f32,
+        );
+        plane.bilinear(centre * scale, Wrap::Clamp)
+    };
+    let both = Plane {
+        width,
+        height,
+        data: (0..width * height)
+            .map(|i| Vec2::new(at(roughness, i), at(metallic, i)))
+            .collect(),
+    };
+    picture(&both, packing, Transfer::Linear, |v| {
+        [255, byte(v.x), byte(v.y)]
+    })
+}
+
+/// Light as a share of its peak.
+fn light_map(light: &RgbPlane, peak: f32, packing: TexturePacking) -> Result<Vec<u8>> {
+    picture(light, packing, Transfer::Srgb, |v| {
+        (*v / peak).to_array().map(srgb8_from_linear)
+    })
+}
+
+/// A plane as a texture; `bytes` are a texel's, on the curve that `transfer` names.
+fn picture<T>(
+    plane: &Plane<T>,
+    packing: TexturePacking,
+    transfer: Transfer,
+    bytes: impl Fn(&T) -> [u8; 3],
+) -> Result<Vec<u8>>
+where
+    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
+{
+    let plane = fitted(plane, packing.largest);
+    let rgb = |p: &Plane<T>| p.data.iter().flat_map(&bytes).collect::<Vec<u8>>();
+    match packing.format {
+        TextureFormat::Png => encode_rgb8(plane.width, plane.height, &rgb(&plane)),
+        TextureFormat::WebP => encode_webp8(plane.width, plane.height, &rgb(&plane)),
+        TextureFormat::Ktx2 => {
+            let levels = halves(&in_blocks(&plane)).into_iter().map(|level| Rgb8 {
+                rgb: rgb(&level),
+                width: level.width,
+                height: level.height,
+            });
+            encode_ktx2(&levels.collect::<Vec<_>>(), transfer)
+        }
+    }
+}
+
+/// The plane with sides that are multiples of four, as `KHR_texture_basisu` wants them: itself, or a
+/// little finer.
+fn in_blocks<T>(plane: &Plane<T>) -> Plane<T>
+where
+    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
+{
+    let size = [plane.width, plane.height].map(|n| n.next_multiple_of(4));
+    if size == [plane.width, plane.height] {
+        return plane.clone();
+    }
+    let scale = Vec2::new(
+        plane.width as f32 / size[0] as f32,
+        plane.height as f32 / size[1] as f32,
+    );
+    let at = |i: usize| Vec2::new((i % size[0]) as f32 + 0.5, (i / size[0]) as f32 + 0.5);
+    Plane {
+        width: size[0],
+        height: size[1],
+        data: (0..size[0] * size[1])
+            .map(|i| plane.bilinear(at(i) * scale, Wrap::Clamp))
+            .collect(),
+    }
+}
+
+/// The plane and its halves, down to a single texel.
+fn halves<T>(plane: &Plane<T>) -> Vec<Plane<T>>
+where
+    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
+{
+    let mut out = vec![plane.clone()];
+    while let Some(half) = out
+        .last()
+        .filter(|p| p.width.max(p.height) > 1)
+        .map(Plane::half)
+    {
+        out.push(half);
+    }
+    out
+}
+
+/// The largest finite channel of the emission, if anything emits.
+fn peak(emission: &RgbPlane) -> Option<f32> {
+    let max = emission
+        .data
+        .iter()
+        .flat_map(|v| v.to_array())
+        .filter(|v| v.is_finite())
+        .fold(0.0, f32::max);
+    (max > 0.0).then_some(max)
+}
+
+/// The plane itself, or halved until both sides are at most `max`.
+fn fitted<T>(plane: &Plane<T>, max: usize) -> std::borrow::Cow<'_, Plane<T>>
+where
+    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
+{
+    let mut out = std::borrow::Cow::Borrowed(plane);
+    while out.width.max(out.height) > max.max(1) {
+        out = std::borrow::Cow::Owned(out.half());
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solution::tests::small_solution;
+    use crate::solution::{GlbOptions, scene_glb};
+    use glam::Vec3;
+    use serde_json::{Value, json};
+
+    /// Each texture has all its smaller copies, and is said to be colour or numbers as it is.
+    #[test]
+    fn ktx2_textures_say_what_they_are_and_have_all_levels() {
+        let mut solution = small_solution();
+        solution.albedo = Plane::filled(18, 6, Vec3::new(0.2, 0.4, 0.6));
+        let options = GlbOptions {
+            textures: TextureFormat::Ktx2,
+            lightmap: true,
+            ..GlbOptions::default()
+        };
+        let bytes = scene_glb(&solution, &options).expect("writes");
+        let glb = gltf::binary::Glb::from_slice(&bytes).expect("container");
+        let root: Value = serde_json::from_slice(&glb.json).expect("JSON");
+        assert_eq!(root["extensionsRequired"], json!(["KHR_texture_basisu"]));
+        let binary = glb.bin.as_ref().expect("binary");
+        let texture = &root["textures"][1]["extensions"]["KHR_texture_basisu"];
+        assert_eq!(texture["source"], 1);
+        // the albedo has become one of whole blocks
+        let expected = [
+            ("BaseColor", [20, 8], true),
+            ("ORM", [32, 32], false),
+            ("Emissive", [8, 8], true),
+            ("Lightmap", [8, 8], true),
+        ];
+        let images = root["images"].as_array().expect("images");
+        assert_eq!(images.len(), expected.len());
+        for (image, (name, size, colour)) in images.iter().zip(expected) {
+            assert_eq!(
+                (&image["name"], &image["mimeType"]),
+                (&json!(name), &json!("image/ktx2"))
+            );
+            let view = &root["bufferViews"][image["bufferView"].as_u64().expect("a view") as usize];
+            let number = |key: &str| view[key].as_u64().expect("a number") as usize;
+            let first = number("byteOffset");
+            let file = ktx2::Reader::new(&binary[first..first + number("byteLength")]).expect(name);
+            let header = file.header();
+            assert_eq!([header.pixel_width, header.pixel_height], size, "{name}");
+            let all = 32 - size[0].max(size[1]).leading_zeros();
+            assert_eq!(header.level_count, all, "{name}");
+            let curve = match colour {
+                true => ktx2::TransferFunction::SRGB,
+                false => ktx2::TransferFunction::Linear,
+            };
+            assert_eq!(file.transfer_function(), Some(curve), "{name}");
+        }
+    }
+
+    /// A copy half the size has the mean of the light, not of the numbers on the curve.
+    #[test]
+    fn smaller_copies_are_means_of_light() {
+        let board = |i: usize| Vec3::splat(f32::from((i % 8 + i / 8).is_multiple_of(2)));
+        let plane = Plane {
+            width: 8,
+            height: 8,
+            data: (0..64).map(board).collect(),
+        };
+        let packing = TexturePacking {
+            largest: 8,
+            format: TextureFormat::Ktx2,
+        };
+        let bytes = base_colour(&plane, packing).expect("encodes");
+        let file = ktx2::Reader::new(bytes.as_slice()).expect("valid");
+        let level = file.levels().nth(1).expect("a second level");
+        let grey = srgb8_from_linear(0.5);
+        assert!(grey > 180, "{grey}");
+        let expected = crate::ffi::basis::uastc_blocks(4, 4, &[grey; 48]);
+        assert_eq!(Some(level.data), expected.as_deref());
+    }
+}
