@@ -101,76 +101,186 @@ pub(super) fn marked_glb(
     options: &GlbOptions,
     generation: &str,
 ) -> Result<Vec<u8>> {
-    let mesh = &solution.mesh;
-    if mesh.triangles.is_empty() || mesh.positions.is_empty() {
-        return Err(Error::Failed(
-            "scene.glb cannot be written: the mesh has no triangles".into(),
-        ));
+    Content {
+        solution,
+        objects: &[],
+        options,
+        generation,
     }
-    let wanted = WantedTextures {
-        packing: options.packing(),
-        lightmap: options.lightmap,
-        encoded: &options.encoded,
-    };
-    let pictures = encode_pictures(solution, &wanted)?;
-    let mut glb = GlbWriter::default();
-    let whole = [MeshPart::whole("scene", mesh)];
-    let parts = match options.parts.as_slice() {
-        [] => whole.as_slice(),
-        parts => parts,
-    };
-    let panes = solution.pane_triangles().map(|triangles| Panes {
-        triangles,
-        material: 1 + options.luminous.len(),
-    });
-    let geometry = PartGeometry {
-        whole: mesh,
-        panes,
-        lightmap: pictures.lightmap.is_some(),
-        tangents: options.tangents,
-    };
-    let mut meshes: Vec<Value> = parts
-        .iter()
-        .map(|part| geometry.mesh_entry(&mut glb, part))
-        .collect();
-    for (material, part) in (1..).zip(&options.luminous) {
-        meshes.push(luminous_entry(&mut glb, part, material));
+    .file()
+}
+
+/// [`scene_glb`] of parts that have a mesh and textures of their own: `objects` has as many solutions
+/// as `options` has parts, whose triangles are those of their solutions.
+///
+/// # Errors
+/// As [`scene_glb`]; if there are more or fewer of the ones than of the others.
+pub fn objects_glb(
+    solution: &Solution,
+    objects: &[Solution],
+    options: &GlbOptions,
+) -> Result<Vec<u8>> {
+    if objects.len() != options.parts.len() {
+        return Err(Error::Failed(format!(
+            "scene.glb cannot be written: {} parts have {} sets of textures",
+            options.parts.len(),
+            objects.len()
+        )));
     }
-    for (part, k) in levels(parts) {
-        let name = level_name(part, k);
-        meshes.push(geometry.level_entry(&mut glb, &name, &part.levels[k]));
+    Content {
+        solution,
+        objects,
+        options,
+        generation: "",
     }
-    let mime = options.textures.mime();
-    let images: Vec<Value> = pictures
-        .images
-        .iter()
-        .map(|i| json!({"name": i.name, "mimeType": mime, "bufferView": glb.image(&i.bytes)}))
-        .collect();
-    let textures: Vec<Value> = (0..images.len())
-        .map(|i| match options.textures.extension() {
-            Some(name) => json!({"sampler": 0, "extensions": {name: {"source": i}}}),
-            None => json!({"sampler": 0, "source": i}),
-        })
-        .collect();
-    let mut root = json!({
-        "asset": {"version": "2.0", "generator": concat!("unbake ", env!("CARGO_PKG_VERSION"))},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": nodes(solution, options, generation),
-        "meshes": meshes,
-        "images": images,
-        "textures": textures,
-        "samplers": [{
-            "magFilter": LINEAR,
-            "minFilter": LINEAR_MIPMAP_LINEAR,
-            "wrapS": CLAMP_TO_EDGE,
-            "wrapT": CLAMP_TO_EDGE,
-        }],
-        "materials": materials(&pictures, options),
-    });
-    add_lights(&mut root, &options.lights);
-    name_extensions(&mut root, &pictures, options);
-    glb.finish(root)
+    .file()
+}
+
+/// Textures, and the materials made of them.
+struct TextureSet<'a> {
+    /// Geometry and planes.
+    solution: &'a Solution,
+    /// The object that it belongs to, if not all.
+    object: Option<&'a str>,
+    pictures: Pictures,
+    /// Number of its first texture.
+    first: usize,
+    /// Number of the material of its panes, if there are such pictures.
+    panes: Option<usize>,
+}
+
+/// What a file holds.
+struct Content<'a> {
+    solution: &'a Solution,
+    /// A solution for each part; empty = all share the whole's.
+    objects: &'a [Solution],
+    options: &'a GlbOptions,
+    generation: &'a str,
+}
+
+impl<'a> Content<'a> {
+    fn file(&self) -> Result<Vec<u8>> {
+        let mesh = &self.solution.mesh;
+        if mesh.triangles.is_empty() || mesh.positions.is_empty() {
+            return Err(Error::Failed(
+                "scene.glb cannot be written: the mesh has no triangles".into(),
+            ));
+        }
+        let options = self.options;
+        let sets = self.texture_sets()?;
+        let mut glb = GlbWriter::default();
+        let meshes = self.meshes(&mut glb, &sets);
+        let mime = options.textures.mime();
+        let mut images: Vec<Value> = Vec::new();
+        for set in &sets {
+            for image in &set.pictures.images {
+                let name = set.object.map_or_else(
+                    || image.name.to_owned(),
+                    |object| format!("{object}_{}", image.name),
+                );
+                let view = glb.image(&image.bytes);
+                images.push(json!({"name": name, "mimeType": mime, "bufferView": view}));
+            }
+        }
+        let textures: Vec<Value> = (0..images.len())
+            .map(|i| match options.textures.extension() {
+                Some(name) => json!({"sampler": 0, "extensions": {name: {"source": i}}}),
+                None => json!({"sampler": 0, "source": i}),
+            })
+            .collect();
+        let mut root = json!({
+            "asset": {"version": "2.0", "generator": concat!("unbake ", env!("CARGO_PKG_VERSION"))},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": nodes(self.solution, options, self.generation),
+            "meshes": meshes,
+            "images": images,
+            "textures": textures,
+            "samplers": [{
+                "magFilter": LINEAR,
+                "minFilter": LINEAR_MIPMAP_LINEAR,
+                "wrapS": CLAMP_TO_EDGE,
+                "wrapT": CLAMP_TO_EDGE,
+            }],
+            "materials": materials(&sets, options),
+        });
+        add_lights(&mut root, &options.lights);
+        name_extensions(&mut root, &sets, options);
+        glb.finish(root)
+    }
+
+    /// Encodes the textures of the whole, or of each object.
+    fn texture_sets(&self) -> Result<Vec<TextureSet<'a>>> {
+        let options = self.options;
+        let solutions = match self.objects {
+            [] => std::slice::from_ref(self.solution),
+            objects => objects,
+        };
+        let wanted = WantedTextures {
+            packing: options.packing(),
+            lightmap: options.lightmap,
+            encoded: &options.encoded,
+        };
+        let mut first = 0;
+        let mut panes = solutions.len() + options.luminous.len();
+        let mut sets = Vec::new();
+        for (k, solution) in solutions.iter().enumerate() {
+            let pictures = encode_pictures(solution, &wanted)?;
+            let part = options.parts.get(k).filter(|_| !self.objects.is_empty());
+            let count = pictures.images.len();
+            let glass = pictures.transmission.map(|_| panes);
+            panes += usize::from(glass.is_some());
+            sets.push(TextureSet {
+                solution,
+                object: part.map(|p| p.name.as_str()),
+                pictures,
+                first,
+                panes: glass,
+            });
+            first += count;
+        }
+        Ok(sets)
+    }
+
+    /// Stores the geometry: the parts', then of what only shines, then of the parts' levels.
+    fn meshes(&self, glb: &mut GlbWriter, sets: &[TextureSet<'a>]) -> Vec<Value> {
+        let options = self.options;
+        let whole = [MeshPart::whole("scene", &self.solution.mesh)];
+        let parts = match options.parts.as_slice() {
+            [] => whole.as_slice(),
+            parts => parts,
+        };
+        let geometry = |(material, set): (usize, &TextureSet<'a>)| PartGeometry {
+            whole: &set.solution.mesh,
+            material,
+            panes: set.panes.and_then(|material| {
+                let triangles = set.solution.pane_triangles()?;
+                Some(Panes {
+                    triangles,
+                    material,
+                })
+            }),
+            lightmap: set.pictures.lightmap.is_some(),
+            tangents: options.tangents,
+        };
+        let geometries: Vec<PartGeometry<'_>> = sets.iter().enumerate().map(geometry).collect();
+        // all parts have one set, or each its own
+        let geometry = |k: usize| &geometries[k.min(geometries.len() - 1)];
+        let mut meshes: Vec<Value> = parts
+            .iter()
+            .enumerate()
+            .map(|(k, part)| geometry(k).mesh_entry(glb, part))
+            .collect();
+        for (material, part) in (sets.len()..).zip(&options.luminous) {
+            meshes.push(luminous_entry(glb, part, material));
+        }
+        for (i, part) in parts.iter().enumerate() {
+            for (k, level) in part.levels.iter().enumerate() {
+                meshes.push(geometry(i).level_entry(glb, &level_name(part, k), level));
+            }
+        }
+        meshes
+    }
 }
 
 /// The scene's node, which has the mesh or, of several objects, a node for each below it; surfaces
@@ -237,43 +347,53 @@ fn add_levels(nodes: &mut Vec<Value>, parts: &[MeshPart], mesh: usize) {
     }
 }
 
-/// The material that all surfaces share, one for each that only shines, and that of panes.
-fn materials(pictures: &Pictures, options: &GlbOptions) -> Vec<Value> {
+/// The materials: of each set of textures, of each surface that only shines, of panes.
+fn materials(sets: &[TextureSet<'_>], options: &GlbOptions) -> Vec<Value> {
     let shining = options.luminous.iter().map(LuminousPart::material);
-    let panes = pictures.transmission.map(|texture| {
-        let mut panes = material(pictures);
-        panes["name"] = json!("panes");
+    let panes = sets.iter().filter_map(|set| {
+        let texture = set.first + set.pictures.transmission?;
+        let mut panes = material(set);
+        panes["name"] = json!(named("panes", set.object));
         panes["extensions"]["KHR_materials_transmission"] =
             json!({"transmissionFactor": 1.0, "transmissionTexture": {"index": texture}});
-        panes
+        Some(panes)
     });
-    std::iter::once(material(pictures))
+    sets.iter()
+        .map(material)
         .chain(shining)
         .chain(panes)
         .collect()
 }
 
-fn material(pictures: &Pictures) -> Value {
+/// The name of a material, which the object's goes before.
+fn named(name: &str, object: Option<&str>) -> String {
+    object.map_or_else(|| name.to_owned(), |o| format!("{o} {name}"))
+}
+
+fn material(set: &TextureSet<'_>) -> Value {
+    let TextureSet {
+        pictures, first, ..
+    } = set;
     let mut material = json!({
-        "name": "reconstruction",
+        "name": named("reconstruction", set.object),
         "doubleSided": true,
         "pbrMetallicRoughness": {
-            "baseColorTexture": {"index": 0},
-            "metallicRoughnessTexture": {"index": 1},
+            "baseColorTexture": {"index": first},
+            "metallicRoughnessTexture": {"index": first + 1},
         },
-        "occlusionTexture": {"index": 1},
+        "occlusionTexture": {"index": first + 1},
     });
     if let Some(peak) = pictures.lightmap {
         // glTF has no lightmap of its own: irradiance = linear texel · intensity
         material["extras"] = json!({"lightmapTexture": {
-            "index": pictures.images.len() - 1,
+            "index": first + pictures.images.len() - 1,
             "texCoord": 1,
             "intensity": peak,
             "quantity": "irradiance",
         }});
     }
     if let Some(strength) = pictures.strength {
-        material["emissiveTexture"] = json!({"index": 2});
+        material["emissiveTexture"] = json!({"index": first + 2});
         material["emissiveFactor"] = json!([1.0, 1.0, 1.0]);
         material["extensions"] =
             json!({"KHR_materials_emissive_strength": {"emissiveStrength": f64::from(strength)}});
@@ -281,15 +401,16 @@ fn material(pictures: &Pictures) -> Value {
     material
 }
 
-fn name_extensions(root: &mut Value, pictures: &Pictures, options: &GlbOptions) {
+fn name_extensions(root: &mut Value, sets: &[TextureSet<'_>], options: &GlbOptions) {
+    let any = |has: fn(&Pictures) -> bool| sets.iter().any(|set| has(&set.pictures));
     let used: Vec<&str> = [
         (
-            pictures.strength.is_some() || !options.luminous.is_empty(),
+            any(|p| p.strength.is_some()) || !options.luminous.is_empty(),
             "KHR_materials_emissive_strength",
         ),
         (!options.lights.is_empty(), "KHR_lights_punctual"),
         (
-            pictures.transmission.is_some(),
+            any(|p| p.transmission.is_some()),
             "KHR_materials_transmission",
         ),
         (levels(&options.parts).next().is_some(), "MSFT_lod"),

@@ -33,12 +33,15 @@ impl Primitive {
 }
 
 /// The triangles of a part as primitives: panes apart from the rest.
-fn divided(part: &MeshPart, panes: Option<&Panes>) -> Vec<Primitive> {
+fn divided(part: &MeshPart, material: usize, panes: Option<&Panes>) -> Vec<Primitive> {
     let count = part.triangles.len() as u32;
     let Some(panes) = panes else {
-        return vec![Primitive::of(0, 0..count)];
+        return vec![Primitive::of(material, 0..count)];
     };
-    let (mut rest, mut glass) = (Primitive::of(0, 0..0), Primitive::of(panes.material, 0..0));
+    let (mut rest, mut glass) = (
+        Primitive::of(material, 0..0),
+        Primitive::of(panes.material, 0..0),
+    );
     for (i, &number) in (0..count).zip(&part.triangles) {
         if !panes.triangles[number as usize] {
             rest.triangles.push(i);
@@ -63,6 +66,8 @@ fn divided(part: &MeshPart, panes: Option<&Panes>) -> Vec<Primitive> {
 pub(super) struct PartGeometry<'a> {
     /// The mesh that they are parts of.
     pub whole: &'a Mesh,
+    /// Number of the material of what is no pane.
+    pub material: usize,
     pub panes: Option<Panes>,
     /// A second texture set, equal to the first, for the lightmap.
     pub lightmap: bool,
@@ -81,7 +86,7 @@ impl PartGeometry<'_> {
             own = part.mesh(whole);
             &own
         };
-        let primitives = divided(part, self.panes.as_ref());
+        let primitives = divided(part, self.material, self.panes.as_ref());
         json!({"name": part.name, "primitives": self.stored(glb, mesh, &primitives)})
     }
 
@@ -91,7 +96,7 @@ impl PartGeometry<'_> {
         let panes = count - level.panes as u32;
         let glass = self.panes.as_ref().map_or(0, |p| p.material);
         let mut primitives = vec![
-            Primitive::of(0, 0..panes),
+            Primitive::of(self.material, 0..panes),
             Primitive::of(glass, panes..count),
         ];
         primitives.retain(|p| !p.triangles.is_empty());

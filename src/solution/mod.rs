@@ -14,7 +14,7 @@ mod store;
 
 pub use aside::AsideFolder;
 pub use generation::check_generation;
-pub use glb::{GlbOptions, scene_glb};
+pub use glb::{GlbOptions, objects_glb, scene_glb};
 pub use glb_lights::{LuminousPart, PunctualLight, SpotCone};
 pub use glb_textures::{
     NamedImage, TextureFormat, TexturePacking, material_textures, png_textures,

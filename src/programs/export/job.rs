@@ -2,17 +2,21 @@
 
 use super::hulls::{COLLISION, ObjectHulls, collision_glb, object_hulls};
 use super::levels::{MOST_LEVELS, levels};
-use super::objects::{ClassName, Split, objects};
+use super::object_atlas::{AtlasKind, check_sizes, cut_out};
+use super::objects::{ClassName, Split, objects, unlike};
 use super::{UsdOptions, punctual_lights, write_mitsuba, write_usd};
 use crate::core::geometry::{Camera, Projection};
+use crate::core::parallel::map_chunks;
 use crate::error::{Error, Result};
 use crate::render::NamedCamera;
 use crate::solution::{
-    AsideFolder, GlbOptions, MeshPart, Solution, TextureFormat, png_textures, scene_glb,
+    AsideFolder, GlbOptions, MeshPart, Solution, TextureFormat, objects_glb, png_textures,
+    scene_glb,
 };
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use std::collections::BTreeSet;
 use std::path::Path;
 
 /// A format to export to.
@@ -51,6 +55,10 @@ pub struct ExportOptions {
     /// by class: an object per class, or per connected piece of a class ("chair", "chair 2").
     #[arg(long, value_enum, default_value_t = Self::default().split)]
     pub split: Split,
+    /// With --split, whether the glTF file's objects share the textures or each has its own, cut out of
+    /// them texel by texel.
+    #[arg(long, value_enum, default_value_t = Self::default().atlas)]
+    pub atlas: AtlasKind,
     /// Add N coarser meshes to each object of the glTF file (MSFT_lod), each of half the triangles of
     /// the one before it and on the same textures.
     #[arg(long, value_name = "N", default_value_t = Self::default().lods)]
@@ -63,7 +71,8 @@ pub struct ExportOptions {
     #[arg(long)]
     pub tangents: bool,
     /// Write the glTF file's textures beside it too, as 8-bit PNG: scene_BaseColor.png,
-    /// scene_ORM.png (occlusion, roughness, metal), scene_Emissive.png.
+    /// scene_ORM.png (occlusion, roughness, metal), scene_Emissive.png. With --atlas per-object,
+    /// NAME_BaseColor.png, ….
     #[arg(long)]
     pub textures: bool,
     /// With --lightings, side of the lightmaps in texels; 0 = as the irradiance texture, at most
@@ -94,6 +103,7 @@ impl Default for ExportOptions {
             lights: false,
             lightmap: false,
             split: Split::None,
+            atlas: AtlasKind::Shared,
             lods: 0,
             hulls: false,
             tangents: false,
@@ -134,6 +144,10 @@ impl ExportOptions {
                 "--lightmap-size {}: expected at most {LARGEST_LIGHTMAP} texels",
                 self.lightmap_size
             )));
+        }
+        if self.atlas == AtlasKind::PerObject && self.split == Split::None {
+            let wrong = "--atlas per-object needs objects: give --split classes or --split objects";
+            return Err(Error::Usage(wrong.into()));
         }
         if self.webp && self.ktx2 {
             let wrong = "webp and ktx2 are both true; expected one of them at most";
@@ -213,11 +227,11 @@ pub fn export(
 }
 
 /// The objects that the glTF and USD files divide the surfaces into, with their levels of detail;
-/// empty = all surfaces are one.
+/// empty = all surfaces are one. Levels of objects with textures of their own are not here.
 pub(super) fn shown_parts(exported: &Exported<'_>, options: &ExportOptions) -> Vec<MeshPart> {
     let solution = exported.solution;
     let mut parts = objects(solution, options.split, exported.classes);
-    if options.lods == 0 {
+    if options.lods == 0 || options.atlas == AtlasKind::PerObject {
         return parts;
     }
     if parts.is_empty() {
@@ -228,6 +242,48 @@ pub(super) fn shown_parts(exported: &Exported<'_>, options: &ExportOptions) -> V
         part.levels = levels(part, &solution.mesh, panes.as_deref(), options.lods);
     }
     parts
+}
+
+/// Objects with textures of their own.
+struct OwnAtlases {
+    /// Solutions of their triangles alone.
+    objects: Vec<Solution>,
+    /// The parts of these, with their levels of detail.
+    parts: Vec<MeshPart>,
+}
+
+impl OwnAtlases {
+    fn of(solution: &Solution, parts: &[MeshPart], lods: u32) -> Result<Self> {
+        check_sizes(solution)?;
+        let objects = map_chunks(parts.len(), 1, |k| cut_out(solution, &parts[k.start]));
+        let own = |(part, object): (&MeshPart, &Solution)| {
+            let whole = MeshPart::whole(&part.name, &object.mesh);
+            let mut own = MeshPart {
+                pivot: part.pivot,
+                ..whole
+            };
+            own.levels = levels(&own, &object.mesh, object.pane_triangles().as_deref(), lods);
+            own
+        };
+        Ok(Self {
+            parts: parts.iter().zip(&objects).map(own).collect(),
+            objects,
+        })
+    }
+
+    /// What the files of the objects' textures begin with: their names, as file systems take them.
+    fn file_names(&self) -> Vec<String> {
+        let mut taken = BTreeSet::from(["scene".to_owned()]);
+        let plain = |c: char| {
+            let fine = c.is_alphanumeric() || " -_".contains(c);
+            if fine { c } else { '_' }
+        };
+        let name = |part: &MeshPart| {
+            let name: String = part.name.chars().map(plain).collect();
+            unlike(&name, '_', &mut taken)
+        };
+        self.parts.iter().map(name).collect()
+    }
 }
 
 /// The convex bodies of the objects, where they are wanted.
@@ -253,6 +309,10 @@ fn write_glb(
     parts: &[MeshPart],
     options: &ExportOptions,
 ) -> Result<Vec<String>> {
+    let own = match options.atlas {
+        AtlasKind::Shared => None,
+        AtlasKind::PerObject => Some(OwnAtlases::of(solution, parts, options.lods)?),
+    };
     let glb = GlbOptions {
         max_texture: options.max_texture,
         lights: if options.lights {
@@ -263,8 +323,12 @@ fn write_glb(
         lightmap: options.lightmap,
         textures: options.texture_format(),
         tangents: options.tangents,
-        parts: parts.to_vec(),
+        parts: own.as_ref().map_or(parts, |o| &o.parts).to_vec(),
         ..GlbOptions::default()
+    };
+    let bytes = match &own {
+        Some(own) => objects_glb(solution, &own.objects, &glb)?,
+        None => scene_glb(solution, &glb)?,
     };
     let mut files = Vec::new();
     let mut save = |name: String, bytes: &[u8]| {
@@ -272,10 +336,15 @@ fn write_glb(
         files.push(name);
         std::fs::write(&path, bytes).map_err(|e| Error::io(&path, e))
     };
-    save("scene.glb".into(), &scene_glb(solution, &glb)?)?;
-    if options.textures {
-        for image in png_textures(solution, options.max_texture)? {
-            save(format!("scene_{}.png", image.name), &image.bytes)?;
+    save("scene.glb".into(), &bytes)?;
+    let textured = match &own {
+        _ if !options.textures => Vec::new(),
+        Some(own) => own.file_names().into_iter().zip(&own.objects).collect(),
+        None => vec![("scene".to_owned(), solution)],
+    };
+    for (name, textured) in textured {
+        for image in png_textures(textured, options.max_texture)? {
+            save(format!("{name}_{}.png", image.name), &image.bytes)?;
         }
     }
     Ok(files)
@@ -334,6 +403,77 @@ mod tests {
     use crate::core::trace::EmbreeTracer;
     use crate::render::{read_cameras, viewpoints};
     use crate::solution::tests::small_solution;
+
+    /// Options that contradict each other, or are out of range, are refused by name.
+    #[test]
+    fn wrong_options_are_refused() {
+        let base = ExportOptions::default;
+        let wrong = [
+            (ExportOptions { lods: 9, ..base() }, "--lods 9"),
+            (
+                ExportOptions {
+                    webp: true,
+                    ktx2: true,
+                    ..base()
+                },
+                "ktx2",
+            ),
+            (
+                ExportOptions {
+                    atlas: AtlasKind::PerObject,
+                    ..base()
+                },
+                "--split",
+            ),
+        ];
+        for (options, named) in wrong {
+            let e = options.check().expect_err(named);
+            assert!(e.exit_code() == 2 && e.to_string().contains(named), "{e}");
+        }
+        assert!(base().check().is_ok());
+    }
+
+    /// Each object has its textures, its material and its files.
+    #[test]
+    fn objects_have_textures_of_their_own() {
+        let folder = tempfile::tempdir().expect("temp");
+        let mut solution = small_solution();
+        solution.labels.data.fill(3);
+        solution.labels.data[..128].fill(4);
+        let names = [(3, "chair/a"), (4, "rug")].map(|(id, name)| ClassName {
+            id,
+            name: name.into(),
+        });
+        let exported = Exported {
+            solution: &solution,
+            classes: &names,
+            cameras: &[],
+        };
+        let options = ExportOptions {
+            format: vec![Format::Glb],
+            split: Split::Classes,
+            atlas: AtlasKind::PerObject,
+            textures: true,
+            tangents: true,
+            ..ExportOptions::default()
+        };
+        let files = export(folder.path(), &exported, &options).expect("exports");
+        for name in ["chair_a_BaseColor.png", "rug_BaseColor.png", "rug_ORM.png"] {
+            assert!(files.iter().any(|f| f == name), "{name}: {files:?}");
+        }
+        let bytes = std::fs::read(folder.path().join("scene.glb")).expect("there");
+        let gltf = gltf::Gltf::from_slice(&bytes).expect("valid");
+        let materials: Vec<_> = gltf.materials().filter_map(|m| m.name()).collect();
+        assert_eq!(materials, ["chair/a reconstruction", "rug reconstruction"]);
+        for (k, mesh) in gltf.meshes().enumerate() {
+            let primitive = mesh.primitives().next().expect("a primitive");
+            assert_eq!(primitive.material().index(), Some(k));
+            let pbr = primitive.material().pbr_metallic_roughness();
+            let base = pbr.base_color_texture().expect("a texture").texture();
+            let image = base.source().name().expect("a name").to_owned();
+            assert_eq!(image, format!("{}_BaseColor", mesh.name().expect("a name")));
+        }
+    }
 
     #[test]
     fn everything_is_written_and_the_cameras_read_back() {

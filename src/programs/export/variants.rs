@@ -4,6 +4,7 @@
 use super::job::{ExportOptions, Exported, shown_parts};
 use super::light_mix::{LightMix, LightmapQuality, relit};
 use super::lightings::{Lightings, NamedLighting};
+use super::object_atlas::AtlasKind;
 use super::punctual::{point_light, punctual_lights, surface_light};
 use crate::core::geometry::clusters;
 use crate::core::image::{Plane, RgbPlane};
@@ -113,6 +114,11 @@ pub fn export_lightings(
 ) -> Result<Vec<String>> {
     let solution = exported.solution;
     options.check()?;
+    if options.atlas == AtlasKind::PerObject {
+        let wrong =
+            "--lightings goes with --atlas shared only: its lightmaps are on the scene's atlas";
+        return Err(Error::Usage(wrong.into()));
+    }
     let e = &solution.irradiance;
     let quality = LightmapQuality {
         side: match options.lightmap_size {
