@@ -3,7 +3,7 @@
 
 use super::Solution;
 use crate::core::formats::{
-    Rgb8, Transfer, encode_ktx2, encode_rgb8, encode_webp8, srgb8_from_linear,
+    Rgb8, Transfer, encode_grey16, encode_ktx2, encode_rgb8, encode_webp8, srgb8_from_linear,
 };
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::error::Result;
@@ -96,7 +96,7 @@ pub fn material_textures(solution: &Solution, packing: TexturePacking) -> Result
 
 /// The textures of `scene.glb` as PNG files: `BaseColor` (sRGB), `ORM` (occlusion, roughness, metal);
 /// where the scene emits, `Emissive` (sRGB, as a share of its maximum) and, where it has panes,
-/// `Transmission` (share of transmitted light).
+/// `Transmission` (share of transmitted light); where 8 bits would show as bands, `Roughness` with 16.
 ///
 /// # Errors
 /// A texture cannot be encoded.
@@ -109,7 +109,17 @@ pub fn png_textures(solution: &Solution, max_texture: usize) -> Result<Vec<Named
         lightmap: false,
         encoded: &[],
     };
-    Ok(encode_pictures(solution, &wanted)?.images)
+    let mut images = encode_pictures(solution, &wanted)?.images;
+    let roughness = fitted(&solution.roughness, max_texture);
+    if has_bands(&roughness) {
+        let word = |r: &f32| (r.clamp(0.0, 1.0) * 65_535.0 + 0.5) as u16;
+        let words: Vec<u16> = roughness.data.iter().map(word).collect();
+        images.push(NamedImage {
+            name: "Roughness",
+            bytes: encode_grey16(roughness.width, roughness.height, &words)?,
+        });
+    }
+    Ok(images)
 }
 
 /// Encodes the textures side by side.
@@ -155,6 +165,19 @@ pub(super) fn encode_pictures(
         lightmap,
         transmission,
     })
+}
+
+/// Whether a share in 8 bits has bands: most steps from a texel to the next in its row, where there is
+/// one, are shorter than those of 8 bits.
+fn has_bands(share: &Plane<f32>) -> bool {
+    let (mut fine, mut coarse) = (0usize, 0usize);
+    for row in share.data.chunks_exact(share.width.max(1)) {
+        for step in row.windows(2).map(|w| (w[1] - w[0]).abs()) {
+            fine += usize::from(step > 0.0 && step < 1.0 / 255.0);
+            coarse += usize::from(step >= 1.0 / 255.0);
+        }
+    }
+    fine > coarse
 }
 
 /// A texture that is encoded already.
@@ -352,6 +375,41 @@ mod tests {
                 false => ktx2::TransferFunction::Linear,
             };
             assert_eq!(file.transfer_function(), Some(curve), "{name}");
+        }
+    }
+
+    #[test]
+    fn roughness_that_8_bits_would_band_has_16() {
+        let mut solution = small_solution();
+        let ramp = |scale: f32| Plane {
+            width: 64,
+            height: 4,
+            data: (0..256).map(|i| 0.3 + scale * (i % 64) as f32).collect(),
+        };
+        let found = |solution: &Solution| {
+            let images = png_textures(solution, 64).expect("encodes");
+            images.into_iter().find(|i| i.name == "Roughness")
+        };
+        // a step of 8 bits each, and one for every ten
+        solution.roughness = ramp(1.0 / 255.0 + 1e-5);
+        assert_eq!(found(&solution), None);
+        solution.roughness = Plane::filled(64, 4, 0.3);
+        assert_eq!(found(&solution), None, "no steps at all");
+        solution.roughness = ramp(0.1 / 255.0);
+        let image = found(&solution).expect("bands");
+        let mut reader = png::Decoder::new(std::io::Cursor::new(&image.bytes))
+            .read_info()
+            .expect("valid");
+        assert_eq!(reader.info().bit_depth, png::BitDepth::Sixteen);
+        let mut bytes = vec![0; reader.output_buffer_size().expect("a size")];
+        reader.next_frame(&mut bytes).expect("pixels");
+        for (pair, r) in bytes
+            .as_chunks::<2>()
+            .0
+            .iter()
+            .zip(&solution.roughness.data)
+        {
+            assert!((f32::from(u16::from_be_bytes(*pair)) / 65_535.0 - r).abs() < 1e-5);
         }
     }
 

@@ -49,7 +49,8 @@ pub use input::{MOST_DATA, MOST_TEXT, open_regular, read_input, read_input_text}
 pub use ktx2::{Rgb8, Transfer, encode_ktx2};
 pub use photograph::{ImageAccount, Photograph, image_account, read_photograph};
 pub use picture::{
-    Picture8, decode_rgba8, encode_grey8, encode_rgb8, encode_webp8, srgb8_from_linear,
+    Picture8, decode_rgba8, encode_grey8, encode_grey16, encode_rgb8, encode_webp8,
+    srgb8_from_linear,
 };
 pub use png_io::{read_labels, read_ldr, read_mask, write_png_rgb8, write_png8, write_png16};
 pub use probe::{generation_mark, image_info};

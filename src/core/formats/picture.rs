@@ -123,7 +123,13 @@ pub fn srgb8_from_linear(linear: f32) -> u8 {
 /// # Errors
 /// If the bytes do not match the size.
 pub fn encode_rgb8(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> {
-    encode(width, height, rgb, png::ColorType::Rgb)
+    encode(
+        width,
+        height,
+        rgb,
+        png::ColorType::Rgb,
+        png::BitDepth::Eight,
+    )
 }
 
 /// PNG bytes of 8-bit grey pixels, row-major.
@@ -131,7 +137,18 @@ pub fn encode_rgb8(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> {
 /// # Errors
 /// If the bytes do not match the size.
 pub fn encode_grey8(width: usize, height: usize, grey: &[u8]) -> Result<Vec<u8>> {
-    encode(width, height, grey, png::ColorType::Grayscale)
+    let colour = png::ColorType::Grayscale;
+    encode(width, height, grey, colour, png::BitDepth::Eight)
+}
+
+/// PNG bytes of 16-bit grey pixels, row-major.
+///
+/// # Errors
+/// If the numbers do not match the size.
+pub fn encode_grey16(width: usize, height: usize, grey: &[u16]) -> Result<Vec<u8>> {
+    let bytes: Vec<u8> = grey.iter().flat_map(|v| v.to_be_bytes()).collect();
+    let colour = png::ColorType::Grayscale;
+    encode(width, height, &bytes, colour, png::BitDepth::Sixteen)
 }
 
 /// Lossless WebP bytes of 8-bit RGB pixels, row-major.
@@ -157,7 +174,13 @@ pub fn encode_webp8(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> 
     Ok(bytes)
 }
 
-fn encode(width: usize, height: usize, pixels: &[u8], color: png::ColorType) -> Result<Vec<u8>> {
+fn encode(
+    width: usize,
+    height: usize,
+    pixels: &[u8],
+    color: png::ColorType,
+    depth: png::BitDepth,
+) -> Result<Vec<u8>> {
     let side = |n: usize| {
         u32::try_from(n)
             .ok()
@@ -167,7 +190,7 @@ fn encode(width: usize, height: usize, pixels: &[u8], color: png::ColorType) -> 
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, side(width)?, side(height)?);
     encoder.set_color(color);
-    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_depth(depth);
     // textures are large and mostly smooth: the fast setting is within a few per cent of the best
     // one at a tenth of the time
     encoder.set_compression(png::Compression::Fast);

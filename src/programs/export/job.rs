@@ -71,8 +71,8 @@ pub struct ExportOptions {
     #[arg(long)]
     pub tangents: bool,
     /// Write the glTF file's textures beside it too, as 8-bit PNG: scene_BaseColor.png,
-    /// scene_ORM.png (occlusion, roughness, metal), scene_Emissive.png. With --atlas per-object,
-    /// NAME_BaseColor.png, ….
+    /// scene_ORM.png (occlusion, roughness, metal), scene_Emissive.png; where 8 bits would show as
+    /// bands, scene_Roughness.png with 16. With --atlas per-object, NAME_BaseColor.png, ….
     #[arg(long)]
     pub textures: bool,
     /// With --lightings, side of the lightmaps in texels; 0 = as the irradiance texture, at most
