@@ -48,10 +48,10 @@ impl Geometry for Corners<'_> {
         self.mesh.normals[self.vertex(face, corner)].to_array()
     }
 
-    /// With v upwards, as normal maps have it.
+    /// With v upwards, as normal maps have it, and no bit lost.
     fn tex_coord(&self, face: usize, corner: usize) -> [f32; 2] {
         let Vec2 { x, y } = self.mesh.uvs[self.vertex(face, corner)];
-        [x, 1.0 - y]
+        [x, -y]
     }
 
     fn set_tangent(&mut self, tangent: Option<TangentSpace>, face: usize, corner: usize) {
