@@ -233,15 +233,12 @@ impl Normal {
         for (v, at) in column.iter().enumerate() {
             let Some(at) = at else { continue };
             let distance = median(std::mem::take(&mut distances[v])).unwrap_or(1.0);
-            for k in 0..6 {
-                let metres = if k < 3 {
-                    1.0
-                } else {
-                    f64::from(distance.max(f32::MIN_POSITIVE))
-                };
-                let weight = (WIDE.to_radians() * metres).powi(-2);
+            let metres = f64::from(distance.max(f32::MIN_POSITIVE));
+            for (k, change) in poses[v].iter().enumerate() {
+                let unit = if k < 3 { 1.0 } else { metres };
+                let weight = (WIDE.to_radians() * unit).powi(-2);
                 out.information[(at + k, at + k)] += weight;
-                out.gradient[at + k] += weight * poses[v][k];
+                out.gradient[at + k] += weight * change;
             }
         }
         out
@@ -332,12 +329,12 @@ impl Pair {
                     let row = row / f64::from(scale[c]);
                     let value = r[c];
                     let weight = f64::from(1.0 / (1.0 + value * value).powi(2));
-                    out.information += row * row.transpose() * weight;
+                    out.information.ger(weight, &row, &row, 1.0);
                     g += row * (weight * f64::from(value));
                 }
             }
             out.gradient += g;
-            out.scatter += g * g.transpose();
+            out.scatter.ger(1.0, &g, &g, 1.0);
         }
         out
     }

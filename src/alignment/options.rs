@@ -23,8 +23,9 @@ pub struct AlignmentOptions {
     /// turn, shift, scale, mirrored pixels).
     #[arg(long)]
     pub fix_alignment: bool,
-    /// Turn and move single cameras until their photographs agree with the others'; only poses
-    /// that are wrong beyond their standard error are changed. Auto looks at low resolution first.
+    /// Turn and move cameras until their photographs agree on what the surface shows; only poses that
+    /// are wrong visibly and beyond chance are changed, the others stay to the bit. Auto looks at
+    /// low resolution first.
     #[arg(long, value_enum, default_value_t = Self::default().refine_poses)]
     pub refine_poses: Switch,
 }
@@ -34,7 +35,7 @@ impl Default for AlignmentOptions {
         Self {
             force: false,
             fix_alignment: false,
-            refine_poses: Switch::Off,
+            refine_poses: Switch::Auto,
         }
     }
 }
@@ -66,12 +67,13 @@ fn refined(scene: &Scene, switch: Switch) -> Result<Vec<RefinedPose>> {
         mesh: &scene.mesh,
         tracer: &tracer,
     };
-    if switch == Switch::Auto {
+    let hasty = switch == Switch::Auto;
+    if hasty {
         let coarse = gather_sizes(scene, usize::MAX, &[EvidenceSize::COARSE])?;
-        if refine(&ground, &coarse).is_empty() {
+        if refine(&ground, &coarse, hasty).is_empty() {
             return Ok(Vec::new());
         }
     }
     let views = gather_sizes(scene, usize::MAX, &EvidenceSize::REFINING)?;
-    Ok(refine(&ground, &views))
+    Ok(refine(&ground, &views, hasty))
 }

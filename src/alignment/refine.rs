@@ -13,19 +13,21 @@ use super::score::Ground;
 use crate::core::geometry::Camera;
 use crate::core::parallel::prelude::*;
 use crate::core::stats::{SURELY, median};
-use glam::{DQuat, DVec3, Vec4};
+use glam::{DQuat, DVec3, Vec2, Vec4};
 use serde::{Deserialize, Serialize};
 
-/// Rounds per size of the images: after each, what sees what is looked up again.
+/// Rounds per size of the images at most: after each, what sees what is looked up again.
 const ROUNDS: usize = 4;
+/// Rounds end where no pose moves by more than this share of what counts as a change.
+const SETTLED: f64 = 0.2;
 /// Held-out improvement in standard errors.
 const SIGNIFICANT: f64 = 3.5;
-/// Changes below this, as seen by the camera, are below half a pixel of a panorama 700 wide, and within
-/// three errors of fits of right poses ([`MODEL_ERROR`]). Degrees.
-const LEAST: f64 = 0.25;
-/// What fits of right poses are off by, degrees as seen by the camera. Measured: 0.04 to 0.2° about
-/// their mean in the four shared scenes (docs/lab/alignment.md).
-const MODEL_ERROR: f64 = 0.15;
+/// What fits of right poses are off by, degrees as seen by the camera. Measured: root mean squares of
+/// 0.04 to 0.17° in the four shared scenes, no view beyond 0.32° (docs/lab/alignment.md).
+const MODEL_ERROR: f64 = 0.13;
+/// Changes below this, as seen by the camera, may be errors of the fit: degrees. So may those below half a
+/// pixel.
+const LEAST: f64 = SURELY as f64 * MODEL_ERROR;
 /// By what fits of right poses drift together, degrees as the cameras see it. Measured: 0.1 to 0.2° in the
 /// four shared scenes (docs/lab/alignment.md).
 const DRIFT: f64 = 0.15;
@@ -63,36 +65,42 @@ impl RefinedPose {
     }
 }
 
-/// Refines the poses of all views. `sizes` holds the same views at growing image sizes. Views that
-/// stay as they are do not occur in the answer.
+/// Refines the poses of all views. `sizes` holds the same views at growing image sizes; if `hasty`, a
+/// size at which no pose is wrong ends it. Views that stay as they are do not occur in the answer.
 #[must_use]
-pub fn refine(ground: &Ground<'_>, sizes: &[Vec<ViewEvidence>]) -> Vec<RefinedPose> {
-    let Some(views) = sizes.last() else {
-        return Vec::new();
-    };
-    let all: &Used<'_> = &|_| true;
-    let mut poses = vec![Pose::zeros(); views.len()];
-    for views in sizes {
-        for _ in 0..ROUNDS {
-            let pairs = pairs(ground, views, &cameras_of(views, &poses));
-            match joint_fit(views, &pairs, &poses, all) {
-                Some(fit) => poses = fit.poses,
-                None => return Vec::new(),
+pub fn refine(ground: &Ground<'_>, sizes: &[Vec<ViewEvidence>], hasty: bool) -> Vec<RefinedPose> {
+    let mut poses = vec![Pose::zeros(); sizes.first().map_or(0, Vec::len)];
+    let mut changes = Vec::new();
+    for (k, views) in sizes.iter().enumerate() {
+        let Some(found) = settled(ground, views, &mut poses) else {
+            return Vec::new();
+        };
+        if hasty || k + 1 == sizes.len() {
+            changes = found.changes(&poses);
+            if changes.is_empty() {
+                break;
             }
         }
     }
-    let found = Found {
-        views,
-        pairs: pairs(ground, views, &cameras_of(views, &poses)),
-    };
-    let Some(fit) = found.fit(&poses, all) else {
-        return Vec::new();
-    };
-    let gains = found.held_out_gains(&poses);
-    (0..views.len())
-        .filter(|&v| gains[v] > SIGNIFICANT && found.is_small(&fit, v))
-        .map(|v| found.change(&fit, v, gains[v]))
-        .collect()
+    changes
+}
+
+/// Moves poses until they fit, and what the views share then; `None` if they cannot be fitted.
+fn settled<'a>(
+    ground: &Ground<'_>,
+    views: &'a [ViewEvidence],
+    poses: &mut Vec<Pose>,
+) -> Option<Found<'a>> {
+    for _ in 0..ROUNDS {
+        let found = Found::at(ground, views, poses);
+        let fit = joint_fit(views, &found.pairs, poses, &|_| true)?;
+        let before = std::mem::replace(poses, fit.poses);
+        let steps = (0..views.len()).map(|v| found.seen_change(&(poses[v] - before[v]), v));
+        if steps.fold(0.0, f64::max) < SETTLED * LEAST {
+            break;
+        }
+    }
+    Some(Found::at(ground, views, poses))
 }
 
 /// Turn and shift of a pose.
@@ -106,7 +114,26 @@ struct Found<'a> {
     pairs: Vec<Pair>,
 }
 
-impl Found<'_> {
+impl<'a> Found<'a> {
+    fn at(ground: &Ground<'_>, views: &'a [ViewEvidence], poses: &[Pose]) -> Self {
+        Self {
+            views,
+            pairs: pairs(ground, views, &cameras_of(views, poses)),
+        }
+    }
+
+    /// The poses that are wrong, `start` being near those that fit.
+    fn changes(&self, start: &[Pose]) -> Vec<RefinedPose> {
+        let Some(fit) = self.fit(start, &|_| true) else {
+            return Vec::new();
+        };
+        let gains = self.held_out_gains(start);
+        (0..self.views.len())
+            .filter(|&v| gains[v] > SIGNIFICANT && self.is_small(&fit, v))
+            .map(|v| self.change(&fit, v, gains[v]))
+            .collect()
+    }
+
     /// The poses that fit, less what all cameras have in common.
     fn fit(&self, start: &[Pose], used: &Used<'_>) -> Option<JointFit> {
         let mut fit = joint_fit(self.views, &self.pairs, start, used)?;
@@ -180,7 +207,10 @@ impl Found<'_> {
     /// Whether a change is visible, and little enough to be believed.
     fn is_small(&self, fit: &JointFit, v: usize) -> bool {
         let seen = self.seen_change(&fit.poses[v], v);
-        seen > LEAST && seen < WIDE
+        let camera = &self.views[v].camera;
+        let centre = 0.5 * Vec2::new(camera.width as f32, camera.height as f32);
+        let pixel = f64::from(camera.pixel_angle(centre)).to_degrees();
+        seen > LEAST.max(0.5 * pixel) && seen < WIDE
     }
 
     /// Median angle by which what a view sees moves in it, degrees.

@@ -379,7 +379,7 @@ fn right_poses_are_left_alone_and_wrong_ones_come_back() {
         mesh: &room.scene.mesh,
         tracer: &tracer,
     };
-    let none = refine(&ground, &[fine(&room, &room.cameras)]);
+    let none = refine(&ground, &[fine(&room, &room.cameras)], false);
     assert!(none.is_empty(), "{none:?}");
 
     let spoilt: Vec<Camera> = room
@@ -388,7 +388,7 @@ fn right_poses_are_left_alone_and_wrong_ones_come_back() {
         .enumerate()
         .map(|(i, c)| jittered(c, i))
         .collect();
-    let refined = refine(&ground, &[fine(&room, &spoilt)]);
+    let refined = refine(&ground, &[fine(&room, &spoilt)], false);
     assert!(refined.len() >= 5, "{refined:?}");
     for pose in &refined {
         assert!(turn_left(&room, &spoilt, pose) < 0.4, "{pose:?}");
@@ -406,7 +406,7 @@ fn one_wrong_pose_is_the_only_one_changed() {
     };
     let mut spoilt = room.cameras.clone();
     spoilt[2] = jittered(&jittered(&spoilt[2], 1), 1);
-    let refined = refine(&ground, &[fine(&room, &spoilt)]);
+    let refined = refine(&ground, &[fine(&room, &spoilt)], false);
     let stems: Vec<&str> = refined.iter().map(|p| p.stem.as_str()).collect();
     assert_eq!(stems, ["2"], "{refined:?}");
     assert!(turn_left(&room, &spoilt, &refined[0]) < 0.4, "{refined:?}");
