@@ -2,17 +2,18 @@
 //! agree on what the surface shows ([`super::joint_fit`]), from coarse images to fine ones.
 //!
 //! A pose is changed only if residuals of points that took no part in the estimate become smaller by
-//! its own change, in both halves of a two-fold split, and the change is larger than what the
-//! photographs resolve.
+//! its own change, in both halves of a two-fold split, the change is larger than what the photographs
+//! resolve, and edges of the mesh and class ids agree to it.
 
 use super::evidence::ViewEvidence;
 use super::joint_fit::{
     JointFit, Pair, Pose, Used, WIDE, cameras_of, joint_fit, moved, pairs, pose_vector, scales,
 };
-use super::score::Ground;
+use super::score::{Ground, score_views};
 use crate::core::geometry::Camera;
 use crate::core::parallel::prelude::*;
 use crate::core::stats::{SURELY, median};
+use crate::scene::Mirror;
 use glam::{DQuat, DVec3, Vec2, Vec4};
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +21,8 @@ use serde::{Deserialize, Serialize};
 const ROUNDS: usize = 4;
 /// Rounds end where no pose moves by more than this share of what counts as a change.
 const SETTLED: f64 = 0.2;
+/// Parts of a view's score that the fit does not use: edges, and labels where there are any.
+const OTHER_PARTS: [usize; 3] = [2, 3, 4];
 /// Held-out improvement in standard errors.
 const SIGNIFICANT: f64 = 3.5;
 /// What fits of right poses are off by, degrees as seen by the camera. Measured: root mean squares of
@@ -76,11 +79,48 @@ pub fn refine(ground: &Ground<'_>, sizes: &[Vec<ViewEvidence>], hasty: bool) -> 
             return Vec::new();
         };
         if hasty || k + 1 == sizes.len() {
-            changes = found.changes(&poses);
+            changes = vouched(ground, views, found.changes(&poses));
             if changes.is_empty() {
                 break;
             }
         }
+    }
+    changes
+}
+
+/// Of some changes those that the mesh's edges and the class ids agree to, which took no part in the
+/// fit: all if they agree to them together beyond chance. Where they disagree with most, photographs agree better on a surface that is not the room's
+/// (furniture that the mesh lacks, walls out of place), and no pose is changed.
+fn vouched(
+    ground: &Ground<'_>,
+    views: &[ViewEvidence],
+    mut changes: Vec<RefinedPose>,
+) -> Vec<RefinedPose> {
+    let given: Vec<Camera> = views.iter().map(|v| v.camera).collect();
+    let mut refined = given.clone();
+    for change in &changes {
+        for (camera, _) in (refined.iter_mut().zip(views)).filter(|(_, v)| v.stem == change.stem) {
+            *camera = change.camera(camera);
+        }
+    }
+    let [before, after] = [given, refined].map(|c| score_views(ground, views, &c, Mirror::None, 1));
+    let gain = |v: usize| -> f32 {
+        let [old, new] = [&before, &after].map(|s| s[v].parts);
+        let part = |k: usize| Some(new[k]? - old[k]?);
+        OTHER_PARTS.into_iter().filter_map(part).sum()
+    };
+    let gains: Vec<f64> = (changes.iter())
+        .filter_map(|c| views.iter().position(|v| v.stem == c.stem))
+        .map(|v| f64::from(gain(v)))
+        .collect();
+    if significance(&gains) > SIGNIFICANT {
+        return changes;
+    }
+    let found = changes.len();
+    let mut gain = gains.iter();
+    changes.retain(|_| gain.next().is_some_and(|g| *g > 0.0));
+    if 2 * changes.len() < found {
+        changes.clear();
     }
     changes
 }
