@@ -58,6 +58,8 @@ pub struct ViewScore {
     pub met: f32,
     /// Median distance of the hits, metres; 0 without any.
     pub distance: f32,
+    /// Pairs of neighbouring pixels with an edge of the mesh between them.
+    pub edges: usize,
 }
 
 impl ViewScore {
@@ -222,6 +224,7 @@ fn score_view(
         parts: parts.map(|p| p.map(|x| x * met)),
         met,
         distance,
+        edges: own.edges.iter().flatten().filter(|e| **e).count(),
     }
 }
 
