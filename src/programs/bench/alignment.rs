@@ -207,7 +207,7 @@ pub fn bench_alignment(
         let mut refining = (0, [0.0; 2], [0.0; 2]);
         if alignment.verdict != AlignmentVerdict::Misaligned {
             let options = AlignmentOptions {
-                refine_poses: Switch::Auto,
+                refine_poses: Switch::On,
                 ..AlignmentOptions::default()
             };
             let before = pose_errors(&scene, &damaged);
