@@ -5,6 +5,7 @@ use crate::core::geometry::{Camera, Projection};
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
+use crate::gbuffer::wrap_of;
 use crate::scene::{Scene, View};
 use crate::{Error, Result};
 use glam::{Vec2, Vec3, Vec4};
@@ -25,16 +26,17 @@ impl EvidenceSize {
         width: 192,
         samples: 450,
     };
-    /// For the refinement of poses, from what the verdict saw to half a degree per pixel.
-    pub const REFINING: [Self; 3] = [Self::COARSE, Self::MIDDLE, Self::FINE];
-    const MIDDLE: Self = Self {
-        width: 384,
-        samples: 3000,
-    };
-    pub(super) const FINE: Self = Self {
-        width: 768,
-        samples: 4000,
-    };
+    /// For the refinement of poses after a coarse look, to half a degree per pixel.
+    pub const FINER: [Self; 2] = [
+        Self {
+            width: 384,
+            samples: 3000,
+        },
+        Self {
+            width: 768,
+            samples: 4000,
+        },
+    ];
 }
 
 /// Half the distance of the two pixels of a pair, as a share of the small image's width (2.8° of a
@@ -107,10 +109,7 @@ impl ViewEvidence {
         let width = size.width.min(image.width);
         let height = (image.height * width / image.width).max(1);
         let camera = camera.resized(width, height);
-        let wrap = match camera.projection {
-            Projection::Equirectangular => Wrap::Repeat,
-            Projection::Pinhole(_) => Wrap::Clamp,
-        };
+        let wrap = wrap_of(&camera);
         let (features, valid) = log_image(image, mask, width, height, wrap);
         let labels = labels.map(|l| {
             let scale = Vec2::new(

@@ -10,17 +10,18 @@
 
 use super::evidence::ViewEvidence;
 use super::score::{Ground, Lookup, lookups};
-use crate::core::geometry::{Camera, Projection};
+use crate::core::geometry::Camera;
 use crate::core::image::Wrap;
 use crate::core::parallel::prelude::*;
 use crate::core::stats::{MAD_SCALE, SURELY, median};
+use crate::gbuffer::wrap_of;
 use glam::{DQuat, DVec3, Mat3, Quat, Vec2, Vec3, Vec4};
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
 /// Steps of Gauss–Newton while what sees what is kept.
 const STEPS: usize = 4;
 /// Residuals a view needs, in both directions.
-pub(super) const FEWEST: usize = 120;
+const FEWEST: usize = 120;
 /// Residuals that lie together and count as one where errors are estimated.
 const CLUSTER: usize = 8;
 /// Residuals below this differ by rounding, ln radiance.
@@ -144,14 +145,21 @@ pub(super) fn joint_fit(
     if unknowns == 0 {
         return Some(fit);
     }
+    let distances = distances(views, pairs);
     for step in 0..STEPS {
         let cameras = cameras_of(views, &fit.poses);
-        let scales = scales(views, pairs, &cameras);
-        let terms: Vec<Terms> = pairs
-            .par_iter()
-            .map(|p| p.terms(&views[p.into], &cameras, scales[p.into], used))
+        let residuals = residuals(views, pairs, &cameras);
+        let scales = scales(views, pairs, &residuals);
+        let terms: Vec<Terms> = (pairs.par_iter().zip(&residuals))
+            .map(|(p, r)| {
+                let scaled = Scaled {
+                    residuals: r,
+                    scale: scales[p.into],
+                };
+                p.terms(&views[p.into], &cameras, &scaled, used)
+            })
             .collect();
-        let mut normal = Normal::prior(views, pairs, &fit.poses, &column, unknowns);
+        let mut normal = Normal::prior(&distances, &fit.poses, &column, unknowns);
         for (p, t) in pairs.iter().zip(&terms) {
             normal.add([column[p.from], column[p.into]], t);
         }
@@ -186,12 +194,33 @@ pub(super) fn cameras_of(views: &[ViewEvidence], poses: &[Pose]) -> Vec<Camera> 
     both.map(|(v, x)| moved(&v.camera, x)).collect()
 }
 
+/// What each of a pair's targets differs by; `None` where it is not seen.
+pub(super) type Residuals = Vec<Option<Vec4>>;
+
+/// The residuals of each pair under these cameras.
+pub(super) fn residuals(
+    views: &[ViewEvidence],
+    pairs: &[Pair],
+    cameras: &[Camera],
+) -> Vec<Residuals> {
+    let of = |p: &Pair| p.residuals(&views[p.into], cameras);
+    pairs.par_iter().map(of).collect()
+}
+
+/// Median distance of each view, as loaded, to what is looked up in it, metres; `None` if that is
+/// nothing.
+pub(super) fn distances(views: &[ViewEvidence], pairs: &[Pair]) -> Vec<Option<f32>> {
+    let mut of_view: Vec<Vec<f32>> = vec![Vec::new(); views.len()];
+    for p in pairs {
+        let eye = views[p.into].camera.position;
+        of_view[p.into].extend(p.targets.iter().map(|t| t.point.distance(eye)));
+    }
+    of_view.into_iter().map(median).collect()
+}
+
 /// Size of the residuals that counts half, per view and feature: what noise reaches at most. (A third
 /// of it leaves poses that are two degrees off at half a degree: docs/lab/alignment.md.)
-pub(super) fn scales(views: &[ViewEvidence], pairs: &[Pair], cameras: &[Camera]) -> Vec<Vec4> {
-    let residuals: Vec<Vec<Option<Vec4>>> = (pairs.par_iter())
-        .map(|p| p.residuals(&views[p.into], cameras))
-        .collect();
+pub(super) fn scales(views: &[ViewEvidence], pairs: &[Pair], residuals: &[Residuals]) -> Vec<Vec4> {
     let mut of_view: Vec<Vec<Vec4>> = vec![Vec::new(); views.len()];
     for (p, r) in pairs.iter().zip(residuals) {
         of_view[p.into].extend(r.iter().flatten());
@@ -214,8 +243,7 @@ struct Normal {
 
 impl Normal {
     fn prior(
-        views: &[ViewEvidence],
-        pairs: &[Pair],
+        distances: &[Option<f32>],
         poses: &[Pose],
         column: &[Option<usize>],
         unknowns: usize,
@@ -225,14 +253,9 @@ impl Normal {
             gradient: DVector::zeros(unknowns),
             scatter: DMatrix::zeros(unknowns, unknowns),
         };
-        let mut distances: Vec<Vec<f32>> = vec![Vec::new(); views.len()];
-        for p in pairs {
-            let from = views[p.into].camera.position;
-            distances[p.into].extend(p.targets.iter().map(|t| t.point.distance(from)));
-        }
         for (v, at) in column.iter().enumerate() {
             let Some(at) = at else { continue };
-            let distance = median(std::mem::take(&mut distances[v])).unwrap_or(1.0);
+            let distance = distances[v].unwrap_or(1.0);
             let metres = f64::from(distance.max(f32::MIN_POSITIVE));
             for (k, change) in poses[v].iter().enumerate() {
                 let unit = if k < 3 { 1.0 } else { metres };
@@ -261,6 +284,12 @@ impl Normal {
     }
 }
 
+/// The residuals of a pair, and the size of them that counts half.
+struct Scaled<'a> {
+    residuals: &'a [Option<Vec4>],
+    scale: Vec4,
+}
+
 /// What one pair adds to the equations, for the six numbers of `from` and the six of `into`.
 struct Terms {
     information: Information,
@@ -283,10 +312,10 @@ impl Pair {
     }
 
     /// What `view`, which is `into`, shows of each target less what `from` does, less the pair's
-    /// gain. `None` where it is not seen.
-    pub(super) fn residuals(&self, view: &ViewEvidence, cameras: &[Camera]) -> Vec<Option<Vec4>> {
+    /// gain.
+    pub(super) fn residuals(&self, view: &ViewEvidence, cameras: &[Camera]) -> Residuals {
         let wrap = wrap_of(&view.camera);
-        let mut all: Vec<Option<Vec4>> = (self.targets.iter())
+        let mut all: Residuals = (self.targets.iter())
             .map(|t| {
                 let (pixel, _) = self.place(t, cameras)?;
                 let seen = *view.valid.nearest(pixel);
@@ -306,10 +335,10 @@ impl Pair {
         &self,
         view: &ViewEvidence,
         cameras: &[Camera],
-        scale: Vec4,
+        scaled: &Scaled<'_>,
         used: &Used<'_>,
     ) -> Terms {
-        let residuals = self.residuals(view, cameras);
+        let Scaled { residuals, scale } = *scaled;
         let mut out = Terms {
             information: Information::zeros(),
             gradient: Both::zeros(),
@@ -346,22 +375,27 @@ impl Pair {
         cameras: &[Camera],
         target: &Target,
     ) -> Option<[Both; 4]> {
-        let (at, _) = self.place(target, cameras)?;
+        let (at, point) = self.place(target, cameras)?;
         let wrap = wrap_of(&view.camera);
         let gradient = |d: Vec2| -> Vec4 {
             (view.features.bilinear(at + d, wrap) - view.features.bilinear(at - d, wrap)) * 0.5
         };
         let (gx, gy) = (gradient(Vec2::X), gradient(Vec2::Y));
-        let steps = self.pixel_by_poses(cameras, target)?;
+        let steps = self.pixel_by_poses(cameras, target, point)?;
         Some(std::array::from_fn(|c| {
             Both::from_fn(|k, _| f64::from(gx[c] * steps[k].x + gy[c] * steps[k].y))
         }))
     }
 
-    /// Derivatives of a target's place in `into` by the turn and shift of `from` and of `into`, pixels.
-    fn pixel_by_poses(&self, cameras: &[Camera], target: &Target) -> Option<[Vec2; 12]> {
+    /// Derivatives of where `into` sees a target, which `from`'s ray meets at `point`, by the turn and
+    /// shift of `from` and of `into`, pixels.
+    fn pixel_by_poses(
+        &self,
+        cameras: &[Camera],
+        target: &Target,
+        point: Vec3,
+    ) -> Option<[Vec2; 12]> {
         let (from, into) = (&cameras[self.from], &cameras[self.into]);
-        let (_, point) = self.place(target, cameras)?;
         let by_point = pixel_by_point(into, point)?;
         let ray = from.world_from_camera * target.ray;
         let along = (point - from.position).length();
@@ -405,17 +439,10 @@ fn pixel_by_point(camera: &Camera, point: Vec3) -> Option<[Vec2; 3]> {
     ])
 }
 
-fn wrap_of(camera: &Camera) -> Wrap {
-    match camera.projection {
-        Projection::Equirectangular => Wrap::Repeat,
-        Projection::Pinhole(_) => Wrap::Clamp,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::geometry::Lens;
+    use crate::core::geometry::{Lens, Projection};
 
     fn camera(projection: Projection, turn: DVec3, position: Vec3) -> Camera {
         let camera = Camera {
@@ -464,7 +491,9 @@ mod tests {
                 targets: Vec::new(),
             };
             let cameras = [from, into];
-            let found = pair.pixel_by_poses(&cameras, &target).expect("is seen");
+            let found = pair
+                .pixel_by_poses(&cameras, &target, point)
+                .expect("is seen");
             for (k, d) in found.iter().enumerate() {
                 let at = |step: f64| {
                     let mut x = Pose::zeros();

@@ -1,10 +1,10 @@
 //! What `check` and `solve` do about alignment.
 
 use super::apply::{apply, refine_poses};
-use super::evidence::{EvidenceSize, gather_sizes};
-use super::refine::{RefinedPose, refine};
+use super::evidence::{EvidenceSize, gather, gather_sizes};
+use super::refine::refine;
 use super::score::Ground;
-use super::verdict::{Alignment, assess};
+use super::verdict::{Alignment, MOST_VIEWS, assess_views};
 use crate::Result;
 use crate::core::switch::Switch;
 use crate::core::trace::EmbreeTracer;
@@ -45,35 +45,32 @@ impl Default for AlignmentOptions {
 /// # Errors
 /// Images, labels or masks that cannot be read; a mesh that Embree refuses.
 pub fn align(scene: &mut Scene, options: &AlignmentOptions) -> Result<Alignment> {
-    let tracer = EmbreeTracer::new(&scene.mesh)?;
-    let mut found = assess(scene, &tracer)?;
+    let mut tracer = EmbreeTracer::new(&scene.mesh)?;
+    let mut seen = gather(scene, MOST_VIEWS, EvidenceSize::COARSE)?;
+    let mut found = assess_views(scene, &tracer, &seen);
     let wrong = found.verdict == AlignmentVerdict::Misaligned;
+    let refines = options.refine_poses != Switch::Off;
     if let (true, true, Some(c)) = (options.fix_alignment, wrong, &found.correction) {
         apply(scene, c, found.corrected_distance);
         found.fixed = true;
+        if refines {
+            tracer = EmbreeTracer::new(&scene.mesh)?;
+        }
     }
     let fits = found.fixed || found.verdict != AlignmentVerdict::Misaligned;
-    if options.refine_poses != Switch::Off && fits {
-        found.refined = refined(scene, options.refine_poses)?;
+    if refines && fits {
+        // the test may have seen some of the views only, or all before they were corrected
+        if found.fixed || seen.len() < scene.train_views().count() {
+            seen = gather(scene, usize::MAX, EvidenceSize::COARSE)?;
+        }
+        let ground = Ground {
+            mesh: &scene.mesh,
+            tracer: &tracer,
+        };
+        let finer = || gather_sizes(scene, usize::MAX, &EvidenceSize::FINER);
+        let hasty = options.refine_poses == Switch::Auto;
+        found.refined = refine(&ground, &seen, finer, hasty)?;
         refine_poses(scene, &found.refined);
     }
     Ok(found)
-}
-
-/// The poses to change. A first look at low resolution settles whether there is anything to do.
-fn refined(scene: &Scene, switch: Switch) -> Result<Vec<RefinedPose>> {
-    let tracer = EmbreeTracer::new(&scene.mesh)?;
-    let ground = Ground {
-        mesh: &scene.mesh,
-        tracer: &tracer,
-    };
-    let hasty = switch == Switch::Auto;
-    if hasty {
-        let coarse = gather_sizes(scene, usize::MAX, &[EvidenceSize::COARSE])?;
-        if refine(&ground, &coarse, hasty).is_empty() {
-            return Ok(Vec::new());
-        }
-    }
-    let views = gather_sizes(scene, usize::MAX, &EvidenceSize::REFINING)?;
-    Ok(refine(&ground, &views, hasty))
 }

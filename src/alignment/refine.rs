@@ -7,9 +7,11 @@
 
 use super::evidence::ViewEvidence;
 use super::joint_fit::{
-    JointFit, Pair, Pose, Used, WIDE, cameras_of, joint_fit, moved, pairs, pose_vector, scales,
+    JointFit, Pair, Pose, Used, WIDE, cameras_of, distances, joint_fit, moved, pairs, pose_vector,
+    residuals, scales,
 };
 use super::score::{Ground, score_views};
+use crate::Result;
 use crate::core::geometry::Camera;
 use crate::core::parallel::prelude::*;
 use crate::core::stats::{SURELY, median};
@@ -68,24 +70,39 @@ impl RefinedPose {
     }
 }
 
-/// Refines the poses of all views. `sizes` holds the same views at growing image sizes; if `hasty`, a
-/// size at which no pose is wrong ends it. Views that stay as they are do not occur in the answer.
-#[must_use]
-pub fn refine(ground: &Ground<'_>, sizes: &[Vec<ViewEvidence>], hasty: bool) -> Vec<RefinedPose> {
-    let mut poses = vec![Pose::zeros(); sizes.first().map_or(0, Vec::len)];
-    let mut changes = Vec::new();
+/// Refines the poses of all views, seen coarsely; `finer` gives the same views at growing image sizes.
+/// If `hasty`, a size at which no pose is wrong ends it. Views that stay as they are do not occur in the
+/// answer.
+///
+/// # Errors
+/// Those of `finer`.
+pub fn refine(
+    ground: &Ground<'_>,
+    coarse: &[ViewEvidence],
+    finer: impl FnOnce() -> Result<Vec<Vec<ViewEvidence>>>,
+    hasty: bool,
+) -> Result<Vec<RefinedPose>> {
+    let mut poses = vec![Pose::zeros(); coarse.len()];
+    // none where that is the end: poses that cannot be fitted, or none that is wrong
+    let mut at_size = |views: &[ViewEvidence], judged: bool| -> Option<Vec<RefinedPose>> {
+        let found = settled(ground, views, &mut poses)?;
+        if !judged {
+            return Some(Vec::new());
+        }
+        let changes = vouched(ground, views, found.changes(&poses));
+        (!changes.is_empty()).then_some(changes)
+    };
+    let Some(mut changes) = at_size(coarse, hasty) else {
+        return Ok(Vec::new());
+    };
+    let sizes = finer()?;
     for (k, views) in sizes.iter().enumerate() {
-        let Some(found) = settled(ground, views, &mut poses) else {
-            return Vec::new();
-        };
-        if hasty || k + 1 == sizes.len() {
-            changes = vouched(ground, views, found.changes(&poses));
-            if changes.is_empty() {
-                break;
-            }
+        match at_size(views, hasty || k + 1 == sizes.len()) {
+            Some(found) => changes = found,
+            None => return Ok(Vec::new()),
         }
     }
-    changes
+    Ok(changes)
 }
 
 /// Of some changes those that the mesh's edges and the class ids do not speak against, which took no part
@@ -97,12 +114,10 @@ fn vouched(
     mut changes: Vec<RefinedPose>,
 ) -> Vec<RefinedPose> {
     let given: Vec<Camera> = views.iter().map(|v| v.camera).collect();
-    let mut refined = given.clone();
-    for change in &changes {
-        for (camera, _) in (refined.iter_mut().zip(views)).filter(|(_, v)| v.stem == change.stem) {
-            *camera = change.camera(camera);
-        }
-    }
+    let change_of = |v: &ViewEvidence| changes.iter().find(|c| c.stem == v.stem);
+    let refined = (views.iter())
+        .map(|v| change_of(v).map_or(v.camera, |c| c.camera(&v.camera)))
+        .collect();
     let [before, after] = [given, refined].map(|c| score_views(ground, views, &c, Mirror::None, 1));
     let speaks_against = |v: usize| {
         let [old, new] = [&before, &after].map(|s| s[v].parts);
@@ -164,9 +179,14 @@ impl<'a> Found<'a> {
             return Vec::new();
         };
         let gains = self.held_out_gains(start);
+        let distances = distances(self.views, &self.pairs);
         (0..self.views.len())
             .filter(|&v| gains[v] > SIGNIFICANT && self.is_small(&fit, v))
-            .map(|v| self.change(&fit, v, gains[v]))
+            .map(|v| RefinedPose {
+                stem: self.views[v].stem.clone(),
+                significance: gains[v],
+                ..change(&fit, v, f64::from(distances[v].unwrap_or(0.0)))
+            })
             .collect()
     }
 
@@ -217,29 +237,6 @@ impl<'a> Found<'a> {
             .collect()
     }
 
-    /// How a pose differs from the given one. Its error holds, beside noise, what fits of right poses
-    /// are off by.
-    fn change(&self, fit: &JointFit, v: usize, significance: f64) -> RefinedPose {
-        let [turn, shift] = halves(&fit.poses[v]);
-        let [turn_noise, shift_noise] = halves(&fit.variances[v].map(f64::sqrt)).map(DVec3::length);
-        let eye = self.views[v].camera.position;
-        let of_view = self.pairs.iter().filter(|p| p.into == v);
-        let distances = of_view
-            .flat_map(|p| &p.targets)
-            .map(|t| t.point.distance(eye));
-        let distance = f64::from(median(distances.collect()).unwrap_or(0.0));
-        RefinedPose {
-            stem: self.views[v].stem.clone(),
-            turn,
-            shift,
-            degrees: turn.length().to_degrees(),
-            degrees_error: turn_noise.to_degrees().hypot(MODEL_ERROR),
-            metres: shift.length(),
-            metres_error: shift_noise.hypot(MODEL_ERROR.to_radians() * distance),
-            significance,
-        }
-    }
-
     /// Whether a change is visible, and little enough to be believed.
     fn is_small(&self, fit: &JointFit, v: usize) -> bool {
         let seen = self.seen_change(&fit.poses[v], v);
@@ -281,7 +278,8 @@ impl<'a> Found<'a> {
     /// The same of one half, `tested` being the other.
     fn gains(&self, poses: &[Pose], tested: &Used<'_>) -> Vec<f64> {
         let after = cameras_of(self.views, poses);
-        let scales = scales(self.views, &self.pairs, &after);
+        let fitted = residuals(self.views, &self.pairs, &after);
+        let scales = scales(self.views, &self.pairs, &fitted);
         (0..self.views.len())
             .into_par_iter()
             .map(|v| {
@@ -289,13 +287,15 @@ impl<'a> Found<'a> {
                 let mut before = after.clone();
                 before[v] = self.views[v].camera;
                 let mut means = Vec::new();
-                for p in (self.pairs.iter()).filter(|p| p.from == v || p.into == v) {
+                for (p, new) in
+                    (self.pairs.iter().zip(&fitted)).filter(|(p, _)| p.from == v || p.into == v)
+                {
                     let scale = scales[p.into];
                     let loss = |r: Vec4| {
                         let s2 = (r / scale) * (r / scale);
                         f64::from((s2 / (s2 + 1.0)).element_sum())
                     };
-                    let [old, new] = [&before, &after].map(|c| p.residuals(&self.views[p.into], c));
+                    let old = p.residuals(&self.views[p.into], &before);
                     let gains: Vec<f64> = (0..p.targets.len())
                         .filter(|&i| tested(i))
                         .filter_map(|i| Some(loss(old[i]?) - loss(new[i]?)))
@@ -307,6 +307,22 @@ impl<'a> Found<'a> {
                 significance(&means)
             })
             .collect()
+    }
+}
+
+/// How view `v`'s pose differs from the given one, what it sees being `distance` metres away. Its
+/// error holds, beside noise, what fits of right poses are off by.
+fn change(fit: &JointFit, v: usize, distance: f64) -> RefinedPose {
+    let [turn, shift] = halves(&fit.poses[v]);
+    let [turn_noise, shift_noise] = halves(&fit.variances[v].map(f64::sqrt)).map(DVec3::length);
+    RefinedPose {
+        turn,
+        shift,
+        degrees: turn.length().to_degrees(),
+        degrees_error: turn_noise.to_degrees().hypot(MODEL_ERROR),
+        metres: shift.length(),
+        metres_error: shift_noise.hypot(MODEL_ERROR.to_radians() * distance),
+        ..RefinedPose::default()
     }
 }
 

@@ -14,12 +14,12 @@
 //! Every part is multiplied by the share of the view's samples that meet the mesh.
 
 use super::evidence::ViewEvidence;
-use crate::core::geometry::{Camera, Mesh, Projection};
-use crate::core::image::Wrap;
+use crate::core::geometry::{Camera, Mesh};
 use crate::core::parallel::prelude::*;
 use crate::core::sampling::KeyedRng;
 use crate::core::stats::median;
 use crate::core::trace::{Hit, Ray, Tracer};
+use crate::gbuffer::wrap_of;
 use crate::scene::Mirror;
 use glam::{Vec2, Vec3, Vec4};
 use serde::Serialize;
@@ -276,10 +276,7 @@ fn shared_samples(
     [i, j]: [usize; 2],
 ) -> Vec<Shared> {
     let (own, other) = (&traced[i], &traced[j]);
-    let wrap = match other.camera.projection {
-        Projection::Equirectangular => Wrap::Repeat,
-        Projection::Pinhole(_) => Wrap::Clamp,
-    };
+    let wrap = wrap_of(&other.camera);
     let mut found = Vec::new();
     let mut rays = Vec::new();
     for (k, point) in own.points.iter().enumerate() {

@@ -19,7 +19,7 @@ use crate::verdict::AlignmentVerdict;
 use serde::{Deserialize, Serialize};
 
 /// Views that take part, evenly spread over the training views.
-const MOST_VIEWS: usize = 48;
+pub(super) const MOST_VIEWS: usize = 48;
 /// Differences beyond this many standard errors are none of chance: some forty hypotheses are
 /// compared, and 40 · P(z > 3.5) is 1 %.
 const SIGNIFICANT: f64 = 3.5;

@@ -55,6 +55,15 @@ fn places_in_pixel(n: usize) -> Vec<Vec2> {
         .collect()
 }
 
+/// How a camera's image goes on beyond its left and right border.
+#[must_use]
+pub fn wrap_of(camera: &Camera) -> Wrap {
+    match camera.projection {
+        Projection::Equirectangular => Wrap::Repeat,
+        Projection::Pinhole(_) => Wrap::Clamp,
+    }
+}
+
 /// Triangle and distance at every pixel centre of a view, row-major.
 #[derive(Clone, Debug)]
 pub struct ViewBuffer {
@@ -97,10 +106,7 @@ impl ViewBuffer {
     /// What lies beyond the left and right border of an image of this view.
     #[must_use]
     pub fn wrap(&self) -> Wrap {
-        match self.camera.projection {
-            Projection::Equirectangular => Wrap::Repeat,
-            _ => Wrap::Clamp,
-        }
+        wrap_of(&self.camera)
     }
 
     /// World position seen at a pixel; meaningless for a miss.

@@ -14,7 +14,7 @@ use crate::core::math::luminance;
 use crate::core::parallel;
 use crate::core::stats::median;
 use crate::core::trace::Hit;
-use crate::gbuffer::{Observation, ObservedView, Observer, Orientation};
+use crate::gbuffer::{Observation, ObservedView, Observer, Orientation, wrap_of};
 
 /// Columns of the grid of directions: cells of 1.4° in a panorama, finer than a tripod's head.
 const COLUMNS: usize = 256;
@@ -98,11 +98,7 @@ pub fn find_camera_rigs(
             first.data.iter().find(|d| d.is_no_scene())?;
             let found = directions(observer, orientation, &views, COLUMNS);
             let camera = cameras[*views.first()?];
-            let wrap = match camera.projection {
-                Projection::Equirectangular => Wrap::Repeat,
-                Projection::Pinhole(_) => Wrap::Clamp,
-            };
-            let marked = regions(&found.map(Direction::is_no_scene), wrap);
+            let marked = regions(&found.map(Direction::is_no_scene), wrap_of(camera));
             rig(&found, &marked, camera, views)
         })
         .collect()

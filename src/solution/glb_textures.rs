@@ -207,19 +207,12 @@ fn occlusion_roughness_metallic(solution: &Solution, packing: TexturePacking) ->
         roughness.width.max(metallic.width),
         roughness.height.max(metallic.height),
     );
-    let at = |plane: &Plane<f32>, i: usize| {
-        let centre = Vec2::new((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
-        let scale = Vec2::new(
-            plane.width as f32 / width as f32,
-            plane.height as f32 / height as f32,
-        );
-        plane.bilinear(centre * scale, Wrap::Clamp)
-    };
+    let [roughness, metallic] = [roughness, metallic].map(|p| resampled(p, width, height));
     let both = Plane {
         width,
         height,
-        data: (0..width * height)
-            .map(|i| Vec2::new(at(roughness, i), at(metallic, i)))
+        data: (roughness.data.iter().zip(&metallic.data))
+            .map(|(r, m)| Vec2::new(*r, *m))
             .collect(),
     };
     picture(&both, packing, Transfer::Linear, |v| {
@@ -270,16 +263,24 @@ where
     if size == [plane.width, plane.height] {
         return plane.clone();
     }
+    resampled(plane, size[0], size[1])
+}
+
+/// The plane at another size, between its texels.
+fn resampled<T>(plane: &Plane<T>, width: usize, height: usize) -> Plane<T>
+where
+    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
+{
     let scale = Vec2::new(
-        plane.width as f32 / size[0] as f32,
-        plane.height as f32 / size[1] as f32,
+        plane.width as f32 / width as f32,
+        plane.height as f32 / height as f32,
     );
-    let at = |i: usize| Vec2::new((i % size[0]) as f32 + 0.5, (i / size[0]) as f32 + 0.5);
+    let centre = |i: usize| Vec2::new((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
     Plane {
-        width: size[0],
-        height: size[1],
-        data: (0..size[0] * size[1])
-            .map(|i| plane.bilinear(at(i) * scale, Wrap::Clamp))
+        width,
+        height,
+        data: (0..width * height)
+            .map(|i| plane.bilinear(centre(i) * scale, Wrap::Clamp))
             .collect(),
     }
 }

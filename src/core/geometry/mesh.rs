@@ -2,6 +2,26 @@
 
 use glam::{Vec2, Vec3};
 
+/// The corners of the bounding box of some points, lowest first; zero without any.
+#[must_use]
+pub fn bounds(points: &[Vec3]) -> (Vec3, Vec3) {
+    points
+        .iter()
+        .fold(None, |b: Option<(Vec3, Vec3)>, &p| {
+            Some(b.map_or((p, p), |(lo, hi)| (lo.min(p), hi.max(p))))
+        })
+        .unwrap_or((Vec3::ZERO, Vec3::ZERO))
+}
+
+/// The eight corners of a box: bit k of a corner's number says on which side of axis k it lies.
+#[must_use]
+pub fn box_corners(low: Vec3, high: Vec3) -> [Vec3; 8] {
+    std::array::from_fn(|corner| {
+        let side = |k: usize| [low[k], high[k]][corner >> k & 1];
+        Vec3::new(side(0), side(1), side(2))
+    })
+}
+
 /// Indexed triangles; `positions`, `normals` and `uvs` have equal length.
 ///
 /// Positions are in metres relative to [`crate::scene::Scene::origin`]; `uvs` has v = 0 at texture
@@ -131,12 +151,7 @@ impl Mesh {
     /// Bounding box `(min, max)`; zero for an empty mesh.
     #[must_use]
     pub fn bounds(&self) -> (Vec3, Vec3) {
-        self.positions
-            .iter()
-            .fold(None, |b: Option<(Vec3, Vec3)>, &p| {
-                Some(b.map_or((p, p), |(lo, hi)| (lo.min(p), hi.max(p))))
-            })
-            .unwrap_or((Vec3::ZERO, Vec3::ZERO))
+        bounds(&self.positions)
     }
 
     /// Some triangles, in the order given, with only the vertices they use, in the order of their
@@ -181,5 +196,45 @@ impl Mesh {
             .into_iter()
             .map(|n| n.normalize_or(Vec3::Y))
             .collect();
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// Adds a closed box of twelve triangles, its faces turned `outwards` or into it.
+    pub(crate) fn add_box(mesh: &mut Mesh, low: Vec3, high: Vec3, outwards: bool) {
+        let first = mesh.positions.len() as u32;
+        mesh.positions.extend(box_corners(low, high));
+        mesh.normals.extend([Vec3::Y; 8]);
+        mesh.uvs.extend([Vec2::ZERO; 8]);
+        let faces = [
+            [0, 2, 3, 1],
+            [4, 5, 7, 6],
+            [0, 1, 5, 4],
+            [2, 6, 7, 3],
+            [0, 4, 6, 2],
+            [1, 3, 7, 5],
+        ];
+        for [a, b, c, d] in faces.map(|f: [u32; 4]| f.map(|i| first + i)) {
+            for [a, b, c] in [[a, b, c], [a, c, d]] {
+                let turned = if outwards { [a, b, c] } else { [a, c, b] };
+                mesh.triangles.push(turned);
+            }
+        }
+    }
+
+    #[test]
+    fn a_box_has_its_volume_on_the_side_its_faces_turn_from() {
+        let (low, high) = (Vec3::new(-1.0, 2.0, 0.5), Vec3::new(1.0, 2.5, 3.5));
+        for (outwards, sign) in [(true, 1.0), (false, -1.0)] {
+            let mut mesh = Mesh::default();
+            add_box(&mut mesh, low, high, outwards);
+            assert_eq!(mesh.bounds(), (low, high));
+            let six = (0..12).map(|t| mesh.corners(t)[0].dot(mesh.double_area_normal(t)));
+            assert!((six.sum::<f32>() / 6.0 - sign * 3.0).abs() < 1e-5);
+        }
+        assert_eq!(bounds(&[]), (Vec3::ZERO, Vec3::ZERO));
     }
 }

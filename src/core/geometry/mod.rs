@@ -10,7 +10,9 @@ mod tangents;
 pub use camera::{Camera, Lens, Projection};
 pub use clusters::{clusters, numbered, pieces, smooth_patches, touching};
 pub use distance::SurfaceDistance;
-pub use mesh::{Mesh, triangle_normal, vector_key};
+#[cfg(test)]
+pub(crate) use mesh::tests::add_box;
+pub use mesh::{Mesh, bounds, box_corners, triangle_normal, vector_key};
 pub use shells::{Neighbour, Shells};
 pub use tangents::{TangentMesh, tangent_mesh};
 

@@ -3,8 +3,10 @@
 
 mod fill;
 mod mips;
+mod shelves;
 mod texels;
 
 pub use fill::fill_uncovered;
 pub use mips::MipChain;
+pub use shelves::{Shelves, shelves};
 pub use texels::{SurfacePoint, Texels};

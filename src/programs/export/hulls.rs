@@ -6,7 +6,7 @@
 //! than a millimetre, or an engine takes no more. What is flat becomes a plate behind its surface.
 
 use crate::core::formats::GlbWriter;
-use crate::core::geometry::{Mesh, SurfaceDistance};
+use crate::core::geometry::{Mesh, SurfaceDistance, bounds, box_corners};
 use crate::core::parallel;
 use crate::error::Result;
 use crate::solution::{MeshPart, Solution};
@@ -116,9 +116,7 @@ pub fn collision_glb(solution: &Solution, objects: &[ObjectHulls]) -> Result<Vec
 impl Hull {
     /// The corners of the bounding box, lowest first.
     pub(super) fn bounds(&self) -> (Vec3, Vec3) {
-        let start = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-        let grow = |b: (Vec3, Vec3), p: &Vec3| (b.0.min(*p), b.1.max(*p));
-        self.positions.iter().fold(start, grow)
+        bounds(&self.positions)
     }
 
     /// The convex hull of points; `None` if they lie in a plane, or nearly so.
@@ -237,28 +235,17 @@ fn hulls(mesh: &Mesh) -> Vec<Hull> {
 /// A hull of a piece's points: their own, or of those of a plate; where rounding lets the library fail,
 /// of a body around them that is half a plate's thickness larger.
 fn body(points: &[Vec3], mesh: &Mesh) -> Option<Hull> {
-    let first = *points.first()?;
+    if points.is_empty() {
+        return None;
+    }
     let around = [Vec3::X, Vec3::Y, Vec3::Z].map(|axis| 0.5 * PLATE * axis);
     let larger = || -> Vec<Vec3> {
         let ends = |p: &Vec3| around.map(|a| [*p - a, *p + a]);
         points.iter().flat_map(ends).flatten().collect()
     };
     let boxed = || {
-        let (low, high) = points
-            .iter()
-            .fold((first, first), |b, p| (b.0.min(*p), b.1.max(*p)));
-        let (low, high) = (low - 0.5 * PLATE, high + 0.5 * PLATE);
-        let corner = |k: usize| {
-            let side = |axis: usize| {
-                if k >> axis & 1 == 1 {
-                    high[axis]
-                } else {
-                    low[axis]
-                }
-            };
-            Vec3::new(side(0), side(1), side(2))
-        };
-        Hull::of(&(0..8).map(corner).collect::<Vec<Vec3>>())
+        let (low, high) = bounds(points);
+        Hull::of(&box_corners(low - 0.5 * PLATE, high + 0.5 * PLATE))
     };
     Hull::of(points)
         .or_else(|| Hull::of(&plate(points, mesh)?))
@@ -414,39 +401,8 @@ fn furthest_outside(mesh: &Mesh, hulls: &[Hull]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::geometry::add_box;
     use crate::solution::tests::small_solution;
-
-    /// A box, closed, its faces turned outwards (`out` = 1) or inwards.
-    fn add_box(mesh: &mut Mesh, low: Vec3, high: Vec3, out: bool) {
-        let at = |k: usize| {
-            let pick = |axis: usize| {
-                if k >> axis & 1 == 1 {
-                    high[axis]
-                } else {
-                    low[axis]
-                }
-            };
-            Vec3::new(pick(0), pick(1), pick(2))
-        };
-        let first = mesh.positions.len() as u32;
-        mesh.positions.extend((0..8).map(at));
-        mesh.normals.extend([Vec3::Y; 8]);
-        mesh.uvs.extend([glam::Vec2::ZERO; 8]);
-        let faces = [
-            [0, 2, 3, 1],
-            [4, 5, 7, 6],
-            [0, 1, 5, 4],
-            [2, 6, 7, 3],
-            [0, 4, 6, 2],
-            [1, 3, 7, 5],
-        ];
-        for [a, b, c, d] in faces {
-            for [a, b, c] in [[a, b, c], [a, c, d]] {
-                let t = if out { [a, b, c] } else { [a, c, b] };
-                mesh.triangles.push(t.map(|i| first + i));
-            }
-        }
-    }
 
     fn of(mesh: &Mesh) -> ObjectHulls {
         let part = MeshPart::whole("thing", mesh);

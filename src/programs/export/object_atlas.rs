@@ -7,7 +7,7 @@
 
 use crate::core::geometry::Mesh;
 use crate::core::image::{Plane, RgbPlane};
-use crate::core::texture::fill_uncovered;
+use crate::core::texture::{Shelves, fill_uncovered, shelves};
 use crate::error::{Error, Result};
 use crate::solution::{MeshPart, Solution};
 use glam::{DVec2, Vec2};
@@ -32,11 +32,7 @@ pub enum AtlasKind {
 /// They have no common divisor, or a small one: every object would take most of the atlas along.
 pub(super) fn check_sizes(solution: &Solution) -> Result<()> {
     let Grid { width, height } = Grid::of(solution);
-    let sides = [&solution.albedo, &solution.irradiance, &solution.emission]
-        .map(|p| p.width.max(p.height))
-        .into_iter()
-        .chain([solution.roughness.width.max(solution.roughness.height)]);
-    let largest = sides.fold(1, usize::max);
+    let largest = sizes(solution).into_iter().flatten().fold(1, usize::max);
     if largest > COARSEST * width.min(height) {
         return Err(Error::Usage(format!(
             "--atlas per-object cuts whole texels out of textures whose sizes are multiples of each other; these have {width} x {height} \
@@ -166,15 +162,11 @@ fn cutouts(mesh: &Mesh, grid: Grid) -> Vec<Cutout> {
 
 impl Grid {
     fn of(solution: &Solution) -> Self {
-        let rgb = |p: &RgbPlane| [p.width, p.height];
-        let grey = |p: &Plane<f32>| [p.width, p.height];
         let shares = [&solution.metallic, &solution.transmission];
-        let sizes = [&solution.albedo, &solution.irradiance, &solution.emission]
-            .map(rgb)
+        let [width, height] = sizes(solution)
             .into_iter()
-            .chain([grey(&solution.roughness)])
-            .chain(shares.into_iter().flatten().map(grey));
-        let [width, height] = sizes.fold([0, 0], |[w, h], [x, y]| [divisor(w, x), divisor(h, y)]);
+            .chain(shares.into_iter().flatten().map(|p| [p.width, p.height]))
+            .fold([0, 0], |[w, h], [x, y]| [divisor(w, x), divisor(h, y)]);
         Self { width, height }
     }
 
@@ -203,6 +195,18 @@ impl Grid {
             height,
         }
     }
+}
+
+/// Width and height of the textures that every solution has.
+fn sizes(solution: &Solution) -> [[usize; 2]; 4] {
+    let size = |p: &RgbPlane| [p.width, p.height];
+    let roughness = &solution.roughness;
+    [
+        size(&solution.albedo),
+        size(&solution.irradiance),
+        size(&solution.emission),
+        [roughness.width, roughness.height],
+    ]
 }
 
 /// The greatest common divisor.
@@ -256,32 +260,22 @@ fn packed(boxes: &[CellBox]) -> Packed {
     let widest = boxes.iter().map(|b| b.width).max().unwrap_or(1);
     let area: usize = boxes.iter().map(CellBox::area).sum();
     let narrow = widest.max(area.isqrt() / 2).next_power_of_two();
-    [narrow, 2 * narrow, 4 * narrow]
-        .map(|width| shelves(boxes, width))
-        .into_iter()
-        .min_by_key(|p| (p.width * p.height, p.width.abs_diff(p.height)))
-        .unwrap_or_else(|| shelves(boxes, narrow))
-}
-
-/// Packs rectangles into shelves of a width.
-fn shelves(boxes: &[CellBox], width: usize) -> Packed {
-    let mut order: Vec<usize> = (0..boxes.len()).collect();
-    order.sort_by_key(|&i| (std::cmp::Reverse(boxes[i].height), i));
-    let mut places = vec![[0, 0]; boxes.len()];
-    let (mut x, mut y, mut shelf) = (0, 0, 0);
-    for i in order {
-        if x + boxes[i].width > width {
-            (x, y, shelf) = (0, y + shelf, 0);
+    let sizes: Vec<[usize; 2]> = boxes.iter().map(|b| [b.width, b.height]).collect();
+    let of_width = |width: usize| {
+        let Shelves { corners, height } = shelves(&sizes, width, 0);
+        Packed {
+            width,
+            height: height.max(1).next_power_of_two(),
+            places: corners,
         }
-        places[i] = [x, y];
-        x += boxes[i].width;
-        shelf = shelf.max(boxes[i].height);
-    }
-    Packed {
-        width,
-        height: (y + shelf).max(1).next_power_of_two(),
-        places,
-    }
+    };
+    [2 * narrow, 4 * narrow]
+        .map(of_width)
+        .into_iter()
+        .fold(of_width(narrow), |best, p| {
+            let size = |p: &Packed| (p.width * p.height, p.width.abs_diff(p.height));
+            if size(&p) < size(&best) { p } else { best }
+        })
 }
 
 /// Rectangles of the shared atlas on their way into an object's.

@@ -5,6 +5,7 @@ use super::pattern::Paint;
 use crate::core::geometry::Mesh;
 use crate::core::image::Plane;
 use crate::core::parallel::map_chunks;
+use crate::core::texture::{Shelves, shelves};
 use glam::{Vec2, Vec3};
 
 /// Texels between charts at 2048 texels; scales with the texture, never below 2.
@@ -38,7 +39,7 @@ impl Atlas {
         let mut best = None;
         for _ in 0..24 {
             let density = 0.5 * (low + high);
-            match shelves(charts, side, gap, density) {
+            match packed(charts, side, gap, density) {
                 Some(corners) => {
                     best = Some(Self {
                         side,
@@ -145,30 +146,15 @@ impl Atlas {
     }
 }
 
-/// Shelf packing by descending height; `None` if the charts do not fit.
-fn shelves(charts: &[Chart], side: usize, gap: usize, density: f32) -> Option<Vec<[usize; 2]>> {
-    let size: Vec<[usize; 2]> = charts
+/// The charts on shelves; `None` if they do not fit.
+fn packed(charts: &[Chart], side: usize, gap: usize, density: f32) -> Option<Vec<[usize; 2]>> {
+    let sizes: Vec<[usize; 2]> = charts
         .iter()
         .map(|c| [texels(c.size.x, density), texels(c.size.y, density)])
         .collect();
-    let mut order: Vec<usize> = (0..charts.len()).collect();
-    order.sort_by_key(|&i| (std::cmp::Reverse(size[i]), i));
-    order.sort_by_key(|&i| std::cmp::Reverse(size[i][1]));
-    let mut corners = vec![[0, 0]; charts.len()];
-    let (mut x, mut y, mut height) = (gap, gap, 0);
-    for i in order {
-        let [w, h] = size[i];
-        if x + w + gap > side {
-            (x, y, height) = (gap, y + height + gap, 0);
-        }
-        if x + w + gap > side || y + h + gap > side {
-            return None;
-        }
-        corners[i] = [x, y];
-        x += w + gap;
-        height = height.max(h);
-    }
-    Some(corners)
+    let widest = sizes.iter().map(|s| s[0]).max().unwrap_or(0);
+    let Shelves { corners, height } = shelves(&sizes, side, gap);
+    (widest + 2 * gap <= side && height <= side).then_some(corners)
 }
 
 #[cfg(test)]
