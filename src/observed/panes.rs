@@ -85,14 +85,14 @@ impl Panes {
         mesh_classes: Option<&MeshClasses>,
     ) -> Self {
         let sheets = Sheets::of(observer, mesh_classes);
-        let found: Vec<Option<Pane>> = (sheets.points(observer).par_iter())
+        let likely: Vec<LikelyPane> = (sheets.points(observer).par_iter())
             .enumerate()
-            .map(|(sheet, points)| {
-                sheets.pane(sheet as u32, &looks(&sheets, observer, tracer, points))
+            .filter_map(|(sheet, points)| {
+                sheets.likely_pane(sheet as u32, &looks(&sheets, observer, tracer, points))
             })
             .collect();
         let mut panes = Self::default();
-        for pane in found.into_iter().flatten() {
+        for pane in believed(likely) {
             let index = panes.panes.len() as u32;
             (panes.of_triangle).extend(pane.triangles.iter().map(|t| (*t, index)));
             panes.panes.push(pane);
@@ -214,6 +214,23 @@ struct Sheet {
     area: f32,
     /// Whether any view sees it.
     seen: bool,
+}
+
+/// A sheet that is rather a pane than not.
+struct LikelyPane {
+    pane: Pane,
+    /// Whether beyond chance.
+    is_sure: bool,
+}
+
+/// Those that are sure, and of a class that has such ones those that are more likely than not.
+fn believed(likely: Vec<LikelyPane>) -> Vec<Pane> {
+    let sure = likely.iter().filter(|l| l.is_sure);
+    let of_glass: BTreeSet<u16> = sure.map(|l| l.pane.class).filter(|c| *c != 0).collect();
+    (likely.into_iter())
+        .filter(|l| l.is_sure || of_glass.contains(&l.pane.class))
+        .map(|l| l.pane)
+        .collect()
 }
 
 /// Parts of the surface that are panes or not as a whole.
@@ -351,9 +368,9 @@ impl Sheets {
         points
     }
 
-    /// The sheet as a pane, if what lies behind foretells its looks better than they each other, beyond
-    /// chance, and it is possible.
-    fn pane(&self, sheet: u32, looks: &[Foretold]) -> Option<Pane> {
+    /// The sheet as a pane, if what lies behind foretells its looks better than they each other and it
+    /// is possible.
+    fn likely_pane(&self, sheet: u32, looks: &[Foretold]) -> Option<LikelyPane> {
         if looks.len() < FEWEST {
             return None;
         }
@@ -376,7 +393,7 @@ impl Sheets {
         let passed = looks.iter().flat_map(|l| &l.seen_through);
         let passed = median(passed.map(|l| luminance(l.passed())).collect())?;
         let possible = passed <= 1.0 + SURELY * error;
-        if gain.value < f64::from(SURELY) * gain.error || !possible {
+        if gain.value <= 0.0 || !possible {
             return None;
         }
         let mut parts: BTreeSet<u32> = looks.iter().flat_map(|l| l.unseen.clone()).collect();
@@ -384,12 +401,14 @@ impl Sheets {
         let triangles = (0..self.of_triangle.len() as u32)
             .filter(|t| parts.contains(&self.of_triangle[*t as usize]))
             .collect();
-        Some(Pane {
+        let pane = Pane {
             class: self.sheets[sheet as usize].class,
             triangles,
             tint: tint.min(Vec3::ONE),
             tint_error: error,
-        })
+        };
+        let is_sure = gain.value >= f64::from(SURELY) * gain.error;
+        Some(LikelyPane { pane, is_sure })
     }
 }
 
@@ -740,6 +759,26 @@ mod tests {
         let tint = panes.of(SHEETS).map(|p| p.tint).unwrap_or_default();
         assert!((tint - Vec3::ONE).abs().max_element() < 0.03, "{tint}");
         assert!(panes.of(0).is_none(), "the wall is there");
+    }
+
+    #[test]
+    fn a_likely_pane_is_believed_where_another_of_its_class_is_sure() {
+        let likely = |class: u16, is_sure: bool| LikelyPane {
+            pane: Pane {
+                class,
+                triangles: vec![],
+                tint: TINT,
+                tint_error: 0.1,
+            },
+            is_sure,
+        };
+        let classes = |all: &[(u16, bool)]| -> Vec<u16> {
+            let all = all.iter().map(|(c, sure)| likely(*c, *sure)).collect();
+            believed(all).iter().map(|p| p.class).collect()
+        };
+        assert_eq!(classes(&[(2, false), (2, true), (3, false)]), [2, 2]);
+        assert_eq!(classes(&[(0, false), (0, true)]), [0], "no label, no kin");
+        assert!(classes(&[(2, false), (2, false)]).is_empty());
     }
 
     #[test]
