@@ -37,6 +37,8 @@ const MOST: f64 = 0.5;
 /// Area of a pane's far side, which nobody sees, over that of the near one at most. Derived: the
 /// same, and rims of half as much.
 const FAR_SIDE: f32 = 1.5;
+/// Distance of a pane's faces at most, metres: triple glazing, 5 cm, and as much for a mesh's errors.
+const THICKEST: f32 = 0.1;
 /// Faces of one pane that a ray may pass: panes of more than double glazing tell no more.
 const MOST_FACES: usize = 8;
 
@@ -313,8 +315,13 @@ impl Sheets {
     /// hang together, and of which views may see one alone; what has no label is no one thing.
     fn alike(&self, own: u32, other: u32) -> bool {
         let [one, two] = [own, other].map(|s| &self.sheets[s as usize]);
-        let far_side = !two.seen && two.area <= FAR_SIDE * one.area;
-        own == other || far_side || one.class != 0 && one.class == two.class
+        own == other || one.class != 0 && one.class == two.class
+    }
+
+    /// Whether a sheet may be the far side of another, by area and as nobody sees it.
+    fn may_be_far_side(&self, own: u32, other: u32) -> bool {
+        let [one, two] = [own, other].map(|s| &self.sheets[s as usize]);
+        !two.seen && two.area <= FAR_SIDE * one.area
     }
 
     /// Points of every sheet, evenly drawn from the clean pixels of each view.
@@ -368,8 +375,8 @@ impl Sheets {
         points
     }
 
-    /// The sheet as a pane, if what lies behind foretells its looks better than they each other and it
-    /// is possible.
+    /// The sheet as a pane, if what lies behind foretells looks better than they each other at most of
+    /// its points and it is possible.
     fn likely_pane(&self, sheet: u32, looks: &[Foretold]) -> Option<LikelyPane> {
         if looks.len() < FEWEST {
             return None;
@@ -379,10 +386,12 @@ impl Sheets {
         let through: Vec<f64> = (looks.iter())
             .map(|l| through_error(&l.seen_through, tint))
             .collect();
-        let gain: Vec<f64> = (looks.iter().zip(through))
-            .map(|(l, through)| MOST * l.as_opaque - through)
+        // counted, not averaged: a look past an edge is off by any amount
+        let explained: Vec<f64> = (looks.iter().zip(through))
+            .map(|(l, through)| f64::from(u8::from(through < MOST * l.as_opaque)))
             .collect();
-        let gain = Mean::over(&places, &gain);
+        let explained = Mean::over(&places, &explained);
+        let gain = explained.value - 0.5;
         let share = |l: &SeenThrough| luminance(l.share()).clamp(0.0, 1.0);
         let shares: Vec<f64> = (looks.iter())
             .filter_map(|l| median(l.seen_through.iter().map(share).collect()))
@@ -393,7 +402,7 @@ impl Sheets {
         let passed = looks.iter().flat_map(|l| &l.seen_through);
         let passed = median(passed.map(|l| luminance(l.passed())).collect())?;
         let possible = passed <= 1.0 + SURELY * error;
-        if gain.value <= 0.0 || !possible {
+        if gain <= 0.0 || !possible {
             return None;
         }
         let mut parts: BTreeSet<u32> = looks.iter().flat_map(|l| l.unseen.clone()).collect();
@@ -407,7 +416,7 @@ impl Sheets {
             tint: tint.min(Vec3::ONE),
             tint_error: error,
         };
-        let is_sure = gain.value >= f64::from(SURELY) * gain.error;
+        let is_sure = gain >= f64::from(SURELY) * explained.error;
         Some(LikelyPane { pane, is_sure })
     }
 }
@@ -478,7 +487,8 @@ fn looks(
         let mut unseen = BTreeSet::new();
         let passes = |t: u32| {
             let sheet = sheets.of_triangle(t);
-            let passes = sheets.alike(own, sheet);
+            let passes = sheets.alike(own, sheet)
+                || sheets.may_be_far_side(own, sheet) && is_close_behind(observer.mesh, p, t);
             if passes && !sheets.sheets[sheet as usize].seen {
                 unseen.insert(sheet);
             }
@@ -512,6 +522,14 @@ fn facing(mesh: &Mesh, triangle: u32, direction: Vec3) -> Vec3 {
     } else {
         normal
     }
+}
+
+/// Whether a triangle lies behind a point as the far face of one pane: parallel and near.
+fn is_close_behind(mesh: &Mesh, point: &Point, triangle: u32) -> bool {
+    let normal = mesh.face_normal(point.triangle as usize);
+    let [corner, ..] = mesh.corners(triangle as usize);
+    let parallel = normal.dot(mesh.face_normal(triangle as usize)).abs() > STEEP;
+    parallel && normal.dot(corner - point.position).abs() <= THICKEST
 }
 
 /// What lies behind a point and what it mirrors, by views that see that directly.
