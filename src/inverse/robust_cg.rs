@@ -2,10 +2,11 @@
 //! prior.
 //!
 //! Least squares over pixels and prior by conjugate gradients on the normal equations, repeated
-//! with new weights: residuals beyond the noise lose weight (Cauchy: half at [`USUALLY`] standard errors), and so does the prior where
-//! the pixels contradict it. Pixels that are lower bounds count where the unknowns fall short of them.
+//! with new weights: residuals beyond the noise lose weight (Cauchy: half at [`USUALLY`] standard errors). The prior is a mixture,
+//! what is expected or, in [`LEAST_SHARE`] of all cases, anything, each as likely as what pixels alone say makes it; the first
+//! round takes anything, so that no narrow expectation keeps the pixels out. Pixels that are lower bounds count where the unknowns fall short of them.
 
-use super::class_prior::Expected;
+use super::class_prior::{ANYTHING, Expected, LEAST_SHARE};
 use crate::core::math::luminance;
 use crate::core::parallel;
 use crate::core::parallel::prelude::*;
@@ -20,8 +21,6 @@ const STEPS: usize = 12;
 /// Relative error of an albedo that all of its pixels share: its irradiance, above all.
 /// Measured: ×½ views +0.3 dB, ×2 views −0.5 dB (docs/constants.md).
 const SHARED_ERROR: f32 = 0.15;
-/// Factor of the prior's variance in the first round.
-const FIRST_PRIOR: f32 = 25.0;
 
 /// One pixel: what it shows beyond the unknowns, and its noise.
 #[derive(Clone, Copy)]
@@ -52,18 +51,15 @@ impl RobustSystem {
     pub(super) fn solve(&self, light: &[Vec3], prior: &[Expected], start: Vec<Vec3>) -> Solved {
         let columns = self.transposed(prior.len());
         let mut x = start;
-        let (mut misfit, mut data) = (1.0, vec![0.0; x.len()]);
+        let (mut misfit, mut data, mut pull) = (1.0, vec![0.0; x.len()], Vec::new());
         for round in 0..ROUNDS {
             let residual = self.residuals(&x, light);
             misfit = self.misfit(&residual);
             let weight = self.weights(&residual, misfit);
-            let pull = if round == 0 {
-                prior
-                    .iter()
-                    .map(|p| 1.0 / (FIRST_PRIOR * p.variance))
-                    .collect()
+            pull = if round == 0 {
+                vec![(ANYTHING * ANYTHING).recip(); x.len()]
             } else {
-                pull(prior, &x, &data)
+                self::pull(prior, &x, &data, &pull)
             };
             let equations = NormalEquations {
                 mixtures: self,
@@ -72,7 +68,7 @@ impl RobustSystem {
                 information: columns.information(&weight, light),
                 weight,
                 prior,
-                pull,
+                pull: pull.clone(),
             };
             equations.conjugate_gradients(&residual, &mut x);
             data = equations.information;
@@ -159,22 +155,28 @@ pub(super) struct Solved {
     pub(super) misfit: f32,
 }
 
-/// Precision of the prior per unknown, as far as it agrees with what the data say; `data` is the
-/// precision that pixels alone give.
-fn pull(prior: &[Expected], x: &[Vec3], data: &[f32]) -> Vec<f32> {
+/// Precision of the prior per unknown, that of what is expected and of anything by their posterior odds. `data` is the
+/// precision that pixels alone give, `before` the pull under which they gave `x`.
+fn pull(prior: &[Expected], x: &[Vec3], data: &[f32], before: &[f32]) -> Vec<f32> {
     (0..x.len())
         .into_par_iter()
         .map(|u| {
             let Expected { mean, variance } = prior[u];
-            let own = if data[u] > 0.0 {
-                1.0 / data[u]
-            } else {
-                f32::MAX
-            };
-            let off = luminance(x[u] - mean).powi(2) / (USUALLY * USUALLY * (variance + own));
+            let anything = (ANYTHING * ANYTHING).max(variance);
+            if data[u] <= 0.0 {
+                return variance.recip();
+            }
             // many pixels do not average out an error that they share
-            let shared = data[u] * (SHARED_ERROR * luminance(x[u])).powi(2);
-            (1.0 + shared) / (variance * (1.0 + off))
+            let shared = (SHARED_ERROR * luminance(x[u])).powi(2);
+            let own = data[u].recip() + shared;
+            // where pixels alone would have it
+            let off = (luminance(x[u] - mean) * (1.0 + before[u] / data[u])).clamp(-1.0, 1.0);
+            let log_density = |variance: f32| -0.5 * (off * off / variance + variance.ln());
+            let odds = (log_density(anything + own) - log_density(variance + own)).exp()
+                * LEAST_SHARE
+                / (1.0 - LEAST_SHARE);
+            let usual = (1.0 + odds).recip();
+            (1.0 + data[u] * shared) * (usual / variance + (1.0 - usual) / anything)
         })
         .collect()
 }
@@ -313,6 +315,42 @@ impl Columns {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Four pieces of a surface expected to be dark, 0.02 ± 0.001, of an irradiance of π: forty pixels
+    /// show the first as bright as 0.5, eighty the second as it is expected, one the third within its
+    /// noise of 0.1, none the fourth.
+    #[test]
+    fn a_narrow_prior_gives_way_to_many_pixels_and_not_to_noise() {
+        let shown = |count: usize, unknown: u32, shown: f32, variance: f32| {
+            let pixel = Pixel {
+                rest: Vec3::splat(shown),
+                variance,
+                is_bound: false,
+            };
+            std::iter::repeat_n((pixel, (unknown, 1.0)), count)
+        };
+        let first = shown(40, 0, 0.5, 1e-3);
+        let all = first
+            .chain(shown(80, 1, 0.02, 1e-3))
+            .chain(shown(1, 2, 0.1, 4e-3));
+        let (pixel, term): (Vec<_>, Vec<_>) = all.unzip();
+        let system = RobustSystem {
+            end: (1..=pixel.len()).collect(),
+            pixel,
+            term,
+        };
+        let dark = Expected {
+            mean: Vec3::splat(0.02),
+            variance: 1e-6,
+        };
+        let solved = system.solve(&[Vec3::ONE; 4], &[dark; 4], vec![dark.mean; 4]);
+        let [bright, usual, noisy, unseen] = [0, 1, 2, 3].map(|u| solved.albedo[u].x);
+        // 15 % that all pixels share beside the 0.3 of anything: 6 % of the way
+        assert!((bright - 0.47).abs() < 0.01, "{bright}");
+        assert!((usual - 0.02).abs() < 1e-3, "{usual}");
+        assert!((noisy - 0.02).abs() < 5e-3, "{noisy}");
+        assert!((unseen - 0.02).abs() < 1e-4, "{unseen}");
+    }
 
     /// Two pieces of surface that pixels of their own show at least 0.6 bright: the one that is
     /// expected darker rises to that, the one that is expected brighter stays as if there were no
