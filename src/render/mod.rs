@@ -12,6 +12,7 @@ mod hybrid;
 mod ies;
 mod lighting_change;
 mod lightmap_bake;
+pub mod live;
 mod options;
 mod panes;
 pub mod path_tracer;
