@@ -91,8 +91,8 @@ await page.click('#tab-lamps');
 if (await page.locator('#lamp-0').count()) {
   await page.waitForTimeout(300);
   const lit = await look(page);
-  for (const slider of await page.locator('#lamps input').all()) await slider.fill('0.2');
-  await page.waitForFunction(() => document.querySelector('#lamps-note').textContent === '', null, { timeout: 120_000 });
+  for (const slider of await page.locator('#lamps input[type=range]').all()) await slider.fill('0.2');
+  await page.waitForFunction(() => document.querySelector('#pane-lamps .light-note').textContent.startsWith('Answered'), null, { timeout: 300_000 });
   await page.waitForTimeout(800);
   const dim = await look(page);
   check('dimmed lamps darken the picture', dim.mean < lit.mean - 5, `${lit.mean} ${dim.mean}`);

@@ -22,7 +22,7 @@ pub(crate) fn view_in_browser(
         .transpose()?;
     let manifest = RunRecord::of_result(out)?;
     let content = context.progress.stage("preparing the page", 1, |_| {
-        view::Content::new(solution, scene, manifest.as_ref())
+        view::Content::new(solution, scene, manifest.as_ref()).map(|c| c.kept_in(out))
     })?;
     let options = &context.config.view;
     let server = view::server(content, options)?;

@@ -2,18 +2,21 @@
 //! and kept.
 
 use super::encode::{self, gzip};
-use super::lamps::{self, Shares, Slider};
-use super::probes::{self, Probe};
+use super::lamps::{self, Slider};
+use super::live_light::PageLight;
+use super::probes::{self, Probe, Relit};
 use super::{inspect, photos::Photos};
 use crate::core::math::luminance;
 use crate::core::trace::EmbreeTracer;
 use crate::error::{Error, Result};
 use crate::programs::report::RunRecord;
+use crate::render::live::LightEdit;
 use crate::scene::{Scene, Split};
 use crate::solution::Solution;
 use glam::{Vec2, Vec3};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// A compressed block, computed by whoever asks first while others wait for it alone.
@@ -64,7 +67,9 @@ pub struct Content {
     textures: Mutex<BTreeMap<(Layer, usize), Slot>>,
     mesh: OnceLock<Arc<Vec<u8>>>,
     panoramas: OnceLock<Arc<Vec<u8>>>,
-    shares: OnceLock<Shares>,
+    light: OnceLock<PageLight>,
+    /// Where the light operator is kept.
+    folder: Option<PathBuf>,
 }
 
 impl Content {
@@ -106,8 +111,18 @@ impl Content {
             textures: Mutex::default(),
             mesh: OnceLock::new(),
             panoramas: OnceLock::new(),
-            shares: OnceLock::new(),
+            light: OnceLock::new(),
+            folder: None,
         })
+    }
+
+    /// Lets the light operator be kept in a folder, that of the result.
+    #[must_use]
+    pub fn kept_in(self, folder: &Path) -> Self {
+        Self {
+            folder: Some(folder.to_owned()),
+            ..self
+        }
     }
 
     /// Factor on all radiometric values before they are packed: keeps them in the range of the
@@ -311,15 +326,36 @@ impl Content {
                 &self.probes,
                 &self.tracer,
                 self.scale(),
+                None,
             ))
         };
         self.panoramas.get_or_init(pack).clone()
     }
 
-    /// The lamps' shares of the light.
-    pub fn shares(&self) -> &Shares {
-        self.shares
-            .get_or_init(|| lamps::shares(&self.solution, &self.lamps, &self.tracer))
+    /// The panoramas under changed light.
+    pub fn relit_panoramas(&self, edit: &LightEdit) -> Vec<u8> {
+        let light = self.light();
+        let emitted = light.emission_factors(edit, self.solution.mesh.triangles.len());
+        let relit = Relit {
+            reflected: light.reflection_factors(edit, &self.solution),
+            emitted: &emitted,
+            outside: light.outside_factor(edit),
+        };
+        probes::panoramas(
+            &self.solution,
+            &self.probes,
+            &self.tracer,
+            self.scale(),
+            Some(&relit),
+        )
+    }
+
+    /// The light that can be changed; traced when it is first asked for.
+    pub fn light(&self) -> &PageLight {
+        self.light.get_or_init(|| {
+            let folder = self.folder.as_deref();
+            PageLight::new(&self.solution, folder, &self.tracer)
+        })
     }
 
     /// The photograph of a camera, or why there is none.

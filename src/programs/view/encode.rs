@@ -159,6 +159,15 @@ pub fn radiometric(plane: &RgbPlane, cap: usize, scale: f32) -> Vec<u8> {
     })
 }
 
+/// A map of texels that are packed already ([`rgb9e5`]), row by row, without mips.
+#[must_use]
+pub fn packed_map(width: usize, height: usize, texels: impl Iterator<Item = u32>) -> Vec<u8> {
+    let mut bytes = header(width, height, Format::Rgb9E5, 1);
+    bytes.reserve(4 * width * height);
+    bytes.extend(texels.flat_map(u32::to_le_bytes));
+    bytes
+}
+
 /// Standard errors on a logarithmic scale, without mips (the mark of unobserved texels must not be
 /// mixed).
 #[must_use]

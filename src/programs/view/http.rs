@@ -12,8 +12,8 @@ use std::sync::Arc;
 /// Longest request head in bytes: far above what a browser sends to a page without cookies.
 pub const MAX_HEAD: usize = 16 * 1024;
 
-/// Longest request target in bytes.
-const MAX_TARGET: usize = 1024;
+/// Longest request target in bytes: colours of all classes of a scene are named in one.
+const MAX_TARGET: usize = 8192;
 
 /// A request that may be answered.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -29,14 +29,18 @@ pub struct Request {
 }
 
 impl Request {
+    /// A value of the query.
+    #[must_use]
+    pub fn text(&self, key: &str) -> Option<&str> {
+        self.query
+            .split('&')
+            .find_map(|pair| pair.strip_prefix(key)?.strip_prefix('='))
+    }
+
     /// A finite number of the query.
     #[must_use]
     pub fn number(&self, key: &str) -> Option<f32> {
-        let value = self
-            .query
-            .split('&')
-            .find_map(|pair| pair.strip_prefix(key)?.strip_prefix('='))?;
-        value.parse().ok().filter(|x: &f32| x.is_finite())
+        self.text(key)?.parse().ok().filter(|x: &f32| x.is_finite())
     }
 }
 
@@ -276,7 +280,10 @@ mod tests {
             (format!("GET /a\\b HTTP/1.1{host}"), 404),
             (format!("GET http://localhost:8321/ HTTP/1.1{host}"), 404),
             (format!("GET * HTTP/1.1{host}"), 404),
-            (format!("GET /{} HTTP/1.1{host}", "a".repeat(5000)), 404),
+            (
+                format!("GET /{} HTTP/1.1{host}", "a".repeat(MAX_TARGET)),
+                404,
+            ),
             (format!("GET / HTTP/2.0{host}"), 505),
             (format!("GET /  HTTP/1.1{host}"), 400),
             (format!("GET / HTTP/1.1{host}\r\nContent-Length: 5"), 400),

@@ -9,6 +9,7 @@ mod encode;
 mod http;
 mod inspect;
 mod lamps;
+mod live_light;
 mod photos;
 mod probes;
 mod routes;

@@ -160,6 +160,16 @@ fn sphere(u: [f32; 2]) -> Vec3 {
     Vec3::new(r * cos, y, r * sin)
 }
 
+/// How the light of what probes see has changed.
+pub struct Relit<'a> {
+    /// Factor on the light that surfaces send out and do not emit, on the atlas.
+    pub reflected: RgbPlane,
+    /// Factor on what each triangle emits; `None` where it is no light.
+    pub emitted: &'a [Option<Vec3>],
+    /// Factor on the light from outside.
+    pub outside: Vec3,
+}
+
 /// The panoramas of all probes, gzip-compressed: for each level and each probe the radiance times
 /// `scale` (RGB9E5), then for each probe the distances (half floats, 0 where nothing is hit).
 #[must_use]
@@ -168,9 +178,12 @@ pub fn panoramas(
     probes: &[Probe],
     tracer: &dyn Tracer,
     scale: f32,
+    relit: Option<&Relit<'_>>,
 ) -> Vec<u8> {
-    let seen: Vec<(Vec<RgbPlane>, Vec<f16>)> =
-        probes.iter().map(|p| look(solution, p, tracer)).collect();
+    let seen: Vec<(Vec<RgbPlane>, Vec<f16>)> = probes
+        .par_iter()
+        .map(|p| look(solution, p, tracer, relit))
+        .collect();
     let mut bytes = Vec::new();
     for level in 0..LEVELS {
         for (levels, _) in &seen {
@@ -189,7 +202,12 @@ pub fn panoramas(
 }
 
 /// Radiance levels and distances around one probe.
-fn look(solution: &Solution, probe: &Probe, tracer: &dyn Tracer) -> (Vec<RgbPlane>, Vec<f16>) {
+fn look(
+    solution: &Solution,
+    probe: &Probe,
+    tracer: &dyn Tracer,
+    relit: Option<&Relit<'_>>,
+) -> (Vec<RgbPlane>, Vec<f16>) {
     let view = camera(WIDTH, probe.position);
     let pixel = |i: usize| {
         view.direction(Vec2::new(
@@ -205,13 +223,20 @@ fn look(solution: &Solution, probe: &Probe, tracer: &dyn Tracer) -> (Vec<RgbPlan
     let (radiance, emission) = (&solution.radiance, &solution.emission);
     let shade = |(ray, hit): (&Ray, &Hit)| {
         if !hit.is_hit() {
-            return sky(&solution.environment, Vec3::from(ray.direction));
+            let outside = relit.map_or(Vec3::ONE, |r| r.outside);
+            return sky(&solution.environment, Vec3::from(ray.direction)) * outside;
         }
         let uv = solution.mesh.uv(hit.triangle as usize, hit.u, hit.v);
         let at = |p: &RgbPlane| uv * Vec2::new(p.width as f32, p.height as f32);
-        radiance
-            .bilinear(at(radiance), Wrap::Clamp)
-            .max(*emission.nearest(at(emission)))
+        let reflected = radiance.bilinear(at(radiance), Wrap::Clamp);
+        let emitted = *emission.nearest(at(emission));
+        let Some(relit) = relit else {
+            return reflected.max(emitted);
+        };
+        if let Some(factor) = relit.emitted[hit.triangle as usize] {
+            return emitted * factor;
+        }
+        reflected * relit.reflected.bilinear(at(&relit.reflected), Wrap::Clamp)
     };
     let sharp = Plane {
         width: WIDTH,
@@ -315,12 +340,37 @@ mod tests {
     }
 
     #[test]
+    fn changed_light_is_seen_in_reflections() {
+        let mut solution = small_solution();
+        solution.emission.data.fill(Vec3::ZERO);
+        let tracer = BruteForce::new(&solution.mesh);
+        let probe = Probe {
+            position: Vec3::new(0.0, 1.0, 0.5),
+            room: 1,
+        };
+        let emitted = [None, None];
+        let relit = Relit {
+            reflected: Plane::filled(4, 4, Vec3::new(2.0, 1.0, 0.0)),
+            emitted: &emitted,
+            outside: Vec3::splat(3.0),
+        };
+        let before = look(&solution, &probe, &tracer, None).0;
+        let after = look(&solution, &probe, &tracer, Some(&relit)).0;
+        let (up, down) = (WIDTH / 2, (WIDTH / 2 - 1) * WIDTH + WIDTH / 2);
+        assert_eq!(after[0].data[up], 3.0 * before[0].data[up]);
+        assert_eq!(
+            after[0].data[down],
+            before[0].data[down] * Vec3::new(2.0, 1.0, 0.0)
+        );
+    }
+
+    #[test]
     fn panoramas_have_the_promised_length() {
         let solution = small_solution();
         let tracer = BruteForce::new(&solution.mesh);
         let probes = place(&solution, &tracer);
         assert!(!probes.is_empty() && probes.len() <= MAX_PROBES);
-        let packed = panoramas(&solution, &probes, &tracer, 1.0);
+        let packed = panoramas(&solution, &probes, &tracer, 1.0, None);
         let mut bytes = Vec::new();
         std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&packed[..]), &mut bytes)
             .expect("unpacks");

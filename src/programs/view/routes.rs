@@ -3,8 +3,9 @@
 use super::content::{Content, Layer};
 use super::encode::CAPS;
 use super::http::{Body, Request, Response};
+use super::live_light;
+use crate::render::live::LightEdit;
 use glam::{Vec2, Vec3};
-use serde_json::json;
 use std::sync::Arc;
 
 const HTML: &str = "text/html; charset=utf-8";
@@ -13,7 +14,7 @@ const SCRIPT: &str = "text/javascript; charset=utf-8";
 const BLOCK: &str = "application/octet-stream";
 
 /// Files of the page.
-const ASSETS: [(&str, &str, &[u8]); 13] = [
+const ASSETS: [(&str, &str, &[u8]); 14] = [
     ("/", HTML, include_bytes!("assets/index.html")),
     ("/assets/style.css", CSS, include_bytes!("assets/style.css")),
     ("/assets/main.js", SCRIPT, include_bytes!("assets/main.js")),
@@ -38,6 +39,7 @@ const ASSETS: [(&str, &str, &[u8]); 13] = [
         SCRIPT,
         include_bytes!("assets/layers.js"),
     ),
+    ("/assets/live.js", SCRIPT, include_bytes!("assets/live.js")),
     ("/assets/load.js", SCRIPT, include_bytes!("assets/load.js")),
     (
         "/assets/panel.js",
@@ -80,14 +82,15 @@ pub fn answer(content: &Content, request: &Request) -> Response {
     match request.path.as_str() {
         "/api/scene.json" => Response::json(&content.description()),
         "/api/inspect.json" => inspect(content, request),
-        "/api/lamps.json" => {
-            let s = content.shares();
-            Response::json(&json!({"width": s.width, "height": s.height, "bounce": s.bounce}))
-        }
-        "/data/lamps.bin" => block(Arc::new(content.shares().planes.clone())),
+        "/api/light.json" => Response::json(&content.light().description()),
+        "/data/light.bin" => light(content, request),
         "/data/mesh.bin" => block(content.mesh()),
         "/data/environment.bin" => block(Arc::new(content.environment())),
-        "/data/probes.bin" => block(content.panoramas()),
+        "/data/probes.bin" => match edit(request) {
+            None => malformed_edit(),
+            Some(edit) if edit.changes_nothing() => block(content.panoramas()),
+            Some(edit) => block(Arc::new(content.relit_panoramas(&edit))),
+        },
         path => match numbered(path) {
             Some((name, number)) => match Layer::ALL.iter().find(|l| l.0 == name) {
                 Some((_, layer)) => block(content.texture(*layer, number)),
@@ -121,6 +124,26 @@ fn digits(text: &str) -> Option<usize> {
         && text.bytes().all(|b| b.is_ascii_digit())
         && (text == "0" || !text.starts_with('0'));
     text.parse().ok().filter(|_| plain)
+}
+
+/// The changed light that a request asks for; `None` if it is malformed.
+fn edit(request: &Request) -> Option<LightEdit> {
+    live_light::parse_edit(request.text("lights"), request.text("classes"))
+}
+
+fn malformed_edit() -> Response {
+    Response::text(
+        400,
+        "expected lights=R_G_B-R_G_B… and classes=ID_R_G_B-…: factors that are finite and not negative",
+    )
+}
+
+fn light(content: &Content, request: &Request) -> Response {
+    edit(request).map_or_else(malformed_edit, |edit| Response {
+        status: 200,
+        media_type: BLOCK,
+        body: Body::Plain(content.light().answer(&edit)),
+    })
 }
 
 fn inspect(content: &Content, request: &Request) -> Response {
@@ -176,10 +199,12 @@ mod tests {
         }
         for path in [
             "/api/scene.json",
-            "/api/lamps.json",
+            "/api/light.json",
             "/api/inspect.json?u=0.5&v=0.5",
             "/data/mesh.bin",
-            "/data/lamps.bin",
+            "/data/light.bin",
+            "/data/probes.bin?lights=0_0_1",
+            "/data/light.bin?lights=1_0.5_0&classes=3_1_1_0.25-7_0_0_0",
         ] {
             assert_eq!(get(&content, path).status, 200, "{path}");
         }
@@ -228,6 +253,25 @@ mod tests {
             get(&content, "/api/inspect.json?u=-5&v=1e30&x=1e30&y=0&z=0").status,
             200
         );
+    }
+
+    #[test]
+    fn changed_light_is_checked() {
+        let content = content();
+        for query in [
+            "lights=1_1",
+            "lights=1_1_1_1",
+            "lights=NaN_1_1",
+            "lights=1_-1_1",
+            "lights=1e30_1_1",
+            "lights=1_1_1-",
+            "classes=1_1_1",
+            "classes=70000_1_1_1",
+            "classes=1_1_1_x",
+        ] {
+            let target = format!("/data/light.bin?{query}");
+            assert_eq!(get(&content, &target).status, 400, "{query}");
+        }
     }
 
     #[test]

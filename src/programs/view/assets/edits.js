@@ -1,14 +1,13 @@
-// What the user changed: materials per class, and the strength of lamps. Nothing is written back to the reconstruction.
-
-import { json, bytes } from './load.js';
+// What the user changed: materials per class, and the lamps. Nothing is written back to the reconstruction.
 
 export const linear = (c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4);
-const encode = (x) => (x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055);
 
 export const fromHex = (hex) => [1, 3, 5].map((i) => linear(parseInt(hex.slice(i, i + 2), 16) / 255));
 
-// The largest factor on light that the light texture can hold.
-export const MAX_GAIN = 4;
+// A factor as the server reads it: plain digits.
+const decimal = (x) => String(Number(Math.max(x, 0).toFixed(5)));
+const triple = (v) => v.map(decimal).join('_');
+const WHITE = '#ffffff';
 
 export class Edits {
   constructor(scene) {
@@ -16,8 +15,7 @@ export class Edits {
     this.changed = new Map(); // class id -> { colour: '#rrggbb' | null, roughness: number | null }
     const largest = Math.max(...this.classes.keys(), 255);
     this.rows = (largest >> 8) + 1;
-    this.lamps = scene.lamps.map((lamp) => ({ ...lamp, gain: 1 }));
-    this.shares = null;
+    this.lamps = scene.lamps.map((lamp) => ({ ...lamp, on: true, gain: 1, colour: WHITE }));
   }
 
   material(id) {
@@ -48,44 +46,37 @@ export class Edits {
     return texels;
   }
 
-  lampsChanged() {
-    return this.lamps.some((l) => l.gain !== 1);
+  // Factor per channel on a lamp's light.
+  lampFactor(lamp) {
+    return fromHex(lamp.colour).map((c) => (lamp.on ? c * lamp.gain : 0));
   }
 
-  // The lamps' shares of the light are traced by the server when they are first needed.
-  async loadShares() {
-    this.loading ??= Promise.all([json('/api/lamps.json'), bytes('/data/lamps.bin')]).then(([about, buffer]) => {
-      this.shares = { ...about, planes: new Uint8Array(buffer) };
-    });
-    return this.loading;
+  resetLamps() {
+    for (const lamp of this.lamps) Object.assign(lamp, { on: true, gain: 1, colour: WHITE });
   }
 
-  // Factor on the irradiance of every texel, divided by MAX_GAIN, in sRGB. See src/view/lamps.rs for the formula.
-  lightTexels() {
-    if (!this.shares || !this.lampsChanged()) {
-      const one = Math.round(255 * encode(1 / MAX_GAIN));
-      return { width: 1, height: 1, texels: new Uint8Array([one, one, one, 255]) };
-    }
-    const { width, height, bounce, planes } = this.shares;
-    const count = width * height;
-    const direct = new Float32Array(count);
-    const gained = new Float32Array(count);
-    let indirect = 0;
-    this.lamps.forEach((lamp, l) => {
-      indirect += (lamp.gain - 1) * bounce[l];
-      for (let i = 0, p = l * count; i < count; i++, p++) {
-        const share = (planes[p] / 255) ** 2;
-        direct[i] += share;
-        gained[i] += (lamp.gain - 1) * share;
+  // The edit as the light operator is asked for it.
+  lightQuery() {
+    const table = this.table();
+    const classes = [...this.changed].filter(([, edit]) => edit.colour).map(([id]) => `${id}_${triple([0, 1, 2].map((c) => table[id * 4 + c]))}`);
+    return `lights=${this.lamps.map((lamp) => triple(this.lampFactor(lamp))).join('-')}&classes=${classes.join('-')}`;
+  }
+
+  // The lamps' changes as a lighting file of `unbake relight --lights`.
+  lightsToml() {
+    const lines = [];
+    for (const lamp of this.lamps) {
+      const colour = fromHex(lamp.colour);
+      const change = [];
+      if (!lamp.on) change.push('off = true');
+      else {
+        if (lamp.gain !== 1) change.push(`scale = ${decimal(lamp.gain)}`);
+        if (lamp.colour !== WHITE) change.push(`colour = [${colour.map(decimal).join(', ')}]`);
       }
-    });
-    const code = new Uint8Array(4097).map((_, i) => Math.round(255 * encode(i / 4096)));
-    const texels = new Uint8Array(count * 4).fill(255);
-    for (let i = 0; i < count; i++) {
-      const factor = 1 + gained[i] + Math.max(1 - direct[i], 0) * indirect;
-      const value = code[Math.round((Math.min(Math.max(factor, 0), MAX_GAIN) / MAX_GAIN) * 4096)];
-      texels[i * 4] = texels[i * 4 + 1] = texels[i * 4 + 2] = value;
+      if (!change.length) continue;
+      const heads = lamp.outside ? ['[environment]'] : lamp.ids.map((id) => `[[lamp]]\ngroup = ${id}`);
+      for (const head of heads) lines.push([head, ...change].join('\n'));
     }
-    return { width, height, texels };
+    return lines.join('\n\n');
   }
 }

@@ -79,7 +79,7 @@ export function textureFromBlock(gl, buffer, { wrapX = 'clamp' } = {}) {
   return { texture, width, height };
 }
 
-// A texture that scripts write: 'float4' (read with texelFetch) or 'srgb8' (filtered).
+// A texture that scripts write: 'float4' (read with texelFetch), 'srgb8' or 'rgb9e5' (both filtered).
 export function writtenTexture(gl, kind, width, height, texels) {
   const texture = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -93,6 +93,7 @@ export function rewrite(gl, { texture, width, height, kind }, texels) {
   gl.bindTexture(gl.TEXTURE_2D, texture);
   gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
   if (kind === 'float4') gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, height, 0, gl.RGBA, gl.FLOAT, texels);
+  else if (kind === 'rgb9e5') gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB9_E5, width, height, 0, gl.RGB, gl.UNSIGNED_INT_5_9_9_9_REV, texels);
   else gl.texImage2D(gl.TEXTURE_2D, 0, gl.SRGB8_ALPHA8, width, height, 0, gl.RGBA, gl.UNSIGNED_BYTE, texels);
 }
 

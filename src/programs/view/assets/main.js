@@ -4,6 +4,7 @@ import { Camera } from './camera.js';
 import { Controls } from './controls.js';
 import { Edits } from './edits.js';
 import { LAYERS, layer } from './layers.js';
+import { LiveLight } from './live.js';
 import { json } from './load.js';
 import { $, cameraList, lampControls, layerButtons, materialControls, showLayer, tabs, theme } from './panel.js';
 import { showPoint } from './readout.js';
@@ -30,7 +31,7 @@ async function start() {
   const size = Math.hypot(...scene.high.map((h, i) => h - scene.low[i])) || 1;
   const camera = new Camera(size);
   const edits = new Edits(scene);
-  const view = { layer: 'final', ev: 0, soft: false, marked: null, photo: null, split: 0, compare: false, lamps: edits.lamps.map(() => 1), outside: 1, backdrop: backdrop() };
+  const view = { layer: 'final', ev: 0, soft: false, marked: null, photo: null, split: 0, compare: false, lamps: edits.lamps.map(() => [1, 1, 1]), outside: [1, 1, 1], backdrop: backdrop() };
 
   let wanted = false;
   const frame = (now) => {
@@ -144,21 +145,22 @@ async function start() {
   const openTab = tabs();
   layerButtons(scene.cameras.length > 0, chooseLayer);
   const stepCamera = cameraList(scene.cameras, jump);
+  const live = new LiveLight(edits, {
+    shown: (answer) => { renderer.setLight(answer); redraw(); },
+    reflected: (block) => { renderer.setProbes(block); redraw(); },
+    said: (text) => { for (const note of document.querySelectorAll('.light-note')) note.textContent = text; },
+  });
   const editClass = materialControls(edits, {
-    changed: () => { renderer.setEdits(edits); redraw(); },
+    changed: () => { renderer.setEdits(edits); redraw(); live.ask(); },
     marked: (id) => { view.marked = id; redraw(); },
   });
-  lampControls(edits, async () => {
-    edits.lamps.forEach((l, i) => { view.lamps[i] = l.outside ? 1 : l.gain; });
-    view.outside = edits.lamps.find((l) => l.outside)?.gain ?? 1;
+  lampControls(edits, () => {
+    edits.lamps.forEach((l, i) => { view.lamps[i] = l.outside ? [1, 1, 1] : edits.lampFactor(l); });
+    const outside = edits.lamps.find((l) => l.outside);
+    view.outside = outside ? edits.lampFactor(outside) : [1, 1, 1];
+    $('#toml').textContent = edits.lightsToml();
     redraw();
-    if (edits.lampsChanged() && !edits.shares) {
-      $('#lamps-note').textContent = 'Tracing each lamp’s light …';
-      await edits.loadShares().catch((e) => say(e.message));
-      $('#lamps-note').textContent = '';
-    }
-    renderer.setLight(edits.lightTexels());
-    redraw();
+    live.ask();
   });
   const nextTheme = theme(() => { view.backdrop = backdrop(); redraw(); });
   const setExposure = (ev) => {
@@ -207,7 +209,6 @@ async function start() {
   // --- first view -----------------------------------------------------------------------------------------------------------------
   await renderer.loadScene((done, all) => { $('#progress').value = done / all; });
   renderer.setEdits(edits);
-  renderer.setLight(edits.lightTexels());
   $('#loading').hidden = true;
   showLayer(layer('final'));
   setExposure(0);

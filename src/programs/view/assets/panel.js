@@ -109,31 +109,42 @@ export function materialControls(edits, { changed, marked }) {
   };
 }
 
+// A row per lamp: switch, brightness, colour filter.
 export function lampControls(edits, changed) {
   const box = $('#lamps');
   if (!edits.lamps.length) box.textContent = 'Nothing in this scene emits light.';
+  const made = (tag, attributes) => Object.assign(document.createElement(tag), attributes);
   const rows = edits.lamps.map((lamp, i) => {
-    const label = document.createElement('label');
-    label.className = 'slider';
-    label.htmlFor = `lamp-${i}`;
-    const name = Object.assign(document.createElement('span'), { textContent: lamp.name });
-    const output = Object.assign(document.createElement('output'), { textContent: '× 1' });
-    const input = Object.assign(document.createElement('input'), { type: 'range', min: 0, max: 4, step: 0.05, value: 1, id: `lamp-${i}` });
-    input.addEventListener('input', () => {
-      lamp.gain = Number(input.value);
-      output.textContent = `× ${lamp.gain.toFixed(2).replace(/\.?0+$/, '')}`;
+    const row = made('div', { className: 'lamp' });
+    const name = made('label', { className: 'check' });
+    const on = made('input', { type: 'checkbox', id: `lamp-on-${i}` });
+    name.append(on, made('span', { textContent: lamp.name }));
+    const output = made('output');
+    const colour = made('input', { type: 'color', id: `lamp-colour-${i}`, title: 'colour filter; white leaves the lamp’s own colour' });
+    colour.setAttribute('aria-label', `${lamp.name}: colour filter`);
+    const gain = made('input', { type: 'range', min: 0, max: 4, step: 0.05, id: `lamp-${i}` });
+    gain.setAttribute('aria-label', `${lamp.name}: brightness`);
+    output.htmlFor = gain.id;
+    row.append(name, output, colour, gain);
+    box.append(row);
+    const show = () => {
+      [on.checked, gain.value, colour.value, gain.disabled] = [lamp.on, lamp.gain, lamp.colour, !lamp.on];
+      output.textContent = lamp.on ? `× ${lamp.gain.toFixed(2).replace(/\.?0+$/, '')}` : 'off';
+    };
+    const change = (what) => {
+      Object.assign(lamp, what);
+      show();
       changed();
-    });
-    label.append(name, output, input);
-    box.append(label);
-    return { input, output };
+    };
+    on.addEventListener('change', () => change({ on: on.checked }));
+    gain.addEventListener('input', () => change({ gain: Number(gain.value) }));
+    colour.addEventListener('input', () => change({ colour: colour.value }));
+    show();
+    return show;
   });
   $('#lamps-reset').addEventListener('click', () => {
-    rows.forEach(({ input, output }, i) => {
-      edits.lamps[i].gain = 1;
-      input.value = 1;
-      output.textContent = '× 1';
-    });
+    edits.resetLamps();
+    for (const show of rows) show();
     changed();
   });
 }

@@ -26,7 +26,8 @@ export class Renderer {
     for (const name of ['radiance', 'confidence', 'photo']) this.textures.set(name, black.texture);
     this.edits = g.writtenTexture(gl, 'float4', 256, 1, new Float32Array(1024).fill(1).map((v, i) => (i % 4 === 3 ? 0 : v)));
     this.textures.set('edits', this.edits.texture);
-    this.light = g.writtenTexture(gl, 'srgb8', 1, 1, new Uint8Array([137, 137, 137, 255]));
+    // one with a shared exponent, three times: light as it is
+    this.light = g.writtenTexture(gl, 'rgb9e5', 1, 1, new Uint32Array([0x84020100]));
     this.textures.set('light', this.light.texture);
     this.probes = 0;
   }
@@ -47,12 +48,20 @@ export class Renderer {
     });
     const places = scene.probes.places.slice(0, MAX_PROBES);
     const probes = counted(bytes('/data/probes.bin')).then((b) => {
-      const made = g.probeTextures(gl, b, scene.probes.places.length, scene.probes.levels);
-      this.textures.set('probe_radiance', made.radiance).set('probe_distance', made.distance);
+      this.setProbes(b);
       this.probes = places.length;
       this.probePlaces = new Float32Array(places.flatMap((p) => [...p.position, p.room]));
     });
     await Promise.all([...jobs, mesh, sky, probes]);
+  }
+
+  // Panoramas of the reflection probes; from the second on they are those of changed light.
+  setProbes(block) {
+    const { gl, scene, textures } = this;
+    const made = g.probeTextures(gl, block, scene.probes.places.length, scene.probes.levels);
+    this.relit = textures.has('probe_radiance');
+    for (const name of ['probe_radiance', 'probe_distance']) if (this.relit) gl.deleteTexture(textures.get(name));
+    textures.set('probe_radiance', made.radiance).set('probe_distance', made.distance);
   }
 
   // Loads a layer's texture once.
@@ -87,6 +96,7 @@ export class Renderer {
     g.rewrite(this.gl, this.edits, edits.table());
   }
 
+  // Ratios of changed to reconstructed irradiance.
   setLight({ width, height, texels }) {
     Object.assign(this.light, { width, height });
     g.rewrite(this.gl, this.light, texels);
@@ -139,7 +149,7 @@ export class Renderer {
     let u = common(this.background);
     gl.disable(gl.DEPTH_TEST);
     gl.uniformMatrix4fv(u.u_world_from_clip, false, camera.worldFromClip());
-    gl.uniform1f(u.u_outside, view.outside);
+    gl.uniform3fv(u.u_outside, view.outside);
     gl.uniform3fv(u.u_backdrop, view.backdrop);
     gl.bindVertexArray(this.empty);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
@@ -150,10 +160,11 @@ export class Renderer {
     gl.uniform1i(u.u_marked, view.marked ?? -1);
     gl.uniform1i(u.u_probe_count, this.probes);
     if (this.probes) gl.uniform4fv(u.u_probes, this.probePlaces);
+    gl.uniform1i(u.u_probes_relit, this.relit ? 1 : 0);
     gl.uniform1f(u.u_probe_levels, this.scene.probes.levels);
-    const gains = new Float32Array(MAX_LAMPS).fill(1);
-    view.lamps.forEach((gain, i) => (gains[i + 1] = gain));
-    gl.uniform1fv(u.u_lamp_gain, gains);
+    const gains = new Float32Array(MAX_LAMPS * 3).fill(1);
+    view.lamps.forEach((gain, i) => gains.set(gain, 3 * (i + 1)));
+    gl.uniform3fv(u.u_lamp_gain, gains);
     gl.bindVertexArray(this.mesh.vao);
     gl.drawElements(gl.TRIANGLES, this.mesh.count, gl.UNSIGNED_INT, 0);
     gl.bindVertexArray(null);

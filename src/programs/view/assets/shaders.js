@@ -95,7 +95,8 @@ uniform highp sampler2DArray u_probe_distance;
 uniform int u_probe_count;
 uniform vec4 u_probes[${MAX_PROBES}];
 uniform float u_probe_levels;
-uniform float u_lamp_gain[${MAX_LAMPS}];
+uniform bool u_probes_relit;
+uniform vec3 u_lamp_gain[${MAX_LAMPS}];
 uniform int u_marked;
 out vec4 colour;
 
@@ -121,7 +122,8 @@ vec3 reflected(vec3 p, vec3 r, float roughness, uint room) {
   vec3 d = r;
   for (int i = 0; i < 3; i++) {
     float reach = textureLod(u_probe_distance, vec3(panorama(d), float(best)), 0.0).r;
-    if (reach <= 0.0) { d = r; break; }
+    // the sky is far
+    if (reach <= 0.0) reach = 1e4;
     float b = dot(o, r);
     float t = -b + sqrt(max(b * b - dot(o, o) + reach * reach, 0.0));
     d = o + r * max(t, 1e-3);
@@ -140,8 +142,8 @@ void main() {
   vec3 albedo = clamp(base.rgb * edit.rgb, 0.0, 1.0);
   float metal = 1.0 - base.a;
   float roughness = clamp(texture(u_roughness, v_uv).r + edit.a, 0.0, 1.0);
-  // the ratio of changed to reconstructed light, stored divided by four
-  vec3 light = texture(u_light, v_uv).rgb * 4.0;
+  // the ratio of changed to reconstructed light
+  vec3 light = texture(u_light, v_uv).rgb;
   vec3 irradiance = texture(u_irradiance, v_uv).rgb * light;
   vec3 emission = texture(u_emission, v_uv).rgb;
   // bilinear fringes around a lamp are not light
@@ -155,7 +157,9 @@ void main() {
     vec3 f0 = mix(vec3(0.04), albedo, metal);
     vec3 fresnel = f0 + (max(vec3(1.0 - roughness), f0) - f0) * grazing;
     vec3 mirror = reflect(-to_eye, n);
-    vec3 specular = fresnel * reflected(v_position, mirror, roughness, ids.g) * light;
+    // a wide lobe shows the mean light around (from R = 0.6 on, as in src/specular/directional_albedo.rs)
+    vec3 seen = reflected(v_position, mirror, roughness, ids.g) * (u_probes_relit ? vec3(1.0) : light);
+    vec3 specular = fresnel * mix(seen, irradiance / PI, smoothstep(0.3, 0.6, roughness));
     shown = dot(emission, vec3(1.0)) > 0.0 ? emission : albedo * (1.0 - metal) * irradiance / PI + specular;
   }
   if (u_mode == 10) {
@@ -188,7 +192,7 @@ void main() {
 export const backgroundFragment = common + `
 in vec3 v_far;
 uniform sampler2D u_environment;
-uniform float u_outside;
+uniform vec3 u_outside;
 uniform vec3 u_backdrop;
 out vec4 colour;
 void main() {
