@@ -3,13 +3,15 @@
 use super::denoise::{self, Purpose};
 use super::path_tracer::Frame;
 use super::{
-    Adaptive, EditableScene, FrameOptions, KnownLight, NamedCamera, PathTracer, PathTracerOptions,
+    Adaptive, EditableScene, FrameOptions, IndirectCache, KnownLight, NamedCamera, Noise,
+    PathTracer, PathTracerOptions,
 };
 use crate::Result;
-use crate::core::geometry::Camera;
-use crate::core::image::RgbPlane;
+use crate::core::geometry::{Camera, Mesh};
+use crate::core::image::{RgbPlane, Wrap};
 use crate::core::progress::Progress;
 use crate::core::trace::EmbreeTracer;
+use glam::{Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Options of `unbake relight`.
@@ -28,6 +30,11 @@ pub struct RelightOptions {
     /// Leave the noise as it is.
     #[arg(long)]
     pub no_denoise: bool,
+    /// First pictures of all views by the light operator of OUT, which is made if need be: diffuse
+    /// light at once, few rays for reflections. Path tracing refines them. Not for lamps moved or
+    /// added, other panoramas, --day.
+    #[arg(long)]
+    pub preview: bool,
     /// Lamps to switch off, as numbers of --list-lamps: "1,3" or "all".
     #[arg(long, value_name = "LIST", default_value_t = Self::default().off)]
     pub off: String,
@@ -53,6 +60,7 @@ impl Default for RelightOptions {
             max_samples: 256,
             error: 0.1,
             no_denoise: false,
+            preview: false,
             off: String::new(),
             lamps: 1.0,
             environment: "keep".into(),
@@ -73,6 +81,35 @@ pub struct TraceSettings {
     pub denoise: bool,
 }
 
+impl TraceSettings {
+    /// The picture of a frame.
+    fn finished(&self, frame: &Frame, camera: &Camera) -> RgbPlane {
+        if self.denoise {
+            denoise::denoise(frame, camera, Purpose::Viewing)
+        } else {
+            frame.radiance()
+        }
+    }
+}
+
+/// Paths per pixel of a preview, which follow reflections alone. Derived: what the denoiser wants to
+/// tell noise from detail.
+const PREVIEW_PATHS: u32 = 8;
+
+/// An irradiance texture as light known on surfaces.
+struct IrradianceTexture<'a> {
+    mesh: &'a Mesh,
+    irradiance: &'a RgbPlane,
+}
+
+impl IndirectCache for IrradianceTexture<'_> {
+    fn irradiance(&self, triangle: usize, u: f32, v: f32) -> Vec3 {
+        let size = Vec2::new(self.irradiance.width as f32, self.irradiance.height as f32);
+        let at = self.mesh.uv(triangle, u, v) * size;
+        self.irradiance.bilinear(at, Wrap::Clamp)
+    }
+}
+
 /// A world with its ray structure, ready for any number of frames.
 pub struct PathTracedScene<'w, 's> {
     world: &'w EditableScene<'s>,
@@ -89,6 +126,62 @@ impl<'w, 's> PathTracedScene<'w, 's> {
         Ok(Self { world, embree })
     }
 
+    /// The path tracer of the world.
+    fn renderer(&self, options: PathTracerOptions) -> PathTracer<'_> {
+        PathTracer::new(
+            self.world.mesh(),
+            &self.embree,
+            self.world,
+            self.world,
+            options,
+        )
+        .with_points(self.world.points().to_vec())
+    }
+
+    /// The ray structure.
+    #[must_use]
+    pub fn tracer(&self) -> &EmbreeTracer {
+        &self.embree
+    }
+
+    /// Renders frames whose diffuse light is a known irradiance texture, by few paths for
+    /// reflections; `done(i, image)` sees each.
+    ///
+    /// # Errors
+    /// What the callback returns.
+    pub fn preview(
+        &self,
+        cameras: &[NamedCamera],
+        irradiance: &RgbPlane,
+        settings: &TraceSettings,
+        progress: &Progress,
+        mut done: impl FnMut(usize, &RgbPlane) -> Result<()>,
+    ) -> Result<()> {
+        let renderer = self.renderer(settings.tracer);
+        let light = IrradianceTexture {
+            mesh: self.world.mesh(),
+            irradiance,
+        };
+        let known = KnownLight {
+            first: Some(&light),
+            later: Some(&light),
+        };
+        let goal = Adaptive {
+            first: PREVIEW_PATHS,
+            most: PREVIEW_PATHS,
+            error: 0.0,
+            noise: Noise::Specular,
+        };
+        for (i, NamedCamera { camera, .. }) in cameras.iter().enumerate() {
+            let pixels = (camera.width * camera.height) as u64;
+            let frame = progress.stage("previewing", pixels, |p| {
+                renderer.render_adaptive(camera, i as u64, &goal, known, p, |_, _| Ok(()))
+            })?;
+            done(i, &settings.finished(&frame, camera))?;
+        }
+        Ok(())
+    }
+
     /// Renders frames one after another. `refined(i, image)` sees each after every pass, `done(i,
     /// image)` when it is finished.
     ///
@@ -102,21 +195,7 @@ impl<'w, 's> PathTracedScene<'w, 's> {
         mut refined: impl FnMut(usize, &RgbPlane) -> Result<()>,
         mut done: impl FnMut(usize, &RgbPlane) -> Result<()>,
     ) -> Result<()> {
-        let renderer = PathTracer::new(
-            self.world.mesh(),
-            &self.embree,
-            self.world,
-            self.world,
-            settings.tracer,
-        )
-        .with_points(self.world.points().to_vec());
-        let finish = |frame: &Frame, camera: &Camera| {
-            if settings.denoise {
-                denoise::denoise(frame, camera, Purpose::Viewing)
-            } else {
-                frame.radiance()
-            }
-        };
+        let renderer = self.renderer(settings.tracer);
         for (i, NamedCamera { name, camera }) in cameras.iter().enumerate() {
             let pixels = (camera.width * camera.height) as u64;
             let frame = progress.stage(&format!("tracing {name}"), pixels, |p| {
@@ -130,12 +209,12 @@ impl<'w, 's> PathTracedScene<'w, 's> {
                         if pass > 0 {
                             Ok(())
                         } else {
-                            refined(i, &finish(&frame(), camera))
+                            refined(i, &settings.finished(&frame(), camera))
                         }
                     },
                 )
             })?;
-            done(i, &finish(&frame, camera))?;
+            done(i, &settings.finished(&frame, camera))?;
         }
         Ok(())
     }

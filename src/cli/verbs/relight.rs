@@ -7,6 +7,7 @@ use crate::core::image::RgbPlane;
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
 use crate::programs::export::FrameWriter;
+use crate::render::live::{LightEdit, factors_of, light_groups, open_or_build};
 use crate::render::{
     EditableScene, Exposure, LampChange, Lighting, NamedCamera, PathTracedScene, TraceSettings,
     daylight, mean_luminance,
@@ -41,6 +42,7 @@ pub(crate) fn relight(
         lighting,
         settings,
         progress,
+        operator: options.preview.then_some(out),
     };
     if let Some(truth) = against {
         let truth = read_solution(truth, progress)?;
@@ -61,6 +63,8 @@ struct Relit<'a> {
     lighting: Lighting,
     settings: TraceSettings,
     progress: &'a Progress,
+    /// Folder of the light operator that previews are made by; `None` for none.
+    operator: Option<&'a Path>,
 }
 
 impl<'a> Relit<'a> {
@@ -111,6 +115,47 @@ impl<'a> Relit<'a> {
         Ok(seconds)
     }
 
+    /// Writes previews of the cameras' pictures by the light operator in `folder`.
+    fn previews(
+        &self,
+        folder: &Path,
+        cameras: &[NamedCamera],
+        stage: &PathTracedScene<'_, '_>,
+        writer: &mut FrameWriter,
+    ) -> Result<()> {
+        let groups = light_groups(self.solution);
+        let Some(lights) = factors_of(&self.world()?, self.solution, &groups) else {
+            self.progress.note(
+                "no preview: lamps that move or are added and other panoramas are path traced alone",
+            );
+            return Ok(());
+        };
+        // a lamp that moves would stand in the operator's way: there is none here
+        let tracer = stage.tracer();
+        let live = open_or_build(self.solution, Some(folder), tracer, self.progress);
+        let clock = Instant::now();
+        let answer = live.answer(&LightEdit {
+            lights,
+            ..LightEdit::default()
+        });
+        let irradiance = live.irradiance_map(self.solution, &answer);
+        stage.preview(
+            cameras,
+            &irradiance,
+            &self.settings,
+            self.progress,
+            |i, image| writer.preview(&cameras[i].name, image),
+        )?;
+        let (seconds, error) = (clock.elapsed().as_secs_f64(), live.error());
+        self.progress.note(format!(
+            "previews of {} views after {seconds:.1} s; irradiance of random edits is {:.1} % RMS ({:.0} dB) from the path tracer's",
+            cameras.len(),
+            100.0 * error.relative,
+            error.decibels()
+        ));
+        Ok(())
+    }
+
     /// Renders and writes the cameras' pictures, a preview of each first; returns the seconds of
     /// each.
     fn views(&self, cameras: &[NamedCamera], writer: &mut FrameWriter) -> Result<Vec<f64>> {
@@ -118,6 +163,9 @@ impl<'a> Relit<'a> {
         let stage = self
             .progress
             .stage("preparing", 1, |_| PathTracedScene::new(&world))?;
+        if let Some(folder) = self.operator {
+            self.previews(folder, cameras, &stage, writer)?;
+        }
         let mut seconds = Vec::new();
         let mut clock = Instant::now();
         let shared = std::cell::RefCell::new(writer);
@@ -177,6 +225,7 @@ fn compare_relit(
         lighting,
         settings: options.tracing(context.seed() + 1)?,
         progress: relit.progress,
+        operator: None,
     };
     let ours = relit.images(cameras, origin)?;
     let truth = relit_truth.images(cameras, origin)?;
