@@ -6,7 +6,7 @@ use crate::core::image::RgbPlane;
 use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::trace::Tracer;
-use crate::render::live::{LightEdit, LightGroup, LiveLight, open_or_build, ratio};
+use crate::render::live::{LightEdit, LightGroup, LiveLight, open_or_build};
 use crate::solution::Solution;
 use glam::{Vec2, Vec3};
 use serde_json::{Value, json};
@@ -22,7 +22,7 @@ const MOST_FACTOR: f32 = 1e4;
 /// The operator, and where its texels go.
 pub struct PageLight {
     light: LiveLight,
-    /// Covered texel that each cell of the map shows: its own or the nearest.
+    /// Lit texel that each cell of the map shows: its own or the nearest.
     shown: Vec<u32>,
     /// How long it took to make or read, seconds.
     seconds: f64,
@@ -34,7 +34,8 @@ impl PageLight {
     pub fn new(solution: &Solution, folder: Option<&Path>, tracer: &dyn Tracer) -> Self {
         let clock = Instant::now();
         let light = open_or_build(solution, folder, tracer, &Progress::silent());
-        let shown = nearest_covered(light.size(), light.cells());
+        let lit = (0..light.cells().len()).filter(|&i| light.is_lit(i));
+        let shown = nearest_covered(light.size(), light.cells(), lit);
         Self {
             light,
             shown,
@@ -99,15 +100,13 @@ impl PageLight {
         let clock = Instant::now();
         let [width, height] = self.light.size();
         let answer = self.light.answer(edit);
-        let base = self.light.base();
-        let mut packed = vec![0u32; answer.irradiance.len()];
+        let mut packed = vec![0u32; answer.ratio.len()];
         packed
             .par_chunks_mut(PIECE)
             .enumerate()
             .for_each(|(c, piece)| {
                 for (k, texel) in piece.iter_mut().enumerate() {
-                    let i = c * PIECE + k;
-                    *texel = rgb9e5(ratio(answer.irradiance[i], base[i]));
+                    *texel = rgb9e5(answer.ratio[c * PIECE + k]);
                 }
             });
         let one = rgb9e5(Vec3::ONE);
@@ -123,12 +122,17 @@ impl PageLight {
     }
 }
 
-/// The covered texel nearest to each cell, along rows and columns: what bilinear lookups at the
+/// The one of some covered texels that is nearest to each cell, along rows and columns: what bilinear lookups at the
 /// borders of charts meet.
-fn nearest_covered([width, height]: [usize; 2], cells: &[u32]) -> Vec<u32> {
+fn nearest_covered(
+    [width, height]: [usize; 2],
+    cells: &[u32],
+    texels: impl Iterator<Item = usize>,
+) -> Vec<u32> {
     let mut shown = vec![u32::MAX; width * height];
     let mut open: VecDeque<usize> = VecDeque::new();
-    for (i, &cell) in cells.iter().enumerate() {
+    for i in texels {
+        let cell = cells[i];
         shown[cell as usize] = i as u32;
         open.push_back(cell as usize);
     }
@@ -198,7 +202,8 @@ mod tests {
 
     #[test]
     fn every_cell_shows_the_nearest_texel() {
-        assert_eq!(nearest_covered([4, 1], &[0, 3]), [0, 0, 1, 1]);
-        assert_eq!(nearest_covered([2, 1], &[]), [u32::MAX; 2]);
+        assert_eq!(nearest_covered([4, 1], &[0, 3], 0..2), [0, 0, 1, 1]);
+        assert_eq!(nearest_covered([4, 1], &[0, 3], 1..2), [1; 4]);
+        assert_eq!(nearest_covered([2, 1], &[], 0..0), [u32::MAX; 2]);
     }
 }

@@ -30,5 +30,5 @@ mod store;
 mod tests;
 
 pub use groups::{LightGroup, factors_of, light_groups};
-pub use operator::{Answer, EditError, LightEdit, LiveLight, ratio};
+pub use operator::{Answer, EditError, LightEdit, LiveLight};
 pub use store::{OPERATOR, open_or_build};

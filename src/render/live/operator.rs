@@ -14,6 +14,7 @@ use super::radiosity::{
     ANSWERED, Bounced, FormFactors, Reflecting, SETTLED, bounce, means, seen_areas,
 };
 use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::parallel::map_chunks;
 use crate::core::parallel::prelude::*;
 use crate::core::texture::fill_uncovered;
 use crate::render::LightmapTexels;
@@ -24,6 +25,8 @@ use std::collections::BTreeMap;
 /// Factor up to which the result's own irradiance is taken to change as the model does.
 /// Derived: three stops; what an eighth of the light shows tells little about the other seven.
 const MOST_GAIN: f32 = 8.0;
+/// Largest ratio stated: lookups mix that of neighbours. Derived: ten stops.
+const MOST_RATIO: f32 = 1024.0;
 /// Texels per parallel piece. Derived: some tens of pieces a megapixel.
 const PIECE: usize = 4096;
 
@@ -79,6 +82,8 @@ impl EditError {
 pub struct Answer {
     /// E of every covered texel ([`LiveLight::cells`]), linear RGB.
     pub irradiance: Vec<Vec3>,
+    /// Ratio of it to the result's own irradiance, of use where that is 0, too.
+    pub ratio: Vec<Vec3>,
     /// Bounces computed for it; 0 where the edit leaves all colours alone.
     pub bounces: u32,
     /// Share of the reflected light that is left out at most.
@@ -209,6 +214,12 @@ impl LiveLight {
         usize::from(self.seen[i]) >= LINKS / 2
     }
 
+    /// Whether any light reaches texel i: the ratio of others means nothing.
+    #[must_use]
+    pub fn is_lit(&self, i: usize) -> bool {
+        self.base_model[i].max_element() > 0.0
+    }
+
     /// How far answers lie from the path tracer's.
     #[must_use]
     pub fn error(&self) -> EditError {
@@ -221,20 +232,33 @@ impl LiveLight {
         if edit.changes_nothing() {
             return Answer {
                 irradiance: self.base.clone(),
+                ratio: vec![Vec3::ONE; self.base.len()],
                 bounces: 0,
                 remainder: 0.0,
             };
         }
         let mut out = self.modelled(edit);
-        out.irradiance
-            .par_chunks_mut(PIECE)
-            .enumerate()
-            .for_each(|(c, piece)| {
-                let from = c * PIECE;
-                for (k, value) in piece.iter_mut().enumerate() {
-                    *value = corrected(self.base[from + k], self.base_model[from + k], *value);
+        let texel = |i: usize| Changed {
+            base: self.base[i],
+            base_model: self.base_model[i],
+            model: out.irradiance[i],
+        };
+        let ratio = map_chunks(self.base.len(), PIECE, |range| {
+            range.map(|i| texel(i).ratio()).collect::<Vec<Vec3>>()
+        });
+        out.ratio = ratio.concat();
+        let changed = out.irradiance.par_chunks_mut(PIECE).enumerate();
+        changed.for_each(|(c, piece)| {
+            for (k, value) in piece.iter_mut().enumerate() {
+                let i = c * PIECE + k;
+                *value = Changed {
+                    base: self.base[i],
+                    base_model: self.base_model[i],
+                    model: *value,
                 }
-            });
+                .irradiance();
+            }
+        });
         out
     }
 
@@ -268,6 +292,7 @@ impl LiveLight {
             .for_each(|(c, piece)| self.gather(c * PIECE, &lit, edit, &bounced.exitance, piece));
         Answer {
             irradiance,
+            ratio: Vec::new(),
             bounces: bounced.bounces,
             remainder: bounced.remainder,
         }
@@ -334,9 +359,9 @@ impl LiveLight {
         let [width, height] = self.size;
         let mut plane = Plane::filled(width, height, Vec3::ONE);
         let mut covered = Plane::filled(width, height, false);
-        for ((&cell, e), base) in self.cells.iter().zip(&answer.irradiance).zip(&self.base) {
-            plane.data[cell as usize] = ratio(*e, *base);
-            covered.data[cell as usize] = true;
+        for (i, (&cell, ratio)) in self.cells.iter().zip(&answer.ratio).enumerate() {
+            plane.data[cell as usize] = *ratio;
+            covered.data[cell as usize] = self.is_lit(i);
         }
         fill_uncovered(&plane, &covered)
     }
@@ -359,36 +384,73 @@ impl LiveLight {
     }
 }
 
-/// How an irradiance has changed; as good as unlit surface counts as a little lit.
-#[must_use]
-pub fn ratio(now: Vec3, base: Vec3) -> Vec3 {
-    now / base.max(Vec3::splat(
-        1e-6 * base.max_element().max(f32::MIN_POSITIVE * 1e6),
-    ))
+/// A texel's light before and after.
+struct Changed {
+    /// The result's own irradiance E₀.
+    base: Vec3,
+    /// What the model says of it, m₀.
+    base_model: Vec3,
+    /// What the model says of the edit, m.
+    model: Vec3,
 }
 
-/// m + g (E₀ − m₀), channel by channel, g = m/m₀ up to [`MOST_GAIN`].
-fn corrected(base: Vec3, base_model: Vec3, model: Vec3) -> Vec3 {
-    let one = |e0: f32, m0: f32, m: f32| {
-        let gain = if m0 * MOST_GAIN > m {
-            m / m0
-        } else if m > 0.0 {
-            MOST_GAIN
-        } else {
-            1.0
-        };
-        (m + gain * (e0 - m0)).max(0.0)
-    };
-    Vec3::new(
-        one(base.x, base_model.x, model.x),
-        one(base.y, base_model.y, model.y),
-        one(base.z, base_model.z, model.z),
-    )
+impl Changed {
+    fn channels(&self, of: impl Fn(f32, f32, f32) -> f32) -> Vec3 {
+        let (e0, m0, m) = (self.base, self.base_model, self.model);
+        Vec3::new(
+            of(e0.x, m0.x, m.x),
+            of(e0.y, m0.y, m.y),
+            of(e0.z, m0.z, m.z),
+        )
+    }
+
+    /// m + g (E₀ − m₀), channel by channel, g = m/m₀ up to [`MOST_GAIN`].
+    fn irradiance(&self) -> Vec3 {
+        self.channels(|e0, m0, m| {
+            if m0 * MOST_GAIN > m {
+                e0 * (m / m0)
+            } else if m > 0.0 {
+                (m + MOST_GAIN * (e0 - m0)).max(0.0)
+            } else {
+                e0
+            }
+        })
+    }
+
+    /// The same over E₀; where that is 0, what the model says of the change.
+    fn ratio(&self) -> Vec3 {
+        self.channels(|e0, m0, m| {
+            if m0 * MOST_GAIN > m {
+                m / m0
+            } else if m > 0.0 && e0 > 0.0 {
+                ((m + MOST_GAIN * (e0 - m0)) / e0).clamp(0.0, MOST_RATIO)
+            } else if m > 0.0 {
+                MOST_GAIN
+            } else {
+                1.0
+            }
+        })
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn corrected(base: Vec3, base_model: Vec3, model: Vec3) -> Vec3 {
+        let changed = Changed {
+            base,
+            base_model,
+            model,
+        };
+        let (light, ratio) = (changed.irradiance(), changed.ratio());
+        // the ratio says the same wherever there is something to multiply
+        if base.min_element() > 0.0 {
+            assert!((ratio * base).abs_diff_eq(light, 1e-4 * light.max_element()));
+        }
+        assert!(ratio.is_finite() && ratio.max_element() <= MOST_RATIO);
+        light
+    }
 
     #[test]
     fn the_base_is_kept_scaled_and_never_magnified_beyond_the_limit() {
@@ -401,5 +463,8 @@ mod tests {
         // light where none was, and none where the model knows of none
         assert_eq!(corrected(Vec3::ZERO, Vec3::ZERO, Vec3::ONE), Vec3::ONE);
         assert_eq!(corrected(base, Vec3::ZERO, Vec3::ZERO), base);
+        // where the result is dark and the model is not, nothing explodes
+        let odd = Vec3::new(0.7, 0.3, 0.1);
+        assert_eq!(corrected(Vec3::ZERO, odd, 1.7 * odd), Vec3::ZERO);
     }
 }

@@ -114,7 +114,8 @@ impl HalfLight {
             .map(|v| v.max_element())
             .filter(|m| m.is_finite());
         let unit = finite.fold(0.0, f32::max).max(f32::MIN_POSITIVE);
-        let half = |x: f32| f16::from_f32((x / unit).clamp(0.0, 1.0));
+        // what is no number is no light
+        let half = |x: f32| f16::from_f32(if x > 0.0 { (x / unit).min(1.0) } else { 0.0 });
         Self {
             unit,
             halves: light.iter().flat_map(|v| v.to_array().map(half)).collect(),
