@@ -176,6 +176,7 @@ for (let i = 0; i < 2; i++) {
   reached.push(await page.evaluate(() => document.activeElement.id));
 }
 check('Tab reaches colour and brightness', reached.includes('lamp-colour-0') && reached.includes('lamp-0'), reached.join(' '));
+await page.click('#lamps-reset');
 await page.focus('#lamp-0');
 await page.keyboard.press('ArrowLeft');
 check('arrow keys dim', (await page.inputValue('#lamp-0')) === '0.95', await page.inputValue('#lamp-0'));

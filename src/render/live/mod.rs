@@ -6,15 +6,15 @@
 //!
 //! E = D + F ρ E,  D = Σ s_k D_k
 //!
-//! * [`groups`]: the lights k that can be changed, their factors s_k;
-//! * [`direct`]: D_k, the direct light of each on the texels of an atlas, path traced and filtered;
-//! * [`patches`]: surface patches of one class each, and the reflectance ρ of each;
-//! * [`links`]: the patches that every texel sees, by cosine-distributed rays: a final gather
+//! * `groups`: the lights k that can be changed, their factors s_k;
+//! * `direct`: D_k, the direct light of each on the texels of an atlas, path traced and filtered;
+//! * `patches`: surface patches of one class each, and the reflectance ρ of each;
+//! * `links`: the patches that every texel sees, by cosine-distributed rays: a final gather
 //!   (Reichert 1992) as a matrix; summed over the texels of a patch they are the form factors F;
-//! * [`radiosity`]: the bounces between patches, iterated to a stated remainder;
-//! * [`operator`]: an edit's answer, exact where nothing is changed;
-//! * [`error`]: how far answers lie from the path tracer's, measured when an operator is built;
-//! * [`store`]: the operator beside the result, in a file that is there whole or not at all.
+//! * `radiosity`: the bounces between patches, iterated to a stated remainder;
+//! * `operator`: an edit's answer, exact where nothing is changed;
+//! * `error`: how far answers lie from the path tracer's, measured when an operator is built;
+//! * `store`: the operator beside the result, in a file that is there whole or not at all.
 //!
 //! `view` answers its page with it, `relight --preview` renders with it.
 
