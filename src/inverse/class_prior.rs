@@ -1,7 +1,7 @@
 //! What a texel's albedo should be expected to be before it is looked at: that of its class nearby.
 
 use super::AlbedoEstimate;
-use crate::core::geometry::Mesh;
+use crate::core::geometry::{Mesh, bodies};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::stats::{ENOUGH, MAD_SCALE, median, step_over_many, weighted_median};
@@ -36,10 +36,10 @@ pub(super) struct Expected {
     pub(super) variance: f32,
 }
 
-/// Mean albedo and its variance from the clean texels of a texel's class: those nearby, as far as
-/// they are frontal, sharp and not far from what is usual in the class; the class in its room as a
-/// whole where they are few, and in all rooms where its room shows none. `places` are class and
-/// room of every covered texel.
+/// Mean albedo and its variance from the clean texels of a texel's class: those nearby of its own
+/// body of the mesh, as far as they are frontal, sharp and not far from what is usual there; those
+/// nearby of any body where these are few, then the class in its room as a whole, and in all rooms
+/// where its room shows none. `places` are class and room of every covered texel.
 pub(super) fn class_prior(
     albedo: &AlbedoEstimate,
     texels: &Texels,
@@ -55,8 +55,19 @@ pub(super) fn class_prior(
         own.or_else(|| anywhere.get(&places[i].0))
     };
     let all = clean.typical(&clean.ids);
+    let body = bodies(mesh);
+    let of_body: Vec<(Place, u32)> = (texels.point.iter().zip(places))
+        .map(|(point, place)| (*place, body[point.triangle as usize]))
+        .collect();
     let cubes = Cubes::over(&clean, texels, mesh, places);
     let near = cubes.sums(&clean, &class);
+    let own_cubes = Cubes {
+        places: &of_body[..],
+        texels,
+        mesh,
+        edge: cubes.edge,
+    };
+    let own = own_cubes.sums(&clean, &clean.typical_by(|i| of_body[i]));
     ids.par_iter()
         .map(|&i| {
             let i = i as usize;
@@ -70,7 +81,12 @@ pub(super) fn class_prior(
                     variance: ANYTHING * ANYTHING,
                 };
             };
-            cubes.sums_around(&near, i).beside(usual)
+            let any_body = cubes.sums_around(&near, i).beside(usual);
+            let expected = own_cubes.sums_around(&own, i).beside(&any_body);
+            Expected {
+                variance: expected.variance * PRIOR_DOUBT,
+                ..expected
+            }
         })
         .collect()
 }
@@ -154,25 +170,21 @@ impl<'a> CleanTexels<'a> {
 
 /// Class and room.
 pub(super) type Place = (u16, u16);
-/// A class of a room in a cube of space.
-type Cube = (Place, [i32; 3]);
+/// A kind of place in a cube of space.
+type Cube<K> = (K, [i32; 3]);
 
 /// Space divided into cubes within which texels count as near.
-struct Cubes<'a> {
+struct Cubes<'a, K> {
     texels: &'a Texels,
     mesh: &'a Mesh,
-    places: &'a [Place],
+    /// The kind of every texel's place.
+    places: &'a [K],
     /// Edge of a cube, metres: [`NEAR`] texels of the usual size.
     edge: f32,
 }
 
-impl<'a> Cubes<'a> {
-    fn over(
-        clean: &CleanTexels<'_>,
-        texels: &'a Texels,
-        mesh: &'a Mesh,
-        places: &'a [Place],
-    ) -> Self {
+impl<'a, K: Copy + Ord> Cubes<'a, K> {
+    fn over(clean: &CleanTexels<'_>, texels: &'a Texels, mesh: &'a Mesh, places: &'a [K]) -> Self {
         let sides = clean
             .ids
             .iter()
@@ -188,7 +200,7 @@ impl<'a> Cubes<'a> {
         }
     }
 
-    fn place(&self, i: usize) -> Cube {
+    fn place(&self, i: usize) -> Cube<K> {
         let position = self.texels.position(self.mesh, i);
         (
             self.places[i],
@@ -198,7 +210,7 @@ impl<'a> Cubes<'a> {
 
     /// Sums around texel `i`: those of the eight cubes whose middles are next to it, by nearness, so
     /// that what is expected changes smoothly.
-    fn sums_around(&self, near: &BTreeMap<Cube, Sums>, i: usize) -> Sums {
+    fn sums_around(&self, near: &BTreeMap<Cube<K>, Sums>, i: usize) -> Sums {
         let at = self.texels.position(self.mesh, i) / self.edge - 0.5;
         let within = at - at.floor();
         let mut sums = Sums::default();
@@ -213,13 +225,13 @@ impl<'a> Cubes<'a> {
         sums
     }
 
-    /// The clean texels cube by cube; those far from what is usual in their class count less.
+    /// The clean texels cube by cube; those far from what is usual in their kind of place count less.
     fn sums(
         &self,
         clean: &CleanTexels<'_>,
-        class: &BTreeMap<Place, Expected>,
-    ) -> BTreeMap<Cube, Sums> {
-        let mut near: BTreeMap<Cube, Sums> = BTreeMap::new();
+        class: &BTreeMap<K, Expected>,
+    ) -> BTreeMap<Cube<K>, Sums> {
+        let mut near: BTreeMap<Cube<K>, Sums> = BTreeMap::new();
         for &i in &clean.ids {
             let usual = class[&self.places[i]];
             let a = clean.value(i);
@@ -262,7 +274,57 @@ impl Sums {
         let spread = variance.max(0.0) * share + usual.variance * (1.0 - share);
         Expected {
             mean,
-            variance: spread.max((LEAST_SPREAD * luminance(mean)).powi(2)) * PRIOR_DOUBT,
+            variance: spread.max((LEAST_SPREAD * luminance(mean)).powi(2)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec2;
+
+    /// Boards of one class and room that lie edge to edge, 1 m by 0.1 m each, bodies of their own: the
+    /// first dark, the others pale. Two thirds of each are seen clean.
+    #[test]
+    fn what_is_expected_of_a_board_is_what_it_shows_elsewhere() {
+        let mut mesh = Mesh::default();
+        for board in 0..4 {
+            let (first, y) = (mesh.positions.len() as u32, 0.1 * board as f32);
+            for (x, dy) in [(0.0, 0.001), (1.0, 0.001), (1.0, 0.099), (0.0, 0.099)] {
+                mesh.positions.push(Vec3::new(x, y + dy, 0.0));
+                mesh.normals.push(Vec3::Z);
+                mesh.uvs.push(Vec2::new(0.95 * x, 0.95 * (y + dy)) + 0.02);
+            }
+            mesh.triangles
+                .extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+        }
+        let texels = Texels::rasterize(&mesh, 128, 128);
+        let n = texels.len();
+        let is_dark = |i: usize| texels.point[i].triangle < 2;
+        let clean: Vec<bool> = (0..n).map(|i| i % 3 != 0).collect();
+        let albedo = AlbedoEstimate {
+            value: (0..n)
+                .map(|i| Vec3::splat(if is_dark(i) { 0.05 } else { 0.8 }))
+                .collect(),
+            error: (clean.iter())
+                .map(|c| if *c { 0.01 } else { f32::INFINITY })
+                .collect(),
+            looks: vec![3.0; n],
+            specular_share: vec![0.0; n],
+            footprint: vec![0.01; n],
+            clean,
+        };
+        let ids: Vec<u32> = (0..n).filter(|i| i % 3 == 0).map(|i| i as u32).collect();
+        let expected = class_prior(&albedo, &texels, &mesh, &vec![(1, 1); n], &ids);
+        let mean_over = |dark: bool| {
+            let of = ids.iter().zip(&expected);
+            let of = of.filter(|(i, _)| is_dark(**i as usize) == dark);
+            let means: Vec<f32> = of.map(|(_, e)| e.mean.x).collect();
+            means.iter().sum::<f32>() / means.len() as f32
+        };
+        let (dark, pale) = (mean_over(true), mean_over(false));
+        assert!(dark < 0.4 && (pale - 0.8).abs() < 0.05, "{dark}, {pale}");
+        assert!(expected.iter().all(|e| e.variance > 0.0));
     }
 }

@@ -91,6 +91,25 @@ pub fn pieces(mesh: &Mesh) -> Vec<u32> {
     numbered(roots)
 }
 
+/// For every triangle the number of its body: what vertices at one place hold together. Bodies are
+/// numbered from 0.
+#[must_use]
+pub fn bodies(mesh: &Mesh) -> Vec<u32> {
+    let mut of_vertex = Sets::new(mesh.positions.len());
+    let mut at: HashMap<[u32; 3], usize> = HashMap::with_capacity(mesh.positions.len());
+    for (v, p) in mesh.positions.iter().enumerate() {
+        // 0 and -0 are one place
+        let key = (*p + Vec3::ZERO).to_array().map(f32::to_bits);
+        of_vertex.join(v, *at.entry(key).or_insert(v));
+    }
+    for [a, b, c] in &mesh.triangles {
+        of_vertex.join(*a as usize, *b as usize);
+        of_vertex.join(*a as usize, *c as usize);
+    }
+    let roots = mesh.triangles.iter().map(|t| of_vertex.root(t[0] as usize));
+    numbered(roots)
+}
+
 /// For every triangle the number of its smooth patch: what edges hold together across which the face
 /// turns by less than `cosine` says, whichever way its triangles are wound. Patches are numbered from
 /// 0 in the order of their first triangles.
@@ -155,6 +174,23 @@ impl Sets {
 mod tests {
     use super::*;
     use glam::Vec2;
+
+    /// Two triangles that share an edge by vertices of their own, as at a texture's seam, and one apart.
+    #[test]
+    fn a_body_holds_together_across_seams() {
+        let corners = [
+            [Vec3::ZERO, Vec3::X, Vec3::Y],
+            [Vec3::Y, -Vec3::ZERO + Vec3::X, Vec3::ONE],
+            [Vec3::Z * 5.0, Vec3::X * 5.0, Vec3::Y * 5.0],
+        ];
+        let mesh = Mesh {
+            positions: corners.concat(),
+            triangles: (0..3).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
+            ..Mesh::default()
+        };
+        assert_eq!(bodies(&mesh), [0, 0, 1]);
+        assert_eq!(pieces(&mesh), [0, 1, 2]);
+    }
 
     /// A ridge of four triangles: two fall to one side, two to the other, one of them wound the other
     /// way; a fifth lies apart.
