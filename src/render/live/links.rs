@@ -6,6 +6,7 @@ use crate::core::math::Frame;
 use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
 use crate::core::sampling::{KeyedRng, hammersley, square_to_cosine_hemisphere};
+use crate::core::texture::Texels;
 use crate::core::trace::{CutOut, Hit, Ray, Tracer};
 use crate::render::LightmapTexels;
 use crate::render::panes::SolutionPanes;
@@ -87,6 +88,15 @@ pub(super) struct Seeing {
     pub seen: Vec<u8>,
 }
 
+/// The texel of each cell of an atlas; `u32::MAX` where none is.
+pub(super) fn texel_of_cell(grid: &Texels) -> Vec<u32> {
+    let mut out = vec![u32::MAX; grid.width * grid.height];
+    for (i, &cell) in grid.cell.iter().enumerate() {
+        out[cell as usize] = i as u32;
+    }
+    out
+}
+
 /// Traces what texels see.
 pub(super) fn links(
     solution: &Solution,
@@ -96,14 +106,10 @@ pub(super) fn links(
     progress: &Progress,
 ) -> Seeing {
     let grid = texels.texels();
-    let mut texel_of_cell = vec![u32::MAX; grid.width * grid.height];
-    for (i, &cell) in grid.cell.iter().enumerate() {
-        texel_of_cell[cell as usize] = i as u32;
-    }
     let lookup = Lookup {
         solution,
         texels,
-        texel_of_cell,
+        texel_of_cell: texel_of_cell(grid),
     };
     let met: Vec<AtomicU32> = (0..grid.len()).map(|_| AtomicU32::new(0)).collect();
     let panes = SolutionPanes(solution);

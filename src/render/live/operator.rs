@@ -8,7 +8,7 @@
 
 use super::direct::Direct;
 use super::groups::LightGroup;
-use super::links::{LINKS, Seeing};
+use super::links::{LINKS, Seeing, texel_of_cell};
 use super::patches::{Patch, describe};
 use super::radiosity::{
     ANSWERED, Bounced, FormFactors, Reflecting, SETTLED, bounce, means, seen_areas,
@@ -110,6 +110,10 @@ pub struct LiveLight {
     links: Vec<u16>,
     /// How many rays meet each texel.
     seen: Vec<u8>,
+    /// Patch of each texel.
+    of_texels: Vec<u16>,
+    /// Texel of each cell of the map; `u32::MAX` where none is.
+    texel_of_cell: Vec<u32>,
     patches: Vec<Patch>,
     factors: FormFactors,
     /// Direct light of each group on the patches.
@@ -154,6 +158,8 @@ impl LiveLight {
             direct,
             links,
             seen,
+            texel_of_cell: texel_of_cell(grid),
+            of_texels,
             patches,
             factors,
             on_patches,
@@ -285,11 +291,17 @@ impl LiveLight {
                 remainder: SETTLED,
             }
         };
+        let seen = map_chunks(self.cells.len(), PIECE, |range| {
+            range
+                .map(|i| self.gathered(i, &bounced.exitance))
+                .collect::<Vec<Vec3>>()
+        })
+        .concat();
         let mut irradiance = vec![Vec3::ZERO; self.cells.len()];
         irradiance
             .par_chunks_mut(PIECE)
             .enumerate()
-            .for_each(|(c, piece)| self.gather(c * PIECE, &lit, edit, &bounced.exitance, piece));
+            .for_each(|(c, piece)| self.receive(c * PIECE, &seen, &lit, edit, piece));
         Answer {
             irradiance,
             ratio: Vec::new(),
@@ -298,27 +310,49 @@ impl LiveLight {
         }
     }
 
-    /// Irradiance of consecutive texels, from number `from` on: direct light and what they see of
-    /// the patches.
-    fn gather(
+    /// What texel i receives from the patches that it sees.
+    fn gathered(&self, i: usize, exitance: &[Vec3A]) -> Vec3 {
+        let mut seen = Vec3A::ZERO;
+        for &link in &self.links[i * LINKS..(i + 1) * LINKS] {
+            // what is no patch stands last
+            let Some(e) = exitance.get(usize::from(link)) else {
+                break;
+            };
+            seen += *e;
+        }
+        Vec3::from(seen) / LINKS as f32
+    }
+
+    /// Irradiance of consecutive texels, from number `from` on: direct light, and the mean of what they
+    /// and their neighbours on the same patch see: few rays meet what is small and bright, each
+    /// texel's others.
+    fn receive(
         &self,
         from: usize,
+        seen: &[Vec3],
         lit: &[usize],
         edit: &LightEdit,
-        exitance: &[Vec3A],
         out: &mut [Vec3],
     ) {
+        let [width, height] = self.size;
         for (k, value) in out.iter_mut().enumerate() {
-            let links = &self.links[(from + k) * LINKS..(from + k + 1) * LINKS];
-            let mut seen = Vec3A::ZERO;
-            for &link in links {
-                // what is no patch stands last
-                let Some(e) = exitance.get(usize::from(link)) else {
-                    break;
-                };
-                seen += *e;
+            let i = from + k;
+            let (x, y) = (
+                self.cells[i] as usize % width,
+                self.cells[i] as usize / width,
+            );
+            let (mut sum, mut count) = (Vec3::ZERO, 0.0);
+            for y in y.saturating_sub(1)..(y + 2).min(height) {
+                for x in x.saturating_sub(1)..(x + 2).min(width) {
+                    let near = self.texel_of_cell[y * width + x] as usize;
+                    if self.of_texels.get(near) == Some(&self.of_texels[i]) {
+                        sum += seen[near];
+                        count += 1.0;
+                    }
+                }
             }
-            *value = Vec3::from(seen) / LINKS as f32;
+            // its own cell is among them
+            *value = sum / count;
         }
         for &k in lit {
             let factor = edit.light(k);

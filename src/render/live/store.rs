@@ -21,7 +21,7 @@ use std::path::Path;
 /// Name of the file in a result's folder.
 pub const OPERATOR: &str = "light_operator.bin";
 /// Of what the file holds and how it is computed: to be raised with any change of either.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Longest side of the operator's map. Derived: a texel of a flat is some centimetres, and an answer
 /// reads 64 links of each within its time.
 const SIDE: usize = 512;
