@@ -12,7 +12,7 @@ use super::class_prior::{Expected, LEAST_SPREAD, NEAR, Place, class_prior};
 use super::robust_cg::{Pixel, RobustSystem};
 use super::{AlbedoEstimate, TexelReflectance};
 use crate::core::image::{Plane, RgbPlane, Wrap};
-use crate::core::math::luminance;
+use crate::core::math::{facing, luminance};
 use crate::core::parallel;
 use crate::core::texture::Texels;
 use crate::core::trace::{Hit, Tracer};
@@ -185,8 +185,7 @@ impl MixedPixelSolver<'_> {
             let i = i as usize;
             let t = texels.point[i].triangle as usize;
             let normal = mesh.face_normal(t) * self.orientation.sign(t);
-            let axis = normal.abs().max_position();
-            let side = 2 * axis as u8 + u8::from(normal[axis] < 0.0);
+            let side = facing(normal);
             let texel = texels.texel_area(mesh, t).sqrt().max(f32::MIN_POSITIVE);
             let level = ((albedo.footprint[i] / texel)
                 .max(0.5)
@@ -218,10 +217,6 @@ impl MixedPixelSolver<'_> {
         light: &[Vec3],
         start: &[Vec3],
     ) -> (RobustSystem, u64) {
-        let mut cells = Plane::filled(self.texels.width, self.texels.height, KNOWN);
-        for (i, &c) in self.texels.cell.iter().enumerate() {
-            cells.data[c as usize] = i as u32;
-        }
         let edges: usize = self
             .observer
             .views
@@ -234,7 +229,7 @@ impl MixedPixelSolver<'_> {
             unknown,
             light,
             start,
-            cells,
+            cells: self.texels.numbers(),
             stride,
         };
         let rows: Vec<(usize, usize)> = self

@@ -68,14 +68,12 @@ impl RobustSystem {
                 information: columns.information(&weight, light),
                 weight,
                 prior,
-                pull: pull.clone(),
+                pull: &pull,
             };
             equations.conjugate_gradients(&residual, &mut x);
             data = equations.information;
             if round + 1 == ROUNDS {
-                data.iter_mut()
-                    .zip(&equations.pull)
-                    .for_each(|(d, p)| *d += p);
+                data.iter_mut().zip(&pull).for_each(|(d, p)| *d += p);
             }
         }
         Solved {
@@ -162,10 +160,10 @@ fn pull(prior: &[Expected], x: &[Vec3], data: &[f32], before: &[f32]) -> Vec<f32
         .into_par_iter()
         .map(|u| {
             let Expected { mean, variance } = prior[u];
-            let anything = (ANYTHING * ANYTHING).max(variance);
             if data[u] <= 0.0 {
                 return variance.recip();
             }
+            let anything = (ANYTHING * ANYTHING).max(variance);
             // many pixels do not average out an error that they share
             let shared = (SHARED_ERROR * luminance(x[u])).powi(2);
             let own = data[u].recip() + shared;
@@ -194,7 +192,7 @@ struct NormalEquations<'a> {
     information: Vec<f32>,
     prior: &'a [Expected],
     /// P, per unknown.
-    pull: Vec<f32>,
+    pull: &'a [f32],
 }
 
 impl NormalEquations<'_> {

@@ -9,7 +9,7 @@
 
 use super::occluded_pairs::OccludedPairs;
 use crate::core::geometry::SMOOTH;
-use crate::core::math::Frame;
+use crate::core::math::{Frame, facing};
 use crate::core::parallel::prelude::*;
 use crate::ffi::simd::with_widest;
 use glam::Vec3;
@@ -386,12 +386,6 @@ fn cube(p: Vec3, cell: f32) -> [i32; 3] {
         .floor()
         .to_array()
         .map(|x| (x as i32).clamp(-CUBES, CUBES - 1))
-}
-
-/// The coordinate axis that a normal is closest to, and its sign.
-fn facing(normal: Vec3) -> u8 {
-    let axis = normal.abs().max_position();
-    (2 * axis + usize::from(normal[axis] < 0.0)) as u8
 }
 
 impl Candidates {

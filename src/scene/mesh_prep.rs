@@ -407,21 +407,14 @@ pub fn atlas_overlap(mesh: &Mesh, side: usize) -> (usize, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::geometry::BOX_SIDES;
 
     /// A unit cube with shared corners and no normals, moved by `offset`.
     fn cube(offset: DVec3) -> RawMesh {
         let positions = (0..8)
             .map(|i| DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64) + offset)
             .collect();
-        let quads = [
-            [0, 2, 3, 1],
-            [4, 5, 7, 6],
-            [0, 1, 5, 4],
-            [2, 6, 7, 3],
-            [0, 4, 6, 2],
-            [1, 3, 7, 5],
-        ];
-        let triangles = quads
+        let triangles = BOX_SIDES
             .iter()
             .flat_map(|q: &[u32; 4]| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]])
             .collect();

@@ -22,6 +22,17 @@ pub fn box_corners(low: Vec3, high: Vec3) -> [Vec3; 8] {
     })
 }
 
+/// The corners of each side of a box, as [`box_corners`] numbers them, counter-clockwise from
+/// outside: low and high x, then y, then z.
+pub const BOX_SIDES: [[u32; 4]; 6] = [
+    [0, 4, 6, 2],
+    [1, 3, 7, 5],
+    [0, 1, 5, 4],
+    [2, 6, 7, 3],
+    [0, 2, 3, 1],
+    [4, 5, 7, 6],
+];
+
 /// Indexed triangles; `positions`, `normals` and `uvs` have equal length.
 ///
 /// Positions are in metres relative to [`crate::scene::Scene::origin`]; `uvs` has v = 0 at texture
@@ -209,15 +220,7 @@ pub(crate) mod tests {
         mesh.positions.extend(box_corners(low, high));
         mesh.normals.extend([Vec3::Y; 8]);
         mesh.uvs.extend([Vec2::ZERO; 8]);
-        let faces = [
-            [0, 2, 3, 1],
-            [4, 5, 7, 6],
-            [0, 1, 5, 4],
-            [2, 6, 7, 3],
-            [0, 4, 6, 2],
-            [1, 3, 7, 5],
-        ];
-        for [a, b, c, d] in faces.map(|f: [u32; 4]| f.map(|i| first + i)) {
+        for [a, b, c, d] in BOX_SIDES.map(|f| f.map(|i| first + i)) {
             for [a, b, c] in [[a, b, c], [a, c, d]] {
                 let turned = if outwards { [a, b, c] } else { [a, c, b] };
                 mesh.triangles.push(turned);

@@ -12,7 +12,7 @@ pub use clusters::{bodies, clusters, numbered, pieces, smooth_patches, touching}
 pub use distance::SurfaceDistance;
 #[cfg(test)]
 pub(crate) use mesh::tests::add_box;
-pub use mesh::{Mesh, bounds, box_corners, triangle_normal, vector_key};
+pub use mesh::{BOX_SIDES, Mesh, bounds, box_corners, triangle_normal, vector_key};
 pub use shells::{Neighbour, Shells};
 pub use tangents::{TangentMesh, tangent_mesh};
 

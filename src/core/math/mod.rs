@@ -27,6 +27,13 @@ pub fn sign(x: f32) -> f32 {
 
 use glam::Vec3;
 
+/// The coordinate axis that a normal is closest to, and its sign: 0 to 5.
+#[must_use]
+pub fn facing(normal: Vec3) -> u8 {
+    let axis = normal.abs().max_position();
+    (2 * axis + usize::from(normal[axis] < 0.0)) as u8
+}
+
 /// Relative luminance of linear Rec. 709 RGB (ITU-R BT.709 weights).
 #[must_use]
 pub fn luminance(rgb: Vec3) -> f32 {

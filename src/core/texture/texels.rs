@@ -146,6 +146,13 @@ impl Texels {
         plane
     }
 
+    /// The number of the covered texel at every place of the texture; `u32::MAX` where none is.
+    #[must_use]
+    pub fn numbers(&self) -> Plane<u32> {
+        let all: Vec<u32> = (0..self.len() as u32).collect();
+        self.scatter(&all, u32::MAX)
+    }
+
     /// World area of covered texel `i`, m².
     #[must_use]
     pub fn area(&self, mesh: &Mesh, i: usize) -> f32 {

@@ -1,7 +1,7 @@
 //! Embree against the brute-force twin, on random soups and on the cases that break ray tracers.
 
 use super::*;
-use crate::core::geometry::Mesh;
+use crate::core::geometry::{Mesh, add_box};
 use crate::core::sampling::KeyedRng;
 use crate::ffi::embree::PacketWidth;
 use crate::ffi::ray::FAR_AWAY;
@@ -175,26 +175,9 @@ fn rays_that_are_not_finite_miss() {
 
 /// An axis-aligned cube of half-size `h` about the origin, 12 triangles.
 fn cube(h: f32) -> Mesh {
-    let positions = (0..8)
-        .map(|i| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32) * (2.0 * h) - h)
-        .collect();
-    let quads = [
-        [0, 1, 3, 2],
-        [4, 6, 7, 5],
-        [0, 4, 5, 1],
-        [2, 3, 7, 6],
-        [0, 2, 6, 4],
-        [1, 5, 7, 3],
-    ];
-    let triangles = quads
-        .iter()
-        .flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]])
-        .collect();
-    Mesh {
-        positions,
-        triangles,
-        ..Mesh::default()
-    }
+    let mut mesh = Mesh::default();
+    add_box(&mut mesh, Vec3::splat(-h), Vec3::splat(h), false);
+    mesh
 }
 
 #[test]

@@ -10,6 +10,7 @@ use super::importer::{Importer, Located, PrepareOptions};
 use super::usd_layer::{Prim, Value};
 use super::{usda, usdc};
 use crate::core::formats::read_input;
+use crate::core::geometry::BOX_SIDES;
 use crate::error::{Error, Result};
 use crate::scene::Class;
 use glam::{DMat4, DQuat, DVec3};
@@ -309,17 +310,8 @@ impl Builder<'_> {
             };
             world.transform_point3(DVec3::new(side(0), side(1), side(2)))
         };
-        // corners of each side, counter-clockwise from outside
-        let sides = [
-            [0, 4, 6, 2],
-            [1, 3, 7, 5],
-            [0, 1, 5, 4],
-            [2, 6, 7, 3],
-            [0, 2, 3, 1],
-            [4, 5, 7, 6],
-        ];
         let class = self.class(prim);
-        for side in sides {
+        for side in BOX_SIDES {
             let first = self.mesh.mesh.positions.len() as u32;
             self.mesh.mesh.positions.extend(side.map(corner));
             for t in [[0, 1, 2], [0, 2, 3]] {

@@ -2,11 +2,11 @@
 //! mean of their exitances: E = D + (1/n) Σ ρ_j E_j, a final gather whose rays are traced once.
 
 use super::patches::NONE;
+use crate::core::image::Plane;
 use crate::core::math::Frame;
 use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
 use crate::core::sampling::{KeyedRng, hammersley, square_to_cosine_hemisphere};
-use crate::core::texture::Texels;
 use crate::core::trace::{CutOut, Hit, Ray, Tracer};
 use crate::render::LightmapTexels;
 use crate::render::panes::SolutionPanes;
@@ -29,7 +29,7 @@ struct Lookup<'a> {
     solution: &'a Solution,
     texels: &'a LightmapTexels<'a>,
     /// Texel of each cell of the atlas; `u32::MAX` where none is.
-    texel_of_cell: Vec<u32>,
+    texel_of_cell: Plane<u32>,
 }
 
 impl Lookup<'_> {
@@ -49,7 +49,7 @@ impl Lookup<'_> {
         let texel = |dx: i32, dy: i32| {
             let x = (at.x + dx).clamp(0, grid.width as i32 - 1) as usize;
             let y = (at.y + dy).clamp(0, grid.height as i32 - 1) as usize;
-            self.texel_of_cell[y * grid.width + x]
+            self.texel_of_cell[(x, y)]
         };
         let own = texel(0, 0);
         let same = |i: u32| {
@@ -88,15 +88,6 @@ pub(super) struct Seeing {
     pub seen: Vec<u8>,
 }
 
-/// The texel of each cell of an atlas; `u32::MAX` where none is.
-pub(super) fn texel_of_cell(grid: &Texels) -> Vec<u32> {
-    let mut out = vec![u32::MAX; grid.width * grid.height];
-    for (i, &cell) in grid.cell.iter().enumerate() {
-        out[cell as usize] = i as u32;
-    }
-    out
-}
-
 /// Traces what texels see.
 pub(super) fn links(
     solution: &Solution,
@@ -109,7 +100,7 @@ pub(super) fn links(
     let lookup = Lookup {
         solution,
         texels,
-        texel_of_cell: texel_of_cell(grid),
+        texel_of_cell: grid.numbers(),
     };
     let met: Vec<AtomicU32> = (0..grid.len()).map(|_| AtomicU32::new(0)).collect();
     let panes = SolutionPanes(solution);

@@ -8,7 +8,7 @@
 
 use super::direct::Direct;
 use super::groups::LightGroup;
-use super::links::{LINKS, Seeing, texel_of_cell};
+use super::links::{LINKS, Seeing};
 use super::patches::{Patch, describe};
 use super::radiosity::{
     ANSWERED, Bounced, FormFactors, Reflecting, SETTLED, bounce, means, seen_areas,
@@ -113,7 +113,7 @@ pub struct LiveLight {
     /// Patch of each texel.
     of_texels: Vec<u16>,
     /// Texel of each cell of the map; `u32::MAX` where none is.
-    texel_of_cell: Vec<u32>,
+    texel_of_cell: Plane<u32>,
     patches: Vec<Patch>,
     factors: FormFactors,
     /// Direct light of each group on the patches.
@@ -158,7 +158,7 @@ impl LiveLight {
             direct,
             links,
             seen,
-            texel_of_cell: texel_of_cell(grid),
+            texel_of_cell: grid.numbers(),
             of_texels,
             patches,
             factors,
@@ -244,25 +244,21 @@ impl LiveLight {
             };
         }
         let mut out = self.modelled(edit);
-        let texel = |i: usize| Changed {
+        let changed = |i: usize, model: Vec3| Changed {
             base: self.base[i],
             base_model: self.base_model[i],
-            model: out.irradiance[i],
+            model,
         };
         let ratio = map_chunks(self.base.len(), PIECE, |range| {
-            range.map(|i| texel(i).ratio()).collect::<Vec<Vec3>>()
+            range
+                .map(|i| changed(i, out.irradiance[i]).ratio())
+                .collect::<Vec<Vec3>>()
         });
         out.ratio = ratio.concat();
-        let changed = out.irradiance.par_chunks_mut(PIECE).enumerate();
-        changed.for_each(|(c, piece)| {
+        let pieces = out.irradiance.par_chunks_mut(PIECE).enumerate();
+        pieces.for_each(|(c, piece)| {
             for (k, value) in piece.iter_mut().enumerate() {
-                let i = c * PIECE + k;
-                *value = Changed {
-                    base: self.base[i],
-                    base_model: self.base_model[i],
-                    model: *value,
-                }
-                .irradiance();
+                *value = changed(c * PIECE + k, *value).irradiance();
             }
         });
         out
@@ -344,7 +340,7 @@ impl LiveLight {
             let (mut sum, mut count) = (Vec3::ZERO, 0.0);
             for y in y.saturating_sub(1)..(y + 2).min(height) {
                 for x in x.saturating_sub(1)..(x + 2).min(width) {
-                    let near = self.texel_of_cell[y * width + x] as usize;
+                    let near = self.texel_of_cell[(x, y)] as usize;
                     if self.of_texels.get(near) == Some(&self.of_texels[i]) {
                         sum += seen[near];
                         count += 1.0;

@@ -1,6 +1,7 @@
 //! Surface patches: what reflects as one. Texels of one class, room and direction within a cell of a
 //! grid are a patch; a patch whose texels do not see each other (a floor below a wall) is parted.
 
+use crate::core::math::facing;
 use crate::core::parallel::map_chunks;
 use crate::core::trace::{Ray, Tracer};
 use crate::render::{EditableScene, LightmapTexels, SurfaceModel};
@@ -55,12 +56,6 @@ struct Key {
     cell: IVec3,
 }
 
-/// Axis (0 to 2) that a normal is nearest to; 3 more where it points to its negative side.
-fn direction(normal: Vec3) -> u8 {
-    let axis = normal.abs().max_position() as u8;
-    axis + 3 * u8::from(normal[usize::from(axis)] < 0.0)
-}
-
 /// Area of every texel, m²; border texels, whose centres lie beside their chart, and those without any
 /// area count a little, so that a patch of them is one.
 pub(super) fn areas(texels: &LightmapTexels<'_>) -> Vec<f32> {
@@ -104,7 +99,7 @@ pub(super) fn divide(
             let key = Key {
                 class: solution.class_at(uv),
                 room: *solution.rooms.nearest(uv * rooms),
-                direction: direction(points[i].face_normal),
+                direction: facing(points[i].face_normal),
                 cell: ((points[i].position - low) / size).floor().as_ivec3(),
             };
             let next = numbers.len() as u32;
