@@ -31,7 +31,7 @@ async function open(options) {
   page.on('console', (m) => m.type() === 'error' && errors.push(m.text()));
   if (process.env.ASSETS) await page.route('**/assets/*', (r) => r.fulfill({ path: path.join(process.env.ASSETS, path.basename(r.request().url())) }));
   await page.goto(url);
-  await page.waitForSelector('body[data-ready=yes]');
+  await page.waitForSelector('body[data-ready=yes][data-traced]');
   return page;
 }
 // twice the reference's size, which the pictures are reduced to: as the path tracer's pixels, they are means over their area
@@ -112,7 +112,8 @@ for (const [name, change] of Object.entries(lightings)) {
   for (const view of frames.map(stem)) {
     await page.click('#tab-view');
     await page.selectOption('#camera', String(about.cameras.findIndex((c) => c.name === view)));
-    await page.waitForTimeout(1500);
+    await page.waitForTimeout(500);
+    await page.waitForSelector('body[data-refined]');
     await page.evaluate(() => { for (const e of ['#status', '#pad', '#cross']) document.querySelector(e).hidden = true; });
     const ours = path.join(work, `${name}-${view}.png`);
     await page.locator('#canvas').screenshot({ path: ours });

@@ -157,6 +157,27 @@ await page.waitForTimeout(400);
 await shot(page, 'light');
 check('no errors on the desktop page', errors.length === 0, errors.join('\n'));
 
+// a small window at rest: reflections are traced, sample after sample
+const small = await open({ viewport: { width: 560, height: 320 }, colorScheme: 'dark' });
+await small.page.waitForSelector('body[data-traced]');
+if ((await small.page.getAttribute('body', 'data-traced')) === 'yes') {
+  const refined = () => small.page.waitForSelector('body[data-refined=yes]', { timeout: 300_000 });
+  await refined();
+  const traced = await look(small.page);
+  check('the picture at rest is refined', traced.spread > 10, JSON.stringify(traced));
+  await shot(small.page, 'refined');
+  if (cameras) {
+    await small.page.focus('#canvas');
+    await small.page.keyboard.press('c');
+    await small.page.fill('#split', '100');
+    await refined();
+    const photo = await look(small.page);
+    check('refined and photographed are alike', Math.abs(photo.mean - traced.mean) < 12 && photo.mean !== traced.mean, `${photo.mean} ${traced.mean}`);
+  }
+}
+check('no errors on the small page', small.errors.length === 0, small.errors.join('\n'));
+await small.context.close();
+
 const phone = await open({ viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true, deviceScaleFactor: 2, colorScheme: 'light' });
 const wide = await phone.page.evaluate(() => document.documentElement.scrollWidth > innerWidth);
 check('nothing sticks out on a phone', !wide);

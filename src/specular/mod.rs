@@ -5,6 +5,6 @@ mod directional_albedo;
 mod images;
 mod reflector;
 
-pub use directional_albedo::{DirectionalAlbedo, WIDE};
+pub use directional_albedo::{DirectionalAlbedo, WIDE, under_even_light};
 pub use images::{SpecularImages, TracedImage, WideRule};
 pub use reflector::{Levels, Own, Reflector, ShadingPoint};

@@ -5,7 +5,7 @@ use super::encode::{self, gzip};
 use super::lamps::{self, Slider};
 use super::live_light::PageLight;
 use super::probes::{self, Probe, Relit};
-use super::{inspect, photos::Photos};
+use super::{inspect, photos::Photos, ray_tree, response};
 use crate::core::math::luminance;
 use crate::core::trace::EmbreeTracer;
 use crate::error::{Error, Result};
@@ -348,6 +348,19 @@ impl Content {
             self.scale(),
             Some(&relit),
         )
+    }
+
+    /// The tree that reflections are traced through ([`ray_tree::records`]); empty where they are not.
+    #[must_use]
+    pub fn ray_tree(&self) -> Vec<u8> {
+        let records = ray_tree::records(&self.solution.mesh);
+        gzip(bytemuck::cast_slice(&records))
+    }
+
+    /// What surfaces send to a viewer under even light ([`response::table`]).
+    #[must_use]
+    pub fn response(&self) -> Vec<u8> {
+        gzip(&response::table(self.solution.reflectance))
     }
 
     /// The light that can be changed; traced when it is first asked for.

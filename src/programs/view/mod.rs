@@ -12,6 +12,8 @@ mod lamps;
 mod live_light;
 mod photos;
 mod probes;
+mod ray_tree;
+mod response;
 mod routes;
 mod server;
 

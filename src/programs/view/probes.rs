@@ -1,10 +1,10 @@
-//! Reflections for the page: panoramas of the reconstructed radiance from the middle of each room,
-//! blurred for rising roughness.
+//! Reflections for the page while it moves: panoramas of the reconstructed radiance from the middle of each
+//! room, blurred for rising roughness. At rest the page traces them ([`super::ray_tree`]).
 //!
 //! The page looks reflections up in the nearest probe of the surface's room and corrects for the
 //! distance between the surface and the probe with the distances stored beside the radiance. That
 //! is an approximation (what the probe does not see is missing, and no probe knows the surface's
-//! own surroundings); `unbake render` traces reflections.
+//! own surroundings).
 
 use super::encode::{gzip, rgb9e5};
 use crate::core::geometry::{Camera, Projection};

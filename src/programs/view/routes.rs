@@ -14,7 +14,7 @@ const SCRIPT: &str = "text/javascript; charset=utf-8";
 const BLOCK: &str = "application/octet-stream";
 
 /// Files of the page.
-const ASSETS: [(&str, &str, &[u8]); 14] = [
+const ASSETS: [(&str, &str, &[u8]); 15] = [
     ("/", HTML, include_bytes!("assets/index.html")),
     ("/assets/style.css", CSS, include_bytes!("assets/style.css")),
     ("/assets/main.js", SCRIPT, include_bytes!("assets/main.js")),
@@ -61,6 +61,11 @@ const ASSETS: [(&str, &str, &[u8]); 14] = [
         SCRIPT,
         include_bytes!("assets/shaders.js"),
     ),
+    (
+        "/assets/tracing.js",
+        SCRIPT,
+        include_bytes!("assets/tracing.js"),
+    ),
 ];
 
 /// Answers a request.
@@ -86,6 +91,8 @@ pub fn answer(content: &Content, request: &Request) -> Response {
         "/data/light.bin" => light(content, request),
         "/data/mesh.bin" => block(content.mesh()),
         "/data/environment.bin" => block(Arc::new(content.environment())),
+        "/data/rays.bin" => block(Arc::new(content.ray_tree())),
+        "/data/response.bin" => block(Arc::new(content.response())),
         "/data/probes.bin" => match edit(request) {
             None => malformed_edit(),
             Some(edit) if edit.changes_nothing() => block(content.panoramas()),
@@ -215,7 +222,10 @@ mod tests {
                 "{layer}"
             );
         }
-        assert_eq!(get(&content, "/data/environment.bin").status, 200);
+        for name in ["environment", "rays", "response"] {
+            let path = format!("/data/{name}.bin");
+            assert_eq!(get(&content, &path).status, 200, "{path}");
+        }
         assert_eq!(get(&content, "/data/probes.bin").status, 200);
     }
 

@@ -10,6 +10,7 @@ export class Camera {
     this.pitch = 0;
     this.fov = 75; // degrees along the longer side of the window
     this.aspect = 1;
+    this.shift = [0, 0]; // of the picture within its window of [-1, 1]: parts of a pixel, while samples are added up
   }
 
   forward() {
@@ -68,6 +69,7 @@ export class Camera {
       [...f.map((v) => (v * (far + near)) / (far - near)), (-dot(f) * (far + near) - 2 * far * near) / (far - near)],
       [...f, -dot(f)],
     ];
+    for (const i of [0, 1]) rows[i] = rows[i].map((v, j) => v + this.shift[i] * rows[3][j]);
     if (pixel) {
       const [x, y, columns, lines] = pixel;
       rows[0] = rows[0].map((v, i) => (v - x * rows[3][i]) * columns);
@@ -84,6 +86,7 @@ export class Camera {
     const far = this.size * 6;
     const p = this.position;
     const column = (v, s) => [v[0] * s * far, v[1] * s * far, v[2] * s * far, 0];
-    return new Float32Array([...column(r, w), ...column(u, h), ...column(f, 1), ...p, 1]);
+    const middle = f.map((v, i) => v - r[i] * w * this.shift[0] - u[i] * h * this.shift[1]);
+    return new Float32Array([...column(r, w), ...column(u, h), ...column(middle, 1), ...p, 1]);
   }
 }

@@ -121,6 +121,56 @@ export function probeTextures(gl, buffer, probes, levels, width = 256) {
   return { radiance, distance };
 }
 
+// Four integers a texel, read with texelFetch.
+export function integers(gl, width, height, words) {
+  const texture = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, width, height, 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
+  sampling(gl, gl.TEXTURE_2D, 'nearest', 'clamp');
+  return texture;
+}
+
+// What surfaces send out under even light, from the server's square table of four half floats a cell.
+export function responseTexture(gl, buffer) {
+  const texels = new Uint16Array(buffer);
+  const size = Math.sqrt(texels.length / 4);
+  const texture = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, size, size, 0, gl.RGBA, gl.HALF_FLOAT, texels);
+  sampling(gl, gl.TEXTURE_2D, 'linear', 'clamp');
+  return texture;
+}
+
+// A picture of four half floats a pixel with depth, to which samples are added; null where the card cannot.
+export function sumTarget(gl, width, height) {
+  if (!gl.getExtension('EXT_color_buffer_float') && !gl.getExtension('EXT_color_buffer_half_float')) return null;
+  const texture = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, width, height);
+  sampling(gl, gl.TEXTURE_2D, 'nearest', 'clamp');
+  const depth = gl.createRenderbuffer();
+  gl.bindRenderbuffer(gl.RENDERBUFFER, depth);
+  gl.renderbufferStorage(gl.RENDERBUFFER, gl.DEPTH_COMPONENT24, width, height);
+  const framebuffer = gl.createFramebuffer();
+  gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+  gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+  gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.RENDERBUFFER, depth);
+  const complete = gl.checkFramebufferStatus(gl.FRAMEBUFFER) === gl.FRAMEBUFFER_COMPLETE;
+  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  const target = { framebuffer, texture, depth, width, height };
+  if (complete) return target;
+  dropSumTarget(gl, target);
+  return null;
+}
+
+export function dropSumTarget(gl, { framebuffer, texture, depth }) {
+  gl.deleteFramebuffer(framebuffer);
+  gl.deleteTexture(texture);
+  gl.deleteRenderbuffer(depth);
+}
+
 // One pixel of four integers with a depth buffer: what the pick pass draws into.
 export function pickTarget(gl) {
   const framebuffer = gl.createFramebuffer();

@@ -4,7 +4,7 @@ const bar = (colours, from, to) => ({ colours, from, to });
 const HEAT = ['#000005', '#570f6e', '#ba3654', '#fa8c0a', '#fcffa3'];
 
 export const LAYERS = [
-  { id: 'final', name: 'Final', key: '1', textures: [], about: 'Albedo × irradiance / π, reflections from one or two panoramas per room (approximate), and emission.' },
+  { id: 'final', name: 'Final', key: '1', textures: [], about: 'Albedo × irradiance / π, reflections and emission. While it moves, reflections come from panoramas of the rooms; at rest they are traced.' },
   { id: 'albedo', name: 'Albedo', key: '2', textures: [], about: 'Diffuse reflectance, shown in sRGB, without light.' },
   { id: 'roughness', name: 'Roughness', key: '3', textures: [], about: 'Roughness R; the width of highlights grows with R².', legend: bar(['#000', '#fff'], '0 smooth', '1 rough') },
   { id: 'irradiance', name: 'Irradiance', key: '4', textures: [], about: 'Light arriving per area, E / π: what a white wall would show.' },

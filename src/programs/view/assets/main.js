@@ -8,7 +8,10 @@ import { LiveLight } from './live.js';
 import { json } from './load.js';
 import { $, cameraList, lampControls, layerButtons, materialControls, showLayer, tabs, theme } from './panel.js';
 import { showPoint } from './readout.js';
-import { Renderer } from './renderer.js';
+import { Renderer, SAMPLES } from './renderer.js';
+
+// Milliseconds without a change after which the picture is refined.
+const REST = 200;
 
 const say = (text) => { $('#status').textContent = text; };
 const fail = (error) => {
@@ -34,17 +37,32 @@ async function start() {
   const view = { layer: 'final', ev: 0, soft: false, marked: null, photo: null, split: 0, compare: false, lamps: edits.lamps.map(() => [1, 1, 1]), outside: [1, 1, 1], backdrop: backdrop() };
 
   let wanted = false;
+  let traced = false; // reflections can be traced
+  let sample = 0; // of the picture that is refined
+  let rest = 0;
   const frame = (now) => {
     wanted = false;
     const moving = controls.tick(now);
     camera.aspect = renderer.resize();
     renderer.draw(camera, view);
     document.body.dataset.shown = view.layer;
-    if (moving) redraw();
+    if (moving) return redraw();
+    sample = 0;
+    clearTimeout(rest);
+    rest = setTimeout(refine, REST);
   };
   const redraw = () => {
+    delete document.body.dataset.refined;
+    clearTimeout(rest);
     if (!wanted) requestAnimationFrame(frame);
     wanted = true;
+  };
+  // Once nothing changes, sample after sample with traced reflections, until there are enough or something changes again.
+  const refine = () => {
+    if (wanted) return;
+    const apt = traced && /^(final|error)$/.test(view.layer) && view.marked === null;
+    if (apt && renderer.refine(camera, view, sample) && ++sample < SAMPLES) requestAnimationFrame(refine);
+    else document.body.dataset.refined = apt ? 'yes' : 'no';
   };
 
   // --- cameras and comparison -----------------------------------------------------------------------------------------------------
@@ -220,6 +238,10 @@ async function start() {
   }
   redraw();
   document.body.dataset.ready = 'yes';
+  // the first picture does not wait for what refines it
+  traced = await renderer.loadRays();
+  document.body.dataset.traced = traced ? 'yes' : 'no';
+  redraw();
 }
 
 start().catch(fail);

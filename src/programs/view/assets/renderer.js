@@ -2,10 +2,14 @@
 
 import * as g from './gl.js';
 import { bytes, textureCap } from './load.js';
-import { MODES, MAX_LAMPS, MAX_PROBES, backgroundFragment, backgroundVertex, pickFragment, surfaceFragment, surfaceVertex } from './shaders.js';
+import { MODES, MAX_LAMPS, MAX_PROBES, backgroundFragment, backgroundVertex, depthFragment, meanFragment, pickFragment, surfaceFragment, surfaceVertex } from './shaders.js';
+import { rayTexture } from './tracing.js';
+
+// Samples of a pixel once nothing moves.
+export const SAMPLES = 64;
 
 const ALWAYS = ['albedo', 'roughness', 'irradiance', 'emission', 'ids'];
-const UNITS = ['albedo', 'roughness', 'irradiance', 'radiance', 'emission', 'confidence', 'ids', 'edits', 'light', 'photo', 'environment', 'probe_radiance', 'probe_distance'];
+const UNITS = ['albedo', 'roughness', 'irradiance', 'radiance', 'emission', 'confidence', 'ids', 'edits', 'light', 'photo', 'environment', 'probe_radiance', 'probe_distance', 'response', 'rays'];
 
 export class Renderer {
   constructor(canvas, scene) {
@@ -15,6 +19,8 @@ export class Renderer {
     this.surface = g.program(gl, surfaceVertex, surfaceFragment);
     this.background = g.program(gl, backgroundVertex, backgroundFragment);
     this.picking = g.program(gl, surfaceVertex, pickFragment);
+    this.depth = g.program(gl, surfaceVertex, depthFragment);
+    this.mean = g.program(gl, backgroundVertex, meanFragment);
     this.pickTarget = g.pickTarget(gl);
     this.empty = gl.createVertexArray();
     this.cap = textureCap(gl, scene.caps);
@@ -29,6 +35,8 @@ export class Renderer {
     // one with a shared exponent, three times: light as it is
     this.light = g.writtenTexture(gl, 'rgb9e5', 1, 1, new Uint32Array([0x84020100]));
     this.textures.set('light', this.light.texture);
+    this.textures.set('rays', g.integers(gl, 1, 1, new Uint32Array(4)));
+    this.rayNodes = 0;
     this.probes = 0;
   }
 
@@ -38,11 +46,15 @@ export class Renderer {
     let done = 0;
     const counted = async (work) => {
       const result = await work;
-      step(++done, ALWAYS.length + 3);
+      step(++done, ALWAYS.length + 4);
       return result;
     };
     const jobs = ALWAYS.map((name) => counted(this.loadTexture(name)));
-    const mesh = counted(bytes('/data/mesh.bin')).then((b) => (this.mesh = g.meshFromBlock(gl, b, scene.vertices, scene.triangles)));
+    const mesh = counted(bytes('/data/mesh.bin')).then((b) => {
+      this.mesh = g.meshFromBlock(gl, b, scene.vertices, scene.triangles);
+      this.meshBlock = b;
+    });
+    const response = counted(bytes('/data/response.bin')).then((b) => this.textures.set('response', g.responseTexture(gl, b)));
     const sky = counted(bytes('/data/environment.bin')).then((b) => {
       this.textures.set('environment', g.textureFromBlock(gl, b, { wrapX: 'repeat' }).texture);
     });
@@ -52,7 +64,18 @@ export class Renderer {
       this.probes = places.length;
       this.probePlaces = new Float32Array(places.flatMap((p) => [...p.position, p.room]));
     });
-    await Promise.all([...jobs, mesh, sky, probes]);
+    await Promise.all([...jobs, mesh, response, sky, probes]);
+  }
+
+  // What reflections are traced through; after it `refine` can be called if it says true.
+  async loadRays() {
+    const { gl, scene } = this;
+    const made = rayTexture(gl, await bytes('/data/rays.bin'), this.meshBlock, scene);
+    this.meshBlock = null;
+    if (!made) return false;
+    this.textures.set('rays', made.texture);
+    this.rayNodes = made.nodes;
+    return true;
   }
 
   // Panoramas of the reflection probes; from the second on they are those of changed light.
@@ -122,52 +145,122 @@ export class Renderer {
     gl.activeTexture(gl.TEXTURE0 + UNITS.length);
   }
 
-  // view: { layer, ev, soft, marked, photo: {index, position, world_from_camera} | null, split (0..1), backdrop, lamps, outside }
-  draw(camera, view) {
+  // What all programs are told of a view; `sample` is that to add up, -1 to draw to the screen.
+  common({ program, uniforms: u }, camera, view, sample) {
     const { gl, canvas } = this;
-    if (!this.mesh || gl.isContextLost()) return;
-    gl.viewport(0, 0, canvas.width, canvas.height);
-    gl.clear(gl.DEPTH_BUFFER_BIT);
     const photo = view.photo && this.photos.get(view.photo.index);
     if (photo) this.textures.set('photo', photo);
-    const common = ({ program, uniforms: u }) => {
-      gl.useProgram(program);
-      gl.uniform1i(u.u_mode, MODES.indexOf(view.layer));
-      gl.uniform1f(u.u_exposure, 2 ** view.ev);
-      gl.uniform1i(u.u_soft, view.soft ? 1 : 0);
-      gl.uniform3fv(u.u_eye, camera.position);
-      gl.uniform1i(u.u_has_photo, photo ? 1 : 0);
-      gl.uniform1f(u.u_split, view.split * canvas.width);
-      if (photo) {
-        gl.uniform3fv(u.u_photo_eye, view.photo.position);
-        // columns of world_from_camera are the rows of its inverse
-        gl.uniformMatrix3fv(u.u_camera_from_world, true, view.photo.world_from_camera);
-      }
-      this.bind(u);
-      return u;
-    };
-    let u = common(this.background);
-    gl.disable(gl.DEPTH_TEST);
-    gl.uniformMatrix4fv(u.u_world_from_clip, false, camera.worldFromClip());
+    gl.useProgram(program);
+    gl.uniform1i(u.u_mode, MODES.indexOf(view.layer));
+    gl.uniform1f(u.u_exposure, 2 ** view.ev);
+    gl.uniform1i(u.u_soft, view.soft ? 1 : 0);
+    gl.uniform1i(u.u_sample, sample);
+    gl.uniform3fv(u.u_eye, camera.position);
+    gl.uniform1i(u.u_has_photo, photo ? 1 : 0);
+    gl.uniform1f(u.u_split, view.split * canvas.width);
     gl.uniform3fv(u.u_outside, view.outside);
+    if (photo) {
+      gl.uniform3fv(u.u_photo_eye, view.photo.position);
+      // columns of world_from_camera are the rows of its inverse
+      gl.uniformMatrix3fv(u.u_camera_from_world, true, view.photo.world_from_camera);
+    }
+    this.bind(u);
+    return u;
+  }
+
+  drawBackground(camera, view, sample) {
+    const { gl } = this;
+    const u = this.common(this.background, camera, view, sample);
+    gl.uniformMatrix4fv(u.u_world_from_clip, false, camera.worldFromClip());
     gl.uniform3fv(u.u_backdrop, view.backdrop);
     gl.bindVertexArray(this.empty);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
 
-    u = common(this.surface);
-    gl.enable(gl.DEPTH_TEST);
+  drawSurface(camera, view, sample) {
+    const { gl } = this;
+    const u = this.common(this.surface, camera, view, sample);
     gl.uniformMatrix4fv(u.u_clip_from_world, false, camera.clipFromWorld());
     gl.uniform1i(u.u_marked, view.marked ?? -1);
     gl.uniform1i(u.u_probe_count, this.probes);
     if (this.probes) gl.uniform4fv(u.u_probes, this.probePlaces);
     gl.uniform1i(u.u_probes_relit, this.relit ? 1 : 0);
     gl.uniform1f(u.u_probe_levels, this.scene.probes.levels);
+    gl.uniform1i(u.u_ray_nodes, this.rayNodes);
+    gl.uniform1f(u.u_least_distance, camera.size * 2e-5);
+    // many samples of a pixel need no texture blurred for it
+    gl.uniform1f(u.u_bias, sample < 0 ? 0 : -2);
     const gains = new Float32Array(MAX_LAMPS * 3).fill(1);
     view.lamps.forEach((gain, i) => gains.set(gain, 3 * (i + 1)));
     gl.uniform3fv(u.u_lamp_gain, gains);
+    this.drawMesh();
+  }
+
+  drawMesh() {
+    const { gl } = this;
     gl.bindVertexArray(this.mesh.vao);
     gl.drawElements(gl.TRIANGLES, this.mesh.count, gl.UNSIGNED_INT, 0);
     gl.bindVertexArray(null);
+  }
+
+  // view: { layer, ev, soft, marked, photo: {index, position, world_from_camera} | null, split (0..1), backdrop, lamps, outside }
+  draw(camera, view) {
+    const { gl, canvas } = this;
+    if (!this.mesh || gl.isContextLost()) return;
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.clear(gl.DEPTH_BUFFER_BIT);
+    gl.disable(gl.DEPTH_TEST);
+    this.drawBackground(camera, view, -1);
+    gl.enable(gl.DEPTH_TEST);
+    this.drawSurface(camera, view, -1);
+  }
+
+  // Adds a sample of every pixel, with traced reflections, and draws the mean of those so far (layers 'final' and 'error'): `sample`
+  // from 0 to SAMPLES - 1 for an unmoved view. False where the card cannot.
+  refine(camera, view, sample) {
+    const { gl, canvas } = this;
+    const [width, height] = [canvas.width, canvas.height];
+    if (gl.isContextLost()) return false;
+    if (this.sum && (this.sum.width !== width || this.sum.height !== height)) {
+      g.dropSumTarget(gl, this.sum);
+      this.sum = null;
+    }
+    this.sum ??= g.sumTarget(gl, width, height);
+    if (!this.sum) return false;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.sum.framebuffer);
+    gl.viewport(0, 0, width, height);
+    if (sample === 0) gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+    gl.clearBufferfv(gl.DEPTH, 0, [1]);
+    camera.shift = [2, 3].map((base, i) => (2 * radicalInverse(sample + 1, base) - 1) / [width, height][i]);
+    // depth first: only what is seen is shaded, and added once
+    gl.enable(gl.DEPTH_TEST);
+    gl.drawBuffers([gl.NONE]);
+    gl.useProgram(this.depth.program);
+    gl.uniformMatrix4fv(this.depth.uniforms.u_clip_from_world, false, camera.clipFromWorld());
+    this.drawMesh();
+    gl.drawBuffers([gl.COLOR_ATTACHMENT0]);
+    gl.depthFunc(gl.EQUAL);
+    gl.depthMask(false);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE);
+    const lit = { ...view, layer: 'final', split: 0 };
+    this.drawBackground(camera, lit, sample);
+    this.drawSurface(camera, lit, sample);
+    gl.disable(gl.BLEND);
+    gl.depthMask(true);
+    gl.depthFunc(gl.LESS);
+    camera.shift = [0, 0];
+
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.disable(gl.DEPTH_TEST);
+    const u = this.common(this.mean, camera, view, -1);
+    gl.uniformMatrix4fv(u.u_world_from_clip, false, camera.worldFromClip());
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, this.sum.texture);
+    gl.uniform1i(u.u_sum, 0);
+    gl.bindVertexArray(this.empty);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    return true;
   }
 
   // Atlas coordinate and world point under a place of the window in [-1, 1], or null.
@@ -194,4 +287,11 @@ export class Renderer {
     const ray = camera.ray(x, y);
     return { uv: [u0, v0], distance, lamp: words[3] - 1, point: camera.position.map((p, i) => p + ray[i] * distance) };
   }
+}
+
+// The digits of a number to a base behind the point in reverse: equidistributed in [0, 1) (van der Corput 1935).
+function radicalInverse(n, base) {
+  let [sum, place] = [0, 1 / base];
+  for (let i = n; i > 0; i = Math.floor(i / base), place /= base) sum += (i % base) * place;
+  return sum;
 }

@@ -1,4 +1,6 @@
-// The shaders: one vertex shader, the surface, the background, and the pick pass.
+// The shaders: one vertex shader, the surface, the background, the mean of samples, and the pick pass.
+
+import { tracing } from './tracing.js';
 
 export const MODES = ['final', 'albedo', 'roughness', 'irradiance', 'radiance', 'emission', 'confidence', 'roughness-confidence', 'labels', 'rooms', 'error'];
 
@@ -15,6 +17,7 @@ out vec3 v_position;
 out vec2 v_uv;
 out vec3 v_normal;
 flat out uint v_lamp;
+invariant gl_Position;
 void main() {
   v_position = a_position;
   v_uv = a_uv;
@@ -38,6 +41,8 @@ const common = `
 uniform int u_mode;
 uniform float u_exposure;
 uniform bool u_soft;
+// Number of the sample that is added up; -1 where the screen is drawn to.
+uniform int u_sample;
 uniform vec3 u_eye;
 uniform float u_split;
 uniform bool u_has_photo;
@@ -55,7 +60,9 @@ vec3 srgb(vec3 x) {
   x = clamp(x, 0.0, 1.0);
   return mix(12.92 * x, 1.055 * pow(x, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, x));
 }
+// As the screen shows radiance; while samples are added up it stays what it is, up to what 64 of them can be added to.
 vec3 display(vec3 radiance) {
+  if (u_sample >= 0) return clamp(radiance, 0.0, 1000.0);
   vec3 x = max(radiance, 0.0) * u_exposure;
   return srgb(u_soft ? 1.0 - exp(-x) : x);
 }
@@ -76,7 +83,7 @@ vec3 error_colour(vec3 shown, vec3 truth) {
   return heat((d.r + d.g + d.b) / 3.0 / 0.25);
 }`;
 
-export const surfaceFragment = common + `
+export const surfaceFragment = common + tracing + `
 in vec3 v_position;
 in vec2 v_uv;
 in vec3 v_normal;
@@ -90,6 +97,11 @@ uniform sampler2D u_confidence;
 uniform highp usampler2D u_ids;
 uniform highp sampler2D u_edits;
 uniform sampler2D u_light;
+uniform sampler2D u_environment;
+uniform sampler2D u_response;
+uniform vec3 u_outside;
+uniform float u_least_distance;
+uniform float u_bias;
 uniform highp sampler2DArray u_probe_radiance;
 uniform highp sampler2DArray u_probe_distance;
 uniform int u_probe_count;
@@ -131,36 +143,95 @@ vec3 reflected(vec3 p, vec3 r, float roughness, uint room) {
   return textureLod(u_probe_radiance, vec3(panorama(d), float(best)), roughness * (u_probe_levels - 1.0)).rgb;
 }
 
+struct Surface { vec3 colour; float metal; float roughness; vec3 irradiance; vec3 emission; };
+
+uvec2 ids_at(vec2 uv) {
+  ivec2 size = textureSize(u_ids, 0);
+  return texelFetch(u_ids, clamp(ivec2(uv * vec2(size)), ivec2(0), size - 1), 0).rg;
+}
+// The surface as it is edited; 'light' is the ratio of changed to reconstructed irradiance. Bilinear fringes around a lamp are no light.
+Surface edited(vec4 base, float roughness, vec3 irradiance, vec3 light, vec3 emission, uint label, uint lamp) {
+  vec4 edit = texelFetch(u_edits, ivec2(label & 255u, label >> 8), 0);
+  return Surface(clamp(base.rgb * edit.rgb, 0.0, 1.0), 1.0 - base.a, clamp(roughness + edit.a, 0.0, 1.0), irradiance * light,
+    lamp > 0u ? emission * u_lamp_gain[int(lamp)] : vec3(0.0));
+}
+// Specular reflection of even light: linear in the reflectance at normal incidence, 0.04 for what is no metal.
+vec3 specular_response(Surface s, vec4 response) {
+  vec3 f0 = mix(vec3(0.04), s.colour, s.metal);
+  return response.r + (f0 - 0.04) / 0.96 * (response.g - response.r);
+}
+// Radiance that arrives at p along l, blurred for a rough surface; what is met shows the mean of the light around it in its own lobe.
+vec3 arriving(vec3 p, vec3 l, float level) {
+  Met met = trace(p, l);
+  if (met.t >= FAR) return textureLod(u_environment, panorama(l), 0.0).rgb * u_outside;
+  vec2 uv = met.uv;
+  Surface s = edited(textureLod(u_albedo, uv, level), textureLod(u_roughness, uv, level).r, textureLod(u_irradiance, uv, level).rgb,
+    textureLod(u_light, uv, 0.0).rgb, textureLod(u_emission, uv, 0.0).rgb, ids_at(uv).r, met.lamp);
+  if (dot(s.emission, vec3(1.0)) > 0.0) return s.emission;
+  vec4 response = textureLod(u_response, vec2(abs(dot(met.n, l)), s.roughness), 0.0);
+  return (s.colour * (1.0 - s.metal) * response.b + specular_response(s, response)) * s.irradiance / PI;
+}
+uint scrambled(uint x) {
+  uint s = x * 747796405u + 2891336453u;
+  uint w = ((s >> ((s >> 28u) + 4u)) ^ s) * 277803737u;
+  return (w >> 22u) ^ w;
+}
+// Two numbers in [0, 1) for this sample of this pixel: an additive recurrence, shifted by pixel (Roberts 2018).
+vec2 pair() {
+  uint a = scrambled(uint(gl_FragCoord.x) + scrambled(uint(gl_FragCoord.y)));
+  vec2 shift = vec2(uvec2(a, scrambled(a)) >> 8u) / 16777216.0;
+  return fract(shift + float(u_sample) * vec2(0.7548776662, 0.5698402910));
+}
+// A direction in which the lobe reflects, by visible normals (Dupuy and Benyoub 2023).
+vec3 lobe_direction(vec3 n, vec3 to_eye, float roughness) {
+  float alpha = max(roughness * roughness, 1e-4);
+  vec3 x = normalize(abs(n.y) < 0.9 ? cross(n, vec3(0.0, 1.0, 0.0)) : cross(n, vec3(1.0, 0.0, 0.0)));
+  mat3 world_from_local = mat3(x, cross(n, x), n);
+  vec3 v = to_eye * world_from_local;
+  vec3 w = normalize(vec3(alpha * v.xy, max(v.z, 1e-4)));
+  vec2 u = pair();
+  float z = (1.0 - u.y) * (1.0 + w.z) - w.z;
+  float r = sqrt(max(1.0 - z * z, 0.0));
+  vec3 h = vec3(r * cos(2.0 * PI * u.x), r * sin(2.0 * PI * u.x), z) + w;
+  h = normalize(world_from_local * vec3(alpha * h.xy, max(h.z, 1e-6)));
+  return reflect(-to_eye, h);
+}
+
 void main() {
   vec3 to_eye = normalize(u_eye - v_position);
   vec3 n = normalize(v_normal);
   if (dot(n, to_eye) < 0.0) n = -n;
   float facing = clamp(dot(n, to_eye), 0.0, 1.0);
-  uvec2 ids = texelFetch(u_ids, clamp(ivec2(v_uv * vec2(textureSize(u_ids, 0))), ivec2(0), textureSize(u_ids, 0) - 1), 0).rg;
-  vec4 edit = texelFetch(u_edits, ivec2(ids.r & 255u, ids.r >> 8), 0);
-  vec4 base = texture(u_albedo, v_uv);
-  vec3 albedo = clamp(base.rgb * edit.rgb, 0.0, 1.0);
-  float metal = 1.0 - base.a;
-  float roughness = clamp(texture(u_roughness, v_uv).r + edit.a, 0.0, 1.0);
-  // the ratio of changed to reconstructed light
+  uvec2 ids = ids_at(v_uv);
   vec3 light = texture(u_light, v_uv).rgb;
-  vec3 irradiance = texture(u_irradiance, v_uv).rgb * light;
-  vec3 emission = texture(u_emission, v_uv).rgb;
-  // bilinear fringes around a lamp are not light
-  emission = v_lamp > 0u ? emission * u_lamp_gain[int(v_lamp)] : vec3(0.0);
+  Surface s = edited(texture(u_albedo, v_uv, u_bias), texture(u_roughness, v_uv, u_bias).r, texture(u_irradiance, v_uv, u_bias).rgb, light,
+    texture(u_emission, v_uv).rgb, ids.r, v_lamp);
+  vec3 albedo = s.colour, irradiance = s.irradiance, emission = s.emission;
+  float roughness = s.roughness;
+  vec3 face = normalize(cross(dFdx(v_position), dFdy(v_position)));
+  if (dot(face, to_eye) < 0.0) face = -face;
 
   vec3 shown = vec3(0.0);
   bool lit = u_mode == 0 || u_mode == 10;
   if (lit) {
-    // Fresnel as in the method; roughness weakens its rise towards grazing view
-    float grazing = exp2((-5.55473 * facing - 6.98316) * facing);
-    vec3 f0 = mix(vec3(0.04), albedo, metal);
-    vec3 fresnel = f0 + (max(vec3(1.0 - roughness), f0) - f0) * grazing;
-    vec3 mirror = reflect(-to_eye, n);
+    vec4 response = textureLod(u_response, vec2(facing, roughness), 0.0);
     // a wide lobe shows the mean light around (from R = 0.6 on, as in src/specular/directional_albedo.rs)
-    vec3 seen = reflected(v_position, mirror, roughness, ids.g) * (u_probes_relit ? vec3(1.0) : light);
-    vec3 specular = fresnel * mix(seen, irradiance / PI, smoothstep(0.3, 0.6, roughness));
-    shown = dot(emission, vec3(1.0)) > 0.0 ? emission : albedo * (1.0 - metal) * irradiance / PI + specular;
+    vec3 seen = irradiance / PI;
+    if (roughness < 0.6) {
+      vec3 narrow;
+      if (u_ray_nodes > 0 && u_sample >= 0) {
+        vec3 l = lobe_direction(n, to_eye, roughness);
+        float under = dot(l, face);
+        if (under < 0.0) l -= 2.0 * under * face;
+        narrow = arriving(v_position + u_least_distance * face, l, log2(1.0 + 8.0 * roughness));
+        seen = mix(narrow, seen, smoothstep(0.5, 0.6, roughness));
+      } else {
+        narrow = reflected(v_position, reflect(-to_eye, n), roughness, ids.g) * (u_probes_relit ? vec3(1.0) : light);
+        seen = mix(narrow, seen, smoothstep(0.3, 0.6, roughness));
+      }
+    }
+    shown = albedo * (1.0 - s.metal) * response.b * irradiance / PI + specular_response(s, response) * seen;
+    if (dot(emission, vec3(1.0)) > 0.0) shown = emission;
   }
   if (u_mode == 10) {
     colour = vec4(u_has_photo ? error_colour(shown, photograph(v_position)) : display(shown), 1.0);
@@ -200,6 +271,20 @@ void main() {
   bool lit = u_mode == 0 || u_mode == 4 || u_mode == 10;
   vec3 value = lit ? display(sky) : u_backdrop;
   if (u_mode == 10 && u_has_photo) value = error_colour(sky, photograph(v_far));
+  colour = vec4(left_of_split() ? display(photograph(v_far)) : value, 1.0);
+}`;
+
+export const depthFragment = 'void main() {}';
+
+// The mean of the samples that were added up, whose number is in the fourth channel, beside the photograph or compared with it.
+export const meanFragment = common + `
+in vec3 v_far;
+uniform sampler2D u_sum;
+out vec4 colour;
+void main() {
+  vec4 sum = texelFetch(u_sum, ivec2(gl_FragCoord.xy), 0);
+  vec3 mean = sum.rgb / max(sum.a, 1.0);
+  vec3 value = u_mode == 10 && u_has_photo ? error_colour(mean, photograph(v_far)) : display(mean);
   colour = vec4(left_of_split() ? display(photograph(v_far)) : value, 1.0);
 }`;
 
