@@ -21,6 +21,7 @@ mod light;
 mod plot;
 mod robustness;
 mod scaling;
+mod table_page;
 mod tables;
 mod tradeoff;
 mod tsdr;

@@ -6,12 +6,14 @@
 
 use super::child::{Outcome, Runner, Workplace};
 use super::damage::{CONDITIONS, Damage, write_damaged};
+use super::table_page::TablePage;
+use crate::core::formats::atomic_write;
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
 use crate::scene::Scene;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What `unbake bench tables` can be told.
 #[derive(clap::Args, Clone, Debug, Default)]
@@ -22,6 +24,12 @@ pub struct TablesBench {
     /// Only rows whose table, method or condition holds one of these words, separated by commas.
     #[arg(long, value_name = "WORDS", value_delimiter = ',')]
     pub rows: Vec<String>,
+    /// Also write the rows as comma-separated values.
+    #[arg(long, value_name = "FILE")]
+    pub csv: Option<PathBuf>,
+    /// Also write a page with the pictures of all rows side by side into a folder, which keeps those that are there.
+    #[arg(long, value_name = "FOLDER")]
+    pub page: Option<PathBuf>,
     /// Flags for every `unbake solve`, as one string.
     #[arg(
         long,
@@ -64,7 +72,7 @@ impl Method {
     ];
 
     /// What a table calls it.
-    fn name(self) -> &'static str {
+    pub(super) fn name(self) -> &'static str {
         match self {
             Self::Unbake => "unbake",
             Self::Paper => "paper",
@@ -169,21 +177,65 @@ impl TablesReport {
                     row.table, row.scene
                 );
             }
-            let db = |v: Option<f64>| v.map_or("   --".to_owned(), |v| format!("{v:5.2}"));
             let _ = writeln!(
                 out,
-                "  {:10} {:24} {}  {}  {}  {:8.1}  {:5.2}",
+                "  {:10} {:24} {:>5}  {:>5}  {:>5}  {:8.1}  {:5.2}",
                 row.method.name(),
                 row.condition,
-                db(row.albedo_psnr),
-                db(row.roughness_psnr),
-                db(row.nvs_psnr),
+                decibels(row.albedo_psnr),
+                decibels(row.roughness_psnr),
+                decibels(row.nvs_psnr),
                 row.seconds,
                 row.peak_bytes as f64 / (1u64 << 30) as f64
             );
         }
         out
     }
+
+    /// The rows as comma-separated values (RFC 4180) below their names; what was not scored is empty.
+    #[must_use]
+    pub fn csv(&self) -> String {
+        let mut out = String::from(
+            "table,method,scene,condition,flags,albedo_psnr,roughness_psnr,nvs_psnr,nvs_ssim,nvs_mse,seconds,peak_bytes\r\n",
+        );
+        let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
+        let number = |x: Option<f64>| x.map_or_else(String::new, |x| x.to_string());
+        for r in &self.rows {
+            let cells = [
+                quoted(&r.table),
+                r.method.name().into(),
+                quoted(&r.scene),
+                quoted(&r.condition),
+                quoted(&r.flags),
+                number(r.albedo_psnr),
+                number(r.roughness_psnr),
+                number(r.nvs_psnr),
+                number(r.nvs_ssim),
+                number(r.nvs_mse),
+                r.seconds.to_string(),
+                r.peak_bytes.to_string(),
+            ];
+            out += &cells.join(",");
+            out += "\r\n";
+        }
+        out
+    }
+
+    /// Writes what is asked for beside the JSON file.
+    fn write(&self, bench: &TablesBench) -> Result<()> {
+        if let Some(path) = &bench.csv {
+            atomic_write(path, self.csv().as_bytes())?;
+        }
+        if let Some(folder) = &bench.page {
+            TablePage { folder }.write(self)?;
+        }
+        Ok(())
+    }
+}
+
+/// A score, or a dash where there is none.
+pub(super) fn decibels(score: Option<f64>) -> String {
+    score.map_or_else(|| "--".to_owned(), |v| format!("{v:.2}"))
 }
 
 /// A row to run.
@@ -208,17 +260,26 @@ impl Planned {
 
     /// All `solve` flags of the row.
     fn all_flags(&self, bench: &TablesBench) -> Vec<String> {
-        let mut all: Vec<&str> = self.method.flags().to_vec();
+        let given: Vec<&str> = bench.solve_flags.split_whitespace().collect();
+        let mut quick: Vec<&str> = Vec::new();
         if bench.quick {
-            all.extend(["--albedo-size", "512", "--roughness-size", "512"]);
-            all.extend(["--irradiance-size", "256"]);
-            all.extend(self.method.quick_flags());
+            quick.extend(["--albedo-size", "512", "--roughness-size", "512"]);
+            quick.extend(["--irradiance-size", "256"]);
+            quick.extend(self.method.quick_flags());
             if self.method != Method::Unbake {
-                all.extend(["--irradiance-rays", "256"]);
+                quick.extend(["--irradiance-rays", "256"]);
             }
         }
+        let mut all: Vec<&str> = self.method.flags().to_vec();
+        // pairs of flag and value, but for those that the user gives
+        all.extend(
+            quick
+                .chunks(2)
+                .filter(|pair| !given.contains(&pair[0]))
+                .flatten(),
+        );
         all.extend(&self.flags);
-        all.extend(bench.solve_flags.split_whitespace());
+        all.extend(given);
         all.into_iter().map(str::to_owned).collect()
     }
 
@@ -298,6 +359,9 @@ pub fn bench_tables(
     progress.stage("rows", steps, |p| {
         for scene in scenes {
             let name = scene_name(scene);
+            if let Some(folder) = &bench.page {
+                TablePage { folder }.keep_truth(scene)?;
+            }
             for planned in &rows {
                 let flags = planned.all_flags(bench);
                 let known = |r: &TableRow| {
@@ -312,20 +376,22 @@ pub fn bench_tables(
                 };
                 if !report.rows.iter().any(known) {
                     let run = format!("{name}-{}", report.rows.len());
-                    let outcome = run_row(scene, planned, &flags, &work.within(&run))?;
+                    let page = bench.page.as_deref();
+                    let outcome = run_row(scene, planned, &flags, &work.within(&run), page)?;
                     report.rows.push(row(planned, &name, &flags, &outcome));
+                    report.write(bench)?;
                     each(&report)?;
                 }
                 p.advance(1);
             }
         }
-        Ok(())
+        report.write(bench)
     })?;
     Ok(report)
 }
 
 /// The folder's name: what people call a scene.
-fn scene_name(scene: &Scene) -> String {
+pub(super) fn scene_name(scene: &Scene) -> String {
     let named = scene.folder.canonicalize().ok();
     named
         .as_deref()
@@ -339,6 +405,7 @@ fn run_row(
     planned: &Planned,
     flags: &[String],
     work: &Workplace,
+    page: Option<&Path>,
 ) -> Result<Outcome> {
     let copy = work.folder.with_extension("scene");
     let source = if planned.damage == Damage::Clean {
@@ -349,7 +416,11 @@ fn run_row(
         copy.clone()
     };
     let runner: Runner = work.runner(&source)?;
-    let outcome = runner.run("out", flags, |_| Ok(()));
+    let named = row(planned, &scene_name(scene), flags, &Outcome::default());
+    let outcome = runner.run("out", flags, |out| match page {
+        Some(folder) => TablePage { folder }.keep(scene, &named, out),
+        None => Ok(()),
+    });
     if !work.keep && copy.exists() {
         std::fs::remove_dir_all(&copy).map_err(|e| Error::io(&copy, e))?;
     }
@@ -393,6 +464,17 @@ mod tests {
         assert_eq!(of(&["methods"]), 12);
         assert_eq!(of(&["neilf"]), 3);
         assert_eq!(of(&["labels-16"]), 2);
+        let own = TablesBench {
+            quick: true,
+            solve_flags: "--epochs 3".into(),
+            ..TablesBench::default()
+        };
+        let flags = all[1].all_flags(&own);
+        assert_eq!(flags.iter().filter(|f| *f == "--epochs").count(), 1);
+        assert!(
+            flags.ends_with(&["--epochs".into(), "3".into()]),
+            "{flags:?}"
+        );
         let quick = TablesBench {
             quick: true,
             ..TablesBench::default()
@@ -423,6 +505,14 @@ mod tests {
         let back = TablesReport::read(&path).expect("reads");
         assert_eq!(back.text(), report.text());
         assert!(report.text().contains("20.25"));
+        let csv = report.csv();
+        assert_eq!(csv.lines().count(), 2);
+        let cells = csv.lines().map(|l| l.split(',').count());
+        assert_eq!(cells.collect::<Vec<_>>(), [12, 12], "{csv}");
+        assert!(
+            csv.contains("\"methods\",paper,\"s\",\"\",\"\",20.25,,"),
+            "{csv}"
+        );
         std::fs::write(&path, "[1]").expect("writes");
         let error = TablesReport::read(&path).expect_err("no rows").to_string();
         assert!(error.contains("rows.json") && error.contains("name another file"));

@@ -7,7 +7,10 @@ mod pictures;
 mod record;
 
 pub use jpeg::{Picture, encode_jpeg};
-pub use pictures::{Captioned, Photographer, ViewPictures, report_camera, spread};
+pub use pictures::{
+    Captioned, Photographer, ViewPictures, colour, display_gain, exposed, grey, report_camera,
+    shrunk, spread,
+};
 pub use record::{
     InputFile, Machine, Recorder, RunRecord, SceneSummary, StageRecord, Versions, class_names,
     cpu_seconds, hash_inputs, machine, peak_bytes, restart_peak,

@@ -360,7 +360,8 @@ pub fn report_camera(view: &View, solution: &Solution) -> Camera {
 }
 
 /// The exposure at which the brightest twentieth of what is not black clips.
-fn display_gain(image: &RgbPlane) -> f32 {
+#[must_use]
+pub fn display_gain(image: &RgbPlane) -> f32 {
     gain_at(image, 0.95)
 }
 
@@ -381,7 +382,8 @@ fn gain_at(image: &RgbPlane, quantile: f64) -> f32 {
 }
 
 /// Halved until neither side exceeds `side`.
-fn shrunk<T>(plane: &Plane<T>, side: usize) -> Plane<T>
+#[must_use]
+pub fn shrunk<T>(plane: &Plane<T>, side: usize) -> Plane<T>
 where
     T: Copy + Mul<f32, Output = T> + Add<Output = T>,
 {
@@ -419,7 +421,9 @@ fn coloured<T: Sync>(plane: &Plane<T>, f: impl Fn(&T) -> [u8; 3] + Sync + Send) 
     }
 }
 
-fn exposed(plane: &RgbPlane, gain: f32) -> Picture {
+/// Radiance times a gain, in sRGB.
+#[must_use]
+pub fn exposed(plane: &RgbPlane, gain: f32) -> Picture {
     coloured(plane, |v| (*v * gain).to_array().map(srgb8_from_linear))
 }
 
@@ -427,13 +431,16 @@ fn error_map(plane: &Plane<f32>) -> Picture {
     coloured(plane, |e| inferno(e / ERROR_RANGE))
 }
 
-fn colour(plane: &RgbPlane) -> Picture {
+/// Reflectance in sRGB.
+#[must_use]
+pub fn colour(plane: &RgbPlane) -> Picture {
     coloured(plane, |v| v.to_array().map(srgb8_from_linear))
 }
 
 /// Roughness as grey, 0 black and 1 white, without a transfer curve: the grey one sees is the
 /// number.
-fn grey(plane: &Plane<f32>) -> Picture {
+#[must_use]
+pub fn grey(plane: &Plane<f32>) -> Picture {
     coloured(plane, |r| [(r.clamp(0.0, 1.0) * 255.0 + 0.5) as u8; 3])
 }
 
