@@ -14,7 +14,7 @@ const SCRIPT: &str = "text/javascript; charset=utf-8";
 const BLOCK: &str = "application/octet-stream";
 
 /// Files of the page.
-const ASSETS: [(&str, &str, &[u8]); 15] = [
+const ASSETS: [(&str, &str, &[u8]); 16] = [
     ("/", HTML, include_bytes!("assets/index.html")),
     ("/assets/style.css", CSS, include_bytes!("assets/style.css")),
     ("/assets/main.js", SCRIPT, include_bytes!("assets/main.js")),
@@ -50,6 +50,11 @@ const ASSETS: [(&str, &str, &[u8]); 15] = [
         "/assets/readout.js",
         SCRIPT,
         include_bytes!("assets/readout.js"),
+    ),
+    (
+        "/assets/refinement.js",
+        SCRIPT,
+        include_bytes!("assets/refinement.js"),
     ),
     (
         "/assets/renderer.js",

@@ -8,7 +8,8 @@ import { LiveLight } from './live.js';
 import { json } from './load.js';
 import { $, cameraList, lampControls, layerButtons, materialControls, showLayer, tabs, theme } from './panel.js';
 import { showPoint } from './readout.js';
-import { Renderer, SAMPLES } from './renderer.js';
+import { Refinement } from './refinement.js';
+import { Renderer } from './renderer.js';
 
 // Milliseconds without a change after which the picture is refined.
 const REST = 200;
@@ -38,8 +39,9 @@ async function start() {
 
   let wanted = false;
   let traced = false; // reflections can be traced
-  let sample = 0; // of the picture that is refined
   let rest = 0;
+  const ended = (complete) => { document.body.dataset.refined = complete ? 'yes' : 'no'; };
+  const refinement = new Refinement(canvas, (sample, band) => renderer.refine(camera, view, sample, band), ended);
   const frame = (now) => {
     wanted = false;
     const moving = controls.tick(now);
@@ -47,22 +49,15 @@ async function start() {
     renderer.draw(camera, view);
     document.body.dataset.shown = view.layer;
     if (moving) return redraw();
-    sample = 0;
-    clearTimeout(rest);
-    rest = setTimeout(refine, REST);
+    const apt = traced && /^(final|error)$/.test(view.layer) && view.marked === null;
+    rest = setTimeout(() => (apt ? refinement.start() : ended(false)), REST);
   };
   const redraw = () => {
     delete document.body.dataset.refined;
+    refinement.stop();
     clearTimeout(rest);
     if (!wanted) requestAnimationFrame(frame);
     wanted = true;
-  };
-  // Once nothing changes, sample after sample with traced reflections, until there are enough or something changes again.
-  const refine = () => {
-    if (wanted) return;
-    const apt = traced && /^(final|error)$/.test(view.layer) && view.marked === null;
-    if (apt && renderer.refine(camera, view, sample) && ++sample < SAMPLES) requestAnimationFrame(refine);
-    else document.body.dataset.refined = apt ? 'yes' : 'no';
   };
 
   // --- cameras and comparison -----------------------------------------------------------------------------------------------------

@@ -215,9 +215,9 @@ export class Renderer {
     this.drawSurface(camera, view, -1);
   }
 
-  // Adds a sample of every pixel, with traced reflections, and draws the mean of those so far (layers 'final' and 'error'): `sample`
-  // from 0 to SAMPLES - 1 for an unmoved view. False where the card cannot.
-  refine(camera, view, sample) {
+  // Adds a sample to the pixels of some rows, with traced reflections, and draws the mean of those so far (layers 'final' and 'error'):
+  // `sample` from 0 to SAMPLES - 1 for an unmoved view, each for all rows. False where the card cannot.
+  refine(camera, view, sample, { row, rows }) {
     const { gl, canvas } = this;
     const [width, height] = [canvas.width, canvas.height];
     if (gl.isContextLost()) return false;
@@ -229,7 +229,9 @@ export class Renderer {
     if (!this.sum) return false;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.sum.framebuffer);
     gl.viewport(0, 0, width, height);
-    if (sample === 0) gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+    if (sample === 0 && row === 0) gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(0, row, width, rows);
     gl.clearBufferfv(gl.DEPTH, 0, [1]);
     camera.shift = [2, 3].map((base, i) => (2 * radicalInverse(sample + 1, base) - 1) / [width, height][i]);
     // depth first: only what is seen is shaded, and added once
@@ -246,6 +248,7 @@ export class Renderer {
     const lit = { ...view, layer: 'final', split: 0 };
     this.drawBackground(camera, lit, sample);
     this.drawSurface(camera, lit, sample);
+    gl.disable(gl.SCISSOR_TEST);
     gl.disable(gl.BLEND);
     gl.depthMask(true);
     gl.depthFunc(gl.LESS);
