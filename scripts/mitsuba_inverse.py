@@ -1,12 +1,34 @@
 #!/usr/bin/env python3
 """The same reconstruction by Mitsuba 3 (differentiable path tracing, `prb`) beside unbake's: quality against processor time.
 
-    scripts/mitsuba_inverse.py UNBAKE SCENE OUT FOLDER [--minutes M] [--light truth]
+    scripts/mitsuba_inverse.py UNBAKE SCENE OUT FOLDER [--minutes M] [--beside OUT2 …]
     scripts/mitsuba_inverse.py UNBAKE SCENE OUT FOLDER --self-test
+
+SCENE has panoramas and ground truth (gt/), OUT is UNBAKE's result for it. FOLDER gets the exported scene, the textures and
+curve.json: {"unbake": {…}, "mitsuba": [{"seconds", "albedo", "roughness", …}], "ratio_at_equal": {"albedo", "roughness"}}.
+
+Both programs have the same mesh, atlas, training views and reflection model. Mitsuba starts from albedo 0.5 and roughness 0.5 and is
+*given* the lamps and the environment that unbake found (--light truth: those of the scene, where gt/solution has them), on which the
+published systems spend a stage of their own; --emission makes what the lamps emit a third unknown, which surfaces are lamps stays
+given. Each step draws random pixels of all training views. Every few minutes the textures are laid into a copy of OUT and scored by
+`unbake eval`, on held-out views, as OUT is. Only the optimisation's own processor time counts, of all threads, as `cpu_seconds` in
+unbake's manifest.json; loading and scoring are free. Texels that no path has reached take the mean of those beside them.
+A ratio is Mitsuba's time, between two scores by a straight line, over unbake's; null where Mitsuba has not got there.
+
+The defaults are the best of what was tried for 2 minutes each on `synth --rooms 1 --views 8 --test-views 2 --width 256 --spp 16
+--texture 512`, 448² texels (albedo / roughness in dB):
+  finest textures from the start, 65536 pixels a step, 4 paths a pixel, rate 0.02            15.7 / 10.9
+  three levels of textures, 1 path, rate 0.05; also with epsilon 0.03                        18.3 / 9.2, 18.7 / 9.1
+  five levels, roughness 4 times coarser, rate 0.05 to 0.001, means of the last 20 steps     23.8 / 10.5
+  the same, roughness 8 times coarser, rate to 0.0025                                        23.2 / 10.8
+  the same, weights of the relative error (--power 1.6), rate to 0.001                       23.1 / 9.2
+  the same, 16384 pixels a step, power 1.1, rate 0.03 to 0.0006, twice that for roughness    24.0 / 11.7
+
+Needs mitsuba and numpy (python3 -m venv V && V/bin/pip install mitsuba numpy && V/bin/python scripts/mitsuba_inverse.py …) and LLVM,
+17 or newer with AVX-512 (apt-get install libllvm19); the newest found is used unless DRJIT_LIBLLVM_PATH names one.
 """
 import argparse, glob, json, os, re, shutil, struct, subprocess, sys, time
 from pathlib import Path
-HERE = Path(__file__).resolve().parent
 
 
 def fail(message):
@@ -15,7 +37,7 @@ def fail(message):
 
 
 def load_mitsuba():
-    global np, mi, dr, plugins
+    global np, mi, dr
     if "DRJIT_LIBLLVM_PATH" not in os.environ:
         found = [f for f in glob.glob("/usr/lib/*/libLLVM*.so*") if re.search(r"LLVM(-\d+\.so|\.so\.\d)", f)]
         version = lambda f: int(re.search(r"(?:LLVM-|so\.)(\d+)", f)[1])
@@ -28,8 +50,7 @@ def load_mitsuba():
     if not dr.has_backend(dr.JitBackend.LLVM):
         fail("Mitsuba finds no LLVM: apt-get install libllvm19, or DRJIT_LIBLLVM_PATH=/path/to/libLLVM-19.so")
     mi.set_variant("llvm_ad_rgb")
-    sys.path.insert(0, str(HERE / "mitsuba"))
-    import plugins
+    import mitsuba_plugins  # registers `unbake` and `pixels`
 
 
 def read(path):
@@ -114,7 +135,7 @@ class Room:
     """A result of unbake in Mitsuba."""
 
     def __init__(self, a, solution, views, flat=False):
-        self.folder = a.folder / "mitsuba"
+        self.folder, self.solution = a.folder / "mitsuba", solution
         run(a.unbake, "export", solution, "--format", "mitsuba", "--scene", a.scene, "--views", views, "--fov", 90,
             "--width", 16, "--height", 16, "-o", self.folder, "--quiet")
         xml = (self.folder / "mitsuba.xml").read_text()
@@ -296,39 +317,166 @@ def descend(a, room, views):
     (a.folder / "curve.json").write_text(json.dumps(result, indent=1) + "\n")
 
 
-def main():
+def check_alike(room, views):
+    """Refuses a scene whose rendering does not resemble the photographs."""
+    shape = (16, 128, 3)
+    sensor = room.sensor(views, shape)
+    sensor.aim(*views.draw(np.random.default_rng(1), shape[0] * shape[1]))
+    shown = mi.render(room.world, sensor=sensor, integrator=mi.load_dict({"type": "prb", "max_depth": 8}), spp=256)
+    pair = [display(np.array(x)).ravel() for x in (shown, views.light(sensor, shape))]
+    alike = np.corrcoef(*pair)[0, 1]
+    print(f"{room.solution} in Mitsuba against the photographs: correlation {alike:.3f}", flush=True)
+    if not alike > 0.8:
+        fail("the correlation must exceed 0.8: axes, poses or lamps are not the same in both")
+
+
+class Checks:
+    """Prints checks and remembers whether one failed."""
+
+    def __init__(self):
+        self.failed = False
+
+    def say(self, fine, text):
+        self.failed |= not fine
+        print("ok    " if fine else "FAILED", text, flush=True)
+
+
+def check_gradient(checks, room, views, name, key):
+    """The derivative of the mean image in one texel of an 8 x 8 texture: `prb` against central differences of renderings."""
+    shape, step, runs = (32, 64, 3), 0.1, 16
+    sensor = room.sensor(views, shape)
+    sensor.aim(*views.draw(np.random.default_rng(2), shape[0] * shape[1]))
+    integrator = mi.load_dict({"type": "prb", "max_depth": 8})
+    texture = np.full((8, 8, room.params[key].shape[2]), 0.5, np.float32)
+
+    def mean(values, seed):
+        room.params[key] = mi.TensorXf(values)
+        room.params.update()
+        return float(np.array(mi.render(room.world, sensor=sensor, integrator=integrator, spp=32, seed=seed)).mean())
+
+    def gradient(seed):
+        room.params[key] = mi.TensorXf(texture)
+        dr.enable_grad(room.params[key])
+        room.params.update()
+        image = mi.render(room.world, room.params, sensor=sensor, integrator=integrator, spp=32, seed=seed, seed_grad=1000 + seed)
+        dr.backward(dr.mean(image, axis=None))
+        return np.array(dr.grad(room.params[key]))
+
+    by_prb = np.stack([gradient(k) for k in range(runs)])
+    at = np.unravel_index(np.abs(by_prb.mean(0)).argmax(), texture.shape)
+    change = np.zeros_like(texture)
+    change[at] = step
+    differences = np.array([(mean(texture + change, k) - mean(texture - change, k)) / (2 * step) for k in range(runs)])
+    dr.disable_grad(room.params[key])
+    values = [by_prb[(slice(None), *at)], differences]
+    (a, b), (ea, eb) = [v.mean() for v in values], [v.std(ddof=1) / runs ** 0.5 for v in values]
+    error = (ea * ea + eb * eb) ** 0.5
+    # the curvature in a texel: a per cent or two of the slope at this step
+    fine = abs(a - b) < 4 * error + 0.03 * abs(b) and error < 0.15 * abs(b)
+    checks.say(fine, f"gradient of one texel of {name}: prb {a:.3e} ± {ea:.1e}, central differences {b:.3e} ± {eb:.1e}")
+
+
+def check_rendering(checks, a, solution):
+    """Mitsuba's rendering of a result against `unbake render` of the same cameras: Welch's t per block of 8 x 8 pixels, and the mean."""
+    runs, spp, width, block = 6, 64, 128, 8
+    room = Room(a, solution, "test", flat=True)
+    names = sorted(room.poses)[:2]
+    views = Views(a.scene, names, width)
+    height, width = views.height, views.width
+    shape = (len(names) * height, width, 3)
+    sensor = room.sensor(views, shape)
+    view, row, column = np.meshgrid(range(len(names)), range(height), range(width), indexing="ij")
+    sensor.aim(view.ravel(), column.ravel(), row.ravel())
+    integrator = mi.load_dict({"type": "path", "max_depth": 65})
+    both = [[], []]
+    for k in range(runs):
+        both[0].append(np.array(mi.render(room.world, sensor=sensor, integrator=integrator, spp=spp, seed=k)))
+        frames = a.folder / "rendered"
+        run(a.unbake, "render", solution, "--scene", a.scene, "--renderer", "path", "--flat", "--no-denoise", "--samples", spp,
+            "--width", width, "--seed", k + 1, "-o", frames, "--quiet")
+        both[1].append(np.concatenate([read(frames / f"{n}.exr") for n in names]))
+    theirs, ours = (np.stack(x) for x in both)
+    blocks = lambda x: x.reshape(runs, shape[0] // block, block, width // block, block, 3).mean((2, 4, 5))
+    t = [x.mean(0) for x in (blocks(theirs), blocks(ours))]
+    error = np.sqrt(sum(blocks(x).var(0, ddof=1) / runs for x in (theirs, ours)))
+    t = (t[0] - t[1]) / np.maximum(error, 1e-9)
+    spread, outside = np.subtract(*np.percentile(t, [75, 25])) / 1.349, (np.abs(t) > 4).mean()
+    relative = theirs.mean() / ours.mean() - 1
+    # of t with some 10 degrees of freedom the spread is 1.04, beyond 4 lie 0.3 %
+    fine = spread < 1.4 and outside < 0.02 and abs(relative) < 0.01
+    checks.say(fine, f"Mitsuba's rendering against unbake's: spread of t {spread:.2f}, {100 * outside:.1f} % of {t.size} blocks beyond 4, "
+               f"mean {100 * relative:+.2f} %")
+
+
+def self_test(a, solution):
+    checks = Checks()
+    room = Room(a, solution, "train")
+    views = Views(a.scene, sorted(room.poses), a.width)
+    check_alike(room, views)
+    for name, key in (("albedo", room.albedo), ("roughness", room.roughness)):
+        check_gradient(checks, room, views, name, key)
+    check_rendering(checks, a, solution)
+    sys.exit(1 if checks.failed else 0)
+
+
+def arguments():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("unbake", help="the program")
     p.add_argument("scene", type=Path, help="with ground truth (gt/)")
     p.add_argument("out", type=Path, help="UNBAKE's result for it")
     p.add_argument("folder", type=Path, help="gets the exported scene, the textures and curve.json")
-    p.add_argument("--minutes", type=float, default=20, help="processor time of the optimisation")
-    p.add_argument("--every", type=float, default=2, help="minutes between scores")
-    p.add_argument("--beside", type=Path, nargs="+", default=[], help="further results of UNBAKE for the scene, to compare with")
-    p.add_argument("--bsdf", choices=("unbake", "principled"), default="unbake")
-    p.add_argument("--light", choices=("unbake", "truth"), default="unbake")
-    p.add_argument("--emission", action="store_true")
-    p.add_argument("--emission-rate", type=float, default=3)
-    p.add_argument("--texture", type=int, default=0)
-    p.add_argument("--levels", type=int, default=5)
-    p.add_argument("--roughness-levels", type=int, default=2)
-    p.add_argument("--roughness-rate", type=float, default=0.5)
-    p.add_argument("--width", type=int, default=512)
-    p.add_argument("--pixels", type=int, default=65536)
-    p.add_argument("--spp", type=int, default=4)
-    p.add_argument("--spp-grad", type=int, default=4)
-    p.add_argument("--depth", type=int, default=8)
-    p.add_argument("--rate", type=float, default=2e-2)
-    p.add_argument("--decay", type=float, default=0.1)
-    p.add_argument("--epsilon", type=float, default=1e-3)
-    p.add_argument("--power", type=float, default=1.1)
-    p.add_argument("--average", type=int, default=10)
-    p.add_argument("--self-test", action="store_true")
-    a = p.parse_args()
+    p.add_argument("--self-test", action="store_true", help="instead: gradients against central differences, and the rendering of OUT "
+                   "against `unbake render`, within noise; some two minutes; exit code 1 if they do not agree")
+    p.add_argument("--minutes", type=float, default=20, help="processor time of the optimisation [%(default)s]")
+    p.add_argument("--every", type=float, default=2, help="minutes between scores [%(default)s]")
+    p.add_argument("--beside", type=Path, nargs="+", default=[], help="further results of UNBAKE for SCENE, whose ratios are wanted too")
+    p.add_argument("--bsdf", choices=("unbake", "principled"), default="unbake",
+                   help="the reflection model that OUT found, or Mitsuba's own for every export [%(default)s]")
+    p.add_argument("--light", choices=("unbake", "truth"), default="unbake", help="whose lamps and environment are given [%(default)s]")
+    p.add_argument("--emission", action="store_true", help="optimise what the lamps emit, from radiance 1")
+    p.add_argument("--emission-rate", type=float, default=3, help="rate of the emission's logarithm over albedo's [%(default)s]")
+    p.add_argument("--texture", type=int, default=0, help="side of the finest albedo texture [as OUT's]")
+    p.add_argument("--levels", type=int, default=5, help="sides of textures, each twice the one before, for equal times [%(default)s]")
+    p.add_argument("--roughness-levels", type=int, default=2, help="how many times roughness is halved below albedo [%(default)s]")
+    p.add_argument("--width", type=int, default=512, help="panoramas are reduced to this width at most, as the paper's [%(default)s]")
+    p.add_argument("--pixels", type=int, default=16384, help="pixels a step [%(default)s]")
+    p.add_argument("--spp", type=int, default=1, help="paths a pixel of the rendering [%(default)s]")
+    p.add_argument("--spp-grad", type=int, default=1, help="paths a pixel of the gradient [%(default)s]")
+    p.add_argument("--depth", type=int, default=8, help="longest path, in segments [%(default)s]")
+    p.add_argument("--rate", type=float, default=3e-2, help="of Adam, at first [%(default)s]")
+    p.add_argument("--decay", type=float, default=0.02, help="the last rate over the first [%(default)s]")
+    p.add_argument("--roughness-rate", type=float, default=2, help="rate of roughness over albedo's [%(default)s]")
+    p.add_argument("--epsilon", type=float, default=0.1, help="of Adam, for a sum over pixels [%(default)s]")
+    p.add_argument("--power", type=float, default=1.1, help="squared differences are divided by the photograph's value to this power; "
+                   "1.1 is that of differences in the display's values [%(default)s]")
+    p.add_argument("--average", type=int, default=50, help="steps whose textures' mean is scored [%(default)s]")
+    return p.parse_args()
+
+
+def main():
+    a = arguments()
+    for given in (a.scene / "transforms.json", *(out / "manifest.json" for out in [a.out, *a.beside])):
+        if not given.is_file():
+            fail(f"{given}: missing; expected a scene folder and results of `unbake solve`")
+    solution = a.out
+    if a.light == "truth":
+        solution = a.scene / "gt/solution"
+        if not (solution / "scene.glb").is_file():
+            fail(f"{solution}: missing; --light truth needs a scene of `unbake synth --truth`")
+    if not a.self_test and not all(any((a.scene / f"gt/{n}").glob("*.exr")) for n in ("albedo", "roughness")):
+        fail(f"{a.scene}: no ground truth (gt/albedo, gt/roughness), by which materials are scored")
     load_mitsuba()
     a.folder.mkdir(parents=True, exist_ok=True)
-    room = Room(a, a.scene / "gt/solution" if a.light == "truth" else a.out, "train")
+    if a.self_test:
+        self_test(a, solution)
+    room = Room(a, solution, "train")
+    if a.emission and not room.emission:
+        fail(f"{solution}: no lamps, so that --emission has nothing to find")
     views = Views(a.scene, sorted(room.poses), a.width)
+    check_alike(room, views)
+    given = "lamps as surfaces, environment" if a.emission else "lamps, environment"
+    print(f"given to Mitsuba: mesh, atlas, poses, {given} (of {solution}), reflection model ({a.bsdf}, {room.model}); "
+          f"found: albedo, roughness{', emission' if a.emission else '; emission is not optimised'}", flush=True)
     descend(a, room, views)
 
 
