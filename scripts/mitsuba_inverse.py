@@ -246,7 +246,7 @@ def reached(curve, key, level):
     before = None
     for point in curve:
         if point[key] >= level:
-            if before is None or before[key] >= level:
+            if before is None:
                 return point["seconds"]
             t = (level - before[key]) / (point[key] - before[key])
             return before["seconds"] + t * (point["seconds"] - before["seconds"])
@@ -269,8 +269,8 @@ def ratios(ours, curve, minutes):
     found = {}
     for key in ("albedo", "roughness"):
         seconds, best = reached(curve, key, ours[key]), max(p[key] for p in curve)
-        found[key] = seconds and round(seconds / ours["seconds"], 2)
-        says = f"{seconds:.0f} s, {found[key]:.1f} times unbake's" if seconds else \
+        found[key] = None if seconds is None else round(seconds / ours["seconds"], 2)
+        says = f"{seconds:.0f} s, {found[key]:.1f} times unbake's" if seconds is not None else \
             f"not reached within {minutes:g} min, best {best:.2f} dB (more than {curve[-1]['seconds'] / ours['seconds']:.0f} times unbake's)"
         print(f"{ours['result']}: {key} of {ours[key]:.2f} dB: {says}")
     return found
@@ -293,24 +293,31 @@ def descend(a, room, views):
     print(f"{'':20} {'processor':>9}  steps     albedo  roughness", flush=True)
     for ours in all_ours:
         line("unbake " + ours["result"], ours)
-    total, spent, due, clock = 60 * a.minutes, 0.0, 60 * a.every, 0.0
     descent = Descent(a, room, views)
+
+    def score(spent, clock):
+        found = descent.textures()
+        for key, name in ((room.albedo, "albedo"), (room.roughness, "roughness")):
+            width, height = sides[name]
+            mi.Bitmap(np.ascontiguousarray(enlarge(found[key], height, width))).write(str(copy / f"{name}.exr"))
+        point = {"seconds": round(spent, 1), "wall_seconds": round(clock, 1), "steps": descent.steps, "texture": descent.side}
+        result["mitsuba"].append(point | scores(a.unbake, a.scene, copy))
+        line("mitsuba", result["mitsuba"][-1])
+        (a.folder / "curve.json").write_text(json.dumps(result, indent=1) + "\n")
+
+    # scores at ever longer times up to --every: much happens in the first seconds
+    total, spent, clock, due = 60 * a.minutes, 0.0, 0.0, 60 * a.every / 8
+    descent.begin(levels.pop(0)[1])
+    score(0, 0)
     while spent < total:
         start, wall = time.process_time(), time.perf_counter()
-        while levels and spent >= levels[0][0] * total:
+        if levels and spent >= levels[0][0] * total:
             descent.begin(levels.pop(0)[1])
         descent.step(a.rate * a.decay ** (spent / total))
         spent, clock = spent + time.process_time() - start, clock + time.perf_counter() - wall
         if spent >= due or spent >= total:
-            due += 60 * a.every
-            found = descent.textures()
-            for key, name in ((room.albedo, "albedo"), (room.roughness, "roughness")):
-                width, height = sides[name]
-                mi.Bitmap(np.ascontiguousarray(enlarge(found[key], height, width))).write(str(copy / f"{name}.exr"))
-            point = {"seconds": round(spent, 1), "wall_seconds": round(clock, 1), "steps": descent.steps, "texture": descent.side}
-            result["mitsuba"].append(point | scores(a.unbake, a.scene, copy))
-            line("mitsuba", result["mitsuba"][-1])
-            (a.folder / "curve.json").write_text(json.dumps(result, indent=1))
+            due = min(2 * due, due + 60 * a.every)
+            score(spent, clock)
     result["ratio_at_equal"] = ratios(all_ours[0], result["mitsuba"], a.minutes)
     for ours in all_ours[1:]:
         ours["ratio_at_equal"] = ratios(ours, result["mitsuba"], a.minutes)
@@ -465,6 +472,8 @@ def main():
             fail(f"{solution}: missing; --light truth needs a scene of `unbake synth --truth`")
     if not a.self_test and not all(any((a.scene / f"gt/{n}").glob("*.exr")) for n in ("albedo", "roughness")):
         fail(f"{a.scene}: no ground truth (gt/albedo, gt/roughness), by which materials are scored")
+    if not shutil.which(a.unbake):
+        fail(f"{a.unbake}: no program; expected unbake's, of the build that made {a.out}")
     load_mitsuba()
     a.folder.mkdir(parents=True, exist_ok=True)
     if a.self_test:
