@@ -484,7 +484,8 @@ def main():
     views = Views(a.scene, sorted(room.poses), a.width)
     check_alike(room, views)
     given = "lamps as surfaces, environment" if a.emission else "lamps, environment"
-    print(f"given to Mitsuba: mesh, atlas, poses, {given} (of {solution}), reflection model ({a.bsdf}, {room.model}); "
+    print(f"given to Mitsuba: mesh, atlas, poses, {given} (of {solution}), reflection model "
+          f"({'principled' if a.bsdf == 'principled' else room.model}); "
           f"found: albedo, roughness{', emission' if a.emission else '; emission is not optimised'}", flush=True)
     descend(a, room, views)
 
