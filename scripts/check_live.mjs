@@ -139,7 +139,7 @@ async function drag(name, selector, values) {
       input.value = value;
       input.dispatchEvent(new Event('input'));
       await new Promise((done) => setTimeout(done, 60));
-      for (const key of Object.keys(times)) times[key].push(Number(document.body.dataset[key]));
+      for (const key of Object.keys(times)) if (document.body.dataset[key]) times[key].push(Number(document.body.dataset[key]));
     }
     running = false;
     return { ...times, rate: (1000 * frames) / (performance.now() - begin) };

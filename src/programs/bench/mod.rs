@@ -22,6 +22,7 @@ mod plot;
 mod robustness;
 mod scaling;
 mod table_page;
+mod table_rows;
 mod tables;
 mod tradeoff;
 mod tsdr;
@@ -40,7 +41,8 @@ pub use kernel::{KernelBench, KernelRates, KernelReport, bench_kernel};
 pub use light::{ClassLevel, LightBench, LightReport, Met, bench_light};
 pub use robustness::{RobustnessBench, RobustnessPoint, RobustnessReport, bench_robustness};
 pub use scaling::{ScalingBench, bench_scaling};
-pub use tables::{TableRow, TablesBench, TablesReport, bench_tables};
+pub use table_rows::{TableRow, TablesReport};
+pub use tables::{TablesBench, bench_tables};
 pub use tradeoff::{
     APPROXIMATIONS, Clock, KNOBS, NEEDS, PRESETS, TradePoint, TradeoffBench, TradeoffReport,
     bench_tradeoff,

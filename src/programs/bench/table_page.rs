@@ -1,7 +1,7 @@
 //! The pictures of `bench tables` side by side, as the paper's figures have them: a folder with a page and a picture per row and kind,
 //! which keeps what is there already.
 
-use super::tables::{TableRow, TablesReport, decibels, scene_name};
+use super::table_rows::{TableRow, TablesReport, decibels, scene_name};
 use crate::core::formats::{atomic_write, read_plane, read_rgb};
 use crate::core::image::RgbPlane;
 use crate::error::{Error, Result};
@@ -189,7 +189,7 @@ fn slug(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tables::Method;
+    use super::super::table_rows::Method;
     use super::*;
 
     #[test]

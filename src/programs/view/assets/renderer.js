@@ -16,11 +16,9 @@ export class Renderer {
     this.canvas = canvas;
     this.scene = scene;
     const gl = (this.gl = g.context(canvas));
-    this.surface = g.program(gl, surfaceVertex, surfaceFragment);
+    this.surface = g.program(gl, surfaceVertex, surfaceFragment(false));
     this.background = g.program(gl, backgroundVertex, backgroundFragment);
     this.picking = g.program(gl, surfaceVertex, pickFragment);
-    this.depth = g.program(gl, surfaceVertex, depthFragment);
-    this.mean = g.program(gl, backgroundVertex, meanFragment);
     this.pickTarget = g.pickTarget(gl);
     this.empty = gl.createVertexArray();
     this.cap = textureCap(gl, scene.caps);
@@ -35,8 +33,6 @@ export class Renderer {
     // one with a shared exponent, three times: light as it is
     this.light = g.writtenTexture(gl, 'rgb9e5', 1, 1, new Uint32Array([0x84020100]));
     this.textures.set('light', this.light.texture);
-    this.textures.set('rays', g.integers(gl, 1, 1, new Uint32Array(4)));
-    this.rayNodes = 0;
     this.probes = 0;
   }
 
@@ -75,6 +71,9 @@ export class Renderer {
     if (!made) return false;
     this.textures.set('rays', made.texture);
     this.rayNodes = made.nodes;
+    this.traced = g.program(gl, surfaceVertex, surfaceFragment(true));
+    this.depth = g.program(gl, surfaceVertex, depthFragment);
+    this.mean = g.program(gl, backgroundVertex, meanFragment);
     return true;
   }
 
@@ -179,7 +178,7 @@ export class Renderer {
 
   drawSurface(camera, view, sample) {
     const { gl } = this;
-    const u = this.common(this.surface, camera, view, sample);
+    const u = this.common(sample < 0 ? this.surface : this.traced, camera, view, sample);
     gl.uniformMatrix4fv(u.u_clip_from_world, false, camera.clipFromWorld());
     gl.uniform1i(u.u_marked, view.marked ?? -1);
     gl.uniform1i(u.u_probe_count, this.probes);

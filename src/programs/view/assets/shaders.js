@@ -83,7 +83,8 @@ vec3 error_colour(vec3 shown, vec3 truth) {
   return heat((d.r + d.g + d.b) / 3.0 / 0.25);
 }`;
 
-export const surfaceFragment = common + tracing + `
+// With `traced`, reflections are traced for the samples that are added up.
+export const surfaceFragment = (traced) => (traced ? '#define TRACED\n' : '') + common + (traced ? tracing : '') + `
 in vec3 v_position;
 in vec2 v_uv;
 in vec3 v_normal;
@@ -160,6 +161,7 @@ vec3 specular_response(Surface s, vec4 response) {
   vec3 f0 = mix(vec3(0.04), s.colour, s.metal);
   return response.r + (f0 - 0.04) / 0.96 * (response.g - response.r);
 }
+#ifdef TRACED
 // Radiance that arrives at p along l, blurred for a rough surface; what is met shows the mean of the light around it in its own lobe.
 vec3 arriving(vec3 p, vec3 l, float level) {
   Met met = trace(p, l);
@@ -196,6 +198,7 @@ vec3 lobe_direction(vec3 n, vec3 to_eye, float roughness) {
   h = normalize(world_from_local * vec3(alpha * h.xy, max(h.z, 1e-6)));
   return reflect(-to_eye, h);
 }
+#endif
 
 void main() {
   vec3 to_eye = normalize(u_eye - v_position);
@@ -208,28 +211,28 @@ void main() {
     texture(u_emission, v_uv).rgb, ids.r, v_lamp);
   vec3 albedo = s.colour, irradiance = s.irradiance, emission = s.emission;
   float roughness = s.roughness;
-  vec3 face = normalize(cross(dFdx(v_position), dFdy(v_position)));
-  if (dot(face, to_eye) < 0.0) face = -face;
-
   vec3 shown = vec3(0.0);
   bool lit = u_mode == 0 || u_mode == 10;
   if (lit) {
     vec4 response = textureLod(u_response, vec2(facing, roughness), 0.0);
     // a wide lobe shows the mean light around (from R = 0.6 on, as in src/specular/directional_albedo.rs)
     vec3 seen = irradiance / PI;
+#ifdef TRACED
+    vec3 face = normalize(cross(dFdx(v_position), dFdy(v_position)));
+    if (dot(face, to_eye) < 0.0) face = -face;
     if (roughness < 0.6) {
-      vec3 narrow;
-      if (u_ray_nodes > 0 && u_sample >= 0) {
-        vec3 l = lobe_direction(n, to_eye, roughness);
-        float under = dot(l, face);
-        if (under < 0.0) l -= 2.0 * under * face;
-        narrow = arriving(v_position + u_least_distance * face, l, log2(1.0 + 8.0 * roughness));
-        seen = mix(narrow, seen, smoothstep(0.5, 0.6, roughness));
-      } else {
-        narrow = reflected(v_position, reflect(-to_eye, n), roughness, ids.g) * (u_probes_relit ? vec3(1.0) : light);
-        seen = mix(narrow, seen, smoothstep(0.3, 0.6, roughness));
-      }
+      vec3 l = lobe_direction(n, to_eye, roughness);
+      float under = dot(l, face);
+      if (under < 0.0) l -= 2.0 * under * face;
+      vec3 narrow = arriving(v_position + u_least_distance * face, l, log2(1.0 + 8.0 * roughness));
+      seen = mix(narrow, seen, smoothstep(0.5, 0.6, roughness));
     }
+#else
+    if (roughness < 0.6) {
+      vec3 narrow = reflected(v_position, reflect(-to_eye, n), roughness, ids.g) * (u_probes_relit ? vec3(1.0) : light);
+      seen = mix(narrow, seen, smoothstep(0.3, 0.6, roughness));
+    }
+#endif
     shown = albedo * (1.0 - s.metal) * response.b * irradiance / PI + specular_response(s, response) * seen;
     if (dot(emission, vec3(1.0)) > 0.0) shown = emission;
   }
