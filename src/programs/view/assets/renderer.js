@@ -254,6 +254,8 @@ export class Renderer {
     camera.shift = [0, 0];
 
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    // rows that no sample has reached stay as they were
+    if (sample === 0) this.draw(camera, view);
     gl.disable(gl.DEPTH_TEST);
     const u = this.common(this.mean, camera, view, -1);
     gl.uniformMatrix4fv(u.u_world_from_clip, false, camera.worldFromClip());

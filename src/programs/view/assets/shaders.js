@@ -286,7 +286,8 @@ uniform sampler2D u_sum;
 out vec4 colour;
 void main() {
   vec4 sum = texelFetch(u_sum, ivec2(gl_FragCoord.xy), 0);
-  vec3 mean = sum.rgb / max(sum.a, 1.0);
+  if (sum.a == 0.0) discard;
+  vec3 mean = sum.rgb / sum.a;
   vec3 value = u_mode == 10 && u_has_photo ? error_colour(mean, photograph(v_far)) : display(mean);
   colour = vec4(left_of_split() ? display(photograph(v_far)) : value, 1.0);
 }`;
