@@ -2,9 +2,9 @@
 run by scripts/compare.
 
 Arguments: unbake, the file, a folder for results, and optionally a panorama of the light from outside. Error: root mean square of the
-texels that both programs light, over their mean. Cycles bakes diffuse light, direct and indirect, without the surfaces' colour, onto the second UV map that
-unbake made, without denoiser (its bake has none). Its error per texel does not depend on the resolution: it is measured at a quarter of
-the side, time at the whole side.
+texels that both programs light, over their mean. Cycles bakes diffuse light, direct and indirect, without the surfaces' colour, onto the
+second UV map that unbake made, without denoiser (its bake has none). Its error per texel does not depend on the resolution: it is
+measured at a quarter of the side, time at the whole side.
 """
 
 import json
@@ -16,8 +16,8 @@ import time
 from pathlib import Path
 
 import bpy
+import cycles_bake as cycles
 import numpy as np
-import OpenEXR
 
 SIDE = int(os.environ.get("SIDE", 256))
 PATHS = int(os.environ.get("PATHS", 16384))
@@ -26,8 +26,11 @@ GOAL = 0.01
 
 def lightmap(folder):
     """Irradiance of a lightmap, rows from the bottom as Blender has them."""
-    channels = OpenEXR.File(str(folder / "lightmap.exr")).channels()
-    return np.asarray(channels["RGB"].pixels, np.float64)[::-1]
+    image = bpy.data.images.load(str(folder / "lightmap.exr"))
+    image.colorspace_settings.name = "Non-Color"
+    out = cycles.pixels(image)[..., :3].astype(np.float64)
+    bpy.data.images.remove(image)
+    return out
 
 
 def relative(values, reference, covered):
@@ -64,82 +67,40 @@ class Unbake:
 
 
 def setup(glb, environment):
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.import_scene.gltf(filepath=str(glb))
-    meshes = [o for o in bpy.context.scene.objects if o.type == "MESH"]
-    bpy.ops.object.select_all(action="DESELECT")
-    for o in meshes:
-        o.select_set(True)
-    bpy.context.view_layer.objects.active = meshes[0]
-    if len(meshes) > 1:
-        bpy.ops.object.join()
-    layers = meshes[0].data.uv_layers
+    mesh = cycles.joined(glb)
+    layers = mesh.data.uv_layers
     layers.active = layers[len(layers) - 1]
     targets = []
-    for slot in meshes[0].material_slots:
+    for slot in mesh.material_slots:
         slot.material.use_nodes = True
         nodes = slot.material.node_tree.nodes
         targets.append((nodes, nodes.new("ShaderNodeTexImage")))
-    scene = bpy.context.scene
     if environment:
-        scene.world = bpy.data.worlds.new("environment")
-        scene.world.use_nodes = True
-        tree = scene.world.node_tree
-        sky = tree.nodes.new("ShaderNodeTexEnvironment")
-        sky.image = bpy.data.images.load(str(environment))
+        tree, sky = cycles.environment(environment)
         sky.image.colorspace_settings.name = "Linear Rec.709"
         # a panorama's middle is -z in the file, which is +y in Blender; Blender's own is +x
         turn, place = tree.nodes.new("ShaderNodeMapping"), tree.nodes.new("ShaderNodeTexCoord")
         turn.inputs["Rotation"].default_value[2] = math.radians(-90)
         tree.links.new(place.outputs["Generated"], turn.inputs["Vector"])
         tree.links.new(turn.outputs["Vector"], sky.inputs["Vector"])
-        tree.links.new(sky.outputs["Color"], tree.nodes["Background"].inputs["Color"])
-    scene.render.engine = "CYCLES"
-    scene.cycles.device = "CPU"
-    scene.cycles.use_adaptive_sampling = False
-    scene.cycles.use_denoising = False
-    scene.cycles.sample_clamp_indirect = 0
-    scene.render.bake.margin = 0
-    scene.render.bake.use_pass_direct = True
-    scene.render.bake.use_pass_indirect = True
-    scene.render.bake.use_pass_color = False
+    cycles.bakes_diffuse(indirect=True)
+    bpy.context.scene.cycles.sample_clamp_indirect = 0
     return targets
-
-
-def bake(targets, side, samples, seed):
-    """Irradiance / pi, which texels are covered, and seconds."""
-    image = bpy.data.images.new(f"bake {side} {samples}", side, side, alpha=True, float_buffer=True, is_data=True)
-    image.generated_color = (0, 0, 0, 0)
-    for nodes, node in targets:
-        node.image = image
-        nodes.active = node
-    bpy.context.scene.cycles.samples = samples
-    bpy.context.scene.cycles.seed = seed
-    start = time.perf_counter()
-    bpy.ops.object.bake(type="DIFFUSE")
-    seconds = time.perf_counter() - start
-    pixels = np.empty(side * side * 4, np.float32)
-    image.pixels.foreach_get(pixels)
-    bpy.data.images.remove(image)
-    pixels = pixels.reshape(side, side, 4)
-    return pixels[..., :3].astype(np.float64), pixels[..., 3] > 0, seconds
 
 
 def time_of_cycles(targets):
     """Seconds to the goal, by error and time per sample."""
     small = max(SIDE // 4, 16)
-    reference, covered, taken = bake(targets, small, 16384, 1)
+    reference, covered, taken = cycles.bake(targets, small, 16384, 1)
     print(f"  reference: {small}x{small}, 16384 samples, {taken:.1f} s, {covered.sum()} texels")
     errors = []
     for samples in (64, 256, 1024):
-        value, _, _ = bake(targets, small, samples, 2)
+        value, _, _ = cycles.bake(targets, small, samples, 2)
         errors.append((samples, relative(value, reference, covered)))
         print(f"  {samples:6} samples: error {100 * errors[-1][1]:5.2f} %")
-    few, more = (bake(targets, SIDE, samples, 3)[2] for samples in (4, 20))
-    per_sample = (more - few) / 16
-    (n1, e1), (n2, e2) = errors[-2:]
-    needed = n2 * (GOAL / e2) ** (math.log(n2 / n1) / math.log(e2 / e1))
-    seconds = max(few - 4 * per_sample, 0.0) + per_sample * needed
+    fixed, per_sample = cycles.times(targets, SIDE)
+    needed = cycles.samples_for(GOAL, errors)
+    seconds = max(fixed, 0.0) + per_sample * needed
     print(f"  {100 * GOAL:.0f} % needs about {needed:.0f} samples: {seconds:.0f} s (scaled up from 4 and 20 samples, {per_sample:.3f} s each)")
     return seconds
 
@@ -151,7 +112,7 @@ def main():
     unbake = Unbake(program, file, folder, environment)
     reference, seconds, about = unbake.bake("reference", PATHS, 1)
     targets = setup(folder / "reference/scene.glb", environment)
-    whole, covered, _ = bake(targets, SIDE, 256, 4)
+    whole, covered, _ = cycles.bake(targets, SIDE, 256, 4)
     covered &= reference.sum(2) > 0
     print(f"unbake bake of {file.name} on {os.cpu_count()} threads")
     print(f"  reference: {SIDE}x{SIDE}, {PATHS} paths, {seconds:.1f} s, stated error {100 * about['error']:.2f} %, {covered.sum()} texels")

@@ -3,18 +3,17 @@
 
 use super::table_rows::{TableRow, TablesReport, decibels, scene_name};
 use crate::core::formats::{atomic_write, read_plane, read_rgb};
-use crate::core::image::RgbPlane;
 use crate::error::{Error, Result};
 use crate::programs::evaluate::true_materials;
-use crate::programs::report::{Picture, colour, display_gain, encode_jpeg, exposed, grey, shrunk};
+use crate::programs::report::{
+    Picture, QUALITY, colour, display_gain, encode_jpeg, exposed, grey, head, shrunk,
+};
 use crate::scene::{Scene, Split, View};
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{DOCTYPE, Markup, html};
 use std::path::{Path, PathBuf};
 
 /// Largest width of a picture.
 const WIDTH: usize = 640;
-/// Quality of a picture, as in reports.
-const QUALITY: u8 = 86;
 /// Names of the pictures' kinds, in their order.
 const KINDS: [&str; 3] = ["view", "albedo", "roughness"];
 
@@ -55,7 +54,7 @@ impl TablePage<'_> {
         let Some(view) = shown(scene) else {
             return Ok(());
         };
-        let photograph: RgbPlane = scene.load_radiance(view)?;
+        let photograph = scene.load_radiance(view)?;
         let gain = display_gain(&photograph);
         let mut pictures = vec![exposed(&shrunk(&photograph, WIDTH), gain)];
         if let Some(truth) = true_materials(scene, view)? {
@@ -80,18 +79,11 @@ impl TablePage<'_> {
     /// # Errors
     /// A page that cannot be written.
     pub(super) fn write(&self, report: &TablesReport) -> Result<()> {
-        let mut scenes: Vec<&str> = report.rows.iter().map(|r| r.scene.as_str()).collect();
-        scenes.dedup();
+        let scenes = distinct(report.rows.iter().map(|r| r.scene.as_str()));
         let page = html! {
             (DOCTYPE)
             html lang="en" {
-                head {
-                    meta charset="utf-8";
-                    meta name="viewport" content="width=device-width, initial-scale=1";
-                    title { "unbake bench tables" }
-                    link rel="icon" href="data:,";
-                    style { (PreEscaped(STYLE)) }
-                }
+                (head("unbake bench tables", STYLE))
                 body {
                     h1 { "The paper’s tables" }
                     p { "Pictures: the first held-out view at the photograph’s exposure, albedo in sRGB, roughness as grey (black 0, white 1)." }
@@ -107,8 +99,7 @@ impl TablePage<'_> {
 
     fn scene_section(&self, scene: &str, report: &TablesReport) -> Markup {
         let rows: Vec<&TableRow> = report.rows.iter().filter(|r| r.scene == scene).collect();
-        let mut tables: Vec<&str> = rows.iter().map(|r| r.table.as_str()).collect();
-        tables.dedup();
+        let tables = distinct(rows.iter().map(|r| r.table.as_str()));
         let heads = ["", "albedo", "roughness", "views", "SSIM", "time", "memory"];
         html! {
             h2 { (scene) }
@@ -159,6 +150,17 @@ impl TablePage<'_> {
     }
 }
 
+/// Each name once, in the order of their first: a resumed run comes back to a scene and a table.
+fn distinct<'a>(names: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+    let mut out = Vec::new();
+    for name in names {
+        if !out.contains(&name) {
+            out.push(name);
+        }
+    }
+    out
+}
+
 /// The view that the page shows: the first held out, else the first.
 fn shown(scene: &Scene) -> Option<&View> {
     let held_out = scene.views.iter().find(|v| v.split == Split::Test);
@@ -191,6 +193,11 @@ fn slug(text: &str) -> String {
 mod tests {
     use super::super::table_rows::Method;
     use super::*;
+
+    #[test]
+    fn a_name_that_comes_back_stands_once() {
+        assert_eq!(distinct(["a", "b", "a"].into_iter()), ["a", "b"]);
+    }
 
     #[test]
     fn the_page_shows_the_pictures_that_are_there() {

@@ -71,6 +71,17 @@ pub struct TableRow {
     pub peak_bytes: u64,
 }
 
+impl TableRow {
+    /// Whether both are of the same reconstruction.
+    pub(super) fn is_of_the_run_of(&self, other: &Self) -> bool {
+        self.method == other.method
+            && self.table == other.table
+            && self.scene == other.scene
+            && self.condition == other.condition
+            && self.flags == other.flags
+    }
+}
+
 /// All rows.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct TablesReport {

@@ -132,6 +132,18 @@ impl Planned {
         all.into_iter().map(str::to_owned).collect()
     }
 
+    /// The row of a scene before it is run.
+    fn row(&self, scene: &str, flags: &[String]) -> TableRow {
+        TableRow {
+            table: self.table.to_owned(),
+            method: self.method,
+            scene: scene.to_owned(),
+            condition: self.condition.clone(),
+            flags: flags.join(" "),
+            ..TableRow::default()
+        }
+    }
+
     fn wanted(&self, bench: &TablesBench) -> bool {
         let named = [self.table, self.method.name(), &self.condition];
         bench.rows.is_empty()
@@ -213,21 +225,14 @@ pub fn bench_tables(
             }
             for planned in &rows {
                 let flags = planned.all_flags(bench);
-                let known = |r: &TableRow| {
-                    (&r.table, &r.scene, &r.condition, &r.flags)
-                        == (
-                            &planned.table.to_owned(),
-                            &name,
-                            &planned.condition,
-                            &flags.join(" "),
-                        )
-                        && r.method == planned.method
-                };
-                if !report.rows.iter().any(known) {
-                    let run = format!("{name}-{}", report.rows.len());
-                    let page = bench.page.as_deref();
-                    let outcome = run_row(scene, planned, &flags, &work.within(&run), page)?;
-                    report.rows.push(row(planned, &name, &flags, &outcome));
+                let row = planned.row(&name, &flags);
+                if !report.rows.iter().any(|r| r.is_of_the_run_of(&row)) {
+                    let run = work.within(&format!("{name}-{}", report.rows.len()));
+                    let outcome = run_row(scene, planned, &flags, &run, |out| match &bench.page {
+                        Some(folder) => TablePage { folder }.keep(scene, &row, out),
+                        None => Ok(()),
+                    })?;
+                    report.rows.push(scored(row, &outcome));
                     write(&report, bench)?;
                     each(&report)?;
                 }
@@ -239,13 +244,13 @@ pub fn bench_tables(
     Ok(report)
 }
 
-/// One reconstruction of the scene, or of its damaged copy.
+/// One reconstruction of the scene, or of its damaged copy; `look` sees its scored result.
 fn run_row(
     scene: &Scene,
     planned: &Planned,
     flags: &[String],
     work: &Workplace,
-    page: Option<&Path>,
+    look: impl FnOnce(&Path) -> Result<()>,
 ) -> Result<Outcome> {
     let copy = work.folder.with_extension("scene");
     let source = if planned.damage == Damage::Clean {
@@ -256,24 +261,16 @@ fn run_row(
         copy.clone()
     };
     let runner: Runner = work.runner(&source)?;
-    let named = row(planned, &scene_name(scene), flags, &Outcome::default());
-    let outcome = runner.run("out", flags, |out| match page {
-        Some(folder) => TablePage { folder }.keep(scene, &named, out),
-        None => Ok(()),
-    });
+    let outcome = runner.run("out", flags, look);
     if !work.keep && copy.exists() {
         std::fs::remove_dir_all(&copy).map_err(|e| Error::io(&copy, e))?;
     }
     Ok(outcome?.0)
 }
 
-fn row(planned: &Planned, scene: &str, flags: &[String], outcome: &Outcome) -> TableRow {
+/// The row with what its run cost and gave.
+fn scored(row: TableRow, outcome: &Outcome) -> TableRow {
     TableRow {
-        table: planned.table.to_owned(),
-        method: planned.method,
-        scene: scene.to_owned(),
-        condition: planned.condition.clone(),
-        flags: flags.join(" "),
         albedo_psnr: outcome.albedo_psnr,
         roughness_psnr: outcome.roughness_psnr,
         nvs_psnr: outcome.novel_psnr,
@@ -282,6 +279,7 @@ fn row(planned: &Planned, scene: &str, flags: &[String], outcome: &Outcome) -> T
         nvs_mse: outcome.novel_psnr.map(|p| 10f64.powf(-0.1 * p)),
         seconds: outcome.seconds,
         peak_bytes: outcome.peak_bytes,
+        ..row
     }
 }
 

@@ -4,7 +4,7 @@
 //! or dark preference and works without the script (the comparison slider then stands at the
 //! middle). The markup is written with `maud`, which escapes every text it is given.
 
-use super::jpeg::{Picture, encode_jpeg};
+use super::jpeg::{Picture, QUALITY, encode_jpeg};
 use super::pictures::{CONFIDENCE_RANGE, Captioned, ERROR_RANGE, ViewPictures, inferno};
 use super::record::{RunRecord, StageRecord};
 use crate::Result;
@@ -16,9 +16,6 @@ use crate::solution::Lamp;
 use crate::verdict::{Level, Verdict};
 use base64::prelude::{BASE64_STANDARD, Engine};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
-
-/// Quality of the embedded pictures: artefacts stay invisible at the size at which they are shown.
-const QUALITY: u8 = 86;
 
 /// Lights in the page's table, of the most powerful.
 const LIGHTS_SHOWN: usize = 20;
@@ -76,6 +73,20 @@ fn or_dash(x: Option<f64>, decimals: usize) -> String {
     x.map_or_else(|| "–".to_owned(), |x| format!("{x:.decimals$}"))
 }
 
+/// The head of a page that fetches nothing.
+#[must_use]
+pub fn head(title: &str, style: &str) -> Markup {
+    html! {
+        head {
+            meta charset="utf-8";
+            meta name="viewport" content="width=device-width, initial-scale=1";
+            title { (title) }
+            link rel="icon" href="data:,";
+            style { (PreEscaped(style)) }
+        }
+    }
+}
+
 /// The page as HTML.
 ///
 /// # Errors
@@ -98,13 +109,7 @@ pub fn page(p: &Page<'_>) -> Result<String> {
     let markup = html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                title { (r.scene.name) ": unbake report" }
-                link rel="icon" href="data:,";
-                style { (PreEscaped(include_str!("page.css"))) }
-            }
+            (head(&format!("{}: unbake report", r.scene.name), include_str!("page.css")))
             body {
                 main {
                     header {

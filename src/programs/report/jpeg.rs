@@ -3,6 +3,9 @@
 
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 
+/// Quality of the pictures of pages: artefacts stay invisible at the size at which they are shown.
+pub const QUALITY: u8 = 86;
+
 /// An 8-bit sRGB picture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {

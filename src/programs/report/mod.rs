@@ -6,7 +6,8 @@ mod jpeg;
 mod pictures;
 mod record;
 
-pub use jpeg::{Picture, encode_jpeg};
+pub use html::head;
+pub use jpeg::{Picture, QUALITY, encode_jpeg};
 pub use pictures::{
     Captioned, Photographer, ViewPictures, colour, display_gain, exposed, grey, report_camera,
     shrunk, spread,

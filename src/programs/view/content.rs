@@ -67,6 +67,8 @@ pub struct Content {
     textures: Mutex<BTreeMap<(Layer, usize), Slot>>,
     mesh: OnceLock<Arc<Vec<u8>>>,
     panoramas: OnceLock<Arc<Vec<u8>>>,
+    ray_tree: OnceLock<Arc<Vec<u8>>>,
+    response: OnceLock<Arc<Vec<u8>>>,
     light: OnceLock<PageLight>,
     /// Where the light operator is kept.
     folder: Option<PathBuf>,
@@ -111,6 +113,8 @@ impl Content {
             textures: Mutex::default(),
             mesh: OnceLock::new(),
             panoramas: OnceLock::new(),
+            ray_tree: OnceLock::new(),
+            response: OnceLock::new(),
             light: OnceLock::new(),
             folder: None,
         })
@@ -352,15 +356,19 @@ impl Content {
 
     /// The tree that reflections are traced through ([`ray_tree::records`]); empty where they are not.
     #[must_use]
-    pub fn ray_tree(&self) -> Vec<u8> {
-        let records = ray_tree::records(&self.solution.mesh);
-        gzip(bytemuck::cast_slice(&records))
+    pub fn ray_tree(&self) -> Arc<Vec<u8>> {
+        let pack = || {
+            let records = ray_tree::records(&self.solution.mesh);
+            Arc::new(gzip(bytemuck::cast_slice(&records)))
+        };
+        self.ray_tree.get_or_init(pack).clone()
     }
 
     /// What surfaces send to a viewer under even light ([`response::table`]).
     #[must_use]
-    pub fn response(&self) -> Vec<u8> {
-        gzip(&response::table(self.solution.reflectance))
+    pub fn response(&self) -> Arc<Vec<u8>> {
+        let pack = || Arc::new(gzip(&response::table(self.solution.reflectance)));
+        self.response.get_or_init(pack).clone()
     }
 
     /// The light that can be changed; traced when it is first asked for.

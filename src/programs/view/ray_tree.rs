@@ -14,7 +14,7 @@ use nalgebra::Point3;
 /// Triangles beyond are not traced. Derived: records of nodes and triangles fill a texture of 4096 × 2048 texels, 128 MiB.
 const MOST_TRIANGLES: usize = 1 << 20;
 /// Places of the shader's stack, one per level of the tree; deeper trees are not traced.
-pub const STACK: usize = 64;
+const STACK: usize = 64;
 /// Marks a child that is a triangle.
 const LEAF: u32 = 1 << 31;
 /// Words of a record.
@@ -91,14 +91,13 @@ pub fn records(mesh: &Mesh) -> Vec<u32> {
         } = node
         {
             let corner = |p: &Point3<f32>| [p.x, p.y, p.z].map(f32::to_bits);
-            out.extend(corner(&child_l_aabb.min));
-            out.push(number[*child_l_index]);
-            out.extend(corner(&child_l_aabb.max));
-            out.push(number[*child_r_index]);
-            out.extend(corner(&child_r_aabb.min));
-            out.push(0);
-            out.extend(corner(&child_r_aabb.max));
-            out.push(0);
+            let children = [number[*child_l_index], number[*child_r_index]];
+            for (bounds, words) in [(child_l_aabb, children), (child_r_aabb, [0, 0])] {
+                for (point, word) in [&bounds.min, &bounds.max].into_iter().zip(words) {
+                    out.extend(corner(point));
+                    out.push(word);
+                }
+            }
         }
     }
     out
@@ -206,6 +205,12 @@ mod tests {
             assert_eq!(met(&records, &mesh, &ray), expected, "ray {i}");
         }
         assert!(hits > 50, "{hits}");
+    }
+
+    #[test]
+    fn the_shader_has_the_stack_that_trees_are_made_for() {
+        let shader = include_str!("assets/tracing.js");
+        assert!(shader.contains(&format!("const STACK = {STACK};")));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! What surfaces send towards a viewer under even light, by the solution's reflection model, as a texture of the page.
 
 use crate::core::brdf::Reflectance;
+use crate::core::parallel::prelude::*;
 use crate::specular::under_even_light;
 use half::f16;
 
@@ -12,14 +13,16 @@ const SIZE: usize = 32;
 #[must_use]
 pub fn table(model: Reflectance) -> Vec<u8> {
     let middle = |i: usize| (i as f32 + 0.5) / SIZE as f32;
-    (0..SIZE * SIZE)
-        .flat_map(|i| {
+    let cells: Vec<[f32; 4]> = (0..SIZE * SIZE)
+        .into_par_iter()
+        .map(|i| {
             let (n_v, roughness) = (middle(i % SIZE), middle(i / SIZE));
             let [dielectric, metal] = under_even_light(model, n_v, roughness);
             [dielectric, metal, model.diffuse_factor(n_v, roughness), 1.0]
         })
-        .flat_map(|x| f16::from_f32(x).to_le_bytes())
-        .collect()
+        .collect();
+    let halves = cells.as_flattened().iter().map(|&x| f16::from_f32(x));
+    halves.flat_map(f16::to_le_bytes).collect()
 }
 
 #[cfg(test)]

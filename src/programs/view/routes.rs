@@ -96,8 +96,8 @@ pub fn answer(content: &Content, request: &Request) -> Response {
         "/data/light.bin" => light(content, request),
         "/data/mesh.bin" => block(content.mesh()),
         "/data/environment.bin" => block(Arc::new(content.environment())),
-        "/data/rays.bin" => block(Arc::new(content.ray_tree())),
-        "/data/response.bin" => block(Arc::new(content.response())),
+        "/data/rays.bin" => block(content.ray_tree()),
+        "/data/response.bin" => block(content.response()),
         "/data/probes.bin" => match edit(request) {
             None => malformed_edit(),
             Some(edit) if edit.changes_nothing() => block(content.panoramas()),

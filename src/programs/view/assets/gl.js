@@ -43,6 +43,9 @@ function storage(gl, format) {
     rg8: [gl.RG8, gl.RG, gl.UNSIGNED_BYTE, 2, Uint8Array],
     rgb9e5: [gl.RGB9_E5, gl.RGB, gl.UNSIGNED_INT_5_9_9_9_REV, 4, Uint32Array],
     rg16ui: [gl.RG16UI, gl.RG_INTEGER, gl.UNSIGNED_SHORT, 4, Uint16Array],
+    half4: [gl.RGBA16F, gl.RGBA, gl.HALF_FLOAT, 8, Uint16Array],
+    float4: [gl.RGBA32F, gl.RGBA, gl.FLOAT, 16, Float32Array],
+    uint4: [gl.RGBA32UI, gl.RGBA_INTEGER, gl.UNSIGNED_INT, 16, Uint32Array],
   }[format];
 }
 
@@ -79,11 +82,11 @@ export function textureFromBlock(gl, buffer, { wrapX = 'clamp' } = {}) {
   return { texture, width, height };
 }
 
-// A texture that scripts write: 'float4' (read with texelFetch), 'srgb8' or 'rgb9e5' (both filtered).
+// A texture that scripts write: 'float4' or 'uint4' (read with texelFetch), 'srgb8', 'rgb9e5' or 'half4' (filtered).
 export function writtenTexture(gl, kind, width, height, texels) {
   const texture = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, texture);
-  sampling(gl, gl.TEXTURE_2D, kind === 'float4' ? 'nearest' : 'linear', 'clamp');
+  sampling(gl, gl.TEXTURE_2D, kind === 'float4' || kind === 'uint4' ? 'nearest' : 'linear', 'clamp');
   const written = { texture, width, height, kind };
   rewrite(gl, written, texels);
   return written;
@@ -92,9 +95,8 @@ export function writtenTexture(gl, kind, width, height, texels) {
 export function rewrite(gl, { texture, width, height, kind }, texels) {
   gl.bindTexture(gl.TEXTURE_2D, texture);
   gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-  if (kind === 'float4') gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, height, 0, gl.RGBA, gl.FLOAT, texels);
-  else if (kind === 'rgb9e5') gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB9_E5, width, height, 0, gl.RGB, gl.UNSIGNED_INT_5_9_9_9_REV, texels);
-  else gl.texImage2D(gl.TEXTURE_2D, 0, gl.SRGB8_ALPHA8, width, height, 0, gl.RGBA, gl.UNSIGNED_BYTE, texels);
+  const [internal, layout, type] = storage(gl, kind);
+  gl.texImage2D(gl.TEXTURE_2D, 0, internal, width, height, 0, layout, type, texels);
 }
 
 // The panoramas of the reflection probes: an array of radiance with levels of roughness, and one of distances.
@@ -119,28 +121,6 @@ export function probeTextures(gl, buffer, probes, levels, width = 256) {
   const texels = new Uint16Array(buffer, offset, width * (width / 2) * probes);
   gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, 0, width, width / 2, probes, gl.RED, gl.HALF_FLOAT, texels);
   return { radiance, distance };
-}
-
-// Four integers a texel, read with texelFetch.
-export function integers(gl, width, height, words) {
-  const texture = gl.createTexture();
-  gl.bindTexture(gl.TEXTURE_2D, texture);
-  gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, width, height, 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
-  sampling(gl, gl.TEXTURE_2D, 'nearest', 'clamp');
-  return texture;
-}
-
-// What surfaces send out under even light, from the server's square table of four half floats a cell.
-export function responseTexture(gl, buffer) {
-  const texels = new Uint16Array(buffer);
-  const size = Math.sqrt(texels.length / 4);
-  const texture = gl.createTexture();
-  gl.bindTexture(gl.TEXTURE_2D, texture);
-  gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, size, size, 0, gl.RGBA, gl.HALF_FLOAT, texels);
-  sampling(gl, gl.TEXTURE_2D, 'linear', 'clamp');
-  return texture;
 }
 
 // A picture of four half floats a pixel with depth, to which samples are added; null where the card cannot.

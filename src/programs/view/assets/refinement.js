@@ -1,7 +1,7 @@
 // Refines a picture at rest, sample after sample, in bands of rows that a card can draw without holding up the page.
 
-import { SAMPLES } from './renderer.js';
-
+// Samples of a pixel: what the shader adds up fits half floats up to that many.
+const SAMPLES = 64;
 // Milliseconds between two bands beyond which they get narrower, and below which they get wider.
 const [SLOW, FAST] = [150, 60];
 // Pixels of the first band, before it is known how fast the card is, and rows of the narrowest.

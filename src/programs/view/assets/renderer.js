@@ -5,9 +5,6 @@ import { bytes, textureCap } from './load.js';
 import { MODES, MAX_LAMPS, MAX_PROBES, backgroundFragment, backgroundVertex, depthFragment, meanFragment, pickFragment, surfaceFragment, surfaceVertex } from './shaders.js';
 import { rayTexture } from './tracing.js';
 
-// Samples of a pixel once nothing moves.
-export const SAMPLES = 64;
-
 const ALWAYS = ['albedo', 'roughness', 'irradiance', 'emission', 'ids'];
 const UNITS = ['albedo', 'roughness', 'irradiance', 'radiance', 'emission', 'confidence', 'ids', 'edits', 'light', 'photo', 'environment', 'probe_radiance', 'probe_distance', 'response', 'rays'];
 
@@ -50,7 +47,11 @@ export class Renderer {
       this.mesh = g.meshFromBlock(gl, b, scene.vertices, scene.triangles);
       this.meshBlock = b;
     });
-    const response = counted(bytes('/data/response.bin')).then((b) => this.textures.set('response', g.responseTexture(gl, b)));
+    // a square table of four half floats a cell
+    const response = counted(bytes('/data/response.bin')).then((b) => {
+      const size = Math.sqrt(b.byteLength / 8);
+      this.textures.set('response', g.writtenTexture(gl, 'half4', size, size, new Uint16Array(b)).texture);
+    });
     const sky = counted(bytes('/data/environment.bin')).then((b) => {
       this.textures.set('environment', g.textureFromBlock(gl, b, { wrapX: 'repeat' }).texture);
     });
@@ -215,7 +216,7 @@ export class Renderer {
   }
 
   // Adds a sample to the pixels of some rows, with traced reflections, and draws the mean of those so far (layers 'final' and 'error'):
-  // `sample` from 0 to SAMPLES - 1 for an unmoved view, each for all rows. False where the card cannot.
+  // `sample` counts from 0 for an unmoved view, each for all rows. False where the card cannot.
   refine(camera, view, sample, { row, rows }) {
     const { gl, canvas } = this;
     const [width, height] = [canvas.width, canvas.height];

@@ -1,6 +1,6 @@
 // Reflections traced in the shader: the texture of the scene's boxes and triangles, and the search through them.
 
-import { integers } from './gl.js';
+import { writtenTexture } from './gl.js';
 
 const PER_ROW = 1024; // records of four texels
 const STACK = 64; // the server sends no deeper tree
@@ -26,7 +26,7 @@ export function rayTexture(gl, tree, mesh, { vertices, triangles }) {
     }
     words[at + 15] = tags[4 * corners[3 * t + 2] + 3];
   }
-  const texture = integers(gl, PER_ROW * 4, rows, words);
+  const { texture } = writtenTexture(gl, 'uint4', PER_ROW * 4, rows, words);
   return { texture, nodes: nodes.length / 16 };
 }
 
