@@ -39,7 +39,7 @@ const page = await open({ viewport: { width: 2 * width + panel, height: 2 * heig
 const about = await page.evaluate(async () => (await fetch('/api/scene.json')).json());
 const light = await page.evaluate(async () => (await fetch('/api/light.json')).json());
 console.log(`operator: ${light.lights} lights, ${light.patches} patches, ${light.width}² map, ready after ${light.seconds.toFixed(1)} s; ` +
-  `random edits ${(100 * light.error).toFixed(1)} % RMS from the path tracer (${light.error_db.toFixed(1)} dB)`);
+  `random edits within ${(100 * light.median_error).toFixed(1)} % of the path tracer's at half of the surface, ${(100 * light.error).toFixed(1)} % RMS (${light.error_db.toFixed(1)} dB)`);
 
 // --- pictures against the path tracer -----------------------------------------------------------------------------------------------
 const list = JSON.parse(readFileSync(path.join(scene, 'transforms.json')));

@@ -27,7 +27,7 @@ type Slot = Arc<OnceLock<Arc<Vec<u8>>>>;
 pub enum Layer {
     /// Albedo, and in its fourth channel the share that is no metal.
     Albedo,
-    /// Roughness R.
+    /// Roughness R, and in its second channel the share of transmitted light where there are panes.
     Roughness,
     /// Irradiance E.
     Irradiance,
@@ -167,6 +167,7 @@ impl Content {
             "lights": self.solution.lamps.iter().map(light).collect::<Vec<_>>(),
             "probes": {"levels": probes::LEVELS, "places": probes},
             "cameras": self.cameras(),
+            "panes": s.transmission.is_some(),
         })
     }
 
@@ -299,7 +300,7 @@ impl Content {
         let pack = || {
             let block = match layer {
                 Layer::Albedo => encode::albedo(&s.albedo, s.metallic.as_ref(), cap),
-                Layer::Roughness => encode::roughness(&s.roughness, cap),
+                Layer::Roughness => encode::roughness(&s.roughness, s.transmission.as_ref(), cap),
                 Layer::Irradiance => encode::radiometric(&s.irradiance, cap, self.scale()),
                 Layer::Radiance => encode::radiometric(&s.radiance, cap, self.scale()),
                 Layer::Emission => encode::radiometric(&s.emission, cap, self.scale()),

@@ -5,7 +5,7 @@
 //! 16 bytes (`UBTX`, width, height as u32, format, levels, two zeros; little-endian) followed by
 //! the levels from the finest to the coarsest, rows without padding.
 
-use crate::core::image::{Plane, RgbPlane};
+use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::srgb_from_linear;
 use flate2::Compression;
 use flate2::write::GzEncoder;
@@ -145,10 +145,28 @@ pub fn albedo(plane: &RgbPlane, metallic: Option<&Plane<f32>>, cap: usize) -> Ve
     })
 }
 
-/// Roughness: eight bits.
+/// Roughness: eight bits; with panes a second channel, the share of transmitted light.
 #[must_use]
-pub fn roughness(plane: &Plane<f32>, cap: usize) -> Vec<u8> {
-    block(&capped(plane, cap), Format::R8, LEVELS, |r| [byte(*r)])
+pub fn roughness(plane: &Plane<f32>, transmission: Option<&Plane<f32>>, cap: usize) -> Vec<u8> {
+    let Some(transmission) = transmission else {
+        return block(&capped(plane, cap), Format::R8, LEVELS, |r| [byte(*r)]);
+    };
+    let scale = Vec2::new(
+        transmission.width as f32 / plane.width as f32,
+        transmission.height as f32 / plane.height as f32,
+    );
+    let both = |(i, r): (usize, &f32)| {
+        let centre = Vec2::new((i % plane.width) as f32, (i / plane.width) as f32) + 0.5;
+        Vec2::new(*r, transmission.bilinear(centre * scale, Wrap::Clamp))
+    };
+    let both = Plane {
+        width: plane.width,
+        height: plane.height,
+        data: plane.data.iter().enumerate().map(both).collect(),
+    };
+    block(&capped(&both, cap), Format::Rg8, LEVELS, |v| {
+        [byte(v.x), byte(v.y)]
+    })
 }
 
 /// Radiance, irradiance, emission, photographs: `scale` times the value with a shared exponent.
@@ -302,8 +320,17 @@ mod tests {
             decoded(u32::from_le_bytes(small[16..20].try_into().expect("4"))),
             Vec3::ONE
         );
-        let one = roughness(&Plane::filled(1, 1, 0.2f32), 1024);
+        let one = roughness(&Plane::filled(1, 1, 0.2f32), None, 1024);
         assert_eq!(one.len(), 17);
+        // a pane beside a wall, in a map of half the size
+        let glass = Plane {
+            width: 2,
+            height: 1,
+            data: vec![1.0, 0.0],
+        };
+        let two = roughness(&Plane::filled(4, 1, 0.2), Some(&glass), 1024);
+        assert_eq!(two[12], Format::Rg8 as u8);
+        assert_eq!(two[16..24], [51, 255, 51, 191, 51, 64, 51, 0]);
     }
 
     #[test]

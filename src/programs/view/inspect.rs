@@ -36,7 +36,8 @@ pub fn values(solution: &Solution, uv: Vec2) -> Value {
     let s = solution;
     let albedo = s.albedo.bilinear(at(&s.albedo, uv), Wrap::Clamp);
     let metallic = s.metal_at(uv);
-    let diffuse = albedo * (1.0 - metallic);
+    let transmission = s.transmission_at(uv);
+    let diffuse = albedo * ((1.0 - metallic) * (1.0 - transmission));
     let error = *s.confidence.nearest(at(&s.confidence, uv));
     let stated = |e: f32| {
         if e < UNOBSERVED {
@@ -57,6 +58,7 @@ pub fn values(solution: &Solution, uv: Vec2) -> Value {
         "radiance": rgb(&s.radiance),
         "emission": s.emission.nearest(at(&s.emission, uv)).to_array(),
         "metallic": metallic,
+        "transmission": transmission,
         "diffuse": (diffuse * s.irradiance.bilinear(at(&s.irradiance, uv), Wrap::Clamp) * FRAC_1_PI).to_array(),
     })
 }

@@ -55,6 +55,7 @@ impl PageLight {
             "patches": self.light.patch_count(),
             "error": error.relative,
             "error_db": error.decibels(),
+            "median_error": error.median,
             "seconds": self.seconds,
         })
     }

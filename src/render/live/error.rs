@@ -7,6 +7,7 @@ use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
 use crate::core::progress::Progress;
 use crate::core::sampling::KeyedRng;
+use crate::core::stats::median;
 use crate::core::trace::Tracer;
 use crate::render::{
     EditableScene, IrradiancePoint, LightmapTexels, PathTracer, PathTracerOptions, Surface,
@@ -133,6 +134,7 @@ impl Reference<'_> {
             return EditError::default();
         }
         let (mut square, mut answered, mut modelled) = (0.0f64, 0.0f64, 0.0f64);
+        let mut shares = Vec::with_capacity(EDITS * POINTS);
         for number in 0..EDITS as u64 {
             let edit = self.random_edit(number);
             let mut random = KeyedRng::new(0x706f_696e, number);
@@ -152,6 +154,9 @@ impl Reference<'_> {
                 square += a * b;
                 answered += off(answer.irradiance[i]);
                 modelled += off(model.irradiance[i]);
+                let mean = 0.5 * (a + b);
+                let away = (f64::from(luminance(answer.irradiance[i])) - mean).abs();
+                shares.push(if away > 0.0 { away / mean } else { 0.0 } as f32);
             }
         }
         let root = |x: f64| {
@@ -164,6 +169,7 @@ impl Reference<'_> {
         EditError {
             relative: root(answered),
             model: root(modelled),
+            median: median(shares).unwrap_or(0.0),
         }
     }
 }

@@ -67,6 +67,9 @@ pub struct EditError {
     pub relative: f32,
     /// The same for the model without the correction by the result's own irradiance.
     pub model: f32,
+    /// Half of the points lie nearer than this share of their own irradiance, the noise of the path tracer
+    /// included: few points near lamps make most of the other figure.
+    pub median: f32,
 }
 
 impl EditError {

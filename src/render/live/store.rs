@@ -21,7 +21,7 @@ use std::path::Path;
 /// Name of the file in a result's folder.
 pub const OPERATOR: &str = "light_operator.bin";
 /// Of what the file holds and how it is computed: to be raised with any change of either.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// Longest side of the operator's map. Derived: a texel of a flat is some centimetres, and an answer
 /// reads 64 links of each within its time.
 const SIDE: usize = 512;
@@ -142,7 +142,7 @@ fn columns(traced: &Traced, error: EditError) -> Columns {
         column(&traced.seeing.links),
         column(&traced.seeing.seen),
         column(&traced.of_texels),
-        column(&[error.relative, error.model]),
+        column(&[error.relative, error.model, error.median]),
         column(&units),
     ];
     let light = halves.into_iter().map(|h| column(&h.halves));
@@ -155,7 +155,7 @@ fn restored(columns: &[Vec<u8>], texels: usize, groups: usize) -> Option<Kept> {
         return None;
     };
     let units: Vec<f32> = values(units)?;
-    let [relative, model] = values::<f32>(error)?.try_into().ok()?;
+    let [relative, model, median] = values::<f32>(error)?.try_into().ok()?;
     let direct: Direct = light
         .iter()
         .zip(&units)
@@ -178,8 +178,10 @@ fn restored(columns: &[Vec<u8>], texels: usize, groups: usize) -> Option<Kept> {
         && traced.seeing.seen.len() == texels
         && traced.of_texels.len() == texels
         && traced.of_texels.iter().all(|p| *p < NONE);
-    fits.then_some(Kept {
-        traced,
-        error: EditError { relative, model },
-    })
+    let error = EditError {
+        relative,
+        model,
+        median,
+    };
+    fits.then_some(Kept { traced, error })
 }

@@ -69,7 +69,7 @@ export class LiveLight {
   }
 
   error() {
-    const { error, error_db } = this.about;
-    return error > 0 ? `Irradiance of random edits is ${(100 * error).toFixed(1)} % RMS (${error_db.toFixed(0)} dB) from the path tracer’s.` : '';
+    const { error, error_db, median_error } = this.about;
+    return error > 0 ? `Irradiance of random edits lies within ${(100 * median_error).toFixed(1)} % of the path tracer’s at half of the surface, ${(100 * error).toFixed(1)} % RMS (${error_db.toFixed(0)} dB).` : '';
   }
 }

@@ -34,6 +34,7 @@ export function showPoint(target, values, { jump, edit }) {
   row('Albedo', triple(values.albedo), error(values.albedo_error), values.albedo_srgb);
   row('Roughness', number(values.roughness), error(values.roughness_error));
   if (values.metallic > 0) row('Metal', number(values.metallic), 'share');
+  if (values.transmission > 0) row('Transmission', number(values.transmission), 'share');
   row('Irradiance', triple(values.irradiance));
   row('Radiance seen', triple(values.radiance));
   row('Diffuse part', triple(values.diffuse), 'albedo × irradiance / π');

@@ -13,7 +13,7 @@ export class Renderer {
     this.canvas = canvas;
     this.scene = scene;
     const gl = (this.gl = g.context(canvas));
-    this.surface = g.program(gl, surfaceVertex, surfaceFragment(false));
+    this.surface = g.program(gl, surfaceVertex, surfaceFragment({ panes: scene.panes }));
     this.background = g.program(gl, backgroundVertex, backgroundFragment);
     this.picking = g.program(gl, surfaceVertex, pickFragment);
     this.pickTarget = g.pickTarget(gl);
@@ -72,8 +72,8 @@ export class Renderer {
     if (!made) return false;
     this.textures.set('rays', made.texture);
     this.rayNodes = made.nodes;
-    this.traced = g.program(gl, surfaceVertex, surfaceFragment(true));
-    this.depth = g.program(gl, surfaceVertex, depthFragment);
+    this.traced = g.program(gl, surfaceVertex, surfaceFragment({ traced: true, panes: scene.panes }));
+    this.depth = g.program(gl, surfaceVertex, depthFragment(scene.panes));
     this.mean = g.program(gl, backgroundVertex, meanFragment);
     return true;
   }
@@ -177,7 +177,8 @@ export class Renderer {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  drawSurface(camera, view, sample) {
+  // With `sheets`, panes over what is drawn already.
+  drawSurface(camera, view, sample, sheets = false) {
     const { gl } = this;
     const u = this.common(sample < 0 ? this.surface : this.traced, camera, view, sample);
     gl.uniformMatrix4fv(u.u_clip_from_world, false, camera.clipFromWorld());
@@ -187,13 +188,19 @@ export class Renderer {
     gl.uniform1i(u.u_probes_relit, this.relit ? 1 : 0);
     gl.uniform1f(u.u_probe_levels, this.scene.probes.levels);
     gl.uniform1i(u.u_ray_nodes, this.rayNodes);
-    gl.uniform1f(u.u_least_distance, camera.size * 2e-5);
+    gl.uniform1f(u.u_least_distance, this.leastDistance(camera));
     // many samples of a pixel need no texture blurred for it
     gl.uniform1f(u.u_bias, sample < 0 ? 0 : -2);
+    gl.uniform1i(u.u_sheets, sheets ? 1 : 0);
     const gains = new Float32Array(MAX_LAMPS * 3).fill(1);
     view.lamps.forEach((gain, i) => gains.set(gain, 3 * (i + 1)));
     gl.uniform3fv(u.u_lamp_gain, gains);
     this.drawMesh();
+  }
+
+  // By which rays start beside a surface.
+  leastDistance(camera) {
+    return camera.size * 2e-5;
   }
 
   drawMesh() {
@@ -213,6 +220,13 @@ export class Renderer {
     this.drawBackground(camera, view, -1);
     gl.enable(gl.DEPTH_TEST);
     this.drawSurface(camera, view, -1);
+    if (!this.scene.panes) return;
+    gl.enable(gl.BLEND);
+    gl.blendFuncSeparate(gl.ONE, gl.SRC_ALPHA, gl.ZERO, gl.ONE);
+    gl.depthMask(false);
+    this.drawSurface(camera, view, -1, true);
+    gl.depthMask(true);
+    gl.disable(gl.BLEND);
   }
 
   // Adds a sample to the pixels of some rows, with traced reflections, and draws the mean of those so far (layers 'final' and 'error'):
@@ -237,8 +251,9 @@ export class Renderer {
     // depth first: only what is seen is shaded, and added once
     gl.enable(gl.DEPTH_TEST);
     gl.drawBuffers([gl.NONE]);
-    gl.useProgram(this.depth.program);
-    gl.uniformMatrix4fv(this.depth.uniforms.u_clip_from_world, false, camera.clipFromWorld());
+    const depth = this.common(this.depth, camera, view, sample);
+    gl.uniformMatrix4fv(depth.u_clip_from_world, false, camera.clipFromWorld());
+    gl.uniform1f(depth.u_least_distance, this.leastDistance(camera));
     this.drawMesh();
     gl.drawBuffers([gl.COLOR_ATTACHMENT0]);
     gl.depthFunc(gl.EQUAL);
@@ -255,14 +270,16 @@ export class Renderer {
     camera.shift = [0, 0];
 
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    // rows that no sample has reached stay as they were
-    if (sample === 0) this.draw(camera, view);
+    // rows with fewer samples stay as they were: panes are passed by chance, and the first samples show specks
+    const fewest = this.scene.panes ? 8 : 1;
+    if (sample < fewest) this.draw(camera, view);
     gl.disable(gl.DEPTH_TEST);
     const u = this.common(this.mean, camera, view, -1);
     gl.uniformMatrix4fv(u.u_world_from_clip, false, camera.worldFromClip());
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, this.sum.texture);
     gl.uniform1i(u.u_sum, 0);
+    gl.uniform1f(u.u_fewest, fewest);
     gl.bindVertexArray(this.empty);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     return true;

@@ -6,6 +6,8 @@ export const MODES = ['final', 'albedo', 'roughness', 'irradiance', 'radiance', 
 
 export const MAX_PROBES = 8;
 export const MAX_LAMPS = 16;
+// Panes that a reflection goes through.
+const MOST_SHEETS = 8;
 
 export const surfaceVertex = `
 layout(location = 0) in vec3 a_position;
@@ -83,25 +85,58 @@ vec3 error_colour(vec3 shown, vec3 truth) {
   return heat((d.r + d.g + d.b) / 3.0 / 0.25);
 }`;
 
-// With `traced`, reflections are traced for the samples that are added up.
-export const surfaceFragment = (traced) => (traced ? '#define TRACED\n' : '') + common + (traced ? tracing : '') + `
+// What surfaces are made of, as it is edited.
+const materials = `
+uniform sampler2D u_albedo;
+uniform sampler2D u_roughness;
+uniform sampler2D u_irradiance;
+uniform sampler2D u_emission;
+uniform highp usampler2D u_ids;
+uniform highp sampler2D u_edits;
+uniform vec3 u_lamp_gain[${MAX_LAMPS}];
+uniform float u_least_distance;
+
+// 'clear' is the share of light that goes through.
+struct Surface { vec3 colour; float metal; float clear; float roughness; vec3 irradiance; vec3 emission; };
+
+uvec2 ids_at(vec2 uv) {
+  ivec2 size = textureSize(u_ids, 0);
+  return texelFetch(u_ids, clamp(ivec2(uv * vec2(size)), ivec2(0), size - 1), 0).rg;
+}
+// 'light' is the ratio of changed to reconstructed irradiance. Bilinear fringes around a lamp are no light.
+Surface edited(vec4 base, vec2 sheet, vec3 irradiance, vec3 light, vec3 emission, uint label, uint lamp) {
+  vec4 edit = texelFetch(u_edits, ivec2(label & 255u, label >> 8), 0);
+  return Surface(clamp(base.rgb * edit.rgb, 0.0, 1.0), 1.0 - base.a, sheet.g, clamp(sheet.r + edit.a, 0.0, 1.0), irradiance * light,
+    lamp > 0u ? emission * u_lamp_gain[int(lamp)] : vec3(0.0));
+}
+vec3 diffuse(Surface s) { return s.colour * (1.0 - s.metal) * (1.0 - s.clear); }
+// The chance that light goes straight through, as in src/render/panes.rs.
+float passing(Surface s, float cosine) {
+  float mean = dot(s.colour, vec3(1.0 / 3.0)) * (1.0 - s.metal);
+  return s.clear * mean * 0.96 * (1.0 - pow(1.0 - cosine, 5.0));
+}
+uint scrambled(uint x) {
+  uint s = x * 747796405u + 2891336453u;
+  uint w = ((s >> ((s >> 28u) + 4u)) ^ s) * 277803737u;
+  return (w >> 22u) ^ w;
+}
+uint pixel_key() { return scrambled(uint(gl_FragCoord.x) + scrambled(uint(gl_FragCoord.y))); }
+float unit(uint x) { return float(x >> 8u) / 16777216.0; }
+// A number in [0, 1) for this sample of this pixel and a sheet on its way: an additive recurrence over the samples, shifted by pixel and sheet.
+float chance(uint sheet) { return fract(unit(scrambled(pixel_key() + scrambled(sheet))) + float(u_sample) * 0.6180339887); }`;
+
+// With `traced`, reflections are traced for the samples that are added up. With `panes`, what is drawn to the screen needs two passes.
+export const surfaceFragment = ({ traced, panes }) => (traced ? '#define TRACED\n' : '') + (panes ? '#define PANES\n' : '') + common + materials + (traced ? tracing : '') + `
 in vec3 v_position;
 in vec2 v_uv;
 in vec3 v_normal;
 flat in uint v_lamp;
-uniform sampler2D u_albedo;
-uniform sampler2D u_roughness;
-uniform sampler2D u_irradiance;
 uniform sampler2D u_radiance;
-uniform sampler2D u_emission;
 uniform sampler2D u_confidence;
-uniform highp usampler2D u_ids;
-uniform highp sampler2D u_edits;
 uniform sampler2D u_light;
 uniform sampler2D u_environment;
 uniform sampler2D u_response;
 uniform vec3 u_outside;
-uniform float u_least_distance;
 uniform float u_bias;
 uniform highp sampler2DArray u_probe_radiance;
 uniform highp sampler2DArray u_probe_distance;
@@ -109,8 +144,9 @@ uniform int u_probe_count;
 uniform vec4 u_probes[${MAX_PROBES}];
 uniform float u_probe_levels;
 uniform bool u_probes_relit;
-uniform vec3 u_lamp_gain[${MAX_LAMPS}];
 uniform int u_marked;
+// Of two passes the second: panes over what they are before.
+uniform bool u_sheets;
 out vec4 colour;
 
 // A distinct colour for an id: hues a golden angle apart.
@@ -144,18 +180,6 @@ vec3 reflected(vec3 p, vec3 r, float roughness, uint room) {
   return textureLod(u_probe_radiance, vec3(panorama(d), float(best)), roughness * (u_probe_levels - 1.0)).rgb;
 }
 
-struct Surface { vec3 colour; float metal; float roughness; vec3 irradiance; vec3 emission; };
-
-uvec2 ids_at(vec2 uv) {
-  ivec2 size = textureSize(u_ids, 0);
-  return texelFetch(u_ids, clamp(ivec2(uv * vec2(size)), ivec2(0), size - 1), 0).rg;
-}
-// The surface as it is edited; 'light' is the ratio of changed to reconstructed irradiance. Bilinear fringes around a lamp are no light.
-Surface edited(vec4 base, float roughness, vec3 irradiance, vec3 light, vec3 emission, uint label, uint lamp) {
-  vec4 edit = texelFetch(u_edits, ivec2(label & 255u, label >> 8), 0);
-  return Surface(clamp(base.rgb * edit.rgb, 0.0, 1.0), 1.0 - base.a, clamp(roughness + edit.a, 0.0, 1.0), irradiance * light,
-    lamp > 0u ? emission * u_lamp_gain[int(lamp)] : vec3(0.0));
-}
 // Specular reflection of even light: linear in the reflectance at normal incidence, 0.04 for what is no metal.
 vec3 specular_response(Surface s, vec4 response) {
   vec3 f0 = mix(vec3(0.04), s.colour, s.metal);
@@ -164,24 +188,25 @@ vec3 specular_response(Surface s, vec4 response) {
 #ifdef TRACED
 // Radiance that arrives at p along l, blurred for a rough surface; what is met shows the mean of the light around it in its own lobe.
 vec3 arriving(vec3 p, vec3 l, float level) {
-  Met met = trace(p, l);
-  if (met.t >= FAR) return textureLod(u_environment, panorama(l), 0.0).rgb * u_outside;
-  vec2 uv = met.uv;
-  Surface s = edited(textureLod(u_albedo, uv, level), textureLod(u_roughness, uv, level).r, textureLod(u_irradiance, uv, level).rgb,
-    textureLod(u_light, uv, 0.0).rgb, textureLod(u_emission, uv, 0.0).rgb, ids_at(uv).r, met.lamp);
+  Met met;
+  Surface s;
+  for (uint sheet = 1u; sheet <= ${MOST_SHEETS}u; sheet++) {
+    met = trace(p, l);
+    if (met.t >= FAR) return textureLod(u_environment, panorama(l), 0.0).rgb * u_outside;
+    vec2 uv = met.uv;
+    s = edited(textureLod(u_albedo, uv, level), textureLod(u_roughness, uv, level).rg, textureLod(u_irradiance, uv, level).rgb,
+      textureLod(u_light, uv, 0.0).rgb, textureLod(u_emission, uv, 0.0).rgb, ids_at(uv).r, met.lamp);
+    if (s.clear == 0.0 || chance(sheet) >= passing(s, abs(dot(met.n, l)))) break;
+    p += (met.t + u_least_distance) * l;
+  }
   if (dot(s.emission, vec3(1.0)) > 0.0) return s.emission;
   vec4 response = textureLod(u_response, vec2(abs(dot(met.n, l)), s.roughness), 0.0);
-  return (s.colour * (1.0 - s.metal) * response.b + specular_response(s, response)) * s.irradiance / PI;
-}
-uint scrambled(uint x) {
-  uint s = x * 747796405u + 2891336453u;
-  uint w = ((s >> ((s >> 28u) + 4u)) ^ s) * 277803737u;
-  return (w >> 22u) ^ w;
+  return (diffuse(s) * response.b + specular_response(s, response)) * s.irradiance / PI;
 }
 // Two numbers in [0, 1) for this sample of this pixel: an additive recurrence, shifted by pixel (Roberts 2018).
 vec2 pair() {
-  uint a = scrambled(uint(gl_FragCoord.x) + scrambled(uint(gl_FragCoord.y)));
-  vec2 shift = vec2(uvec2(a, scrambled(a)) >> 8u) / 16777216.0;
+  uint a = pixel_key();
+  vec2 shift = vec2(unit(a), unit(scrambled(a)));
   return fract(shift + float(u_sample) * vec2(0.7548776662, 0.5698402910));
 }
 // A direction in which the lobe reflects, by visible normals (Dupuy and Benyoub 2023).
@@ -207,12 +232,18 @@ void main() {
   float facing = clamp(dot(n, to_eye), 0.0, 1.0);
   uvec2 ids = ids_at(v_uv);
   vec3 light = texture(u_light, v_uv).rgb;
-  Surface s = edited(texture(u_albedo, v_uv, u_bias), texture(u_roughness, v_uv, u_bias).r, texture(u_irradiance, v_uv, u_bias).rgb, light,
+  Surface s = edited(texture(u_albedo, v_uv, u_bias), texture(u_roughness, v_uv, u_bias).rg, texture(u_irradiance, v_uv, u_bias).rgb, light,
     texture(u_emission, v_uv).rgb, ids.r, v_lamp);
   vec3 albedo = s.colour, irradiance = s.irradiance, emission = s.emission;
   float roughness = s.roughness;
   vec3 shown = vec3(0.0);
+  // factor on what lies behind, as the screen shows it
+  float through = 1.0;
   bool lit = u_mode == 0 || u_mode == 10;
+#if defined(PANES) && !defined(TRACED)
+  if (u_sheets != (lit && s.clear > 0.0) || u_sheets && (u_mode == 10 || left_of_split())) discard;
+  if (u_sheets) through = pow(passing(s, facing), 1.0 / 2.2);
+#endif
   if (lit) {
     vec4 response = textureLod(u_response, vec2(facing, roughness), 0.0);
     // a wide lobe shows the mean light around (from R = 0.6 on, as in src/specular/directional_albedo.rs)
@@ -233,7 +264,7 @@ void main() {
       seen = mix(narrow, seen, smoothstep(0.3, 0.6, roughness));
     }
 #endif
-    shown = albedo * (1.0 - s.metal) * response.b * irradiance / PI + specular_response(s, response) * seen;
+    shown = diffuse(s) * response.b * irradiance / PI + specular_response(s, response) * seen;
     if (dot(emission, vec3(1.0)) > 0.0) shown = emission;
   }
   if (u_mode == 10) {
@@ -260,7 +291,9 @@ void main() {
     float stripe = step(0.5, fract((gl_FragCoord.x + gl_FragCoord.y) / 14.0));
     value = mix(value, vec3(1.0, 0.55, 0.2), 0.18 + 0.14 * stripe);
   }
-  colour = vec4(left_of_split() ? display(photograph(v_position)) : value, 1.0);
+  // the screen's values are about the square roots of light: their sum is what screens blended make
+  if (through < 1.0) through *= 1.0 - clamp(dot(value, vec3(1.0 / 3.0)), 0.0, 1.0);
+  colour = vec4(left_of_split() ? display(photograph(v_position)) : value, through);
 }`;
 
 export const backgroundFragment = common + `
@@ -277,16 +310,30 @@ void main() {
   colour = vec4(left_of_split() ? display(photograph(v_far)) : value, 1.0);
 }`;
 
-export const depthFragment = 'void main() {}';
+// Which surface a sample of a pixel shows: panes are passed by chance.
+export const depthFragment = (panes) => (panes ? common + materials + `
+in vec3 v_position;
+in vec2 v_uv;
+in vec3 v_normal;
+flat in uint v_lamp;
+void main() {
+  Surface s = edited(texture(u_albedo, v_uv), texture(u_roughness, v_uv).rg, vec3(0.0), vec3(0.0), vec3(0.0), ids_at(v_uv).r, 0u);
+  vec3 to_eye = u_eye - v_position;
+  float facing = abs(dot(normalize(v_normal), normalize(to_eye)));
+  // sheets more than a hundredth of their distance apart are told apart
+  uint sheet = uint(64.0 * log2(1.0 + length(to_eye) / u_least_distance));
+  if (s.clear > 0.0 && chance(sheet) < passing(s, facing)) discard;
+}` : 'void main() {}');
 
 // The mean of the samples that were added up, whose number is in the fourth channel, beside the photograph or compared with it.
 export const meanFragment = common + `
 in vec3 v_far;
 uniform sampler2D u_sum;
+uniform float u_fewest;
 out vec4 colour;
 void main() {
   vec4 sum = texelFetch(u_sum, ivec2(gl_FragCoord.xy), 0);
-  if (sum.a == 0.0) discard;
+  if (sum.a < u_fewest) discard;
   vec3 mean = sum.rgb / sum.a;
   vec3 value = u_mode == 10 && u_has_photo ? error_colour(mean, photograph(v_far)) : display(mean);
   colour = vec4(left_of_split() ? display(photograph(v_far)) : value, 1.0);
