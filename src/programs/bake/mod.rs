@@ -2,8 +2,9 @@
 //! surfaces, over all bounces.
 //!
 //! `scene` reads the file, `layout` gives every surface its place, `lightmap` samples, `seams`
-//! joins what the layout cut, `output` writes the file again with its lightmap.
+//! joins what the layout cut, `output` writes the file again with its lightmap, `godot` for that engine.
 
+mod godot;
 mod layout;
 mod lightmap;
 mod looks;
@@ -16,12 +17,13 @@ mod sky;
 #[cfg(test)]
 mod tests;
 
+pub use godot::GodotVersion;
 pub use layout::Layout;
 pub use options::BakeOptions;
 pub use record::{BAKE, BakeRecord};
 
 use crate::core::formats::{
-    GltfFile, MOST_DATA, atomic_write, read_input, read_rgb, write_rgb_float,
+    GltfFile, MOST_DATA, atomic_write, glb_of, read_input, read_rgb, write_rgb_float,
 };
 use crate::core::geometry::Mesh;
 use crate::core::progress::Progress;
@@ -73,14 +75,18 @@ pub fn bake_file(
     let file = GltfFile::open(&bytes, job.scene)?;
     let mut notes = BTreeSet::new();
     let lit = light(job, &file, &mut notes, progress)?;
-    let (glb, shown) = output::lit_glb(&file, job.scene, &lit)?;
+    let document = output::lit_document(&file, job.scene, &lit)?;
     let mut files = vec![SCENE];
     std::fs::create_dir_all(out).map_err(|e| Error::io(out, e))?;
     for (name, map) in MAPS.iter().zip(&lit.baked.maps) {
         write_rgb_float(out.join(name), map)?;
         files.push(name);
     }
-    atomic_write(out.join(SCENE), &glb)?;
+    atomic_write(out.join(SCENE), &glb_of(&document.root, &document.bytes)?)?;
+    if let Some(version) = job.options.godot {
+        godot::write_godot(out, version, &document, &lit.baked.maps[0], &mut notes)?;
+        files.push(godot::FOLDER);
+    }
     let record = BakeRecord {
         unbake: env!("CARGO_PKG_VERSION").into(),
         scene: job.scene.display().to_string(),
@@ -96,7 +102,7 @@ pub fn bake_file(
         mean_irradiance: lit.baked.mean.to_array(),
         step_at_seams: lit.seams[1],
         step_at_seams_before: lit.seams[0],
-        picture: shown,
+        picture: document.shown,
         notes: notes.into_iter().collect(),
     };
     record.write(out)?;

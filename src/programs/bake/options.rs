@@ -1,5 +1,6 @@
 //! What `unbake bake` is told.
 
+use super::godot::GodotVersion;
 use crate::error::{Error, Result};
 use crate::pipeline::parse_seconds;
 use serde::{Deserialize, Serialize};
@@ -44,6 +45,10 @@ pub struct BakeOptions {
     /// mean and three slopes (spherical harmonics up to the first order).
     #[arg(long)]
     pub directional: bool,
+    /// Also write a folder `godot` for a project of that version: the scene with its lightmap as
+    /// Godot's resource.
+    #[arg(long, value_name = "VERSION")]
+    pub godot: Option<GodotVersion>,
 }
 
 /// Largest side of a lightmap: what every graphics card of the last ten years takes.
@@ -64,6 +69,7 @@ impl Default for BakeOptions {
             environment_turn: 0.0,
             environment_scale: 1.0,
             directional: false,
+            godot: None,
         }
     }
 }

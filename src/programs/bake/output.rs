@@ -8,7 +8,7 @@
 use super::layout::Layout;
 use super::lightmap::Baked;
 use super::scene::BakeScene;
-use crate::core::formats::{GltfFile, RawAttribute, encode_rgb8, glb_of, srgb8_from_linear};
+use crate::core::formats::{GltfFile, RawAttribute, encode_rgb8, srgb8_from_linear};
 use crate::core::geometry::Mesh;
 use crate::core::image::RgbPlane;
 use crate::error::{Error, Result};
@@ -50,6 +50,16 @@ pub struct Shown {
     pub clipped: f64,
 }
 
+/// The scene's file with its lightmap.
+pub(super) struct LitDocument {
+    /// The document.
+    pub(super) root: Value,
+    /// Its buffer.
+    pub(super) bytes: Vec<u8>,
+    /// The lightmap in it.
+    pub(super) shown: Shown,
+}
+
 /// The document and the buffer while they grow.
 struct Rewriter<'f> {
     file: &'f GltfFile<'f>,
@@ -61,11 +71,11 @@ struct Rewriter<'f> {
     taken_accessors: BTreeMap<usize, usize>,
 }
 
-/// The bytes of the file with its lightmap.
+/// The file with its lightmap.
 ///
 /// # Errors
 /// Data of the file that is damaged or cannot be taken over.
-pub(super) fn lit_glb(file: &GltfFile<'_>, path: &Path, lit: &Lit) -> Result<(Vec<u8>, Shown)> {
+pub(super) fn lit_document(file: &GltfFile<'_>, path: &Path, lit: &Lit) -> Result<LitDocument> {
     let mut root = file.root().clone();
     if let Some(name) = data_of_extensions(&root) {
         return Err(Error::input(
@@ -102,7 +112,11 @@ pub(super) fn lit_glb(file: &GltfFile<'_>, path: &Path, lit: &Lit) -> Result<(Ve
     root["accessors"] = json!(out.accessors);
     root["bufferViews"] = json!(out.views);
     root["buffers"] = json!([{"byteLength": out.bytes.len()}]);
-    Ok((glb_of(&root, &out.bytes)?, shown))
+    Ok(LitDocument {
+        root,
+        bytes: out.bytes,
+        shown,
+    })
 }
 
 /// An extension with data that nobody here knows of, if there is one.

@@ -672,6 +672,64 @@ fn the_scene_is_written_again_with_its_lightmap() {
 
 /// Base colour is factor × texture × vertex colour; metal has no diffuse part and its own colour as
 /// gloss.
+/// What scripts/check_godot lets Godot 3 draw; here without it, and for Godot 4.
+#[test]
+fn godot_is_told_where_the_light_belongs() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let mut maker = Maker::new();
+    let shape = Shape::quad(Vec3::ZERO, Vec3::Z, Vec3::X);
+    let paint = maker.grey(0.5);
+    let mesh = maker.mesh(&shape, paint);
+    maker.node(json!({"mesh": mesh, "name": "floor/1"}));
+    maker.node(json!({"mesh": mesh, "name": "floor/1", "translation": [3, 0, 0]}));
+    let lamp = json!({"type": "point", "intensity": 2.0});
+    maker.light(lamp, json!({"translation": [0.5, 1, 0.5]}));
+    let path = folder.path().join("floor.glb");
+    std::fs::write(&path, maker.glb()).expect("writes");
+    for (version, kind, user) in [
+        (
+            GodotVersion::Three,
+            "BakedLightmapData",
+            "NodePath(\"../Scene/floor_1 2\"), ExtResource( 1 ), -1",
+        ),
+        (
+            GodotVersion::Four,
+            "LightmapGIData",
+            "NodePath(\"../Scene/floor_1 2\"), Rect2(0, 0, 1, 1), 0, -1",
+        ),
+    ] {
+        let options = BakeOptions {
+            godot: Some(version),
+            ..small(64, 16)
+        };
+        let job = BakeJob {
+            scene: &path,
+            options: &options,
+            seed: 1,
+        };
+        let out = folder.path().join(kind);
+        let (record, files) = bake_file(&job, &out, &Progress::silent()).expect("bakes");
+        assert!(record.notes.is_empty() && files.contains(&"godot"));
+        let own = out.join("godot");
+        let text = |name: &str| std::fs::read_to_string(own.join(name)).expect(name);
+        let data = text("lightmap.tres");
+        assert!(data.contains(kind) && data.contains(user), "{data}");
+        assert!(
+            text("lit.tscn").contains(kind) && text("lightmap.exr.import").contains("importer=")
+        );
+        let [map, shown] = [out.join("lightmap.exr"), own.join("lightmap.exr")]
+            .map(|p| read_rgb(p).expect("reads"));
+        let off = |(e, l): (&Vec3, &Vec3)| (*e / PI - *l).abs().max_element();
+        assert!(map.data.iter().zip(&shown.data).all(|t| off(t) < 1e-6));
+        let bytes = std::fs::read(own.join("scene.glb")).expect("reads");
+        let file = GltfFile::open(&bytes, &path).expect("opens");
+        let root = file.root();
+        assert_eq!(root["nodes"][1]["name"], "floor_1 2");
+        assert!(root["extensions"].is_null() && root["nodes"][2]["extensions"].is_null());
+        assert!(!root["meshes"][1]["primitives"][0]["attributes"]["TEXCOORD_1"].is_null());
+    }
+}
+
 #[test]
 fn materials_are_what_the_file_says() {
     let mut maker = Maker::new();
