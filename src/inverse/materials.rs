@@ -12,6 +12,7 @@
 //! [`passing_weight`] (model averaging, Hoeting et al. 1999), so that the roughness moves steadily
 //! with the input.
 
+use super::BLACK;
 use super::group_fit::GroupFit;
 use super::roughness::{fit, held_out};
 use super::spatial_roughness::{self, Field};
@@ -19,14 +20,12 @@ use super::view_residual::{COMMON_SHARE, Disagreement, diffuse_radiance, points_
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{ROUNDS, SURELY, least_passing, passing_weight};
+use crate::core::stats::{ENOUGH, ROUNDS, SURELY, least_passing, passing_weight};
 use crate::highlight::Evidence;
 use glam::Vec3;
 use std::collections::BTreeMap;
 use std::f32::consts::PI;
 
-/// Points a material needs for a fit of its own.
-pub(super) const FEWEST: usize = 40;
 /// Distance of the two mean colours in standard deviations around them, from which a class counts
 /// as two-coloured. Derived: halves of a normal distribution are 2√(2/π) / √(1 − 2/π) = 2.65 apart.
 const APART: f32 = 3.0;
@@ -260,9 +259,6 @@ impl Materials {
     }
 }
 
-/// Albedo below which colours count as equally dark.
-const DARK: f32 = 0.01;
-
 /// Weight below which an answer does not matter: roughness lies in [0, 1]. Derived: two steps of a half float below 1,
 /// which is what files hold.
 const LEAST_WEIGHT: f64 = 1e-3;
@@ -329,7 +325,7 @@ fn by_room(class: u16, table: &Disagreement, rooms: &[u16]) -> Option<Candidate>
         .for_each(|room| *size.entry(*room).or_default() += 1);
     let names: Vec<u16> = size
         .into_iter()
-        .filter(|(_, n)| *n >= FEWEST)
+        .filter(|(_, n)| *n >= ENOUGH)
         .map(|(room, _)| room)
         .collect();
     let sides: Vec<Disagreement> = names
@@ -355,7 +351,7 @@ struct Explained {
 
 /// Fits each side of a division; `None` unless the sides may differ.
 fn explained(class: u16, sides: &[Disagreement]) -> Option<Explained> {
-    if sides.len() < 2 || sides.iter().any(|s| s.rows.len() < FEWEST) {
+    if sides.len() < 2 || sides.iter().any(|s| s.rows.len() < ENOUGH) {
         return None;
     }
     let apart: f64 = sides.iter().map(held_out).sum();
@@ -385,13 +381,13 @@ fn explained(class: u16, sides: &[Disagreement]) -> Option<Explained> {
 }
 
 fn logarithm(albedo: Vec3) -> Vec3 {
-    albedo.max(Vec3::splat(DARK)).map(f32::ln)
+    albedo.max(Vec3::splat(BLACK)).map(f32::ln)
 }
 
 /// The way from the rarer to the more usual of the two colours that a list is divided into best
 /// (Lloyd 1982), and how surely they are two; `None` if it has one colour.
 fn divide(colours: &[Vec3]) -> Option<(Axis, f64)> {
-    if colours.len() < 2 * FEWEST {
+    if colours.len() < 2 * ENOUGH {
         return None;
     }
     let logs: Vec<Vec3> = colours.iter().copied().map(logarithm).collect();

@@ -8,13 +8,12 @@
 //! irradiance; the one that explains views held out better is the one.
 
 use super::group_fit::GroupFit;
-use super::materials::FEWEST;
 use super::roughness::{COMMON, at_roughness, fit, held_out};
 use super::view_residual::{Disagreement, KNEE, damped_product, points_by_class};
 use crate::core::brdf::{DIELECTRIC, Reflectance};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{Mean, SURELY, median_colour};
+use crate::core::stats::{ENOUGH, Mean, SURELY, median_colour};
 use crate::highlight::Evidence;
 use glam::Vec3;
 use std::f32::consts::FRAC_PI_2;
@@ -46,7 +45,7 @@ pub fn find_metals(evidence: &Evidence, model: Reflectance) -> Vec<Metal> {
 /// The class as metal, if that explains its views better than a dielectric, beyond chance, and is
 /// possible.
 fn metal(evidence: &Evidence, model: Reflectance, class: u16, points: &[usize]) -> Option<Metal> {
-    if points.len() < FEWEST {
+    if points.len() < ENOUGH {
         return None;
     }
     let of = |kind| table(evidence, model, points, kind);

@@ -12,13 +12,13 @@ use super::group_fit::GroupFit;
 use super::roughness::{at_roughness, fit, lowest, parabola_minimum};
 use super::view_residual::Disagreement;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::least_passing;
+use crate::core::stats::{ENOUGH, least_passing};
 use glam::Vec3;
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
-/// Points that decide about a place.
-const AROUND: usize = 100;
+/// Points that decide about a place. Derived: [`ENOUGH`] to either side of a border that runs through it.
+const AROUND: usize = 2 * ENOUGH;
 /// What the class counts for beside them: what explains most is taken.
 const STRENGTHS: [f64; 3] = [1.0, 0.25, 0.0625];
 /// Points of evidence at which a place's roughness is interpolated between.

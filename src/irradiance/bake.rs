@@ -41,7 +41,7 @@ pub fn bake_irradiance(
     Irradiance::joined(progress.share(count, unit, bake_run))
 }
 
-/// Samples per block that processes share. Derived: a quarter of a second at a million a second, beside
+/// Samples per block that processes share: size of work. Derived: a quarter of a second at a million a second, beside
 /// which files of a hundred bytes a receiver are nothing.
 const BLOCK_SAMPLES: usize = 1 << 18;
 

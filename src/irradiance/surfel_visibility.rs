@@ -19,7 +19,7 @@ use std::ops::Range;
 /// convex surface rises less than a quarter above their line: d θ / 8 for normals θ = acos 0.95
 /// apart at a distance of d = 6.
 const HEIGHT: f32 = 0.5;
-/// Rays of a fan: along both axes of the tangent plane and between them.
+/// Rays of a fan. Derived: both ways along both axes of the tangent plane, and between them.
 const SPOKES: usize = 8;
 /// Their length in reaches. Derived: a little more than 1 / cos(π / 8): one of them meets any straight wall
 /// within reach.

@@ -11,7 +11,7 @@ use std::f32::consts::FRAC_1_PI;
 /// Samples that are aimed side by side.
 const BLOCK: usize = 32;
 
-/// How many blocks before their turn the memory is asked for the sources.
+/// How many blocks before their turn the memory is asked for the sources: size of work.
 const AHEAD: usize = 2;
 
 /// Emitter samples of which the sources are chosen, a column per property, in whole blocks.
