@@ -25,8 +25,6 @@ const GLOSSY: f32 = 0.55;
 /// Least slope of gloss. Derived: a prediction of signal s and error e has the slope s² / (s² + e²) (regression
 /// dilution), and s ≥ e.
 const DILUTED: f64 = 0.5;
-/// Brightness over the median beyond which a view counts no more.
-const BRIGHTEST: f32 = 1.5;
 
 /// Slope and standard error per level.
 struct Slopes(Vec<(f64, f64)>);
@@ -134,7 +132,7 @@ fn moments(evidence: &Evidence, model: Reflectance, point: usize) -> Moments {
             .sum();
         f64::from(sum / total)
     };
-    let seen = |j: usize| (bright(j) / scale).min(BRIGHTEST);
+    let seen = |j: usize| bright(j) / scale;
     let seen_mean = mean(&seen) as f32;
     (0..evidence.levels.len())
         .map(|k| {

@@ -29,8 +29,6 @@ const MAX_LEVEL: u8 = 9 + SPARED;
 /// Share of the budget that is kept back: of the samples of doubled texels, fewer may go untraced
 /// than of the others'.
 const KEPT_BACK: f64 = 0.005;
-/// Irradiance, as a share of the mean, below which an error counts less than its relative size.
-const DIM: f32 = 0.5;
 
 /// What a texture's irradiance may cost.
 #[derive(Clone, Debug, PartialEq)]
@@ -294,9 +292,9 @@ fn most_promising(
         .filter(|&i| error(i) > 0.0)
         .flat_map_iter(|i| {
             // between relative error, which albedos inherit, and absolute error, by which
-            // irradiance is judged
+            // irradiance is judged: below the mean an error counts less than its relative size
             let share = light[i] / mean.max(f32::MIN_POSITIVE);
-            let weight = share * share * share / (share * share + DIM * DIM);
+            let weight = share * share * share / (share * share + 1.0);
             let gain = weight * error(i).powi(2) / samples(level[i]) as f32;
             (0..MAX_STEPS.min(MAX_LEVEL - level[i]))
                 .map(move |s| (gain / f32::from(1u16 << (2 * s)), i as u32))

@@ -20,22 +20,18 @@ use crate::core::geometry::{Mesh, SMOOTH};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::sampling::{SlotTable, SobolSequence, hash_u64, square_to_triangle};
+use crate::core::stats::ENOUGH;
 use crate::core::trace::{Hit, Ray, Tracer};
 use crate::ffi::simd::{floor_to_index, prefetch};
 use crate::radiance::LightField;
 use glam::Vec3;
 use std::collections::BTreeMap;
 
-/// At most this many lamps; more are merged with their neighbours in space.
+/// At most this many lamps, and portals; more are merged with their neighbours in space.
 const MAX_LAMPS: usize = 128;
-/// At most this many portals.
-const MAX_PORTALS: usize = 64;
 /// Cells along the longest side of the scene: about one metre in a flat.
 /// Measured: ×½ roughness +0.8 dB, ×2 albedo +0.2 dB (docs/constants.md).
 const CELLS_LONGEST: f32 = 20.0;
-/// Receivers per cell used to find which lamps reach it.
-const PROBES: usize = 32;
-
 /// Distance in cells within which two points of one smooth surface ask the same lamps.
 const ALIKE: f32 = 0.1;
 
@@ -251,7 +247,7 @@ impl Emitters {
         let small = 0.08 * self.hull.diagonal();
         let hull = self.hull.clone();
         let centre = |c: u32| hull.cell_centre(c);
-        for group in split_into_lamps(&centre, small, MAX_PORTALS, cells) {
+        for group in split_into_lamps(&centre, small, MAX_LAMPS, cells) {
             // a floor keeps cells that few probes crossed possible; unseen cells stay with the
             // hemisphere rays
             let item = |c: u32| {
@@ -285,8 +281,8 @@ impl Emitters {
         let probed = cells
             .into_par_iter()
             .map(|(cell, ids)| {
-                let stride = (ids.len() / PROBES).max(1);
-                let probes = ids.iter().step_by(stride).take(PROBES);
+                let stride = (ids.len() / ENOUGH).max(1);
+                let probes = ids.iter().step_by(stride).take(ENOUGH);
                 let probes: Vec<_> = probes.map(|&i| receivers[i]).collect();
                 let key = hash_u64(cell[1] as u64, cell[2] as u64);
                 let sequence = SobolSequence::new(0x1a3b, hash_u64(cell[0] as u64, key));

@@ -2,6 +2,7 @@
 //! irradiance it is expected to send there, by its shape and by what was learned about its
 //! visibility in that part of space.
 
+use crate::core::stats::ROUNDS;
 use crate::ffi::simd::{Kernel, LANES, run_widest};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
@@ -37,15 +38,13 @@ pub(crate) struct Piece {
     pub power: f64,
 }
 
-/// Steps in which the level of [`LightShapes::rebalance`] is found, nearly; each leaves lamps out.
-const LEVEL_STEPS: u32 = 2;
 /// Least factor on a lamp's probability, however well hemisphere rays meet it and however seldom light of it arrives:
 /// what steers samples may err (defensive sampling, after Hesterberg).
 pub(super) const DEFENSIVE: f32 = 0.03;
 
 /// Flat pieces of a lamp seen under a grazing angle still shine as much as this share of its
-/// angular size.
-const SLACK: f32 = 0.3;
+/// angular size. Derived: 1 / √(6π), for pieces that lie normally distributed about the centre.
+const SLACK: f32 = 0.230;
 
 impl LightShapes {
     /// Adds a lamp.
@@ -173,7 +172,7 @@ impl Kernel for Rebalance<'_> {
         } = self;
         let mut level = f32::INFINITY;
         // what lies above the level is left out, which lowers it
-        for _ in 0..LEVEL_STEPS {
+        for _ in 0..ROUNDS {
             let [sum, met] = sums_below(level / rays, weights, dimness);
             let next = (1.0 + rays * met) / sum;
             if next.is_nan() || next >= level {

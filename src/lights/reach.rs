@@ -3,8 +3,8 @@
 use super::light_sampler::DEFENSIVE;
 use std::collections::BTreeMap;
 
-/// What a neighbouring cell's findings count beside a cell's own.
-const NEIGHBOURS: f32 = 0.2;
+/// What a neighbouring cell's findings count beside a cell's own. Derived: all 26 together as much as it.
+const NEIGHBOURS: f32 = 1.0 / 26.0;
 
 /// Per cell of space and lamp: how much of the expected irradiance arrives; in a dense grid around
 /// the cells that hold receivers.
