@@ -72,10 +72,11 @@ def bake(targets, side, samples, seed):
 
 
 def times(targets, side):
-    """Seconds that a bake takes whatever its samples, and per sample (from 4 and 20 samples)."""
-    few, more = (bake(targets, side, samples, 3)[2] for samples in (4, 20))
-    per_sample = (more - few) / 16
-    return few - 4 * per_sample, per_sample
+    """Seconds that a bake takes whatever its samples, and per sample: from 4 and 20 samples at 1024², more where they are quick."""
+    few, more = (samples * max(1, (1024 // side) ** 2) for samples in (4, 20))
+    took_few, took_more = (bake(targets, side, samples, 3)[2] for samples in (few, more))
+    per_sample = (took_more - took_few) / (more - few)
+    return took_few - few * per_sample, per_sample
 
 
 def samples_for(error, errors):
