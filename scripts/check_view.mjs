@@ -156,6 +156,7 @@ await page.click('#theme');
 await page.waitForTimeout(400);
 await shot(page, 'light');
 check('no errors on the desktop page', errors.length === 0, errors.join('\n'));
+await page.context().close(); // it would go on refining, and in software there is one renderer for all pages
 
 // a small window at rest: reflections are traced, sample after sample
 const small = await open({ viewport: { width: 560, height: 320 }, colorScheme: 'dark' });
