@@ -4,11 +4,11 @@
 //! takes for hints, that stand twice or have other characters, so the scene's nodes get names that it keeps. Layout of the files:
 //! Godot's own for text resources, `BakedLightmapData` (3.x) and `LightmapGIData` (4.x).
 
+use super::options::GodotVersion;
 use super::output::LitDocument;
 use crate::core::formats::{atomic_write, glb_of, write_rgb_float};
 use crate::core::image::RgbPlane;
 use crate::error::{Error, Result};
-use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::f32::consts::FRAC_1_PI;
@@ -30,19 +30,6 @@ const HINTS: [&str; 11] = [
     "vehicle",
     "wheel",
 ];
-
-/// A major version of Godot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-pub enum GodotVersion {
-    /// 3.x.
-    #[value(name = "3")]
-    #[serde(rename = "3")]
-    Three,
-    /// 4.x.
-    #[value(name = "4")]
-    #[serde(rename = "4")]
-    Four,
-}
 
 /// Writes the folder into `out`: `scene.glb` without its lights, which are baked, `lightmap.exr` (E/π, which Godot multiplies by
 /// the base colour), how to import it, `lightmap.tres` and `lit.tscn`. Adds to the notes what has no lightmap there.

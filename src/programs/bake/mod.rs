@@ -17,9 +17,8 @@ mod sky;
 #[cfg(test)]
 mod tests;
 
-pub use godot::GodotVersion;
 pub use layout::Layout;
-pub use options::BakeOptions;
+pub use options::{BakeOptions, GodotVersion};
 pub use record::{BAKE, BakeRecord};
 
 use crate::core::formats::{

@@ -1,6 +1,5 @@
 //! What `unbake bake` is told.
 
-use super::godot::GodotVersion;
 use crate::error::{Error, Result};
 use crate::pipeline::parse_seconds;
 use serde::{Deserialize, Serialize};
@@ -49,6 +48,19 @@ pub struct BakeOptions {
     /// Godot's resource.
     #[arg(long, value_name = "VERSION")]
     pub godot: Option<GodotVersion>,
+}
+
+/// A major version of Godot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+pub enum GodotVersion {
+    /// 3.x.
+    #[value(name = "3")]
+    #[serde(rename = "3")]
+    Three,
+    /// 4.x.
+    #[value(name = "4")]
+    #[serde(rename = "4")]
+    Four,
 }
 
 /// Largest side of a lightmap: what every graphics card of the last ten years takes.
