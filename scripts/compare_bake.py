@@ -87,7 +87,7 @@ def setup(glb, environment):
     cycles.bakes_diffuse(indirect=True)
     settings = bpy.context.scene.cycles
     settings.sample_clamp_indirect = 0
-    # Blender stops diffuse light after four bounces, which leaves a quarter of a white room's out
+    # Blender stops diffuse light after four bounces
     settings.max_bounces = settings.diffuse_bounces = settings.glossy_bounces = BOUNCES
     return targets
 

@@ -5,7 +5,7 @@ use super::Solution;
 use crate::core::formats::{
     Rgb8, Transfer, encode_grey16, encode_ktx2, encode_rgb8, encode_webp8, srgb8_from_linear,
 };
-use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::image::{Plane, RgbPlane};
 use crate::error::Result;
 use glam::Vec2;
 use std::ops::{Add, Mul};
@@ -207,7 +207,7 @@ fn occlusion_roughness_metallic(solution: &Solution, packing: TexturePacking) ->
         roughness.width.max(metallic.width),
         roughness.height.max(metallic.height),
     );
-    let [roughness, metallic] = [roughness, metallic].map(|p| resampled(p, width, height));
+    let [roughness, metallic] = [roughness, metallic].map(|p| p.resampled(width, height));
     let both = Plane {
         width,
         height,
@@ -263,26 +263,7 @@ where
     if size == [plane.width, plane.height] {
         return plane.clone();
     }
-    resampled(plane, size[0], size[1])
-}
-
-/// The plane at another size, between its texels.
-fn resampled<T>(plane: &Plane<T>, width: usize, height: usize) -> Plane<T>
-where
-    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
-{
-    let scale = Vec2::new(
-        plane.width as f32 / width as f32,
-        plane.height as f32 / height as f32,
-    );
-    let centre = |i: usize| Vec2::new((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
-    Plane {
-        width,
-        height,
-        data: (0..width * height)
-            .map(|i| plane.bilinear(centre(i) * scale, Wrap::Clamp))
-            .collect(),
-    }
+    plane.resampled(size[0], size[1])
 }
 
 /// The plane and its halves, down to a single texel.

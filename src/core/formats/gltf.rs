@@ -215,25 +215,12 @@ impl Reader<'_> {
     /// their meshes ask for is counted.
     pub(super) fn placed(&self) -> Reading<Vec<Placed>> {
         let d = &self.document;
-        let roots: Vec<usize> = match d.scenes.get(d.scene.unwrap_or(0)) {
-            Some(scene) => scene.nodes.clone(),
-            // no scene: the nodes nobody lists as a child
-            None => {
-                let children: std::collections::BTreeSet<usize> = d
-                    .nodes
-                    .iter()
-                    .flat_map(|n| n.children.iter().copied())
-                    .collect();
-                (0..d.nodes.len())
-                    .filter(|i| !children.contains(i))
-                    .collect()
-            }
-        };
         let (mut found, mut visited) = (Vec::new(), 0usize);
-        let mut stack: Vec<(usize, DMat4, usize)> = roots
-            .iter()
+        let mut stack: Vec<(usize, DMat4, usize)> = d
+            .top_nodes()
+            .into_iter()
             .rev()
-            .map(|&n| (n, DMat4::IDENTITY, 0))
+            .map(|n| (n, DMat4::IDENTITY, 0))
             .collect();
         while let Some((index, parent, depth)) = stack.pop() {
             visited += 1;

@@ -6,7 +6,7 @@ use super::gltf_material::MaterialJson;
 use super::gltf_texture::Sampler;
 use glam::{DMat4, DQuat, DVec3};
 use serde::Deserialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
@@ -35,6 +35,20 @@ pub(super) struct Document {
     pub(super) images: Vec<Image>,
     #[serde(default)]
     pub(super) extensions_required: Vec<String>,
+}
+
+impl Document {
+    /// The nodes at the top of the default scene; without scenes those that nobody lists as a child.
+    pub(super) fn top_nodes(&self) -> Vec<usize> {
+        if let Some(scene) = self.scenes.get(self.scene.unwrap_or(0)) {
+            return scene.nodes.clone();
+        }
+        let children = self.nodes.iter().flat_map(|n| n.children.iter().copied());
+        let children: BTreeSet<usize> = children.collect();
+        (0..self.nodes.len())
+            .filter(|i| !children.contains(i))
+            .collect()
+    }
 }
 
 #[derive(Deserialize)]
@@ -189,5 +203,26 @@ impl Node {
             rotation,
             self.translation.map_or(DVec3::ZERO, DVec3::from_array),
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_scenes_the_top_is_what_nobody_lists() {
+        let top = |text: &str| {
+            let document: Document = serde_json::from_str(text).expect("reads");
+            document.top_nodes()
+        };
+        let nodes = r#""nodes":[{"children":[1]},{"mesh":0},{}]"#;
+        assert_eq!(top(&format!("{{{nodes}}}")), [0, 2]);
+        assert_eq!(
+            top(&format!(
+                r#"{{"scenes":[{{"nodes":[2]}},{{"nodes":[0]}}],"scene":1,{nodes}}}"#
+            )),
+            [0]
+        );
     }
 }

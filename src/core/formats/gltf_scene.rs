@@ -193,6 +193,12 @@ impl GltfFile<'_> {
         &self.root
     }
 
+    /// The nodes at the top of the default scene; of a file without scenes those that nobody lists as a child.
+    #[must_use]
+    pub fn top_nodes(&self) -> Vec<usize> {
+        self.reader.document.top_nodes()
+    }
+
     /// The bytes of a buffer view, unpacked if they are packed.
     ///
     /// # Errors

@@ -115,6 +115,23 @@ where
         v(0) + v(1) + v(2) + v(3)
     }
 
+    /// The plane at another size, between its texels.
+    #[must_use]
+    pub fn resampled(&self, width: usize, height: usize) -> Self {
+        let scale = Vec2::new(
+            self.width as f32 / width as f32,
+            self.height as f32 / height as f32,
+        );
+        let centre = |i: usize| Vec2::new((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
+        Self {
+            width,
+            height,
+            data: (0..width * height)
+                .map(|i| self.bilinear(centre(i) * scale, Wrap::Clamp))
+                .collect(),
+        }
+    }
+
     /// Box-filtered image of half the size (odd sizes drop the last row or column; a side of 1
     /// stays 1).
     #[must_use]

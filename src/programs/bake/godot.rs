@@ -4,6 +4,7 @@
 //! takes for hints, that stand twice or have other characters, so the scene's nodes get names that it keeps. Layout of the files:
 //! Godot's own for text resources, `BakedLightmapData` (3.x) and `LightmapGIData` (4.x).
 
+use super::document::{forget_extensions, list, remove_extensions};
 use super::options::GodotVersion;
 use super::output::LitDocument;
 use crate::core::formats::{atomic_write, glb_of, write_rgb_float};
@@ -49,7 +50,7 @@ pub(super) fn write_godot(
     name_nodes(&mut root);
     without_lights(&mut root);
     lightmap_second(&mut root, document.shown.tex_coord);
-    let users = Users::of(&root);
+    let users = Users::of(&root, &document.top_nodes);
     if users.skinned > 0 {
         notes.insert(format!(
             "{FOLDER}: {} skinned meshes have no lightmap there: Godot puts them below skeletons",
@@ -59,66 +60,60 @@ pub(super) fn write_godot(
     atomic_write(folder.join("scene.glb"), &glb_of(&root, &document.bytes)?)?;
     let shown = irradiance.map(|e| *e * FRAC_1_PI);
     write_rgb_float(folder.join("lightmap.exr"), &shown)?;
-    let texts = match version {
-        GodotVersion::Three => three(&users.paths),
-        GodotVersion::Four => four(&users.paths),
-    };
-    let [import, data, scene] = texts;
+    let texts = Texts::of(version, &users.paths);
     for (name, text) in [
-        ("lightmap.exr.import", import),
-        ("lightmap.tres", data),
-        ("lit.tscn", scene),
+        ("lightmap.exr.import", texts.import),
+        ("lightmap.tres", &*texts.lightmap),
+        ("lit.tscn", texts.scene),
     ] {
         atomic_write(folder.join(name), text.as_bytes())?;
     }
     Ok(())
 }
 
-/// How to import the picture, the lightmap's resource, and the scene, for Godot 3.
-fn three(paths: &[String]) -> [String; 3] {
-    let users = joined(paths, |path| {
-        format!("NodePath(\"{path}\"), ExtResource( 1 ), -1")
-    });
-    [
-        "[remap]\n\nimporter=\"texture\"\ntype=\"StreamTexture\"\n\n[params]\n\ncompress/mode=3\nflags/repeat=0\nflags/filter=true\n\
-         flags/mipmaps=false\nflags/srgb=0\nstream=false\nsize_limit=0\ndetect_3d=false\n"
-            .to_owned(),
-        format!(
-            "[gd_resource type=\"BakedLightmapData\" load_steps=2 format=2]\n\n\
-             [ext_resource path=\"lightmap.exr\" type=\"Texture\" id=1]\n\n[resource]\nuser_data = [ {users} ]\n"
-        ),
-        "[gd_scene load_steps=3 format=2]\n\n[ext_resource path=\"scene.glb\" type=\"PackedScene\" id=1]\n\
-         [ext_resource path=\"lightmap.tres\" type=\"BakedLightmapData\" id=2]\n\n[node name=\"Lit\" type=\"Spatial\"]\n\n\
-         [node name=\"Scene\" parent=\".\" instance=ExtResource( 1 )]\n\n[node name=\"Lightmap\" type=\"BakedLightmap\" parent=\".\"]\n\
-         light_data = ExtResource( 2 )\n"
-            .to_owned(),
-    ]
+/// What Godot reads as text.
+struct Texts {
+    /// How to import the picture.
+    import: &'static str,
+    /// The lightmap's resource.
+    lightmap: String,
+    /// The scene.
+    scene: &'static str,
 }
 
-/// The same for Godot 4.
-fn four(paths: &[String]) -> [String; 3] {
-    let users = joined(paths, |path| {
-        format!("NodePath(\"{path}\"), Rect2(0, 0, 1, 1), 0, -1")
-    });
-    [
-        "[remap]\n\nimporter=\"2d_array_texture\"\ntype=\"CompressedTexture2DArray\"\n\n[params]\n\ncompress/mode=3\n\
-         compress/channel_pack=1\nmipmaps/generate=false\nslices/horizontal=1\nslices/vertical=1\n"
-            .to_owned(),
-        format!(
-            "[gd_resource type=\"LightmapGIData\" load_steps=2 format=3]\n\n\
-             [ext_resource type=\"CompressedTexture2DArray\" path=\"lightmap.exr\" id=\"1\"]\n\n[resource]\n\
-             lightmap_textures = Array[TextureLayered]([ExtResource(\"1\")])\nuses_spherical_harmonics = false\nuser_data = [{users}]\n"
-        ),
-        "[gd_scene load_steps=3 format=3]\n\n[ext_resource type=\"PackedScene\" path=\"scene.glb\" id=\"1\"]\n\
-         [ext_resource type=\"LightmapGIData\" path=\"lightmap.tres\" id=\"2\"]\n\n[node name=\"Lit\" type=\"Node3D\"]\n\n\
-         [node name=\"Scene\" parent=\".\" instance=ExtResource(\"1\")]\n\n[node name=\"Lightmap\" type=\"LightmapGI\" parent=\".\"]\n\
-         light_data = ExtResource(\"2\")\n"
-            .to_owned(),
-    ]
-}
-
-fn joined(paths: &[String], user: impl Fn(&String) -> String) -> String {
-    paths.iter().map(user).collect::<Vec<_>>().join(", ")
+impl Texts {
+    fn of(version: GodotVersion, paths: &[String]) -> Self {
+        let users = |one: &dyn Fn(&String) -> String| {
+            let all: Vec<String> = paths.iter().map(one).collect();
+            all.join(", ")
+        };
+        match version {
+            GodotVersion::Three => {
+                let users = users(&|path| format!("NodePath(\"{path}\"), ExtResource( 1 ), -1"));
+                Self {
+                    import: include_str!("godot/3/lightmap.exr.import"),
+                    lightmap: format!(
+                        "[gd_resource type=\"BakedLightmapData\" load_steps=2 format=2]\n\n\
+                         [ext_resource path=\"lightmap.exr\" type=\"Texture\" id=1]\n\n[resource]\nuser_data = [ {users} ]\n"
+                    ),
+                    scene: include_str!("godot/3/lit.tscn"),
+                }
+            }
+            GodotVersion::Four => {
+                let users =
+                    users(&|path| format!("NodePath(\"{path}\"), Rect2(0, 0, 1, 1), 0, -1"));
+                Self {
+                    import: include_str!("godot/4/lightmap.exr.import"),
+                    lightmap: format!(
+                        "[gd_resource type=\"LightmapGIData\" load_steps=2 format=3]\n\n\
+                         [ext_resource type=\"CompressedTexture2DArray\" path=\"lightmap.exr\" id=\"1\"]\n\n[resource]\n\
+                         lightmap_textures = Array[TextureLayered]([ExtResource(\"1\")])\nuses_spherical_harmonics = false\nuser_data = [{users}]\n"
+                    ),
+                    scene: include_str!("godot/4/lit.tscn"),
+                }
+            }
+        }
+    }
 }
 
 /// Nodes with a lightmap, as seen from the node of the lightmap.
@@ -130,13 +125,10 @@ struct Users {
 }
 
 impl Users {
-    fn of(root: &Value) -> Self {
+    fn of(root: &Value, top_nodes: &[usize]) -> Self {
         let mut out = Self::default();
-        let mut open: Vec<(usize, String)> = top_nodes(root)
-            .into_iter()
-            .rev()
-            .map(|n| (n, "../Scene".to_owned()))
-            .collect();
+        let top = top_nodes.iter().rev();
+        let mut open: Vec<(usize, String)> = top.map(|&n| (n, "../Scene".to_owned())).collect();
         // a node that is its own descendant would never end
         let mut seen = BTreeSet::new();
         while let Some((number, parent)) = open.pop() {
@@ -163,22 +155,11 @@ fn numbers(list: &Value) -> impl DoubleEndedIterator<Item = usize> + '_ {
         .filter_map(|n| n.as_u64().map(|n| n as usize))
 }
 
-/// The nodes at the top of the scene that is shown; of a file without scenes, those that are nobody's children.
-fn top_nodes(root: &Value) -> Vec<usize> {
-    let scene = root["scene"].as_u64().unwrap_or(0) as usize;
-    if root["scenes"][scene].is_object() {
-        return numbers(&root["scenes"][scene]["nodes"]).collect();
-    }
-    let nodes = root["nodes"].as_array().map_or(&[][..], Vec::as_slice);
-    let children: BTreeSet<usize> = nodes.iter().flat_map(|n| numbers(&n["children"])).collect();
-    (0..nodes.len()).filter(|n| !children.contains(n)).collect()
-}
-
 /// Gives all nodes names that Godot keeps: of letters, digits, spaces, `-` and `_`, no hints, each once.
 fn name_nodes(root: &mut Value) {
     // what the importer calls the top itself
     let mut taken = BTreeSet::from(["scene".to_owned(), "lit".to_owned()]);
-    for node in root["nodes"].as_array_mut().into_iter().flatten() {
+    for node in list(root, "nodes") {
         let wanted = kept_name(node["name"].as_str().unwrap_or_default());
         let name = (1..)
             .map(|n| match n {
@@ -210,32 +191,10 @@ fn kept_name(name: &str) -> String {
 
 /// Takes the lights out.
 fn without_lights(root: &mut Value) {
-    const LIGHTS: &str = "KHR_lights_punctual";
-    let drop = |value: &mut Value| {
-        let Some(extensions) = value["extensions"].as_object_mut() else {
-            return;
-        };
-        extensions.remove(LIGHTS);
-        if extensions.is_empty() {
-            value.as_object_mut().map(|o| o.remove("extensions"));
-        }
-    };
-    if root.get("extensions").is_some() {
-        drop(root);
-    }
-    let nodes = root["nodes"].as_array_mut().into_iter().flatten();
-    nodes
-        .filter(|n| n.get("extensions").is_some())
-        .for_each(drop);
-    for key in ["extensionsUsed", "extensionsRequired"] {
-        let Some(list) = root.get_mut(key).and_then(Value::as_array_mut) else {
-            continue;
-        };
-        list.retain(|name| name != LIGHTS);
-        if list.is_empty() {
-            root.as_object_mut().map(|o| o.remove(key));
-        }
-    }
+    const LIGHTS: [&str; 1] = ["KHR_lights_punctual"];
+    remove_extensions(root, &LIGHTS);
+    list(root, "nodes").for_each(|node| remove_extensions(node, &LIGHTS));
+    forget_extensions(root, &LIGHTS);
 }
 
 /// Exchanges the lightmap's set of coordinates with the second, the only one that Godot has beside the first.
@@ -244,8 +203,8 @@ fn lightmap_second(root: &mut Value, set: u32) {
         return;
     }
     let [second, own] = ["TEXCOORD_1".to_owned(), format!("TEXCOORD_{set}")];
-    for mesh in root["meshes"].as_array_mut().into_iter().flatten() {
-        for primitive in mesh["primitives"].as_array_mut().into_iter().flatten() {
+    for mesh in list(root, "meshes") {
+        for primitive in list(mesh, "primitives") {
             if let Some(attributes) = primitive["attributes"].as_object_mut() {
                 let before = [attributes.remove(&second), attributes.remove(&own)];
                 let [second_before, own_before] = before;
@@ -298,7 +257,7 @@ mod tests {
                 {"name": "elsewhere", "mesh": 4},
             ],
         });
-        let users = Users::of(&root);
+        let users = Users::of(&root, &[0, 4]);
         assert_eq!(
             users.paths,
             [
@@ -308,8 +267,6 @@ mod tests {
             ]
         );
         assert_eq!(users.skinned, 1);
-        let root = json!({"nodes": [{"name": "a", "children": [1]}, {"name": "b", "mesh": 0}]});
-        assert_eq!(Users::of(&root).paths, ["../Scene/a/b"]);
     }
 
     #[test]

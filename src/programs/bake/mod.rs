@@ -4,6 +4,7 @@
 //! `scene` reads the file, `layout` gives every surface its place, `lightmap` samples, `seams`
 //! joins what the layout cut, `output` writes the file again with its lightmap, `godot` for that engine.
 
+mod document;
 mod godot;
 mod layout;
 mod lightmap;

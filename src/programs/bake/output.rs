@@ -5,6 +5,7 @@
 //! meshes are written anew, one per node, for every copy has its own place on the lightmap. All
 //! data lie in the one buffer of a `.glb`, unpacked.
 
+use super::document::{array, forget_extensions, list, push, remove, remove_extensions};
 use super::layout::Layout;
 use super::lightmap::Baked;
 use super::scene::BakeScene;
@@ -56,6 +57,8 @@ pub(super) struct LitDocument {
     pub(super) root: Value,
     /// Its buffer.
     pub(super) bytes: Vec<u8>,
+    /// The nodes at the top of its scene.
+    pub(super) top_nodes: Vec<usize>,
     /// The lightmap in it.
     pub(super) shown: Shown,
 }
@@ -98,15 +101,7 @@ pub(super) fn lit_document(file: &GltfFile<'_>, path: &Path, lit: &Lit) -> Resul
     let (picture, mut shown) = picture(&lit.baked.maps[0], &lit.scene.mesh)?;
     shown.tex_coord = set;
     out.add_lightmap(&mut root, &picture, &materials, &shown);
-    let packed = |v: &Value| v.as_str().is_some_and(|n| PACKINGS.contains(&n));
-    for key in ["extensionsUsed", "extensionsRequired"] {
-        if let Some(list) = root[key].as_array_mut() {
-            list.retain(|v| !packed(v));
-        }
-        if root[key].as_array().is_none_or(Vec::is_empty) {
-            remove(&mut root, key);
-        }
-    }
+    forget_extensions(&mut root, &PACKINGS);
     push(&mut root, "extensionsUsed", json!(LIGHTMAP));
     root["asset"]["generator"] = json!(concat!("unbake ", env!("CARGO_PKG_VERSION")));
     root["accessors"] = json!(out.accessors);
@@ -115,6 +110,7 @@ pub(super) fn lit_document(file: &GltfFile<'_>, path: &Path, lit: &Lit) -> Resul
     Ok(LitDocument {
         root,
         bytes: out.bytes,
+        top_nodes: file.top_nodes(),
         shown,
     })
 }
@@ -197,15 +193,7 @@ impl Rewriter<'_> {
             for key in ["mode", "targets"] {
                 remove(&mut primitive, key);
             }
-            if let Some(extensions) = primitive["extensions"].as_object_mut() {
-                extensions.retain(|name, _| !PACKINGS.contains(&name.as_str()));
-            }
-            if primitive["extensions"]
-                .as_object()
-                .is_none_or(|e| e.is_empty())
-            {
-                remove(&mut primitive, "extensions");
-            }
+            remove_extensions(&mut primitive, &PACKINGS);
             let material = piece.material.filter(|m| *m < default).unwrap_or(default);
             materials.insert(material);
             primitive["material"] = json!(material);
@@ -433,33 +421,6 @@ impl Rewriter<'_> {
             });
         }
     }
-}
-
-/// A list of an object, if it has it: indexing would put one there.
-fn array<'v>(value: &'v mut Value, key: &str) -> Option<&'v mut Vec<Value>> {
-    value.get_mut(key).and_then(Value::as_array_mut)
-}
-
-/// The elements of a list of an object.
-fn list<'v>(value: &'v mut Value, key: &str) -> impl Iterator<Item = &'v mut Value> {
-    array(value, key).into_iter().flatten()
-}
-
-fn remove(value: &mut Value, key: &str) {
-    if let Some(object) = value.as_object_mut() {
-        object.remove(key);
-    }
-}
-
-/// Adds to a list of an object, which is made if need be; returns the new element's number.
-fn push(value: &mut Value, key: &str, element: Value) -> usize {
-    if !value[key].is_array() {
-        value[key] = json!([]);
-    }
-    value[key].as_array_mut().map_or(0, |list| {
-        list.push(element);
-        list.len() - 1
-    })
 }
 
 /// The lightmap as an sRGB picture: a share of what all but few texels stay below.

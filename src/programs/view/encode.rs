@@ -5,7 +5,7 @@
 //! 16 bytes (`UBTX`, width, height as u32, format, levels, two zeros; little-endian) followed by
 //! the levels from the finest to the coarsest, rows without padding.
 
-use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::srgb_from_linear;
 use flate2::Compression;
 use flate2::write::GzEncoder;
@@ -151,18 +151,12 @@ pub fn roughness(plane: &Plane<f32>, transmission: Option<&Plane<f32>>, cap: usi
     let Some(transmission) = transmission else {
         return block(&capped(plane, cap), Format::R8, LEVELS, |r| [byte(*r)]);
     };
-    let scale = Vec2::new(
-        transmission.width as f32 / plane.width as f32,
-        transmission.height as f32 / plane.height as f32,
-    );
-    let both = |(i, r): (usize, &f32)| {
-        let centre = Vec2::new((i % plane.width) as f32, (i / plane.width) as f32) + 0.5;
-        Vec2::new(*r, transmission.bilinear(centre * scale, Wrap::Clamp))
-    };
+    let transmission = transmission.resampled(plane.width, plane.height);
+    let texels = plane.data.iter().zip(&transmission.data);
     let both = Plane {
         width: plane.width,
         height: plane.height,
-        data: plane.data.iter().enumerate().map(both).collect(),
+        data: texels.map(|(r, t)| Vec2::new(*r, *t)).collect(),
     };
     block(&capped(&both, cap), Format::Rg8, LEVELS, |v| {
         [byte(v.x), byte(v.y)]

@@ -72,7 +72,7 @@ export class Renderer {
     if (!made) return false;
     this.textures.set('rays', made.texture);
     this.rayNodes = made.nodes;
-    this.traced = g.program(gl, surfaceVertex, surfaceFragment({ traced: true, panes: scene.panes }));
+    this.traced = g.program(gl, surfaceVertex, surfaceFragment({ traced: true }));
     this.depth = g.program(gl, surfaceVertex, depthFragment(scene.panes));
     this.mean = g.program(gl, backgroundVertex, meanFragment);
     return true;
@@ -156,6 +156,8 @@ export class Renderer {
     gl.uniform1i(u.u_soft, view.soft ? 1 : 0);
     gl.uniform1i(u.u_sample, sample);
     gl.uniform3fv(u.u_eye, camera.position);
+    // by which rays start beside a surface
+    gl.uniform1f(u.u_least_distance, camera.size * 2e-5);
     gl.uniform1i(u.u_has_photo, photo ? 1 : 0);
     gl.uniform1f(u.u_split, view.split * canvas.width);
     gl.uniform3fv(u.u_outside, view.outside);
@@ -188,7 +190,6 @@ export class Renderer {
     gl.uniform1i(u.u_probes_relit, this.relit ? 1 : 0);
     gl.uniform1f(u.u_probe_levels, this.scene.probes.levels);
     gl.uniform1i(u.u_ray_nodes, this.rayNodes);
-    gl.uniform1f(u.u_least_distance, this.leastDistance(camera));
     // many samples of a pixel need no texture blurred for it
     gl.uniform1f(u.u_bias, sample < 0 ? 0 : -2);
     gl.uniform1i(u.u_sheets, sheets ? 1 : 0);
@@ -196,11 +197,6 @@ export class Renderer {
     view.lamps.forEach((gain, i) => gains.set(gain, 3 * (i + 1)));
     gl.uniform3fv(u.u_lamp_gain, gains);
     this.drawMesh();
-  }
-
-  // By which rays start beside a surface.
-  leastDistance(camera) {
-    return camera.size * 2e-5;
   }
 
   drawMesh() {
@@ -253,7 +249,6 @@ export class Renderer {
     gl.drawBuffers([gl.NONE]);
     const depth = this.common(this.depth, camera, view, sample);
     gl.uniformMatrix4fv(depth.u_clip_from_world, false, camera.clipFromWorld());
-    gl.uniform1f(depth.u_least_distance, this.leastDistance(camera));
     this.drawMesh();
     gl.drawBuffers([gl.COLOR_ATTACHMENT0]);
     gl.depthFunc(gl.EQUAL);

@@ -125,7 +125,7 @@ float unit(uint x) { return float(x >> 8u) / 16777216.0; }
 // A number in [0, 1) for this sample of this pixel and a sheet on its way: an additive recurrence over the samples, shifted by pixel and sheet.
 float chance(uint sheet) { return fract(unit(scrambled(pixel_key() + scrambled(sheet))) + float(u_sample) * 0.6180339887); }`;
 
-// With `traced`, reflections are traced for the samples that are added up. With `panes`, what is drawn to the screen needs two passes.
+// With `traced`, reflections are traced for the samples that are added up. With `panes`, for the screen, it takes two passes.
 export const surfaceFragment = ({ traced, panes }) => (traced ? '#define TRACED\n' : '') + (panes ? '#define PANES\n' : '') + common + materials + (traced ? tracing : '') + `
 in vec3 v_position;
 in vec2 v_uv;
@@ -240,7 +240,7 @@ void main() {
   // factor on what lies behind, as the screen shows it
   float through = 1.0;
   bool lit = u_mode == 0 || u_mode == 10;
-#if defined(PANES) && !defined(TRACED)
+#ifdef PANES
   if (u_sheets != (lit && s.clear > 0.0) || u_sheets && (u_mode == 10 || left_of_split())) discard;
   if (u_sheets) through = pow(passing(s, facing), 1.0 / 2.2);
 #endif
