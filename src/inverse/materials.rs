@@ -20,15 +20,19 @@ use super::view_residual::{COMMON_SHARE, Disagreement, diffuse_radiance, points_
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{ENOUGH, ROUNDS, SURELY, least_passing, passing_weight};
+use crate::core::stats::{ENOUGH, ROUNDS, SURELY, least_passing, median, passing_weight};
 use crate::highlight::Evidence;
 use glam::Vec3;
 use std::collections::BTreeMap;
 use std::f32::consts::PI;
 
-/// Distance of the two mean colours in standard deviations around them, from which a class counts
-/// as two-coloured. Derived: halves of a normal distribution are 2√(2/π) / √(1 − 2/π) = 2.65 apart.
-const APART: f32 = 3.0;
+/// Distance of the two mean colours in median deviations from them, from which a class counts as
+/// two-coloured. Derived: halves of a normal distribution, whose means are 2√(2/π) = 1.596 and whose
+/// median deviation is 0.436 standard deviations, are 3.66 apart; an eighth more.
+const APART: f32 = 4.1;
+/// Median deviation below which colours are one: albedo is not known better. Derived: two thirds of a
+/// standard deviation of 0.02.
+const LEAST_SPREAD: f32 = 0.0135;
 /// Share of the held-out views' disagreement that a division must explain: tiles and grout explain
 /// 9 %, surfaces of one roughness whose colour merely follows their place up to 4 %.
 pub const SPLIT_GAIN: f64 = COMMON_SHARE;
@@ -380,43 +384,43 @@ fn explained(class: u16, sides: &[Disagreement]) -> Option<Explained> {
     })
 }
 
-fn logarithm(albedo: Vec3) -> Vec3 {
-    albedo.max(Vec3::splat(BLACK)).map(f32::ln)
-}
-
 /// The way from the rarer to the more usual of the two colours that a list is divided into best
 /// (Lloyd 1982), and how surely they are two; `None` if it has one colour.
 fn divide(colours: &[Vec3]) -> Option<(Axis, f64)> {
+    // what lost a channel to a highlight has no colour
+    let whole = |c: &Vec3| c.min_element() > BLACK;
+    let colours: Vec<Vec3> = colours.iter().copied().filter(whole).collect();
     if colours.len() < 2 * ENOUGH {
         return None;
     }
-    let logs: Vec<Vec3> = colours.iter().copied().map(logarithm).collect();
+    let logs: Vec<Vec3> = colours.iter().map(|c| c.map(f32::ln)).collect();
     let mut order: Vec<f32> = logs.iter().map(|l| luminance(*l)).collect();
     order.sort_by(f32::total_cmp);
     // from near the ends, where a rare material is
     let tail = order.len() / 20;
     let mut centres = [order[tail], order[order.len() - 1 - tail]].map(Vec3::splat);
-    let (mut spread, mut side) = (0.0, vec![0usize; logs.len()]);
+    let mut side = vec![0usize; logs.len()];
     for _ in 0..ROUNDS {
-        let (mut sums, mut counts, mut square) = ([Vec3::ZERO; 2], [0.0f32; 2], 0.0);
+        let (mut sums, mut counts) = ([Vec3::ZERO; 2], [0.0f32; 2]);
         for (l, side) in logs.iter().zip(&mut side) {
             let d = centres.map(|c| (*l - c).length_squared());
             let k = usize::from(d[1] < d[0]);
             *side = k;
             sums[k] += *l;
             counts[k] += 1.0;
-            square += d[k];
         }
         if counts.contains(&0.0) {
             return None;
         }
-        spread = (square / (3.0 * logs.len() as f32)).sqrt();
         centres = [0, 1].map(|k| sums[k] / counts[k]);
     }
-    // (three channels: the distance between grey colours is √3 times that of one)
     let way = centres[1] - centres[0];
-    let mark = f64::from(APART * spread.max(0.02));
-    let apart = f64::from(way.length() / 3f32.sqrt());
+    // (the median: what a highlight took most of is far off)
+    let off = logs.iter().zip(&side).map(|(l, k)| l.distance(centres[*k]));
+    // (three channels: the distance between grey colours is √3 times that of one)
+    let [spread, apart] = [median(off.collect())?, way.length()].map(|d| d / 3f32.sqrt());
+    let mark = f64::from(APART * spread.max(LEAST_SPREAD));
+    let apart = f64::from(apart);
     if apart <= least_passing(mark) {
         return None;
     }
@@ -476,6 +480,11 @@ mod tests {
         );
         let middle = axis.place(0.5 * (tile + grout));
         assert!((middle - 0.5).abs() < 0.1, "{middle}");
+        // a few whose colour a highlight took away change nothing
+        both.extend([Vec3::ZERO; 12]);
+        let (axis, surely) = divide(&both).expect("two colours and black");
+        assert!(surely > 0.99 && axis.place(tile) > 0.95, "{surely}");
+        assert!(axis.place(grout) < 0.15, "{}", axis.place(grout));
         let one = divide(&scattered(&mut rng, tile, 0.25, 1000));
         assert!(
             one.is_none_or(|(_, surely)| surely < 0.05),
