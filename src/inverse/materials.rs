@@ -30,9 +30,6 @@ use std::f32::consts::PI;
 /// two-coloured. Derived: halves of a normal distribution, whose means are 2√(2/π) = 1.596 and whose
 /// median deviation is 0.436 standard deviations, are 3.66 apart; an eighth more.
 const APART: f32 = 4.1;
-/// Median deviation below which colours are one: albedo is not known better. Derived: two thirds of a
-/// standard deviation of 0.02.
-const LEAST_SPREAD: f32 = 0.0135;
 /// Share of the held-out views' disagreement that a division must explain: tiles and grout explain
 /// 9 %, surfaces of one roughness whose colour merely follows their place up to 4 %.
 pub const SPLIT_GAIN: f64 = COMMON_SHARE;
@@ -419,7 +416,8 @@ fn divide(colours: &[Vec3]) -> Option<(Axis, f64)> {
     let off = logs.iter().zip(&side).map(|(l, k)| l.distance(centres[*k]));
     // (three channels: the distance between grey colours is √3 times that of one)
     let [spread, apart] = [median(off.collect())?, way.length()].map(|d| d / 3f32.sqrt());
-    let mark = f64::from(APART * spread.max(LEAST_SPREAD));
+    // (albedo is not known better than to 0.02, of which the median deviation is two thirds)
+    let mark = f64::from(APART * spread.max(0.0135));
     let apart = f64::from(apart);
     if apart <= least_passing(mark) {
         return None;
