@@ -1,8 +1,8 @@
 //! Observations of a surface point: in which views it is seen, with what radiance, and how well.
 //!
-//! A view sees a point if the pixel nearest to its projection first hits the point's own surface;
-//! the radiance is interpolated bilinearly over those of the pixels around that do. No ray is needed
-//! beyond the view's own first hits.
+//! A view sees a point if the pixels around its projection first hit the point's own surface; their
+//! radiance is interpolated bilinearly over those pixels only. No ray is needed beyond the view's
+//! own first hits.
 
 use super::ViewBuffer;
 use super::view_buffer::SAME_SURFACE_COSINE;
@@ -148,10 +148,7 @@ impl Observer<'_> {
         // most
         let reach = 2.5 * distance * angle / n_v.max(0.1);
         let lift = (0.35 * distance * angle).max(2e-4 * distance);
-        // what the nearest pixel does not meet is hidden: its neighbours may show the same plane
-        // beside what hides it
-        let nearest = taps.iter().map(|t| t.1).fold(0.0, f32::max);
-        let (mut sum, mut weight, mut clean, mut met) = (Vec3::ZERO, 0.0f32, true, false);
+        let (mut sum, mut weight, mut clean) = (Vec3::ZERO, 0.0f32, true);
         for (k, w) in taps {
             let t = view.buffer.distance.data[k];
             let Some(is_clean) = is_clean(k).filter(|_| w > 0.0 && t.is_finite()) else {
@@ -174,11 +171,10 @@ impl Observer<'_> {
                 continue;
             }
             clean &= is_clean;
-            met |= w >= nearest;
             sum += view.radiance.data[k] * w;
             weight += w;
         }
-        if !met {
+        if weight < 0.25 {
             return None;
         }
         let label = view.labels.as_ref().map_or(0, |l| {
