@@ -299,6 +299,61 @@ fn a_layer_hides_what_lies_right_behind_it() {
     assert_eq!(seen[1], 0, "the wall behind it is not");
 }
 
+/// A frame right behind a lamp's field may be seen by its rim; it is then called what the rim is, not
+/// the lamp that hides it.
+#[test]
+fn what_is_hidden_takes_no_label_of_what_hides_it() {
+    const FRAME: u16 = 1;
+    const LAMP: u16 = 2;
+    let mut quads = room();
+    let wall = quads[0];
+    let field = Quad {
+        corner: wall.at(0.3, 0.3) + wall.normal() * 1e-3,
+        edge_u: wall.edge_u * 0.4,
+        edge_v: wall.edge_v * 0.4,
+        radiance: Vec3::splat(9.0),
+        emits: false,
+    };
+    quads.push(field);
+    let first_of_field = 2 * (quads.len() as u32 - 1);
+    let mesh = mesh_of(&quads);
+    let tracer = EmbreeTracer::new(&mesh).expect("Embree");
+    let views: Vec<ObservedView> = cameras()
+        .into_iter()
+        .map(|c| {
+            let mut view = photograph(&mesh, &quads, &tracer, c, c);
+            let shown = &view.buffer.triangle;
+            let labels = shown.data.iter().map(|&t| {
+                if t >= first_of_field && (t as usize) < mesh.triangles.len() {
+                    LAMP
+                } else {
+                    FRAME
+                }
+            });
+            view.labels = Some(Plane {
+                width: shown.width,
+                height: shown.height,
+                data: labels.collect(),
+            });
+            view
+        })
+        .collect();
+    let observer = Observer {
+        mesh: &mesh,
+        views: &views,
+    };
+    let (mut looks, mut seen, mut of_lamp) = (Vec::new(), 0, 0);
+    for k in 0..4000u32 {
+        let [u, v] = unbake::core::sampling::hammersley(k, 4000);
+        let hidden = field.at(u, v) - field.normal() * 1e-3;
+        observer.observe(hidden, field.normal(), &mut looks);
+        seen += looks.len();
+        of_lamp += looks.iter().filter(|o| o.label == LAMP).count();
+    }
+    assert!(seen > 20, "the rim is seen beside the field {seen} times");
+    assert_eq!(of_lamp, 0, "of {seen}");
+}
+
 #[test]
 fn small_errors_of_pose_hardly_mix_surfaces() {
     let quads = room();

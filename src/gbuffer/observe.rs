@@ -8,7 +8,7 @@ use super::ViewBuffer;
 use super::view_buffer::SAME_SURFACE_COSINE;
 use crate::core::geometry::{Camera, Mesh};
 use crate::core::image::{Plane, RgbPlane, bilinear_taps};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 /// A photograph with what its pixels see.
 #[derive(Clone, Debug)]
@@ -82,7 +82,7 @@ pub struct Observation {
     pub footprint: f32,
     /// Whether all pixels used are clean.
     pub clean: bool,
-    /// Class id at the nearest pixel; 0 without labels.
+    /// Class id at the nearest pixel that meets the surface; 0 without labels.
     pub label: u16,
 }
 
@@ -149,15 +149,15 @@ impl Observer<'_> {
         let reach = 2.5 * distance * angle / n_v.max(0.1);
         let lift = (0.35 * distance * angle).max(2e-4 * distance);
         let (mut sum, mut weight, mut clean) = (Vec3::ZERO, 0.0f32, true);
+        // corner and weight of the nearest pixel that meets the surface
+        let (mut nearest, mut most) = (Vec2::ZERO, 0.0);
         for (k, w) in taps {
             let t = view.buffer.distance.data[k];
             let Some(is_clean) = is_clean(k).filter(|_| w > 0.0 && t.is_finite()) else {
                 continue;
             };
-            let (x, y) = (k % camera.width, k / camera.width);
-            let offset = camera.position
-                + camera.direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5)) * t
-                - position;
+            let corner = Vec2::new((k % camera.width) as f32, (k / camera.width) as f32);
+            let offset = camera.position + camera.direction(corner + 0.5) * t - position;
             if offset.length() > reach {
                 continue;
             }
@@ -173,16 +173,25 @@ impl Observer<'_> {
             clean &= is_clean;
             sum += view.radiance.data[k] * w;
             weight += w;
+            if w > most {
+                (nearest, most) = (corner, w);
+            }
         }
         if weight < 0.25 {
             return None;
         }
         let label = view.labels.as_ref().map_or(0, |l| {
-            let scale = glam::Vec2::new(
+            let scale = Vec2::new(
                 l.width as f32 / camera.width as f32,
                 l.height as f32 / camera.height as f32,
             );
-            *l.nearest(pixel * scale)
+            // elsewhere than in that pixel is what hides the rest of the surface
+            let met = if pixel.floor() == nearest {
+                pixel
+            } else {
+                nearest + 0.5
+            };
+            *l.nearest(met * scale)
         });
         Some(Observation {
             view: index,
