@@ -314,27 +314,16 @@ fn what_is_hidden_takes_no_label_of_what_hides_it() {
         radiance: Vec3::splat(9.0),
         emits: false,
     };
+    let of_field = quads.len() as u32;
     quads.push(field);
-    let first_of_field = 2 * (quads.len() as u32 - 1);
     let mesh = mesh_of(&quads);
     let tracer = EmbreeTracer::new(&mesh).expect("Embree");
     let views: Vec<ObservedView> = cameras()
         .into_iter()
         .map(|c| {
             let mut view = photograph(&mesh, &quads, &tracer, c, c);
-            let shown = &view.buffer.triangle;
-            let labels = shown.data.iter().map(|&t| {
-                if t >= first_of_field && (t as usize) < mesh.triangles.len() {
-                    LAMP
-                } else {
-                    FRAME
-                }
-            });
-            view.labels = Some(Plane {
-                width: shown.width,
-                height: shown.height,
-                data: labels.collect(),
-            });
+            let class = |t: &u32| if t / 2 == of_field { LAMP } else { FRAME };
+            view.labels = Some(view.buffer.triangle.map(class));
             view
         })
         .collect();
