@@ -521,3 +521,37 @@ fn files_do_not_run_in_circles() {
         .collect();
     assert!(circles.is_empty(), "{}", circles.join("\n"));
 }
+
+/// The packages a build of `selection` takes, a line each with version and features.
+fn packages(selection: &[&str]) -> Result<BTreeSet<String>, String> {
+    let done = std::process::Command::new(env!("CARGO"))
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .args(["tree", "--locked", "--prefix", "none", "--no-dedupe"])
+        .args(["--format", "{p} {f}"])
+        .args(selection)
+        .output()
+        .map_err(|e| e.to_string())?;
+    if !done.status.success() {
+        return Err(String::from_utf8_lossy(&done.stderr).into_owned());
+    }
+    let text = String::from_utf8_lossy(&done.stdout);
+    Ok(text.lines().map(str::to_owned).collect())
+}
+
+/// Cargo builds a package again, and all above it, for another set of features: so the program, its
+/// tests and the Python module must ask for the same ones.
+#[test]
+fn program_tests_and_module_share_one_build() {
+    let program = packages(&["--edges", "normal,build"]).expect("cargo tree knows the program");
+    assert!(program.len() > 100, "{} packages", program.len());
+    let tests = packages(&["--edges", "normal,build,dev"]).expect("cargo tree knows the tests");
+    let mut others = vec![("the tests", tests)];
+    match packages(&["--edges", "normal,build", "--package", "unbake-python"]) {
+        Ok(module) => others.push(("the Python module", module)),
+        Err(why) => eprintln!("skipped: cargo does not know the module's packages: {why}"),
+    }
+    for (who, packages) in others {
+        let differ: Vec<_> = program.difference(&packages).collect();
+        assert!(differ.is_empty(), "{who} ask other features of {differ:?}");
+    }
+}
