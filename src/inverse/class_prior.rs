@@ -28,6 +28,28 @@ pub(super) const NEAR: f32 = 32.0;
 /// How many clean texels there outweigh the class.
 pub(super) const ENOUGH_NEAR: f32 = ENOUGH as f32;
 
+/// The atlas that texels lie on.
+#[derive(Clone, Copy)]
+pub struct Ground<'a> {
+    /// Covered texels.
+    pub texels: &'a Texels,
+    /// The mesh they lie on.
+    pub mesh: &'a Mesh,
+    /// Class per texel.
+    pub labels: &'a [u16],
+    /// Room per texel.
+    pub rooms: &'a [u16],
+}
+
+impl Ground<'_> {
+    /// Class and room of each texel.
+    fn places(&self) -> Vec<Place> {
+        (self.labels.iter().copied())
+            .zip(self.rooms.iter().copied())
+            .collect()
+    }
+}
+
 /// What an albedo should be expected to be.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Expected {
@@ -39,14 +61,15 @@ pub(super) struct Expected {
 /// Mean albedo and its variance from the clean texels of a texel's class: those nearby of its own
 /// body of the mesh, as far as they are frontal, sharp and not far from what is usual there; those
 /// nearby of any body where these are few, then the class in its room as a whole, and in all rooms
-/// where its room shows none. `places` are class and room of every covered texel.
+/// where its room shows none. `nearby` is the share of what is nearby beside the class in its room.
 pub(super) fn class_prior(
     albedo: &AlbedoEstimate,
-    texels: &Texels,
-    mesh: &Mesh,
-    places: &[Place],
+    ground: &Ground<'_>,
     ids: &[u32],
+    nearby: &(dyn Fn(usize) -> f32 + Sync),
 ) -> Vec<Expected> {
+    let (texels, mesh) = (ground.texels, ground.mesh);
+    let places = &ground.places()[..];
     let clean = CleanTexels::of(albedo, texels.len());
     let class = clean.typical_by(|i| places[i]);
     let anywhere = clean.typical_by(|i| places[i].0);
@@ -81,8 +104,9 @@ pub(super) fn class_prior(
                     variance: ANYTHING * ANYTHING,
                 };
             };
-            let any_body = cubes.sums_around(&near, i).beside(usual);
-            let expected = own_cubes.sums_around(&own, i).beside(&any_body);
+            let share = nearby(i);
+            let any_body = cubes.sums_around(&near, i).beside(usual, share);
+            let expected = own_cubes.sums_around(&own, i).beside(&any_body, share);
             Expected {
                 variance: expected.variance * PRIOR_DOUBT,
                 ..expected
@@ -264,12 +288,13 @@ impl Sums {
         self.square += share * others.square;
     }
 
-    /// What is expected in the cube: its own mean as far as its texels outweigh what is usual.
-    fn beside(&self, usual: &Expected) -> Expected {
+    /// What is expected in the cube: its own mean as far as its texels outweigh what is usual, and at
+    /// most by the share `most`.
+    fn beside(&self, usual: &Expected, most: f32) -> Expected {
         let total = self.weight as f32;
         let mean = self.albedo.as_vec3() / total.max(f32::MIN_POSITIVE);
         let variance = self.square as f32 / total.max(f32::MIN_POSITIVE) - luminance(mean).powi(2);
-        let share = total / (total + ENOUGH_NEAR);
+        let share = most * total / (total + ENOUGH_NEAR);
         let mean = usual.mean.lerp(mean, share);
         let spread = variance.max(0.0) * share + usual.variance * (1.0 - share);
         Expected {
@@ -316,7 +341,13 @@ mod tests {
             clean,
         };
         let ids: Vec<u32> = (0..n).filter(|i| i % 3 == 0).map(|i| i as u32).collect();
-        let expected = class_prior(&albedo, &texels, &mesh, &vec![(1, 1); n], &ids);
+        let ground = Ground {
+            texels: &texels,
+            mesh: &mesh,
+            labels: &vec![1; n],
+            rooms: &vec![1; n],
+        };
+        let expected = class_prior(&albedo, &ground, &ids, &|_| 1.0);
         let mean_over = |dark: bool| {
             let of = ids.iter().zip(&expected);
             let of = of.filter(|(i, _)| is_dark(**i as usize) == dark);
@@ -326,5 +357,9 @@ mod tests {
         let (dark, pale) = (mean_over(true), mean_over(false));
         assert!(dark < 0.4 && (pale - 0.8).abs() < 0.05, "{dark}, {pale}");
         assert!(expected.iter().all(|e| e.variance > 0.0));
+        // one paint, by what is known elsewhere: all boards are what most of them are
+        for one in class_prior(&albedo, &ground, &ids, &|_| 0.0) {
+            assert!((one.mean.x - 0.8).abs() < 0.01, "{}", one.mean);
+        }
     }
 }

@@ -13,13 +13,11 @@
 //! brightness. Called by the pipeline's stage "albedo", before the mixed pixels, to which these
 //! texels are known.
 
-use super::class_prior::{Place, class_prior};
+use super::class_prior::{Ground, class_prior};
 use super::confidence::PRIOR_LOOKS;
 use super::{AlbedoEstimate, BLACK};
-use crate::core::geometry::Mesh;
 use crate::core::math::luminance;
 use crate::core::stats::inverse_mills;
-use crate::core::texture::Texels;
 use glam::Vec3;
 
 /// The least that a texel sends out.
@@ -33,28 +31,6 @@ pub struct LeastAlbedo {
     pub error: f32,
     /// Side of the footprint of the sharpest pixel on the surface, metres.
     pub footprint: f32,
-}
-
-/// The atlas that texels lie on.
-#[derive(Clone, Copy)]
-pub struct Ground<'a> {
-    /// Covered texels.
-    pub texels: &'a Texels,
-    /// The mesh they lie on.
-    pub mesh: &'a Mesh,
-    /// Class per texel.
-    pub labels: &'a [u16],
-    /// Room per texel.
-    pub rooms: &'a [u16],
-}
-
-impl Ground<'_> {
-    /// Class and room of each texel.
-    pub(super) fn places(&self) -> Vec<Place> {
-        (self.labels.iter().copied())
-            .zip(self.rooms.iter().copied())
-            .collect()
-    }
 }
 
 /// Gives texels of which only lower bounds are known, and no look at all, the albedo of their class
@@ -72,7 +48,7 @@ pub fn settle_clipped(
         return Vec::new();
     }
     let ids: Vec<u32> = open.iter().map(|b| b.texel).collect();
-    let expected = class_prior(albedo, ground.texels, ground.mesh, &ground.places(), &ids);
+    let expected = class_prior(albedo, ground, &ids, &|_| 1.0);
     for (bound, expected) in open.iter().zip(expected) {
         let i = bound.texel as usize;
         let mean = expected.mean.max(Vec3::splat(BLACK));
@@ -114,6 +90,8 @@ impl Truncated {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::geometry::Mesh;
+    use crate::core::texture::Texels;
     use crate::core::sampling::KeyedRng;
     use glam::Vec2;
 

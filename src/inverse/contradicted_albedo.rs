@@ -11,21 +11,26 @@
 //! painted wall, a patterned floor keeps what was seen. Called by `solve` after the missing light.
 
 use super::AlbedoEstimate;
-use super::class_prior::class_prior;
-use super::clipped_albedo::Ground;
+use super::class_prior::{Ground, class_prior};
 use super::confidence::PRIOR_LOOKS;
 
 /// Gives the texels `ids`, whose looks contradict each other, the mean of what they show and of what
-/// their class is like nearby, each by its certainty. They are no evidence for classes any more.
-pub fn settle_contradicted(ground: &Ground<'_>, ids: &[u32], albedo: &mut AlbedoEstimate) {
+/// their class is like, each by its certainty. They are no evidence for classes any more. `nearby` is
+/// the share of what the class is like near a texel beside what it is like in its room, 0 to 1.
+pub fn settle_contradicted(
+    ground: &Ground<'_>,
+    ids: &[u32],
+    nearby: &(dyn Fn(usize) -> f32 + Sync),
+    albedo: &mut AlbedoEstimate,
+) {
     if ids.is_empty() {
         return; // the prior of the whole atlas is not gathered for nothing
     }
     for &i in ids {
         albedo.clean[i as usize] = false;
     }
-    let expected = class_prior(albedo, ground.texels, ground.mesh, &ground.places(), ids);
-    for (&i, prior) in ids.iter().zip(expected) {
+    let prior = class_prior(albedo, ground, ids, nearby);
+    for (&i, prior) in ids.iter().zip(prior) {
         let i = i as usize;
         if !albedo.error[i].is_finite() {
             continue;
@@ -85,7 +90,7 @@ mod tests {
             labels: &vec![1; n],
             rooms: &vec![1; n],
         };
-        settle_contradicted(&ground, &hidden, &mut albedo);
+        settle_contradicted(&ground, &hidden, &|_| 1.0, &mut albedo);
         (albedo, hidden)
     }
 

@@ -8,7 +8,7 @@
 //! beyond the noise lose weight (Cauchy), and where the equations as a whole fit badly (mesh or
 //! poses are off) their noise is taken to be what they show, so that the prior decides.
 
-use super::class_prior::{Expected, LEAST_SPREAD, NEAR, Place, class_prior};
+use super::class_prior::{Expected, Ground, LEAST_SPREAD, NEAR, class_prior};
 use super::robust_cg::{Pixel, RobustSystem};
 use super::{AlbedoEstimate, TexelReflectance};
 use crate::core::image::{Plane, RgbPlane, Wrap};
@@ -131,13 +131,13 @@ impl MixedPixelSolver<'_> {
                 .map(|(s, n)| s / *n as f32)
                 .collect::<Vec<Vec3>>()
         };
-        let places: Vec<Place> = self
-            .labels
-            .iter()
-            .copied()
-            .zip(self.rooms.iter().copied())
-            .collect();
-        let expected = class_prior(albedo, texels, self.observer.mesh, &places, &ids);
+        let ground = Ground {
+            texels,
+            mesh: self.observer.mesh,
+            labels: self.labels,
+            rooms: self.rooms,
+        };
+        let expected = class_prior(albedo, &ground, &ids, &|_| 1.0);
         let mean = mean_over(&|k, _| expected[k].mean);
         let variance = mean_over(&|k, _| Vec3::splat(expected[k].variance));
         let prior: Vec<Expected> = mean

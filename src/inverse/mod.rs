@@ -25,7 +25,8 @@ mod view_residual;
 
 pub use albedo::{AlbedoEstimate, BLACK, Shading, estimate_albedo};
 pub use albedo_palette::{ClassPalette, PaletteFit};
-pub use clipped_albedo::{Ground, LeastAlbedo, settle_clipped};
+pub use class_prior::Ground;
+pub use clipped_albedo::{LeastAlbedo, settle_clipped};
 pub use clipped_fit::{ClippedFit, LightGroup, ShadingRow, fit_clipped};
 pub use confidence::{ErrorSources, StatedErrors, albedo_error};
 pub use contradicted_albedo::settle_contradicted;

@@ -89,7 +89,7 @@ pub(super) fn balance_rooms(
         .into_par_iter()
         .map(|i| Held::below_bound(albedo, i, factors[i]).albedo)
         .collect();
-    let moved = pool_room_levels(surface, light, albedo, &expected, rooms);
+    let levels = pool_room_levels(surface, light, albedo, &expected, rooms);
     let lamps = find_unclipped_lamps(surface, light, albedo);
     let mut cast_errors = vec![0.0; factors.len()];
     for (i, factor) in factors.iter().enumerate() {
@@ -109,7 +109,7 @@ pub(super) fn balance_rooms(
     ));
     progress.note(format!(
         "one paint in several rooms: their levels move by up to {:.0} %; {} lamps outshine any paint",
-        100.0 * moved.exp_m1(),
+        100.0 * levels.largest.exp_m1(),
         lamps.len()
     ));
     Some(Balanced {

@@ -38,16 +38,24 @@ struct Level {
     area: f32,
 }
 
+/// What became of the levels of classes in rooms.
+#[derive(Clone, Debug, Default)]
+pub(super) struct PooledLevels {
+    /// The largest move, in ln albedo.
+    pub(super) largest: f32,
+    /// Probability that a class has in a room the paint that it has in others, by label and room.
+    pub(super) common: BTreeMap<(u16, u16), f32>,
+}
+
 /// Moves every class of every room towards the paint that the class has in all, as far as the rooms'
-/// light is unknown; the largest move, in ln albedo. Levels are those of `expected`, the albedos as
-/// far as paint allows.
+/// light is unknown. Levels are those of `expected`, the albedos as far as paint allows.
 pub(super) fn pool_room_levels(
     surface: &Surface,
     light: &mut Light,
     albedo: &mut AlbedoEstimate,
     expected: &[Vec3],
     rooms: &[u16],
-) -> f32 {
+) -> PooledLevels {
     let light_error = light_error(surface);
     let tells = |i: usize| {
         let emits = light.emissive[surface.texels.point[i].triangle as usize];
@@ -55,10 +63,15 @@ pub(super) fn pool_room_levels(
         albedo.clean[i] && albedo.error[i].is_finite() && !emits && agreed
     };
     let mut moves: BTreeMap<(u16, u16), Vec3> = BTreeMap::new();
+    let mut common = BTreeMap::new();
     for (class, levels) in levels(surface, &tells, expected, rooms) {
         let (ids, levels): (Vec<u16>, Vec<Level>) = levels.into_iter().unzip();
-        let moved = common_paint(&levels, light_error);
-        moves.extend(ids.into_iter().zip(moved).map(|(r, m)| ((class, r), m)));
+        // one room alone has nothing in common with others
+        let several = levels.len() > 1;
+        for (room, painted) in ids.into_iter().zip(common_paint(&levels, light_error)) {
+            moves.insert((class, room), painted.step);
+            common.insert((class, room), if several { painted.common } else { 0.0 });
+        }
     }
     let factors: Vec<Vec3> = (0..albedo.value.len())
         .into_par_iter()
@@ -70,7 +83,10 @@ pub(super) fn pool_room_levels(
     let ratio = texture_of(&surface.texels, &factors);
     scale_irradiance(surface, light, albedo, &ratio);
     let largest = |m: &Vec3| m.abs().max_element();
-    moves.values().map(largest).fold(0.0, f32::max)
+    PooledLevels {
+        largest: moves.values().map(largest).fold(0.0, f32::max),
+        common,
+    }
 }
 
 /// Relative error to which the light of a room is known: how far white paints scatter, and what
@@ -111,8 +127,17 @@ fn levels(
     found
 }
 
-/// How far each room moves towards the paint that most of them have, in ln albedo.
-fn common_paint(levels: &[Level], light_error: f32) -> Vec<Vec3> {
+/// A room beside the paint that most of them have.
+#[derive(Clone, Copy, Debug)]
+struct Painted {
+    /// Probability that the room has it.
+    common: f32,
+    /// How far it moves towards it, in ln albedo.
+    step: Vec3,
+}
+
+/// What each room has of the paint that most of them have.
+fn common_paint(levels: &[Level], light_error: f32) -> Vec<Painted> {
     let middle = |c: usize| {
         let pairs: Vec<(f32, f32)> = levels.iter().map(|l| (l.log[c], l.area)).collect();
         weighted_median(&pairs).map_or(0.0, |k| pairs[k].0)
@@ -143,7 +168,10 @@ fn common_paint(levels: &[Level], light_error: f32) -> Vec<Vec3> {
         }
     }
     (own.iter().zip(levels))
-        .map(|(p, l)| (paint - l.log) * *p)
+        .map(|(&common, l)| Painted {
+            common,
+            step: (paint - l.log) * common,
+        })
         .collect()
 }
 
@@ -164,7 +192,7 @@ mod tests {
         let levels = [0.74, 0.82, 0.74, 0.8, 0.71, 0.79, 0.67].map(|a| level(a, 10.0));
         let moves = common_paint(&levels, 0.2);
         let after: Vec<f32> = (levels.iter().zip(&moves))
-            .map(|(l, m)| (l.log.x + m.x).exp())
+            .map(|(l, m)| (l.log.x + m.step.x).exp())
             .collect();
         let most = after.iter().copied().fold(0.0, f32::max);
         let least = after.iter().copied().fold(1.0, f32::min);
@@ -185,15 +213,26 @@ mod tests {
         levels.push(red);
         let moves = common_paint(&levels, 0.15);
         for (l, m) in levels[4..].iter().zip(&moves[4..]) {
-            assert!(m.abs().max_element() < 0.02, "{l:?}: {m}");
+            assert!(m.step.abs().max_element() < 0.02, "{l:?}: {m:?}");
+            assert!(m.common < 0.1, "{l:?}: {m:?}");
         }
         for m in &moves[..4] {
-            assert!(m.abs().max_element() < 0.05, "{m}");
+            assert!(m.step.abs().max_element() < 0.05, "{m:?}");
+            assert!(m.common > 0.8, "{m:?}");
         }
         let sure = common_paint(&[level(0.8, 1.0), level(0.6, 1.0), level(0.7, 1.0)], 0.01);
-        let moved = sure.iter().filter(|m| m.abs().max_element() > 0.02).count();
+        let moved = sure
+            .iter()
+            .filter(|m| m.step.abs().max_element() > 0.02)
+            .count();
         assert_eq!(moved, 0, "{sure:?}");
         assert!(common_paint(&[], 0.1).is_empty());
-        assert!(common_paint(&[level(0.3, 1.0)], 0.1)[0].abs().max_element() < 1e-6);
+        assert!(
+            common_paint(&[level(0.3, 1.0)], 0.1)[0]
+                .step
+                .abs()
+                .max_element()
+                < 1e-6
+        );
     }
 }

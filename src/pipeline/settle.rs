@@ -12,7 +12,7 @@ use super::metals::metal_texels;
 use super::missing_light::add_missing_light;
 use super::painted::{Estimate, settle_palettes};
 use super::panes::show_panes;
-use super::room_levels::pool_room_levels;
+use super::room_levels::{PooledLevels, pool_room_levels};
 use super::solved::Solved;
 use super::{Light, Roughness, SolveOptions};
 use crate::core::progress::Progress;
@@ -75,11 +75,13 @@ pub(super) fn settle(
         options,
         progress,
     );
-    if short.is_some() {
-        keep_room_levels(surface, &mut light, &mut albedo, &rooms);
-    }
+    let levels = if short.is_some() {
+        keep_room_levels(surface, &mut light, &mut albedo, &rooms)
+    } else {
+        PooledLevels::default()
+    };
     let spread = spread_of_looks(&albedo);
-    settle_hidden(surface, &mut albedo, &rooms);
+    settle_hidden(surface, &mut albedo, &rooms, &levels);
     let StatedErrors {
         error: mut errors,
         unexplained,
@@ -161,13 +163,19 @@ fn keep_room_levels(
     light: &mut Light,
     albedo: &mut AlbedoEstimate,
     rooms: &[u16],
-) {
+) -> PooledLevels {
     let found = albedo.value.clone();
-    pool_room_levels(surface, light, albedo, &found, rooms);
+    pool_room_levels(surface, light, albedo, &found, rooms)
 }
 
-/// Surface before which something stands that the mesh lacks takes what its class is like.
-fn settle_hidden(surface: &Surface, albedo: &mut AlbedoEstimate, rooms: &[u16]) {
+/// Surface before which something stands that the mesh lacks takes what its class is like: nearby, for
+/// boards and tiles differ, but not as far as rooms share a paint, for then it is their light that does.
+fn settle_hidden(
+    surface: &Surface,
+    albedo: &mut AlbedoEstimate,
+    rooms: &[u16],
+    levels: &PooledLevels,
+) {
     let contradicted: Vec<u32> = (0..surface.texels.len() as u32)
         .filter(|&i| surface.contradictions.contradicted(i as usize))
         .collect();
@@ -177,7 +185,11 @@ fn settle_hidden(surface: &Surface, albedo: &mut AlbedoEstimate, rooms: &[u16]) 
         labels: &surface.labels,
         rooms,
     };
-    settle_contradicted(&ground, &contradicted, albedo);
+    let nearby = |i: usize| {
+        let common = levels.common.get(&(surface.labels[i], rooms[i]));
+        1.0 - common.copied().unwrap_or(0.0)
+    };
+    settle_contradicted(&ground, &contradicted, &nearby, albedo);
 }
 
 /// Adds what is against the result besides what its own texels tell.
