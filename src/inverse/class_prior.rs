@@ -4,7 +4,7 @@ use super::AlbedoEstimate;
 use crate::core::geometry::{Mesh, bodies};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{ENOUGH, MAD_SCALE, median, step_over_many, weighted_median};
+use crate::core::stats::{ENOUGH, MAD_SCALE, MANY, median, step_over_many, weighted_median};
 use crate::core::texture::Texels;
 use glam::{DVec3, IVec3, Vec3};
 use std::collections::BTreeMap;
@@ -23,8 +23,9 @@ pub(super) const ANYTHING: f32 = 0.3;
 
 /// Share of a surface from which a part of it is no accident.
 pub(super) const LEAST_SHARE: f32 = 0.02;
-/// Side of the cubes, in texels, within which texels count as near.
-pub(super) const NEAR: f32 = 32.0;
+/// Side of the cubes, in texels, within which texels count as near. Derived: a square of twice as much, which the eight
+/// cubes around a texel cut out of its plane, holds [`MANY`].
+pub(super) const NEAR: f32 = (1 << MANY.ilog2() / 2) as f32 / 2.0;
 /// How many clean texels there outweigh the class.
 pub(super) const ENOUGH_NEAR: f32 = ENOUGH as f32;
 

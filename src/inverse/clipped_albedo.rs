@@ -91,8 +91,8 @@ impl Truncated {
 mod tests {
     use super::*;
     use crate::core::geometry::Mesh;
-    use crate::core::texture::Texels;
     use crate::core::sampling::KeyedRng;
+    use crate::core::texture::Texels;
     use glam::Vec2;
 
     /// Against a large sample of both normal numbers, of which those above the bound are kept.

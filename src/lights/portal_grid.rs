@@ -4,6 +4,8 @@ use glam::Vec3;
 
 /// Cells along the longest side of the box.
 const CELLS: f32 = 96.0;
+/// Numbers that cells along a side may have. Derived: the power of two that holds [`CELLS`].
+pub(super) const SIDE: u32 = (CELLS as u32).next_power_of_two();
 
 /// A box around the scene with its six faces divided into square-ish cells, numbered face by face.
 #[derive(Clone, Debug)]
@@ -83,15 +85,15 @@ impl PortalGrid {
         p.cmpge(self.lo).all() && p.cmple(self.hi).all()
     }
 
-    /// Every cell's number is below this. Derived: six faces, 128 at least above [`CELLS`] along a side.
-    pub const NUMBERS: usize = 6 * 128 * 128;
+    /// Every cell's number is below this. Derived: six faces of [`SIDE`] by [`SIDE`].
+    pub const NUMBERS: usize = (6 * SIDE * SIDE) as usize;
 
     fn number(&self, face: u32, i: u32, j: u32) -> u32 {
-        (face * 128 + i) * 128 + j
+        (face * SIDE + i) * SIDE + j
     }
 
     fn parts(&self, cell: u32) -> (usize, f32, usize, usize, u32, u32) {
-        let (face, i, j) = (cell / (128 * 128), cell / 128 % 128, cell % 128);
+        let (face, i, j) = (cell / (SIDE * SIDE), cell / SIDE % SIDE, cell % SIDE);
         let axis = (face / 2) as usize;
         let at = if face % 2 == 1 {
             self.hi[axis]
@@ -115,10 +117,10 @@ impl PortalGrid {
     /// The cells of the same face that touch a cell.
     pub fn around_cell(&self, cell: u32) -> impl Iterator<Item = u32> {
         let (_, _, b, c, i, j) = self.parts(cell);
-        let (face, [rows, columns]) = (cell / (128 * 128), [self.count[b], self.count[c]]);
+        let (face, [rows, columns]) = (cell / (SIDE * SIDE), [self.count[b], self.count[c]]);
         let near = |x: u32, end: u32| x.saturating_sub(1)..(x + 2).min(end);
         let all = near(i, rows)
-            .flat_map(move |i| near(j, columns).map(move |j| (face * 128 + i) * 128 + j));
+            .flat_map(move |i| near(j, columns).map(move |j| (face * SIDE + i) * SIDE + j));
         all.filter(move |c| *c != cell)
     }
 
@@ -131,7 +133,7 @@ impl PortalGrid {
             self.cell_point(cell, [0.0, 1.0]) - corner,
         );
         let mut inwards = Vec3::ZERO;
-        inwards[self.parts(cell).0] = if cell / (128 * 128) % 2 == 1 {
+        inwards[self.parts(cell).0] = if cell / (SIDE * SIDE) % 2 == 1 {
             -1.0
         } else {
             1.0

@@ -4,7 +4,7 @@
 //! Portals only steer the sampling of the environment. One that is too large costs samples, one
 //! that is missed costs noise; neither changes what is rendered on average.
 
-use super::PortalGrid;
+use super::portal_grid::{PortalGrid, SIDE};
 use crate::core::geometry::Mesh;
 use crate::core::math::Frame;
 use crate::core::parallel::map_chunks;
@@ -16,6 +16,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Surface points from which openings are looked for.
 pub(super) const PROBES: usize = 16_384;
 /// Rays from each.
+/// Measured: ×½ little, ×2 albedo +0.2 dB (docs/constants.md).
 const RAYS: u32 = 32;
 /// Cells of a rectangle that must be open, else it is cut in two.
 const FILLED: f32 = 0.6;
@@ -124,8 +125,9 @@ pub fn find_portals(mesh: &Mesh, tracer: &dyn Tracer) -> Vec<[Vec3; 3]> {
         .collect();
     let exits = find_exits(&hull, tracer, &probes);
     let cells: BTreeSet<u32> = exits.iter().map(|e| e.cell).collect();
-    let corner =
-        |face: u32, c: [u32; 2], u: [f32; 2]| hull.cell_point((face * 128 + c[0]) * 128 + c[1], u);
+    let corner = |face: u32, c: [u32; 2], u: [f32; 2]| {
+        hull.cell_point((face * SIDE + c[0]) * SIDE + c[1], u)
+    };
     let mut out = Vec::new();
     for p in rectangles(patches(&cells)) {
         let [lo, hi] = p.bounds();
@@ -142,7 +144,7 @@ pub fn find_portals(mesh: &Mesh, tracer: &dyn Tracer) -> Vec<[Vec3; 3]> {
 fn patches(cells: &BTreeSet<u32>) -> Vec<Patch> {
     let mut open: BTreeMap<(u32, u32, u32), bool> = cells
         .iter()
-        .map(|c| ((c / (128 * 128), c / 128 % 128, c % 128), false))
+        .map(|c| ((c / (SIDE * SIDE), c / SIDE % SIDE, c % SIDE), false))
         .collect();
     let keys: Vec<_> = open.keys().copied().collect();
     let mut out = Vec::new();

@@ -75,11 +75,9 @@ pub(super) fn settle(
         options,
         progress,
     );
-    let levels = if short.is_some() {
-        keep_room_levels(surface, &mut light, &mut albedo, &rooms)
-    } else {
-        PooledLevels::default()
-    };
+    let levels = (short.as_ref())
+        .map(|_| keep_room_levels(surface, &mut light, &mut albedo, &rooms))
+        .unwrap_or_default();
     let spread = spread_of_looks(&albedo);
     settle_hidden(surface, &mut albedo, &rooms, &levels);
     let StatedErrors {
