@@ -25,7 +25,7 @@ pub(super) const ANYTHING: f32 = 0.3;
 pub(super) const LEAST_SHARE: f32 = 0.02;
 /// Side of the cubes, in texels, within which texels count as near. Derived: a square of twice as much, which the eight
 /// cubes around a texel cut out of its plane, holds [`MANY`].
-pub(super) const NEAR: f32 = (1 << MANY.ilog2() / 2) as f32 / 2.0;
+pub(super) const NEAR: f32 = (1 << (MANY.ilog2() / 2)) as f32 / 2.0;
 /// How many clean texels there outweigh the class.
 pub(super) const ENOUGH_NEAR: f32 = ENOUGH as f32;
 
