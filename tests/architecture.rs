@@ -555,3 +555,23 @@ fn program_tests_and_module_share_one_build() {
         assert!(differ.is_empty(), "{who} ask other features of {differ:?}");
     }
 }
+
+/// Cargo loads the manifest and the sources of every member of a workspace, whichever it builds.
+#[test]
+fn the_container_is_given_every_member() {
+    let read = |name: &str| {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(name);
+        std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+    };
+    let manifest: toml::Value = toml::from_str(&read("Cargo.toml")).expect("TOML");
+    let members = manifest["workspace"]["members"].as_array().expect("a list");
+    let container = read("Containerfile");
+    for member in members.iter().map(|m| m.as_str().expect("a folder")) {
+        for line in [
+            format!("COPY {member}/Cargo.toml {member}/"),
+            format!("COPY {member}/src {member}/src"),
+        ] {
+            assert!(container.lines().any(|l| l == line), "it lacks: {line}");
+        }
+    }
+}

@@ -5,7 +5,7 @@ use glam::Vec3;
 /// Cells along the longest side of the box.
 const CELLS: f32 = 96.0;
 /// Numbers that cells along a side may have. Derived: the power of two that holds [`CELLS`].
-pub(super) const SIDE: u32 = (CELLS as u32).next_power_of_two();
+const SIDE: u32 = (CELLS as u32).next_power_of_two();
 
 /// A box around the scene with its six faces divided into square-ish cells, numbered face by face.
 #[derive(Clone, Debug)]
@@ -72,7 +72,7 @@ impl PortalGrid {
         };
         let face = 2 * axis as u32 + u32::from(direction[axis] > 0.0);
         Some((
-            self.number(face, index(b), index(c)),
+            Self::number(face, index(b), index(c)),
             t.max(f32::MIN_POSITIVE),
             direction[axis].abs(),
         ))
@@ -88,12 +88,18 @@ impl PortalGrid {
     /// Every cell's number is below this. Derived: six faces of [`SIDE`] by [`SIDE`].
     pub const NUMBERS: usize = (6 * SIDE * SIDE) as usize;
 
-    fn number(&self, face: u32, i: u32, j: u32) -> u32 {
+    /// The number of the cell in row `i` and column `j` of a face.
+    pub(super) fn number(face: u32, i: u32, j: u32) -> u32 {
         (face * SIDE + i) * SIDE + j
     }
 
+    /// Face, row and column of a cell.
+    pub(super) fn place(cell: u32) -> (u32, u32, u32) {
+        (cell / (SIDE * SIDE), cell / SIDE % SIDE, cell % SIDE)
+    }
+
     fn parts(&self, cell: u32) -> (usize, f32, usize, usize, u32, u32) {
-        let (face, i, j) = (cell / (SIDE * SIDE), cell / SIDE % SIDE, cell % SIDE);
+        let (face, i, j) = Self::place(cell);
         let axis = (face / 2) as usize;
         let at = if face % 2 == 1 {
             self.hi[axis]
@@ -117,10 +123,10 @@ impl PortalGrid {
     /// The cells of the same face that touch a cell.
     pub fn around_cell(&self, cell: u32) -> impl Iterator<Item = u32> {
         let (_, _, b, c, i, j) = self.parts(cell);
-        let (face, [rows, columns]) = (cell / (SIDE * SIDE), [self.count[b], self.count[c]]);
+        let (face, rows, columns) = (Self::place(cell).0, self.count[b], self.count[c]);
         let near = |x: u32, end: u32| x.saturating_sub(1)..(x + 2).min(end);
         let all = near(i, rows)
-            .flat_map(move |i| near(j, columns).map(move |j| (face * SIDE + i) * SIDE + j));
+            .flat_map(move |i| near(j, columns).map(move |j| Self::number(face, i, j)));
         all.filter(move |c| *c != cell)
     }
 
@@ -133,7 +139,7 @@ impl PortalGrid {
             self.cell_point(cell, [0.0, 1.0]) - corner,
         );
         let mut inwards = Vec3::ZERO;
-        inwards[self.parts(cell).0] = if cell / (SIDE * SIDE) % 2 == 1 {
+        inwards[self.parts(cell).0] = if Self::place(cell).0 % 2 == 1 {
             -1.0
         } else {
             1.0
@@ -167,7 +173,7 @@ mod tests {
         let mut seen = 0;
         for face in 0..6u32 {
             for (i, j) in [(0, 0), (7, 11), (20, 3)] {
-                let cell = hull.number(face, i, j);
+                let cell = PortalGrid::number(face, i, j);
                 let p = hull.cell_point(cell, [0.3, 0.8]);
                 let d = (p - origin).normalize();
                 let (found, t, cosine) = hull.exit(origin, d).expect("inside");
@@ -204,7 +210,7 @@ mod tests {
             let axis = (face / 2) as usize;
             for i in 0..hull.count[(axis + 1) % 3] {
                 for j in 0..hull.count[(axis + 2) % 3] {
-                    let cell = hull.number(face, i, j);
+                    let cell = PortalGrid::number(face, i, j);
                     let d = hull.cell_centre(cell) - origin;
                     let t2 = d.length_squared();
                     sum += f64::from(hull.cell_area(cell) * d[axis].abs() / t2.sqrt() / t2);

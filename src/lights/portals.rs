@@ -4,7 +4,7 @@
 //! Portals only steer the sampling of the environment. One that is too large costs samples, one
 //! that is missed costs noise; neither changes what is rendered on average.
 
-use super::portal_grid::{PortalGrid, SIDE};
+use super::PortalGrid;
 use crate::core::geometry::Mesh;
 use crate::core::math::Frame;
 use crate::core::parallel::map_chunks;
@@ -126,7 +126,7 @@ pub fn find_portals(mesh: &Mesh, tracer: &dyn Tracer) -> Vec<[Vec3; 3]> {
     let exits = find_exits(&hull, tracer, &probes);
     let cells: BTreeSet<u32> = exits.iter().map(|e| e.cell).collect();
     let corner = |face: u32, c: [u32; 2], u: [f32; 2]| {
-        hull.cell_point((face * SIDE + c[0]) * SIDE + c[1], u)
+        hull.cell_point(PortalGrid::number(face, c[0], c[1]), u)
     };
     let mut out = Vec::new();
     for p in rectangles(patches(&cells)) {
@@ -144,7 +144,7 @@ pub fn find_portals(mesh: &Mesh, tracer: &dyn Tracer) -> Vec<[Vec3; 3]> {
 fn patches(cells: &BTreeSet<u32>) -> Vec<Patch> {
     let mut open: BTreeMap<(u32, u32, u32), bool> = cells
         .iter()
-        .map(|c| ((c / (SIDE * SIDE), c / SIDE % SIDE, c % SIDE), false))
+        .map(|c| (PortalGrid::place(*c), false))
         .collect();
     let keys: Vec<_> = open.keys().copied().collect();
     let mut out = Vec::new();

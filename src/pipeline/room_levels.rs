@@ -43,7 +43,8 @@ struct Level {
 pub(super) struct PooledLevels {
     /// The largest move, in ln albedo.
     pub(super) largest: f32,
-    /// Probability that a class has in a room the paint that it has in others, by label and room.
+    /// Probability that a class has in a room the paint that it has in others, by label and room;
+    /// nothing of a class that is in one room only.
     pub(super) common: BTreeMap<(u16, u16), f32>,
 }
 
@@ -70,7 +71,9 @@ pub(super) fn pool_room_levels(
         let several = levels.len() > 1;
         for (room, painted) in ids.into_iter().zip(common_paint(&levels, light_error)) {
             moves.insert((class, room), painted.step);
-            common.insert((class, room), if several { painted.common } else { 0.0 });
+            if several {
+                common.insert((class, room), painted.common);
+            }
         }
     }
     let factors: Vec<Vec3> = (0..albedo.value.len())
