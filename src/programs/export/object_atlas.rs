@@ -101,11 +101,11 @@ struct Grid {
     height: usize,
 }
 
-/// A rectangle of cells.
+/// A rectangle of cells; it may reach a cell beyond the atlas, whose texels are those of the border.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct CellBox {
-    x: usize,
-    y: usize,
+    x: isize,
+    y: isize,
     width: usize,
     height: usize,
 }
@@ -115,14 +115,22 @@ impl CellBox {
         self.width * self.height
     }
 
+    fn right(&self) -> isize {
+        self.x + self.width as isize
+    }
+
+    fn bottom(&self) -> isize {
+        self.y + self.height as isize
+    }
+
     /// The rectangle around both.
     fn union(&self, other: &Self) -> Self {
         let (x, y) = (self.x.min(other.x), self.y.min(other.y));
         Self {
             x,
             y,
-            width: (self.x + self.width).max(other.x + other.width) - x,
-            height: (self.y + self.height).max(other.y + other.height) - y,
+            width: self.right().max(other.right()).abs_diff(x),
+            height: self.bottom().max(other.bottom()).abs_diff(y),
         }
     }
 }
@@ -180,11 +188,9 @@ impl Grid {
             let first = (low * cells as f32).floor() - 1.0;
             let end = (high * cells as f32).ceil() + 1.0;
             // what lies outside of the atlas takes its border
-            let first = (first.max(0.0) as usize).min(cells - 1);
-            (
-                first,
-                (end.max(0.0) as usize).clamp(first + 1, cells) - first,
-            )
+            let cells = cells as isize;
+            let first = (first as isize).clamp(-1, cells - 1);
+            (first, (end as isize).clamp(first + 1, cells + 1).abs_diff(first))
         };
         let (x, width) = range(low.x, high.x, self.width);
         let (y, height) = range(low.y, high.y, self.height);
@@ -336,16 +342,31 @@ impl Cut<'_> {
         let mut out = Plane::filled(size[0], size[1], T::default());
         let mut covered = Plane::filled(size[0], size[1], false);
         for (Cutout { cells: from, .. }, to) in self.cutouts.iter().zip(&self.packed.places) {
-            let width = from.width * texels[0];
-            for row in 0..from.height * texels[1] {
-                let first = (from.y * texels[1] + row) * plane.width + from.x * texels[0];
+            let columns = border_repeated(from.x, from.width, texels[0], plane.width);
+            let rows = border_repeated(from.y, from.height, texels[1], plane.height);
+            for (row, from_row) in rows.enumerate() {
                 let at = (to[1] * texels[1] + row) * size[0] + to[0] * texels[0];
-                out.data[at..at + width].copy_from_slice(&plane.data[first..first + width]);
-                covered.data[at..at + width].fill(true);
+                for (at, column) in (at..).zip(columns.clone()) {
+                    out.data[at] = plane[(column, from_row)];
+                    covered.data[at] = true;
+                }
             }
         }
         fill_uncovered(&out, &covered)
     }
+}
+
+/// The texels of `cells` cells from `first` on, along a side of `side` texels: its last where cells lie
+/// beyond it, as a look-up that does not repeat the texture sees it.
+fn border_repeated(
+    first: isize,
+    cells: usize,
+    texels: usize,
+    side: usize,
+) -> impl Iterator<Item = usize> + Clone {
+    let first = first * texels as isize;
+    (first..first + (cells * texels) as isize)
+        .map(move |i| usize::try_from(i).unwrap_or(0).min(side - 1))
 }
 
 #[cfg(test)]
@@ -355,12 +376,12 @@ mod tests {
     use crate::solution::tests::small_solution;
     use glam::Vec3;
 
-    /// Three squares in a large atlas: the first two are one object, the last is another.
+    /// Three squares in a large atlas, two at its borders: the first two are one object, the last is another.
     fn squares() -> (Solution, [MeshPart; 2]) {
         let mut solution = small_solution();
         solution.mesh = Mesh::default();
         let m = &mut solution.mesh;
-        for (k, (x, y)) in [(0.05, 0.1), (0.55, 0.62), (0.1, 0.7)]
+        for (k, (x, y)) in [(0.0, 0.1), (0.8, 0.62), (0.1, 0.7)]
             .into_iter()
             .enumerate()
         {
