@@ -1,12 +1,12 @@
 // Called by scripts/make_gltf_files: a bent sheet, packed in every way that glTF knows.
 import { Document, Logger, NodeIO } from '@gltf-transform/core';
 import { ALL_EXTENSIONS } from '@gltf-transform/extensions';
-import { draco, meshopt, quantize } from '@gltf-transform/functions';
+import { draco, instance, meshopt, quantize } from '@gltf-transform/functions';
 import draco3d from 'draco3dgltf';
 import { MeshoptDecoder, MeshoptEncoder } from 'meshoptimizer';
 
 const QUADS = 4;
-const [folder, textured] = process.argv.slice(2);
+const [folder, textured, copies] = process.argv.slice(2);
 await MeshoptEncoder.ready;
 const io = new NodeIO().registerExtensions(ALL_EXTENSIONS).registerDependencies({
   'draco3d.encoder': await draco3d.createEncoderModule(),
@@ -64,3 +64,18 @@ for (const [name, transform] of Object.entries(packed)) {
 }
 const pixel = 'iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg==';
 await io.write(textured, sheet(3, new Uint8Array(Buffer.from(pixel, 'base64'))));
+
+// six copies: turned by half a radian each about y, larger by an eighth, ten metres apart in x and one in y
+const many = sheet(1);
+const scene = many.getRoot().listScenes()[0];
+const mesh = many.getRoot().listMeshes()[0];
+many.getRoot().listNodes()[0].dispose();
+for (let k = 0; k < 6; k++) {
+  const half = 0.25 * k;
+  const size = 1 + 0.125 * k;
+  scene.addChild(many.createNode(`copy ${k}`).setMesh(mesh).setTranslation([10 * k, k, 0])
+    .setRotation([0, Math.sin(half), 0, Math.cos(half)]).setScale([size, size, size]));
+}
+await io.write(copies, many);
+await many.transform(instance({ min: 2 }));
+await io.write(`${folder}/instanced.glb`, many);

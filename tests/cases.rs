@@ -32,10 +32,7 @@ const CASES: &[(&str, Outcome)] = &[
     ("fc10-obj-polyline", Plain),
     ("fc11-obj-concave-ngon", Mesh(16, 100.0)),
     ("fc13-obj-bom", Plain),
-    (
-        "fc14-gltf-gpu-instancing",
-        Refused("EXT_mesh_gpu_instancing"),
-    ),
+    ("fc14-gltf-gpu-instancing", Mesh(20, 95.0)),
     ("fc16-obj-latin1", Plain),
     ("fc17-obj-continuation", Plain),
     (

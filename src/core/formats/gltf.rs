@@ -7,7 +7,7 @@
 
 use super::gltf_bytes::{load_buffer, split};
 use super::gltf_compressed::Unpacked;
-use super::gltf_document::{Accessor, Document, MeshEntry, Node, Primitive};
+use super::gltf_document::{Accessor, Copies, Document, MeshEntry, Primitive, composed};
 use super::gltf_material::GltfMaterial;
 use super::gltf_numbers::{component, component_size};
 use super::gltf_texture::{GltfTexture, UvSource};
@@ -22,8 +22,9 @@ use std::path::Path;
 use std::rc::Rc;
 
 /// Beginnings of the names of extensions that a file may require without changing what is read
-/// here (materials, lights), and of those that are read: integers and packed data.
-const UNDERSTOOD: [&str; 11] = [
+/// here (materials, lights), and of those that are read: copies, integers and packed data.
+const UNDERSTOOD: [&str; 12] = [
+    "EXT_mesh_gpu_instancing",
     "KHR_mesh_quantization",
     "KHR_meshopt_compression",
     "EXT_meshopt_compression",
@@ -124,30 +125,17 @@ impl<'a> Reader<'a> {
         let buffers = document.buffers.iter().enumerate().map(load);
         let buffers = buffers.collect::<Result<Vec<_>>>()?;
         let views = document.buffer_views.iter().map(|_| OnceCell::new());
-        let reader = Self {
+        Ok(Self {
             buffers,
             views: views.collect(),
             unpacked: Cell::new(0),
             draco: RefCell::default(),
             document,
-        };
-        reader.check_instances().map_err(fail)?;
-        Ok(reader)
+        })
     }
 }
 
 impl Reader<'_> {
-    /// Refuses node extensions that would put a mesh where it is not read.
-    fn check_instances(&self) -> Reading<()> {
-        let instanced = |n: &Node| n.extensions.instancing.is_some();
-        match self.document.nodes.iter().position(instanced) {
-            Some(n) => Err(format!(
-                "node {n} uses EXT_mesh_gpu_instancing, which is not supported; export every copy as a node of its own"
-            )),
-            None => Ok(()),
-        }
-    }
-
     /// Adds a primitive's vertices and indices to what the file has asked for so far.
     fn count(&self, primitive: &Primitive, asked: &mut u64) -> Reading<()> {
         let most = self.buffers.iter().map(|b| b.len() as u64).max();
@@ -211,8 +199,8 @@ impl Reader<'_> {
         found.ok_or_else(|| format!("mesh {m} does not exist; export the mesh again"))
     }
 
-    /// Nodes of the default scene with their world transforms, in the order of the hierarchy; what
-    /// their meshes ask for is counted.
+    /// Nodes of the default scene with their world transforms, in the order of the hierarchy, one
+    /// whose mesh is copied once for each copy; what their meshes ask for is counted.
     pub(super) fn placed(&self) -> Reading<Vec<Placed>> {
         let d = &self.document;
         let (mut found, mut visited) = (Vec::new(), 0usize);
@@ -236,11 +224,18 @@ impl Reader<'_> {
                 .ok_or_else(|| format!("node {index} does not exist; export the mesh again"))?;
             let world = parent * node.transform();
             stack.extend(node.children.iter().rev().map(|&c| (c, world, depth + 1)));
-            found.push(Placed {
+            let copies = match (&node.extensions.copies, node.mesh) {
+                (Some(copies), Some(_)) => self
+                    .copies(copies)
+                    .map_err(|e| format!("node {index}, EXT_mesh_gpu_instancing: {e}"))?,
+                _ => vec![DMat4::IDENTITY],
+            };
+            visited += copies.len();
+            found.extend(copies.into_iter().map(|copy| Placed {
                 node: index,
                 mesh: node.mesh,
-                world,
-            });
+                world: world * copy,
+            }));
         }
         let mut asked = 0;
         for m in found.iter().filter_map(|p| p.mesh) {
@@ -249,6 +244,36 @@ impl Reader<'_> {
             }
         }
         Ok(found)
+    }
+
+    /// From a mesh's coordinates to its node's, for each copy.
+    fn copies(&self, copies: &Copies) -> Reading<Vec<DMat4>> {
+        let number = |name: &str| copies.attributes.get(name).copied();
+        let vectors = |name: &str| number(name).map(|a| self.floats::<3>(a)).transpose();
+        let translations = vectors("TRANSLATION")?;
+        let scales = vectors("SCALE")?;
+        let rotations = number("ROTATION").map(|a| self.floats::<4>(a));
+        let rotations = rotations.transpose()?;
+        let lengths = [
+            translations.as_ref().map(Vec::len),
+            scales.as_ref().map(Vec::len),
+            rotations.as_ref().map(Vec::len),
+        ];
+        let mut lengths = lengths.into_iter().flatten();
+        let count = lengths
+            .next()
+            .ok_or("it says nothing of where the copies are; export every copy as a node")?;
+        if lengths.any(|n| n != count) {
+            return Err("its lists are of different lengths; export the mesh again".into());
+        }
+        let copy = |i: usize| {
+            composed(
+                translations.as_ref().map(|t| t[i]),
+                rotations.as_ref().map(|r| r[i]),
+                scales.as_ref().map(|s| s[i]),
+            )
+        };
+        Ok((0..count).map(copy).collect())
     }
 
     /// A primitive in world coordinates; `None` where it is no surface.
@@ -615,6 +640,37 @@ mod tests {
         assert!(mesh.uvs.is_empty() && mesh.normals.is_empty());
     }
 
+    /// The triangle's own corners serve as three translations, scales, or vectors that are too short
+    /// for rotations.
+    #[test]
+    fn copies_are_placed_below_their_node_and_faulty_lists_are_errors() {
+        let with = |attributes: &str| {
+            let copies = format!(
+                r#","translation":[0,0,7],"extensions":{{"EXT_mesh_gpu_instancing":{{"attributes":{{{attributes}}}}}}}"#
+            );
+            mesh_from_gltf(document(3, &copies).as_bytes(), Path::new("t.gltf"))
+        };
+        let mesh = with(r#""TRANSLATION":0"#).expect("readable");
+        assert_eq!((mesh.positions.len(), mesh.triangles.len()), (9, 3));
+        for (copy, at) in [DVec3::ZERO, DVec3::X, DVec3::Y].into_iter().enumerate() {
+            let corner = mesh.positions[3 * copy + 1];
+            assert_eq!(corner, DVec3::new(10_001.0, 0.0, 7.0) + at);
+        }
+        let mesh = with(r#""SCALE":0,"TRANSLATION":0"#).expect("readable");
+        assert_eq!(mesh.positions[4], DVec3::new(10_002.0, 0.0, 7.0));
+        for (faulty, said) in [
+            ("", "where the copies are"),
+            (r#""ROTATION":0"#, "VEC4"),
+            (r#""TRANSLATION":5"#, "accessor 5 does not exist"),
+        ] {
+            let e = with(faulty).expect_err(faulty).to_string();
+            assert!(
+                e.contains("node 1, EXT_mesh_gpu_instancing") && e.contains(said),
+                "{e}"
+            );
+        }
+    }
+
     #[test]
     fn what_is_named_many_times_is_counted_before_it_is_read() {
         // a million vertices in zeros, a thousand nodes: 36 MB that would become 24 GB
@@ -667,8 +723,8 @@ mod tests {
         assert!(with("./b.bin", "").is_ok());
         let required = r#""extensionsRequired":["KHR_materials_unlit"],"#;
         assert!(with("b.bin", required).is_ok());
-        let required = r#""extensionsRequired":["EXT_mesh_gpu_instancing"],"#;
-        assert!(with("b.bin", required).is_err_and(|e| e.contains("EXT_mesh_gpu_instancing")));
+        let required = r#""extensionsRequired":["KHR_of_tomorrow"],"#;
+        assert!(with("b.bin", required).is_err_and(|e| e.contains("KHR_of_tomorrow")));
         std::os::unix::fs::symlink("/dev/zero", dir.path().join("in/z.bin")).expect("link");
         assert!(with("z.bin", "").is_err_and(|e| e.contains("device")));
     }

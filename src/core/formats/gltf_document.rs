@@ -75,7 +75,14 @@ pub(super) struct Node {
 #[derive(Default, Deserialize)]
 pub(super) struct NodeExtensions {
     #[serde(rename = "EXT_mesh_gpu_instancing")]
-    pub(super) instancing: Option<serde::de::IgnoredAny>,
+    pub(super) copies: Option<Copies>,
+}
+
+/// Copies of a node's mesh: accessors of as many vectors by `TRANSLATION`, `ROTATION` and `SCALE`
+/// (`EXT_mesh_gpu_instancing`).
+#[derive(Deserialize)]
+pub(super) struct Copies {
+    pub(super) attributes: BTreeMap<String, usize>,
 }
 
 #[derive(Deserialize)]
@@ -186,24 +193,32 @@ pub(super) struct Image {
 impl Node {
     /// From its own coordinates to its parent's.
     pub(super) fn transform(&self) -> DMat4 {
-        if let Some(m) = self.matrix {
-            return DMat4::from_cols_array(&m);
+        match self.matrix {
+            Some(m) => DMat4::from_cols_array(&m),
+            None => composed(self.translation, self.rotation, self.scale),
         }
-        let rotation = self.rotation.map_or(DQuat::IDENTITY, |r| {
-            let q = DQuat::from_array(r);
-            if q.length_squared() > 0.0 {
-                q.normalize()
-            } else {
-                DQuat::IDENTITY
-            }
-        });
-        let scale = self.scale.map_or(DVec3::ONE, DVec3::from_array);
-        DMat4::from_scale_rotation_translation(
-            scale,
-            rotation,
-            self.translation.map_or(DVec3::ZERO, DVec3::from_array),
-        )
     }
+}
+
+/// The transform that scales, turns and moves; a rotation of length zero turns nothing.
+pub(super) fn composed(
+    translation: Option<[f64; 3]>,
+    rotation: Option<[f64; 4]>,
+    scale: Option<[f64; 3]>,
+) -> DMat4 {
+    let rotation = rotation.map_or(DQuat::IDENTITY, |r| {
+        let q = DQuat::from_array(r);
+        if q.length_squared() > 0.0 {
+            q.normalize()
+        } else {
+            DQuat::IDENTITY
+        }
+    });
+    DMat4::from_scale_rotation_translation(
+        scale.map_or(DVec3::ONE, DVec3::from_array),
+        rotation,
+        translation.map_or(DVec3::ZERO, DVec3::from_array),
+    )
 }
 
 #[cfg(test)]

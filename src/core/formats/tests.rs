@@ -565,6 +565,30 @@ fn packed_gltf_reads_as_what_was_packed() {
     }
 }
 
+/// The copies of tests/files/README.md: every sheet where its turn and its place put it.
+#[test]
+fn copies_written_by_other_programs_are_where_they_belong() {
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/files/gltf");
+    for name in ["instanced", "gltfpack-mi-c"] {
+        let mesh = read_mesh(&folder.join(format!("{name}.glb"))).expect(name);
+        assert_eq!(
+            (mesh.positions.len(), mesh.triangles.len()),
+            (6 * 25, 6 * 32),
+            "{name}"
+        );
+        let mut found = [0; 6];
+        for p in &mesh.positions {
+            let k = (p.x / 10.0).round() as usize;
+            found[k] += 1;
+            let back = glam::DQuat::from_rotation_y(-0.5 * k as f64)
+                * (*p - glam::DVec3::new(10.0 * k as f64, k as f64, 0.0));
+            let [x, y, _] = (back / (1.0 + 0.125 * k as f64)).to_array();
+            assert!((y - 0.25 * x * x).abs() < 4e-3, "{name}: copy {k}, {p}");
+        }
+        assert_eq!(found, [25; 6], "{name}");
+    }
+}
+
 #[test]
 fn every_byte_of_packed_gltf_may_be_damaged() {
     let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/files/gltf");

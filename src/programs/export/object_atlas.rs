@@ -190,7 +190,10 @@ impl Grid {
             // what lies outside of the atlas takes its border
             let cells = cells as isize;
             let first = (first as isize).clamp(-1, cells - 1);
-            (first, (end as isize).clamp(first + 1, cells + 1).abs_diff(first))
+            (
+                first,
+                (end as isize).clamp(first + 1, cells + 1).abs_diff(first),
+            )
         };
         let (x, width) = range(low.x, high.x, self.width);
         let (y, height) = range(low.y, high.y, self.height);
