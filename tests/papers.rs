@@ -254,7 +254,7 @@ fn counts_of_the_code_only_fall() {
         ("parameter_lists_over_6", 0),
         ("file_circles", 0),
         ("constants", 108),
-        ("constants_without_source", 34),
+        ("constants_without_source", 17),
     ] {
         let found = counts[what].as_u64().expect(what);
         assert!(

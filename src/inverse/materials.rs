@@ -33,8 +33,8 @@ const APART: f32 = 4.1;
 /// Share of the held-out views' disagreement that a division must explain: tiles and grout explain
 /// 9 %, surfaces of one roughness whose colour merely follows their place up to 4 %.
 pub const SPLIT_GAIN: f64 = COMMON_SHARE;
-/// The same for roughness that follows the place: on surfaces of one roughness it explains up to 8
-/// %.
+/// The same for roughness that follows the place. Measured: on surfaces of one roughness it explains
+/// up to 8 %; twice that.
 const PLACE_GAIN: f64 = 0.15;
 /// Share of the way from one colour to the other on which points tell of the first, and of the
 /// second. Derived: they are nearer to it than to an even mixture.

@@ -39,6 +39,7 @@ const SPOKE: [[f32; 2]; SPOKES] = {
     ]
 };
 /// Share of the way to what a fan met within which nothing hides.
+/// Measured: ×½ albedo within two errors +3 %, ×2 little (docs/constants.md).
 const BEFORE: f32 = 0.75;
 
 /// Texels that look around.

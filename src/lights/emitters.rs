@@ -34,6 +34,7 @@ const MAX_LAMPS: usize = 128;
 /// Measured: ×½ roughness +0.8 dB, ×2 albedo +0.2 dB (docs/constants.md).
 const CELLS_LONGEST: f32 = 20.0;
 /// Distance in cells within which two points of one smooth surface ask the same lamps.
+/// Measured: ×½ albedo within two errors +9 %, ×2 roughness within two errors +14 % (docs/constants.md).
 const ALIKE: f32 = 0.1;
 
 /// A direction towards an emitter.

@@ -11,7 +11,9 @@
 use super::clipped_looks::{ClippedLooks, Restored, SECTORS, sector};
 use super::clipped_texels::ClippedTexels;
 use super::known_lights::known_lights;
-use super::light::{first_radiance, light_field, texture_of, trusted_radiance};
+use super::light::light_field;
+use super::light_basis::{Sources, light_of};
+use super::texel_radiance::{KnownFaces, first_radiance, texture_of, trusted_radiance};
 use super::{SolveOptions, Switch};
 use crate::core::image::RgbPlane;
 use crate::core::math::luminance;
@@ -23,7 +25,7 @@ use crate::inverse::{ClippedFit, LightGroup, ShadingRow, fit_clipped};
 use crate::irradiance::{IrradianceOptions, bake_irradiance};
 use crate::lights::Emitters;
 use crate::observed::Surface;
-use crate::radiance::{Environment, LightField, SurfaceRadiance};
+use crate::radiance::{Environment, LightField};
 use crate::scene::Class;
 use crate::verdict::MissingLight;
 use glam::Vec3;
@@ -372,15 +374,11 @@ impl<'s, 'a> Restorer<'s, 'a> {
 
     /// Irradiance of up to three groups of unit radiance, in a channel each.
     fn basis_of(&self, groups: &[usize]) -> Vec<Vec3> {
-        let (surface, mesh) = (self.surface, &self.surface.scene.mesh);
-        let texels = &surface.texels;
-        let mut sent = vec![Vec3::ZERO; texels.len()];
-        let mut emissive = vec![false; mesh.triangles.len()];
+        let mut sent = vec![Vec3::ZERO; self.surface.texels.len()];
         let mut sky = self.clipped.sky.map(|_| Vec3::ZERO);
         for (c, &k) in groups.iter().enumerate() {
             for &i in &self.groups[k].texels {
                 sent[i as usize][c] = 1.0;
-                emissive[texels.point[i as usize].triangle as usize] = true;
             }
             if let Some(s) = self.groups[k].sector {
                 for (i, m) in self.clipped.sky.data.iter().enumerate() {
@@ -395,29 +393,19 @@ impl<'s, 'a> Restorer<'s, 'a> {
         } else {
             Environment::from_map(sky)
         };
-        let on_light: Vec<bool> = (texels.point.iter())
-            .map(|p| emissive[p.triangle as usize])
-            .collect();
-        let surfaces = SurfaceRadiance {
-            radiance: texture_of(texels, &sent),
-            emissive: texels.scatter(&on_light, false),
-            emissive_triangles: &emissive,
-            back: Vec::new(),
-        };
-        let field = LightField::new(mesh, &surface.orientation, surfaces, environment);
-        let probes: Vec<(Vec3, Vec3)> = (0..self.coarse.len())
-            .map(|i| surface.receiver(&self.coarse, i))
-            .map(|r| (r.position, r.normal))
-            .collect();
-        let emitters = Emitters::new(mesh, &field, &surface.tracer, &probes);
-        self.irradiance(&field, &emitters)
+        let sources = Sources { sent, environment };
+        light_of(self.surface, sources, &self.coarse, &self.irt_options())
     }
 
     /// One fit with what follows from it.
     fn round(&mut self, round: usize) -> ClippedFit {
         self.bake_groups();
         let radiance = if round == 0 {
-            first_radiance(self.surface, &self.sent, &self.known)
+            let known = KnownFaces {
+                lamps: self.known.clone(),
+                dark: Vec::new(),
+            };
+            first_radiance(self.surface, &self.sent, &known)
         } else {
             texture_of(&self.surface.texels, &self.sent)
         };

@@ -12,9 +12,9 @@
 //! held below the ceiling of the file. Called by `solve` after the albedo, before the missing light.
 
 use super::clipped_light::FoundLight;
-use super::light::texture_of;
 use super::missing_light::scale_irradiance;
 use super::room_levels::pool_room_levels;
+use super::texel_radiance::texture_of;
 use super::unclipped_lamps::find_unclipped_lamps;
 use super::white_paint::{MOST, WHITE, WHITE_SPREAD};
 use super::{Light, SolveOptions, Switch};

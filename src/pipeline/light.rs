@@ -5,8 +5,12 @@
 //! irradiance); the full bake then uses both.
 
 use super::decisions::{choose_environment, report_emission};
+use super::hidden_faces::{FirstLight, dark_faces};
 use super::known_lights::{adopt_subtexel_triangles, known_lights};
 use super::segments::{LightSoFar, find_segments};
+use super::texel_radiance::{
+    KnownFaces, filled_radiance, first_radiance, lit, texture_of, trusted_radiance,
+};
 use super::time_budget::{samples_for, split_samples};
 use super::{SolveOptions, Switch};
 use crate::core::geometry::{Mesh, clusters};
@@ -15,17 +19,17 @@ use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::stats::median_colours;
-use crate::core::texture::{Texels, fill_uncovered};
+use crate::core::texture::Texels;
 use crate::irradiance::{
     Irradiance, IrradianceOptions, NirfOptions, Receiver, SUB_ESTIMATES, SampleBudget, Surfel,
     bake_irradiance, bake_surface, spread,
 };
 use crate::lights::{EmissionEvidence, Emitters, LitScene, detect_emissive};
-use crate::observed::{Surface, coverage};
+use crate::observed::Surface;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use crate::solution::lamp_gap;
 use glam::Vec3;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::time::Instant;
 
@@ -67,10 +71,10 @@ const BORDER: f32 = 0.25;
 pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &Progress) -> Light {
     let mesh = &surface.scene.mesh;
     let environment = choose_environment(surface, options, progress);
-    let known = adopt_subtexel_triangles(mesh, &surface.texels, known_lights(surface, options));
-    let coarse = coarse_light(surface, &known, environment.clone(), options, progress);
+    let lamps = known_lights(surface, options);
+    let Lamps { known, coarse } = shining_lamps(surface, lamps, &environment, options, progress);
     let emissive = emissive_by(surface, &coarse.irradiance, &known, options);
-    report_emission(&emissive, &known, options, progress);
+    report_emission(&emissive, &known.lamps, options, progress);
     let so_far = LightSoFar {
         irradiance: &coarse.irradiance,
         emissive: &emissive,
@@ -79,7 +83,7 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let labels = segments.as_ref().unwrap_or(&surface.labels);
 
     // surfaces nobody sees send out their class's albedo times their irradiance
-    let predicted = complete_radiance(surface, labels, so_far);
+    let predicted = complete_radiance(surface, labels, &known, so_far);
     let radiance = filled_radiance(surface, &predicted, &vec![true; predicted.len()]);
     let (field, emitters) = light_field(
         surface,
@@ -116,6 +120,64 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     }
 }
 
+/// What is known of lamps, and the light as a coarse bake shows it then.
+struct Lamps {
+    known: KnownFaces,
+    coarse: CoarseLight,
+}
+
+/// Those of `lamps` that shine, hidden ones as far as the photographs do not deny it.
+fn shining_lamps(
+    surface: &Surface,
+    lamps: Vec<bool>,
+    environment: &Environment,
+    options: &SolveOptions,
+    progress: &Progress,
+) -> Lamps {
+    let mesh = &surface.scene.mesh;
+    let light = |lamps: Vec<bool>, dark: Vec<bool>| {
+        let known = KnownFaces {
+            lamps: adopt_subtexel_triangles(mesh, &surface.texels, lamps),
+            dark,
+        };
+        let coarse = coarse_light(surface, &known, environment.clone(), options, progress);
+        Lamps { known, coarse }
+    };
+    let first = light(lamps.clone(), Vec::new());
+    let coarse = &first.coarse;
+    let seen = FirstLight {
+        texels: &coarse.texels,
+        irradiance: &coarse.irradiance,
+        options: &coarse_samples(options),
+    };
+    let Some(found) = dark_faces(surface, &lamps, seen) else {
+        return first;
+    };
+    let classes = &surface.scene.classes;
+    let named = |c: &u16| classes.iter().find(|k| k.id == *c).map(|k| k.name.clone());
+    let name = |c: &u16| named(c).unwrap_or_else(|| format!("class {c}"));
+    let names: Vec<String> = found.classes.iter().map(name).collect();
+    progress.note(format!(
+        "faces of {} that no view shows clearly are dark: what they would light is not lit",
+        names.join(", ")
+    ));
+    let shining = lamps.iter().zip(&found.triangles);
+    light(
+        shining.map(|(l, dark)| *l && !dark).collect(),
+        found.triangles,
+    )
+}
+
+/// Rays and emitter samples of a coarse bake.
+fn coarse_samples(options: &SolveOptions) -> IrradianceOptions {
+    IrradianceOptions {
+        rays: 64,
+        emitter_samples: 16,
+        seed: options.seed ^ 1,
+        ..IrradianceOptions::default()
+    }
+}
+
 /// The light as a coarse bake shows it: as observed, from known lamps only.
 struct CoarseLight {
     /// Texels of the coarse texture.
@@ -131,21 +193,17 @@ struct CoarseLight {
 
 fn coarse_light(
     surface: &Surface,
-    known: &[bool],
+    known: &KnownFaces,
     environment: Environment,
     options: &SolveOptions,
     progress: &Progress,
 ) -> CoarseLight {
-    let first_look = trusted_radiance(surface, known);
+    let lamps = &known.lamps;
+    let first_look = trusted_radiance(surface, lamps);
     let radiance = first_radiance(surface, &first_look, known);
     let texels = coarse_texels(surface);
-    let (field, emitters) = light_field(surface, &radiance, known, environment, &texels, options);
-    let coarse = IrradianceOptions {
-        rays: 64,
-        emitter_samples: 16,
-        seed: options.seed ^ 1,
-        ..IrradianceOptions::default()
-    };
+    let (field, emitters) = light_field(surface, &radiance, lamps, environment, &texels, options);
+    let coarse = coarse_samples(options);
     let begin = Instant::now();
     let bake = progress.stage("emitters", texels.len() as u64, |p| {
         bake(surface, &field, &emitters, &texels, &coarse, p)
@@ -164,17 +222,17 @@ fn coarse_light(
 fn emissive_by(
     surface: &Surface,
     irradiance: &RgbPlane,
-    known: &[bool],
+    known: &KnownFaces,
     options: &SolveOptions,
 ) -> Vec<bool> {
-    match options.emission {
-        Switch::Off => known.to_vec(),
-        Switch::Auto | Switch::On => adopt_subtexel_triangles(
-            &surface.scene.mesh,
-            &surface.texels,
-            emitting_triangles(surface, irradiance, known),
-        ),
+    if options.emission == Switch::Off {
+        return known.lamps.clone();
     }
+    let mut found = emitting_triangles(surface, irradiance, &known.lamps);
+    for (emits, dark) in found.iter_mut().zip(&known.dark) {
+        *emits &= !dark;
+    }
+    adopt_subtexel_triangles(&surface.scene.mesh, &surface.texels, found)
 }
 
 /// The options with the samples that a budget or a target error asks for at `count` texels, by what
@@ -329,35 +387,10 @@ impl Surface<'_> {
     }
 }
 
-pub(super) fn filled_radiance(surface: &Surface, values: &[Vec3], observed: &[bool]) -> RgbPlane {
-    let plane = surface.texels.scatter(values, Vec3::ZERO);
-    fill_uncovered(&plane, &surface.texels.scatter(observed, false))
-}
-
-/// A first look at the radiance: where no clean pixel shows it, that of texels nearby in the atlas.
-/// Lamps are no guide to those around them: unseen books beside a lamp's chart would shine like the
-/// lamp, and light their shelf.
-pub(super) fn first_radiance(surface: &Surface, values: &[Vec3], known: &[bool]) -> RgbPlane {
-    let lamp = |i: usize| lit(surface, known, i);
-    let guides: Vec<bool> = (0..values.len())
-        .map(|i| surface.fusion.clean[i] && !lamp(i))
-        .collect();
-    let mut plane = filled_radiance(surface, values, &guides);
-    (0..values.len())
-        .filter(|&i| lamp(i))
-        .for_each(|i| plane.data[surface.texels.cell[i] as usize] = values[i]);
-    plane
-}
-
 /// Covered texels of the coarse irradiance texture.
 pub(super) fn coarse_texels(surface: &Surface) -> Texels {
     let side = (surface.sizes.irradiance / COARSE).max(1);
     Texels::rasterize(&surface.scene.mesh, side, side)
-}
-
-/// Values of covered texels as a texture, filled outside charts.
-pub(crate) fn texture_of(texels: &Texels, values: &[Vec3]) -> RgbPlane {
-    fill_uncovered(&texels.scatter(values, Vec3::ZERO), &coverage(texels))
 }
 
 pub(super) fn light_field(
@@ -464,77 +497,14 @@ fn remove_edge_halos(
     emissive
 }
 
-/// Whether covered texel `i` lies on a triangle marked in `emissive`.
-fn lit(surface: &Surface, emissive: &[bool], i: usize) -> bool {
-    emissive[surface.texels.point[i].triangle as usize]
-}
-
-/// Observed radiance; on emitters without a clean pixel the brightest view, and where no view sees
-/// them the median of their lamp, or that of their class if the whole lamp is unseen: a lamp of few
-/// pixels must not count as dark, for all albedos hang on its light.
-pub(super) fn trusted_radiance(surface: &Surface, emissive: &[bool]) -> Vec<Vec3> {
-    let f = &surface.fusion;
-    let look = |i: usize| {
-        if lit(surface, emissive, i) && !f.clean[i] {
-            f.peak[i]
-        } else {
-            f.radiance[i]
-        }
-    };
-    let emitting: Vec<u32> = (0..emissive.len() as u32)
-        .filter(|&t| emissive[t as usize])
-        .collect();
-    let mut lamp_of = vec![0usize; emissive.len()];
-    for (lamp, triangles) in clusters(
-        &surface.scene.mesh,
-        &emitting,
-        lamp_gap(&surface.scene.mesh),
-    )
-    .iter()
-    .enumerate()
-    {
-        triangles.iter().for_each(|&t| lamp_of[t as usize] = lamp);
-    }
-    let lamp = |i: usize| lamp_of[surface.texels.point[i].triangle as usize];
-    let (mut of_lamp, mut of_class) = (
-        BTreeMap::<usize, Vec<Vec3>>::new(),
-        BTreeMap::<u16, Vec<Vec3>>::new(),
-    );
-    for i in (0..f.radiance.len()).filter(|&i| lit(surface, emissive, i) && f.views[i] > 0) {
-        of_lamp.entry(lamp(i)).or_default().push(look(i));
-        of_class.entry(surface.labels[i]).or_default().push(look(i));
-    }
-    let of_lamp: BTreeMap<usize, Vec3> = of_lamp
-        .into_iter()
-        .map(|(k, v)| (k, median_light(v)))
-        .collect();
-    let of_class: BTreeMap<u16, Vec3> = of_class
-        .into_iter()
-        .map(|(k, v)| (k, median_light(v)))
-        .collect();
-    (0..f.radiance.len())
-        .map(|i| {
-            let unseen = f.views[i] == 0 && lit(surface, emissive, i);
-            let others = || {
-                of_lamp
-                    .get(&lamp(i))
-                    .or_else(|| of_class.get(&surface.labels[i]))
-                    .copied()
-            };
-            unseen.then(others).flatten().unwrap_or_else(|| look(i))
-        })
-        .collect()
-}
-
-/// The colour of median luminance.
-fn median_light(mut values: Vec<Vec3>) -> Vec3 {
-    values.sort_by(|a, b| luminance(*a).total_cmp(&luminance(*b)));
-    values[values.len() / 2]
-}
-
 /// Radiance of every texel: as observed; the median albedo of its class times its irradiance where
 /// nobody sees it; and where only pixels at edges see it, no more than a little above that.
-fn complete_radiance(surface: &Surface, labels: &[u16], light: LightSoFar<'_>) -> Vec<Vec3> {
+fn complete_radiance(
+    surface: &Surface,
+    labels: &[u16],
+    faces: &KnownFaces,
+    light: LightSoFar<'_>,
+) -> Vec<Vec3> {
     let LightSoFar {
         irradiance,
         emissive,
@@ -543,7 +513,8 @@ fn complete_radiance(surface: &Surface, labels: &[u16], light: LightSoFar<'_>) -
     let stride = (surface.texels.len() / 400_000).max(1);
     let known = (0..surface.texels.len())
         .step_by(stride)
-        .filter(|&i| surface.fusion.clean[i] && !lit(surface, emissive, i));
+        .filter(|&i| surface.fusion.clean[i] && !lit(surface, emissive, i))
+        .filter(|&i| !faces.is_dark(surface, i));
     let albedo = median_colours(known.map(|i| {
         let e = surface.texels.lookup(&surface.scene.mesh, irradiance, i);
         let a = surface.fusion.radiance[i] * PI / e.max(Vec3::splat(1e-12));
@@ -554,7 +525,8 @@ fn complete_radiance(surface: &Surface, labels: &[u16], light: LightSoFar<'_>) -
     }));
     (0..surface.texels.len())
         .map(|i| {
-            if surface.fusion.clean[i] || lit(surface, emissive, i) {
+            let grazed = faces.is_dark(surface, i);
+            if surface.fusion.clean[i] && !grazed || lit(surface, emissive, i) {
                 return trusted[i];
             }
             let a = albedo.get(&labels[i]).copied().unwrap_or(Vec3::splat(0.5));
@@ -562,6 +534,7 @@ fn complete_radiance(surface: &Surface, labels: &[u16], light: LightSoFar<'_>) -
                 a * surface.texels.lookup(&surface.scene.mesh, irradiance, i) * FRAC_1_PI;
             let seen = surface.fusion.radiance[i];
             let usable = surface.fusion.views[i] > 0
+                && !grazed
                 && luminance(seen) < MIXTURE_LIMIT * luminance(expected);
             if usable { seen } else { expected }
         })
@@ -596,6 +569,10 @@ mod tests {
             .map(|i| surface.texels.lookup(&scene.mesh, &irradiance, i) * FRAC_1_PI)
             .collect();
         let colour = Vec3::new(0.4, 0.2, 0.6);
+        let faces = KnownFaces {
+            lamps: vec![false; 12],
+            dark: Vec::new(),
+        };
         for (i, &w) in walls.iter().enumerate() {
             // every third texel is seen clean, another third at edges only
             let (clean, edge) = (i % 3 == 0, i % 3 == 1);
@@ -628,7 +605,7 @@ mod tests {
             irradiance: &irradiance,
             emissive: &[false; 12],
         };
-        let filled = complete_radiance(&surface, &surface.labels, light);
+        let filled = complete_radiance(&surface, &surface.labels, &faces, light);
         let near = |a: Vec3, b: Vec3| (a - b).abs().max_element() <= 1e-4 * b.max_element();
         let mut checked = [0; 6];
         for (i, &w) in walls.iter().enumerate() {
@@ -658,7 +635,7 @@ mod tests {
             irradiance: &irradiance,
             emissive: &[false; 12],
         };
-        let filled = complete_radiance(&surface, &surface.labels, light);
+        let filled = complete_radiance(&surface, &surface.labels, &faces, light);
         assert!(filled.iter().zip(&white).all(|(l, w)| near(*l, 0.5 * *w)));
     }
 

@@ -13,7 +13,8 @@
 //! to the first pass is baked at a low resolution and added to E.
 
 use super::Light;
-use super::light::{coarse_texels, patches, texture_of};
+use super::light::{coarse_texels, patches};
+use super::texel_radiance::texture_of;
 use crate::core::brdf::Reflectance;
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::luminance;

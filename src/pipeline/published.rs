@@ -1,9 +1,10 @@
 //! The published method in unbake's frame: its light and its learned materials become a solution
 //! like any other, so that scores, pictures and exports compare like with like.
 
-use super::light::{filled_radiance, light_field, texture_of};
+use super::light::light_field;
 use super::roughness::rooms_of;
 use super::solved::Solved;
+use super::texel_radiance::{filled_radiance, texture_of};
 use super::{SolveOptions, bake_irradiance_texels, observe};
 use crate::Result;
 use crate::core::brdf::Reflectance;

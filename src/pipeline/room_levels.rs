@@ -10,8 +10,8 @@
 //! the energy balance.
 
 use super::Light;
-use super::light::texture_of;
 use super::missing_light::scale_irradiance;
+use super::texel_radiance::texture_of;
 use super::white_paint::{WHITE, WHITE_SPREAD};
 use crate::core::parallel::prelude::*;
 use crate::core::stats::weighted_median;
