@@ -12,7 +12,7 @@ use super::clipped_looks::{ClippedLooks, Restored, SECTORS, sector};
 use super::clipped_texels::ClippedTexels;
 use super::known_lights::known_lights;
 use super::light::light_field;
-use super::light_basis::{Sources, light_of};
+use super::light_basis::{Sources, bake, light_of};
 use super::texel_radiance::{KnownFaces, first_radiance, texture_of, trusted_radiance};
 use super::{SolveOptions, Switch};
 use crate::core::image::RgbPlane;
@@ -22,7 +22,7 @@ use crate::core::progress::Progress;
 use crate::core::stats::median;
 use crate::core::texture::Texels;
 use crate::inverse::{ClippedFit, LightGroup, ShadingRow, fit_clipped};
-use crate::irradiance::{IrradianceOptions, bake_irradiance};
+use crate::irradiance::IrradianceOptions;
 use crate::lights::Emitters;
 use crate::observed::Surface;
 use crate::radiance::{Environment, LightField};
@@ -140,7 +140,7 @@ struct Restorer<'s, 'a> {
     surface: &'s Surface<'a>,
     clipped: &'s ClippedTexels,
     options: &'s SolveOptions,
-    known: Vec<bool>,
+    known: KnownFaces,
     environment: Environment,
     coarse: Texels,
     groups: Vec<Group>,
@@ -181,7 +181,10 @@ impl<'s, 'a> Restorer<'s, 'a> {
             clipped,
             options,
             sent: trusted_radiance(surface, &known),
-            known,
+            known: KnownFaces {
+                lamps: known,
+                dark: Vec::new(),
+            },
             environment,
             coarse: Texels::rasterize(&surface.scene.mesh, SIDE, SIDE),
             groups: Vec::new(),
@@ -201,7 +204,7 @@ impl<'s, 'a> Restorer<'s, 'a> {
     }
 
     fn is_light_class(&self, i: usize) -> bool {
-        self.known[self.surface.texels.point[i].triangle as usize]
+        self.known.lamps[self.surface.texels.point[i].triangle as usize]
     }
 
     fn area(&self, i: usize) -> f32 {
@@ -348,15 +351,9 @@ impl<'s, 'a> Restorer<'s, 'a> {
     }
 
     fn irradiance(&self, field: &LightField, emitters: &Emitters) -> Vec<Vec3> {
-        let (surface, coarse) = (self.surface, &self.coarse);
-        bake_irradiance(
-            &surface.lit(field, emitters).into(),
-            coarse.len(),
-            |i| surface.receiver(coarse, i),
-            &self.irt_options(),
-            &Progress::silent(),
-        )
-        .value
+        let lit = self.surface.lit(field, emitters);
+        let (coarse, options) = (&self.coarse, self.irt_options());
+        bake(self.surface, lit, coarse, &options, &Progress::silent()).value
     }
 
     /// Bakes the groups that have no basis yet, three at a time: one per channel.
@@ -401,11 +398,7 @@ impl<'s, 'a> Restorer<'s, 'a> {
     fn round(&mut self, round: usize) -> ClippedFit {
         self.bake_groups();
         let radiance = if round == 0 {
-            let known = KnownFaces {
-                lamps: self.known.clone(),
-                dark: Vec::new(),
-            };
-            first_radiance(self.surface, &self.sent, &known)
+            first_radiance(self.surface, &self.sent, &self.known)
         } else {
             texture_of(&self.surface.texels, &self.sent)
         };
@@ -435,7 +428,7 @@ impl<'s, 'a> Restorer<'s, 'a> {
     }
 
     fn emitting(&self) -> Vec<bool> {
-        let mut emitting = self.known.clone();
+        let mut emitting = self.known.lamps.clone();
         for g in self.groups.iter().filter(|g| g.fit.kind >= FOUND) {
             for &i in &g.texels {
                 emitting[self.surface.texels.point[i as usize].triangle as usize] = true;

@@ -376,7 +376,8 @@ pub(super) fn report_matte(
     }
 }
 
-fn class_name(scene: &Scene, id: u16) -> String {
+/// What the scene calls a class.
+pub(super) fn class_name(scene: &Scene, id: u16) -> String {
     scene
         .class(id)
         .map_or_else(|| format!("class {id}"), |c| c.name.clone())

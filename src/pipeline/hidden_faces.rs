@@ -7,7 +7,7 @@
 //! loses its hidden faces where the photographs are surely likelier without their light. Called by `light`.
 
 use super::light_basis::{Sources, light_of};
-use super::texel_radiance::{texture_of, trusted_radiance};
+use super::texel_radiance::texture_of;
 use crate::core::geometry::clusters;
 use crate::core::image::RgbPlane;
 use crate::core::math::luminance;
@@ -33,6 +33,8 @@ const LEAST_DEVIATION: f64 = 0.02;
 /// The light as a first bake shows it, every hidden face shining.
 #[derive(Clone, Copy)]
 pub(super) struct FirstLight<'a> {
+    /// Radiance of the surface's texels.
+    pub(super) sent: &'a [Vec3],
     /// Texels of the bake.
     pub(super) texels: &'a Texels,
     /// Their irradiance as a texture.
@@ -47,7 +49,7 @@ pub(super) fn dark_faces(
     lamps: &[bool],
     first: FirstLight<'_>,
 ) -> Option<DarkFaces> {
-    let hidden = Hidden::of(surface, lamps);
+    let hidden = Hidden::of(surface, lamps, first.sent);
     if hidden.classes.is_empty() {
         return None;
     }
@@ -81,14 +83,11 @@ struct Hidden {
     classes: Vec<u16>,
     /// Index into `classes` of every hidden triangle of one.
     class: Vec<Option<usize>>,
-    /// Radiance of texels, by what is seen of their lamp.
-    radiance: Vec<Vec3>,
 }
 
 impl Hidden {
-    fn of(surface: &Surface, lamps: &[bool]) -> Self {
+    fn of(surface: &Surface, lamps: &[bool], sent: &[Vec3]) -> Self {
         let (mesh, texels) = (&surface.scene.mesh, &surface.texels);
-        let radiance = trusted_radiance(surface, lamps);
         let mut clear = vec![0i32; lamps.len()];
         let mut labels = BTreeMap::<usize, Vec<u16>>::new();
         for (i, p) in texels.point.iter().enumerate() {
@@ -123,7 +122,7 @@ impl Hidden {
         for (i, p) in texels.point.iter().enumerate() {
             let t = p.triangle as usize;
             if lamps[t] {
-                let sent = texels.area(mesh, i) * luminance(radiance[i]);
+                let sent = texels.area(mesh, i) * luminance(sent[i]);
                 all += sent;
                 if let Some(class) = class[t] {
                     *power.entry(class).or_default() += sent;
@@ -138,7 +137,6 @@ impl Hidden {
         Self {
             class: class.into_iter().map(|c| c.and_then(index)).collect(),
             classes,
-            radiance,
         }
     }
 
@@ -155,7 +153,7 @@ impl Hidden {
                 sent
             };
             let sources = Sources {
-                sent: texels.point.iter().zip(&self.radiance).map(sent).collect(),
+                sent: texels.point.iter().zip(first.sent).map(sent).collect(),
                 environment: Environment::black(),
             };
             let light = light_of(surface, sources, first.texels, first.options);
@@ -179,7 +177,6 @@ fn most_frequent(labels: Vec<u16>) -> Option<u16> {
 
 /// A piece of surface that reflects.
 struct Row {
-    class: u16,
     position: Vec3,
     /// ln πL.
     log_radiosity: f32,
@@ -203,8 +200,13 @@ impl Row {
     }
 }
 
-/// Surface that views see clearly, evenly drawn.
-fn rows(surface: &Surface, lamps: &[bool], first: FirstLight<'_>, hidden: &Hidden) -> Vec<Row> {
+/// Surface that views see clearly, evenly drawn, by class.
+fn rows(
+    surface: &Surface,
+    lamps: &[bool],
+    first: FirstLight<'_>,
+    hidden: &Hidden,
+) -> BTreeMap<u16, Vec<Row>> {
     let (mesh, texels, fusion) = (&surface.scene.mesh, &surface.texels, &surface.fusion);
     let light = hidden.light(surface, first);
     let useful: Vec<usize> = (0..texels.len())
@@ -212,7 +214,6 @@ fn rows(surface: &Surface, lamps: &[bool], first: FirstLight<'_>, hidden: &Hidde
         .filter(|&i| !lamps[texels.point[i].triangle as usize])
         .collect();
     let row = |&i: &usize| Row {
-        class: surface.labels[i],
         position: texels.position(mesh, i),
         log_radiosity: (std::f32::consts::PI * luminance(fusion.radiance[i])).ln(),
         light: luminance(texels.lookup(mesh, first.irradiance, i)),
@@ -220,29 +221,34 @@ fn rows(surface: &Surface, lamps: &[bool], first: FirstLight<'_>, hidden: &Hidde
             .map(|k| texels.lookup(mesh, &light[k / 3], i)[k % 3])
             .collect(),
     };
-    useful
+    let asked: Vec<(u16, Row)> = useful
         .par_iter()
         .step_by(useful.len().div_ceil(ROWS).max(1))
-        .map(row)
-        .filter(|r| r.log_radiosity.is_finite() && r.light > 0.0)
-        .collect()
+        .map(|i| (surface.labels[*i], row(i)))
+        .filter(|(_, r)| r.log_radiosity.is_finite() && r.light > 0.0)
+        .collect();
+    by_class(asked)
+}
+
+fn by_class(rows: Vec<(u16, Row)>) -> BTreeMap<u16, Vec<Row>> {
+    let mut out = BTreeMap::<u16, Vec<Row>>::new();
+    for (class, row) in rows {
+        out.entry(class).or_default().push(row);
+    }
+    out
 }
 
 /// Whether the photographs are surely likelier if the hidden faces of class `k` are dark, those of others being
 /// as `dark` says: by deviations of Laplace's distribution, of as many independent places as the
 /// surface has.
-fn denied(rows: &[Row], k: usize, dark: &[bool]) -> bool {
+fn denied(rows: &BTreeMap<u16, Vec<Row>>, k: usize, dark: &[bool]) -> bool {
     let without: Vec<bool> = (0..dark.len()).map(|j| dark[j] || j == k).collect();
-    let mut classes = BTreeMap::<u16, Vec<&Row>>::new();
-    for r in rows {
-        classes.entry(r.class).or_default().push(r);
-    }
-    let gain = |of: &Vec<&Row>| {
+    let gain = |of: &Vec<Row>| {
         let [shining, off] = [dark, &without].map(|dark| Scatter::of(of, dark));
         let independent = of.len() as f64 / shining.design.max(off.design);
         independent * (shining.deviation / off.deviation).ln()
     };
-    let gain: f64 = (classes.values().filter(|of| of.len() >= ENOUGH))
+    let gain: f64 = (rows.values().filter(|of| of.len() >= ENOUGH))
         .map(gain)
         .sum();
     gain > f64::from(SURELY * SURELY / 2.0)
@@ -257,7 +263,7 @@ struct Scatter {
 }
 
 impl Scatter {
-    fn of(rows: &[&Row], dark: &[bool]) -> Self {
+    fn of(rows: &[Row], dark: &[bool]) -> Self {
         let values: Vec<f32> = rows.iter().map(|r| r.log_albedo(dark)).collect();
         let middle = median(values.clone()).unwrap_or(0.0);
         let apart: Vec<f64> = values.iter().map(|v| f64::from(v - middle)).collect();
@@ -275,23 +281,24 @@ mod tests {
     use super::*;
 
     /// A ceiling of one paint and a wall, with a lamp's hidden side above (hidden light near it).
-    fn room(shines: bool) -> Vec<Row> {
-        (0..2000)
+    fn room(shines: bool) -> BTreeMap<u16, Vec<Row>> {
+        let rows = (0..2000)
             .map(|i| {
                 let (x, y) = ((i % 50) as f32 * 0.1, (i / 50) as f32 * 0.1);
                 let near = 1.0 / (0.05 + (x - 2.5).powi(2) + (y - 2.0).powi(2));
                 let texture = 0.1 * ((i * 7919 % 1000) as f32 / 1000.0 - 0.5);
                 let light = 1.0 + near;
                 let sent = if shines { light } else { 1.0 };
-                Row {
-                    class: 1 + u16::from(i % 3 == 0),
+                let row = Row {
                     position: Vec3::new(x, y, 0.0),
                     log_radiosity: (0.5 * sent).ln() + texture,
                     light,
                     hidden: vec![near, 0.3],
-                }
+                };
+                (1 + u16::from(i % 3 == 0), row)
             })
-            .collect()
+            .collect();
+        by_class(rows)
     }
 
     #[test]
@@ -302,6 +309,9 @@ mod tests {
             !denied(&room(true), 1, &[false, false]),
             "even light says nothing"
         );
-        assert!(!denied(&[], 0, &[false]), "nothing says nothing");
+        assert!(
+            !denied(&BTreeMap::new(), 0, &[false]),
+            "nothing says nothing"
+        );
     }
 }

@@ -4,9 +4,10 @@
 //! (emitters) and what surfaces no camera sees send out (the class's albedo times their
 //! irradiance); the full bake then uses both.
 
-use super::decisions::{choose_environment, report_emission};
+use super::decisions::{choose_environment, class_name, report_emission};
 use super::hidden_faces::{FirstLight, dark_faces};
 use super::known_lights::{adopt_subtexel_triangles, known_lights};
+use super::light_basis::{bake, emitters_of};
 use super::segments::{LightSoFar, find_segments};
 use super::texel_radiance::{
     KnownFaces, filled_radiance, first_radiance, lit, texture_of, trusted_radiance,
@@ -22,7 +23,7 @@ use crate::core::stats::median_colours;
 use crate::core::texture::Texels;
 use crate::irradiance::{
     Irradiance, IrradianceOptions, NirfOptions, Receiver, SUB_ESTIMATES, SampleBudget, Surfel,
-    bake_irradiance, bake_surface, spread,
+    bake_surface, spread,
 };
 use crate::lights::{EmissionEvidence, Emitters, LitScene, detect_emissive};
 use crate::observed::Surface;
@@ -135,37 +136,38 @@ fn shining_lamps(
     progress: &Progress,
 ) -> Lamps {
     let mesh = &surface.scene.mesh;
-    let light = |lamps: Vec<bool>, dark: Vec<bool>| {
-        let known = KnownFaces {
-            lamps: adopt_subtexel_triangles(mesh, &surface.texels, lamps),
-            dark,
-        };
-        let coarse = coarse_light(surface, &known, environment.clone(), options, progress);
-        Lamps { known, coarse }
+    let faces = |lamps: Vec<bool>, dark: Vec<bool>| KnownFaces {
+        lamps: adopt_subtexel_triangles(mesh, &surface.texels, lamps),
+        dark,
     };
-    let first = light(lamps.clone(), Vec::new());
-    let coarse = &first.coarse;
+    let light = |known: &KnownFaces, sent: &[Vec3]| {
+        coarse_light(surface, known, sent, environment.clone(), options, progress)
+    };
+    let known = faces(lamps.clone(), Vec::new());
+    let sent = trusted_radiance(surface, &known.lamps);
+    let coarse = light(&known, &sent);
     let seen = FirstLight {
+        sent: &sent,
         texels: &coarse.texels,
         irradiance: &coarse.irradiance,
         options: &coarse_samples(options),
     };
     let Some(found) = dark_faces(surface, &lamps, seen) else {
-        return first;
+        return Lamps { known, coarse };
     };
-    let classes = &surface.scene.classes;
-    let named = |c: &u16| classes.iter().find(|k| k.id == *c).map(|k| k.name.clone());
-    let name = |c: &u16| named(c).unwrap_or_else(|| format!("class {c}"));
+    let name = |c: &u16| class_name(surface.scene, *c);
     let names: Vec<String> = found.classes.iter().map(name).collect();
     progress.note(format!(
         "faces of {} that no view shows clearly are dark: what they would light is not lit",
         names.join(", ")
     ));
     let shining = lamps.iter().zip(&found.triangles);
-    light(
+    let known = faces(
         shining.map(|(l, dark)| *l && !dark).collect(),
         found.triangles,
-    )
+    );
+    let coarse = light(&known, &trusted_radiance(surface, &known.lamps));
+    Lamps { known, coarse }
 }
 
 /// Rays and emitter samples of a coarse bake.
@@ -194,19 +196,20 @@ struct CoarseLight {
 fn coarse_light(
     surface: &Surface,
     known: &KnownFaces,
+    sent: &[Vec3],
     environment: Environment,
     options: &SolveOptions,
     progress: &Progress,
 ) -> CoarseLight {
     let lamps = &known.lamps;
-    let first_look = trusted_radiance(surface, lamps);
-    let radiance = first_radiance(surface, &first_look, known);
+    let radiance = first_radiance(surface, sent, known);
     let texels = coarse_texels(surface);
     let (field, emitters) = light_field(surface, &radiance, lamps, environment, &texels, options);
     let coarse = coarse_samples(options);
     let begin = Instant::now();
     let bake = progress.stage("emitters", texels.len() as u64, |p| {
-        bake(surface, &field, &emitters, &texels, &coarse, p)
+        let lit = surface.lit(&field, &emitters);
+        bake(surface, lit, &texels, &coarse, p)
     });
     CoarseLight {
         seconds: begin.elapsed().as_secs_f64(),
@@ -420,29 +423,8 @@ pub(super) fn light_field(
         environment,
     );
     field.prefilter = options.prefilter;
-    let probes: Vec<(Vec3, Vec3)> = (0..receivers.len())
-        .map(|i| surface.receiver(receivers, i))
-        .map(|r| (r.position, r.normal))
-        .collect();
-    let emitters = Emitters::new(mesh, &field, &surface.tracer, &probes);
+    let emitters = emitters_of(surface, &field, receivers);
     (field, emitters)
-}
-
-fn bake(
-    surface: &Surface,
-    field: &LightField,
-    emitters: &Emitters,
-    texels: &Texels,
-    options: &IrradianceOptions,
-    progress: &Progress,
-) -> Irradiance {
-    bake_irradiance(
-        &surface.lit(field, emitters).into(),
-        texels.len(),
-        |i| surface.receiver(texels, i),
-        options,
-        progress,
-    )
 }
 
 /// Emitting triangles by evidence: what they send out in every clean view is more than a white

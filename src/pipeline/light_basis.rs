@@ -1,11 +1,12 @@
 //! The irradiance that some texels or parts of the sky throw, each alone. Light adds up, so an unknown
-//! radiance can be fitted to what surfaces show. Called by `clipped_light` and `hidden_faces`.
+//! radiance can be fitted to what surfaces show. And the bake of few samples that they and `light` share. Called by
+//! `clipped_light`, `hidden_faces` and `light`.
 
 use super::texel_radiance::texture_of;
 use crate::core::progress::Progress;
 use crate::core::texture::Texels;
-use crate::irradiance::{IrradianceOptions, bake_irradiance};
-use crate::lights::Emitters;
+use crate::irradiance::{Irradiance, IrradianceOptions, bake_irradiance};
+use crate::lights::{Emitters, LitScene};
 use crate::observed::Surface;
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use glam::Vec3;
@@ -42,17 +43,33 @@ pub(super) fn light_of(
         back: Vec::new(),
     };
     let field = LightField::new(mesh, &surface.orientation, surfaces, environment);
-    let probes: Vec<(Vec3, Vec3)> = (0..coarse.len())
-        .map(|i| surface.receiver(coarse, i))
+    let emitters = emitters_of(surface, &field, coarse);
+    let lit = surface.lit(&field, &emitters);
+    bake(surface, lit, coarse, options, &Progress::silent()).value
+}
+
+/// What a light field sends from, to be sampled from the texels of `receivers`.
+pub(super) fn emitters_of(surface: &Surface, field: &LightField, receivers: &Texels) -> Emitters {
+    let probes: Vec<(Vec3, Vec3)> = (0..receivers.len())
+        .map(|i| surface.receiver(receivers, i))
         .map(|r| (r.position, r.normal))
         .collect();
-    let emitters = Emitters::new(mesh, &field, &surface.tracer, &probes);
+    Emitters::new(&surface.scene.mesh, field, &surface.tracer, &probes)
+}
+
+/// The irradiance of `texels` in a light.
+pub(super) fn bake(
+    surface: &Surface,
+    lit: LitScene<'_>,
+    texels: &Texels,
+    options: &IrradianceOptions,
+    progress: &Progress,
+) -> Irradiance {
     bake_irradiance(
-        &surface.lit(&field, &emitters).into(),
-        coarse.len(),
-        |i| surface.receiver(coarse, i),
+        &lit.into(),
+        texels.len(),
+        |i| surface.receiver(texels, i),
         options,
-        &Progress::silent(),
+        progress,
     )
-    .value
 }
