@@ -24,7 +24,7 @@ const BATCH: usize = 16;
 const OCTAVES: usize = 10;
 /// Slope of the rectifier below zero (cited: the same).
 const LEAK: f32 = 0.01;
-/// Distance of training points from the surface, metres.
+/// Distance of training points from the surface, metres (cited: the same).
 const HEIGHT: f32 = 0.01;
 
 /// Options of the training; the defaults are the paper's.

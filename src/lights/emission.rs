@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 /// A texel emits if its least bright clean view exceeds this multiple of what a white surface could
-/// reflect there.
+/// reflect there. Derived: endless ceilings that shine all over, above a floor that reflects half, exceed it by 1 / 0.5.
 const MIN_EXCESS: f32 = 2.0;
 /// How much brighter than the brightest reflecting surfaces (99 % quantile of E/π) an unlabelled
 /// emitter must be.

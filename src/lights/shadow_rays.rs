@@ -8,7 +8,7 @@ use crate::radiance::LightField;
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
-/// Samples that are aimed side by side.
+/// Samples that are aimed side by side. Derived: a column of as many numbers fills a pair of cache lines.
 const BLOCK: usize = 32;
 
 /// How many blocks before their turn the memory is asked for the sources: size of work.

@@ -366,7 +366,7 @@ pub(super) fn report_matte(
             );
         }
         Switch::Auto => {
-            let names: BTreeSet<String> = matte.iter().map(|c| class_name(scene, *c)).collect();
+            let names: BTreeSet<String> = matte.iter().map(|c| scene.class_name(*c)).collect();
             let list = names.into_iter().collect::<Vec<_>>().join(", ");
             let why = format!(
                 "their roughness exceeds {WIDE} by {CERTAIN} standard errors: no highlight can be observed"
@@ -374,13 +374,6 @@ pub(super) fn report_matte(
             progress.decide(what, format!("for all classes but {list}"), why, false);
         }
     }
-}
-
-/// What the scene calls a class.
-pub(super) fn class_name(scene: &Scene, id: u16) -> String {
-    scene
-        .class(id)
-        .map_or_else(|| format!("class {id}"), |c| c.name.clone())
 }
 
 /// Says which reflection model explains the views, with the disagreement of each.
@@ -416,7 +409,7 @@ pub(super) fn report_metals(scene: &Scene, metals: &[Metal], progress: &Progress
         let one = |m: &Metal| {
             format!(
                 "{} (F0 {:.2} {:.2} {:.2} ± {:.2}, roughness {:.2} ± {:.2})",
-                class_name(scene, m.fit.class),
+                scene.class_name(m.fit.class),
                 m.f0.x,
                 m.f0.y,
                 m.f0.z,
@@ -444,7 +437,7 @@ pub(super) fn report_panes(scene: &Scene, panes: &Panes, progress: &Progress) {
     let one = |p: &Pane| {
         format!(
             "{} (a face lets {:.2} {:.2} {:.2} ± {:.2} through)",
-            class_name(scene, p.class),
+            scene.class_name(p.class),
             p.tint.x,
             p.tint.y,
             p.tint.z,
@@ -472,17 +465,17 @@ pub(super) fn report_materials(
     }
     let by_colour = materials
         .by_colour()
-        .map(|(id, [a, b])| format!("{} by colour ({a:.2}, {b:.2})", class_name(scene, id)));
+        .map(|(id, [a, b])| format!("{} by colour ({a:.2}, {b:.2})", scene.class_name(id)));
     let by_room = materials.by_room().map(|(id, rooms)| {
         let values: Vec<String> = rooms
             .iter()
             .map(|(room, r)| format!("room {room}: {r:.2}"))
             .collect();
-        format!("{} by room ({})", class_name(scene, id), values.join(", "))
+        format!("{} by room ({})", scene.class_name(id), values.join(", "))
     });
     let by_place = materials
         .by_place()
-        .map(|(id, [a, b])| format!("{} by place ({a:.2} to {b:.2})", class_name(scene, id)));
+        .map(|(id, [a, b])| format!("{} by place ({a:.2} to {b:.2})", scene.class_name(id)));
     let list: Vec<String> = by_colour.chain(by_room).chain(by_place).collect();
     if list.is_empty() {
         let why = "neither by room nor by colour nor by place do several values explain held-out views better than one";
@@ -511,8 +504,8 @@ pub(super) fn report_paint(
     let list: Vec<String> = paints
         .iter()
         .map(|p| match p.colours.len() {
-            1 => class_name(scene, p.class),
-            n => format!("{} ({n} colours)", class_name(scene, p.class)),
+            1 => scene.class_name(p.class),
+            n => format!("{} ({n} colours)", scene.class_name(p.class)),
         })
         .collect();
     let forced = options.painted == Switch::On;

@@ -155,11 +155,7 @@ impl Tally<'_> {
         let names: Vec<String> = order
             .iter()
             .take(NAMED)
-            .map(|(id, _)| match (id, scene.class(*id)) {
-                (_, Some(class)) => class.name.clone(),
-                (0, None) => "unlabelled".into(),
-                (id, None) => format!("class {id}"),
-            })
+            .map(|(id, _)| scene.class_name(*id))
             .collect();
         Share {
             share: self.mean(&counts, |i| f64::from(u8::from(holds(i)))),

@@ -4,7 +4,7 @@
 //! (emitters) and what surfaces no camera sees send out (the class's albedo times their
 //! irradiance); the full bake then uses both.
 
-use super::decisions::{choose_environment, class_name, report_emission};
+use super::decisions::{choose_environment, report_emission};
 use super::hidden_faces::{FirstLight, dark_faces};
 use super::known_lights::{adopt_subtexel_triangles, known_lights};
 use super::light_basis::{bake, emitters_of};
@@ -155,7 +155,7 @@ fn shining_lamps(
     let Some(found) = dark_faces(surface, &lamps, seen) else {
         return Lamps { known, coarse };
     };
-    let name = |c: &u16| class_name(surface.scene, *c);
+    let name = |c: &u16| surface.scene.class_name(*c);
     let names: Vec<String> = found.classes.iter().map(name).collect();
     progress.note(format!(
         "faces of {} that no view shows clearly are dark: what they would light is not lit",

@@ -4,7 +4,9 @@ use super::input_error::{as_input, limited};
 use super::mesh_classes::{Named, mesh_classes};
 use super::mesh_prep::prepare_mesh;
 use super::transforms::{Frame, Model, Transforms, parse_usable, y_up_from_z_up};
-use super::{Class, LdrImages, LoadOptions, MeshClasses, Mirror, Scene, Split, View, rooms};
+use super::{
+    Class, LdrImages, LoadOptions, MeshClasses, Mirror, Scene, Split, View, rooms, unnamed_class,
+};
 use crate::core::formats::{self, ImageAccount, ImageInfo};
 use crate::core::geometry::Camera;
 use crate::core::parallel::prelude::*;
@@ -595,7 +597,7 @@ fn derived_classes(views: &[View], issues: &mut Vec<Error>) -> Vec<Class> {
         .filter(|&id| id > 0)
         .map(|id| Class {
             id,
-            name: format!("class {id}"),
+            name: unnamed_class(id),
             is_light: false,
         })
         .collect()

@@ -310,4 +310,20 @@ impl Scene {
             .ok()
             .map(|i| &self.classes[i])
     }
+
+    /// What a class is called: its name, or what [`unnamed_class`] says.
+    #[must_use]
+    pub fn class_name(&self, id: u16) -> String {
+        self.class(id)
+            .map_or_else(|| unnamed_class(id), |c| c.name.clone())
+    }
+}
+
+/// What a class is called that has no name.
+#[must_use]
+pub fn unnamed_class(id: u16) -> String {
+    match id {
+        0 => "unlabelled".into(),
+        id => format!("class {id}"),
+    }
 }

@@ -5,7 +5,7 @@
 
 use super::known_keys::{distance, examine};
 use super::rigid::rigid;
-use super::{Class, frame_change::AppliedChange};
+use super::{Class, frame_change::AppliedChange, unnamed_class};
 use crate::core::geometry::{Lens, Projection};
 use crate::core::math::colour::ColourSpace;
 use crate::error::printable;
@@ -609,7 +609,7 @@ fn classes(value: &Value, issues: &mut Vec<String>) -> Vec<Class> {
         }
         let name = keys
             .text("name", issues)
-            .unwrap_or_else(|| format!("class {id}"));
+            .unwrap_or_else(|| unnamed_class(id));
         let is_light = is_light(&keys, issues);
         classes.push(Class { id, name, is_light });
     }

@@ -182,7 +182,7 @@ pub fn bench_light(
     let real = progress.stage("true irradiance", points.len() as u64, |p| {
         paths.irradiance(&points, bench.paths, 1, p)
     });
-    let name = |label: u16| class_name(scene, label);
+    let name = |label: u16| scene.class_name(label);
     let labels = surface.texels.scatter(&surface.labels, 0);
     let all: Vec<u32> = (0..surface.texels.len() as u32).collect();
     let owner = surface.texels.scatter(&all, u32::MAX);
@@ -213,12 +213,6 @@ pub fn bench_light(
         kinds: met(&receivers, &finds, |f| f.kind.to_owned()),
         targets: met(&receivers, &finds, |f| f.class.clone()),
     })
-}
-
-/// A class's name, or its number where it has none.
-fn class_name(scene: &Scene, label: u16) -> String {
-    let class = scene.class(label);
-    class.map_or_else(|| format!("class {label}"), |c| c.name.clone())
 }
 
 /// The scene's true materials on the atlas, with its lamps and sky as photographed.

@@ -10,7 +10,7 @@ use super::truth::GroundTruth;
 use crate::core::image::Plane;
 use crate::core::metrics::{psnr, squared_error};
 use crate::render::RenderedView;
-use crate::scene::Scene;
+use crate::scene::{Scene, unnamed_class};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -343,7 +343,7 @@ impl ClassTally {
                         .names
                         .get(id)
                         .cloned()
-                        .unwrap_or_else(|| format!("class {id}")),
+                        .unwrap_or_else(|| unnamed_class(*id)),
                     pixels: s.pixels,
                     albedo_psnr: psnr(s.albedo_squared / (3.0 * n)),
                     albedo_bias: s.albedo_error.map(|e| e / n),

@@ -5,6 +5,7 @@
 //! atlas or sharp edge runs through it).
 
 use crate::core::geometry::{Mesh, touching};
+use crate::scene::unnamed_class;
 use crate::solution::{MeshPart, Solution, lamp_gap};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -70,11 +71,7 @@ fn class_name(class: u16, names: &[ClassName]) -> String {
     let known = names
         .iter()
         .find(|n| n.id == class && !n.name.trim().is_empty());
-    match (known, class) {
-        (Some(n), _) => n.name.trim().to_owned(),
-        (None, 0) => "unlabelled".to_owned(),
-        (None, id) => format!("class {id}"),
-    }
+    known.map_or_else(|| unnamed_class(class), |n| n.name.trim().to_owned())
 }
 
 /// The name, or the name with the first number from 2 on that makes it one of its own.

@@ -11,7 +11,7 @@ use crate::core::trace::EmbreeTracer;
 use crate::error::{Error, Result};
 use crate::programs::report::RunRecord;
 use crate::render::live::LightEdit;
-use crate::scene::{Scene, Split};
+use crate::scene::{Scene, Split, unnamed_class};
 use crate::solution::Solution;
 use glam::{Vec2, Vec3};
 use serde_json::{Value, json};
@@ -172,18 +172,9 @@ impl Content {
     }
 
     fn class_name(&self, id: u16) -> String {
-        let named = self
-            .scene
+        self.scene
             .as_ref()
-            .and_then(|s| s.class(id))
-            .map(|c| c.name.clone());
-        named.unwrap_or_else(|| {
-            if id == 0 {
-                "unlabelled".into()
-            } else {
-                format!("class {id}")
-            }
-        })
+            .map_or_else(|| unnamed_class(id), |s| s.class_name(id))
     }
 
     fn lamp(&self, lamp: &Slider) -> Value {

@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::programs::prepare::account::Account;
 use crate::programs::prepare::capture::Capture;
 use crate::programs::prepare::labels::MOST_COLUMNS;
-use crate::scene::{Class, is_lamp};
+use crate::scene::{Class, is_lamp, unnamed_class};
 use glam::{DVec3, Vec2};
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -63,7 +63,7 @@ pub(super) fn predict(
     })?;
     let class = |id: &u16| {
         let name = names.as_ref().map(|n| n[usize::from(*id) - 1].clone());
-        let name = name.unwrap_or_else(|| format!("class {id}"));
+        let name = name.unwrap_or_else(|| unnamed_class(*id));
         Class {
             id: *id,
             is_light: is_lamp(&name),
