@@ -144,7 +144,55 @@ pub fn world_axes(z_up: bool) -> Vec<Hypothesis> {
             },
             of(y_up_from_z_up().transpose()),
         ),
+        Hypothesis::one(
+            "one of mesh and poses is upside down: y and z turned about (OpenCV's world, y down)",
+            of(DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0))),
+        ),
     ]
+}
+
+/// The other ways in which a right-handed world's axes can be another's, but for turns about the
+/// vertical ([`right_angles`]) and those of [`world_axes`].
+#[must_use]
+pub fn other_axes() -> Vec<Hypothesis> {
+    let known: Vec<DMat3> = world_axes(false)
+        .iter()
+        .chain(&right_angles())
+        .map(|h| h.correction.turn)
+        .chain([DMat3::IDENTITY])
+        .collect();
+    axis_turns()
+        .into_iter()
+        .filter(|turn| !known.iter().any(|k| k.abs_diff_eq(*turn, 1e-9)))
+        .map(|turn| {
+            let [x, y, z] = [0, 1, 2].map(|k| axis_name(turn.col(k)));
+            Hypothesis::one(
+                format!("other axes: the poses' x, y, z are the mesh's {x}, {y}, {z}"),
+                Correction {
+                    turn,
+                    ..Correction::default()
+                },
+            )
+        })
+        .collect()
+}
+
+/// The 24 turns that bring axes onto axes.
+fn axis_turns() -> Vec<DMat3> {
+    let axes: Vec<DVec3> = DVec3::AXES.into_iter().flat_map(|a| [a, -a]).collect();
+    let turn = |x: DVec3, y: DVec3| DMat3::from_cols(x, y, x.cross(y));
+    let pairs = axes.iter().flat_map(|x| axes.iter().map(move |y| (*x, *y)));
+    pairs
+        .filter(|(x, y)| x.dot(*y) == 0.0)
+        .map(|(x, y)| turn(x, y))
+        .collect()
+}
+
+/// "−y" for (0, −1, 0).
+fn axis_name(axis: DVec3) -> String {
+    let name = ["x", "y", "z"][axis.abs().max_position()];
+    let sign = if axis.max_element() > 0.5 { "" } else { "−" };
+    format!("{sign}{name}")
 }
 
 /// Axes of the camera that are not OpenGL's.
@@ -336,6 +384,26 @@ pub fn lenses(scene: &Scene) -> Vec<Hypothesis> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_turn_of_the_axes_is_tried_once() {
+        let turns: Vec<DMat3> = world_axes(false)
+            .into_iter()
+            .chain(right_angles())
+            .chain(other_axes())
+            .map(|h| h.correction.turn)
+            .collect();
+        assert_eq!(turns.len(), 23);
+        for (i, a) in turns.iter().enumerate() {
+            assert!((a.determinant() - 1.0).abs() < 1e-12);
+            let same = turns.iter().filter(|b| b.abs_diff_eq(*a, 1e-9));
+            assert_eq!(same.count(), 1, "turn {i}");
+        }
+        let [first, ..] = &other_axes()[..] else {
+            panic!("none");
+        };
+        assert!(first.name.contains("the mesh's "), "{}", first.name);
+    }
 
     #[test]
     fn names_say_what_was_done_to_the_poses() {

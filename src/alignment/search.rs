@@ -140,6 +140,7 @@ impl Judge<'_> {
         all.extend(usual::camera_axes());
         all.extend(self.pictures());
         all.extend(usual::right_angles());
+        all.extend(usual::other_axes());
         all.extend(usual::lenses(scene));
         self.plausible(all)
             .into_iter()

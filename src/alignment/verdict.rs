@@ -20,8 +20,8 @@ use serde::{Deserialize, Serialize};
 
 /// Views that take part, evenly spread over the training views.
 pub(super) const MOST_VIEWS: usize = 48;
-/// Differences beyond this many standard errors are none of chance: some forty hypotheses are
-/// compared, and 40 · P(z > 3.5) is 1 %.
+/// Differences beyond this many standard errors are none of chance: some sixty hypotheses are
+/// compared, and 60 · P(z > 3.5) is 1.4 %.
 const SIGNIFICANT: f64 = 3.5;
 /// By how many standard errors every one of the sixteen moves must be worse for the search to be
 /// left out. Derived: the weakest of sixteen is beyond two by chance once in 2.3 %¹⁶; poses far from

@@ -7,4 +7,4 @@ mod view_buffer;
 
 pub use observe::{Observation, ObservedView, Observer};
 pub use orientation::{Orientation, Probe};
-pub use view_buffer::{ViewBuffer, pixel_rays, wrap_of};
+pub use view_buffer::{PixelRays, ViewBuffer, wrap_of};

@@ -157,7 +157,8 @@ impl Observer<'_> {
                 continue;
             };
             let corner = Vec2::new((k % camera.width) as f32, (k / camera.width) as f32);
-            let offset = camera.position + camera.direction(corner + 0.5) * t - position;
+            let direction = view.buffer.direction(k % camera.width, k / camera.width);
+            let offset = camera.position + direction * t - position;
             if offset.length() > reach {
                 continue;
             }

@@ -256,8 +256,7 @@ fn looks_of(mesh: &Mesh, buffers: &[&ViewBuffer]) -> Vec<Looks> {
                 if t == Hit::MISS {
                     continue;
                 }
-                let pixel = Vec2::new(x as f32 + 0.5, y as f32 + 0.5);
-                let cosine = -mesh.face_normal(t as usize).dot(b.camera.direction(pixel));
+                let cosine = -mesh.face_normal(t as usize).dot(b.direction(x, y));
                 let l = &mut looks[t as usize];
                 if cosine > 0.0 {
                     l.front += size * cosine;

@@ -1,6 +1,6 @@
 //! First hits of one view's pixel centres, traced once.
 
-use crate::core::geometry::{Camera, Mesh, Projection};
+use crate::core::geometry::{Camera, DirectionGrid, Mesh, Projection};
 use crate::core::image::{Plane, Wrap};
 use crate::core::parallel::prelude::*;
 use crate::core::trace::{Hit, Ray, Tracer};
@@ -11,28 +11,42 @@ use glam::{Vec2, Vec3};
 const SAME_SURFACE_SINE: f32 = 0.5;
 pub(super) const SAME_SURFACE_COSINE: f32 = 0.7;
 
-/// Rays through n × n places of each of some pixels in row `y`, to infinity: pixel by pixel,
-/// row-major within the pixel. One place per square of an n × n grid, and one per n²-th of each
-/// side (`places_in_pixel`).
-#[must_use]
-pub fn pixel_rays(
-    camera: &Camera,
-    y: usize,
-    columns: impl IntoIterator<Item = usize>,
-    n: usize,
-) -> Vec<Ray> {
-    let places = places_in_pixel(n);
-    let ray = |x: usize, place: Vec2| {
-        Ray::new(
-            camera.position,
-            camera.direction(Vec2::new(x as f32, y as f32) + place),
-            f32::INFINITY,
-        )
-    };
-    columns
-        .into_iter()
-        .flat_map(|x| places.iter().map(move |p| ray(x, *p)))
-        .collect()
+/// Rays through n × n places of the pixels of a view: one place per square of an n × n grid, and
+/// one per n²-th of each side (`places_in_pixel`).
+pub struct PixelRays {
+    position: Vec3,
+    /// Per place, row-major within the pixel.
+    grids: Vec<DirectionGrid>,
+}
+
+impl PixelRays {
+    /// Those of a camera.
+    #[must_use]
+    pub fn new(camera: &Camera, n: usize) -> Self {
+        let grid = |place| DirectionGrid::new(camera, place);
+        Self {
+            position: camera.position,
+            grids: places_in_pixel(n).into_iter().map(grid).collect(),
+        }
+    }
+
+    /// How many there are per pixel, n².
+    #[must_use]
+    pub fn per_pixel(&self) -> usize {
+        self.grids.len()
+    }
+
+    /// Rays through some pixels of row `y`, to infinity, pixel by pixel.
+    #[must_use]
+    pub fn of_row(&self, y: usize, columns: impl IntoIterator<Item = usize>) -> Vec<Ray> {
+        let ray = |x: usize, grid: &DirectionGrid| {
+            Ray::new(self.position, grid.direction(x, y), f32::INFINITY)
+        };
+        columns
+            .into_iter()
+            .flat_map(|x| self.grids.iter().map(move |grid| ray(x, grid)))
+            .collect()
+    }
 }
 
 /// Places in the unit square, one in each of n × n squares, of which no two share an n²-th of
@@ -73,6 +87,8 @@ pub struct ViewBuffer {
     pub triangle: Plane<u32>,
     /// Distance along the pixel's ray, metres; infinite for a miss.
     pub distance: Plane<f32>,
+    /// Through the pixels' centres.
+    directions: DirectionGrid,
 }
 
 impl ViewBuffer {
@@ -80,6 +96,7 @@ impl ViewBuffer {
     #[must_use]
     pub fn trace(camera: &Camera, tracer: &dyn Tracer) -> Self {
         let (w, h) = (camera.width, camera.height);
+        let centres = PixelRays::new(camera, 1);
         let mut triangle = Plane::filled(w, h, Hit::MISS);
         let mut distance = Plane::filled(w, h, f32::INFINITY);
         triangle
@@ -88,7 +105,7 @@ impl ViewBuffer {
             .zip(distance.data.par_chunks_mut(w))
             .enumerate()
             .for_each(|(y, (tri, dist))| {
-                let rays = pixel_rays(camera, y, 0..w, 1);
+                let rays = centres.of_row(y, 0..w);
                 let mut hits = vec![Hit::miss(); w];
                 tracer.closest(&rays, &mut hits);
                 for (x, hit) in hits.iter().enumerate() {
@@ -100,6 +117,7 @@ impl ViewBuffer {
             camera: *camera,
             triangle,
             distance,
+            directions: DirectionGrid::new(camera, Vec2::splat(0.5)),
         }
     }
 
@@ -109,13 +127,16 @@ impl ViewBuffer {
         wrap_of(&self.camera)
     }
 
+    /// Unit world direction through a pixel's centre.
+    #[must_use]
+    pub fn direction(&self, x: usize, y: usize) -> Vec3 {
+        self.directions.direction(x, y)
+    }
+
     /// World position seen at a pixel; meaningless for a miss.
     #[must_use]
     pub fn position(&self, x: usize, y: usize) -> Vec3 {
-        let d = self
-            .camera
-            .direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
-        self.camera.position + d * self.distance[(x, y)]
+        self.camera.position + self.direction(x, y) * self.distance[(x, y)]
     }
 
     /// Pixels whose eight neighbours all see the same smooth surface and carry the same label:

@@ -12,7 +12,7 @@ use crate::core::sampling::hash_u64;
 use crate::core::trace::{Hit, Ray};
 use crate::lights::LitScene;
 use crate::observed::{ClassMap, Surface};
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// How many points are selected.
@@ -148,9 +148,7 @@ impl Search<'_> {
                 if t == Hit::MISS || !(view.clean[(x, y)] && valid || bound()) {
                     continue;
                 }
-                let d = b
-                    .camera
-                    .direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+                let d = b.direction(x, y);
                 let position = b.camera.position + d * b.distance[(x, y)];
                 let (n, face) = self.surface.normals_at(t, position);
                 let n_v = -n.dot(d);

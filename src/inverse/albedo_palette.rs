@@ -29,9 +29,7 @@ use std::collections::BTreeMap;
 /// to 2.5 %, wood by 4 to 15 %.
 /// Measured: ×½ albedo −0.9 dB, ×2 albedo within two errors −1 % (docs/constants.md).
 const MOST_TEXTURE: f32 = 0.03;
-/// A class has at most this many colours, each of at least [`LEAST_SHARE`] of its clean texels.
-const MOST_COLOURS: usize = 6;
-/// Share of the clean texels that they explain together.
+/// Share of the clean texels that the colours of a class explain together, each at least [`LEAST_SHARE`].
 /// Measured: ×½ same bits, ×2 albedo −1.0 dB (docs/constants.md).
 const COVERED: f32 = 0.9;
 /// Density of albedos that are no paint, per unit of (ln albedo)³. Derived: even from 0.02 to 1, 1 / (ln 50)³.
@@ -203,15 +201,16 @@ impl PaletteFit<'_> {
 
     /// How common each colour of a class is in each room: one room's paint is no other's. The
     /// class as a whole counts for [`ENOUGH_NEAR`] texels.
-    fn shares_by_room(&self, palette: &Palette) -> BTreeMap<(u16, u16), [f32; MOST_COLOURS]> {
-        let mut counts: BTreeMap<(u16, u16), [f32; MOST_COLOURS]> = BTreeMap::new();
+    fn shares_by_room(&self, palette: &Palette) -> BTreeMap<(u16, u16), Vec<f32>> {
+        let mut counts: BTreeMap<(u16, u16), Vec<f32>> = BTreeMap::new();
         for i in (0..self.texels.len()).filter(|&i| self.is_clean(i)) {
             let class = self.labels[i];
-            let nearest = palette
-                .get(&class)
-                .and_then(|(_, logs)| nearest(&self.look(i, 0.0), logs));
-            if let Some(k) = nearest {
-                counts.entry((class, self.rooms[i])).or_default()[k] += 1.0;
+            let Some((_, logs)) = palette.get(&class) else {
+                continue;
+            };
+            if let Some(k) = nearest(&self.look(i, 0.0), logs) {
+                let room = counts.entry((class, self.rooms[i]));
+                room.or_insert_with(|| vec![0.0; logs.len()])[k] += 1.0;
             }
         }
         for ((class, _), room) in &mut counts {
@@ -232,6 +231,7 @@ impl PaletteFit<'_> {
         for i in (0..self.texels.len()).filter(|&i| self.is_clean(i)) {
             let class = self.labels[i];
             let look = self.look(i, 0.0);
+            let logs = palette.get(&class).map_or(&[][..], |(_, logs)| &logs[..]);
             let cube = near.entry(self.cube(i)).or_default();
             let known = cube
                 .iter()
@@ -241,17 +241,14 @@ impl PaletteFit<'_> {
                         class,
                         texels: 0.0,
                         sum: Vec3::ZERO,
-                        colours: [0.0; MOST_COLOURS],
+                        colours: vec![0.0; logs.len()],
                     });
                     cube.len() - 1
                 });
             let n = &mut cube[known];
             n.texels += 1.0;
             n.sum += look.log;
-            if let Some(k) = palette
-                .get(&class)
-                .and_then(|(_, logs)| nearest(&look, logs))
-            {
+            if let Some(k) = nearest(&look, logs) {
                 n.colours[k] += 1.0;
             }
         }
@@ -334,7 +331,7 @@ struct Neighbours {
     class: u16,
     texels: f32,
     sum: Vec3,
-    colours: [f32; MOST_COLOURS],
+    colours: Vec<f32>,
 }
 
 /// Which of the colours, as ln albedo, a look is nearest to, if it may be it.
@@ -395,7 +392,7 @@ fn colours(looks: &[Look]) -> Option<(Vec<(Vec3, f32)>, f32)> {
     let share = shares(&of, modes.len());
     let other = f64::from(1.0 - share.iter().sum::<f32>());
     let explained = 1.0 - passing_weight(other, f64::from(1.0 - COVERED)) as f32;
-    if modes.is_empty() || modes.len() > MOST_COLOURS || explained <= 0.0 {
+    if modes.is_empty() || explained <= 0.0 {
         return None;
     }
     let mean = |k: usize| {

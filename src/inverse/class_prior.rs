@@ -21,8 +21,8 @@ const PRIOR_DOUBT: f32 = 2.0;
 /// Measured: ×½ albedo −0.1 dB, ×2 albedo +0.2 dB (docs/constants.md).
 pub(super) const ANYTHING: f32 = 0.3;
 
-/// Share of a surface from which a part of it is no accident.
-pub(super) const LEAST_SHARE: f32 = 0.02;
+/// Share of a surface from which a part of it is no accident. Derived: what lies beyond two standard errors to one side.
+pub(super) const LEAST_SHARE: f32 = 0.023;
 /// Side of the cubes, in texels, within which texels count as near. Derived: a square of twice as much, which the eight
 /// cubes around a texel cut out of its plane, holds [`MANY`].
 pub(super) const NEAR: f32 = (1 << (MANY.ilog2() / 2)) as f32 / 2.0;

@@ -16,19 +16,19 @@ use crate::core::math::{facing, luminance};
 use crate::core::parallel;
 use crate::core::texture::Texels;
 use crate::core::trace::{Hit, Tracer};
-use crate::gbuffer::{Observer, Orientation, pixel_rays};
+use crate::gbuffer::{Observer, Orientation, PixelRays};
 use crate::radiance::LightField;
 use glam::{Vec2, Vec3};
 use std::collections::HashMap;
-use std::f32::consts::FRAC_1_PI;
+use std::f32::consts::{FRAC_1_PI, PI};
 
-/// Rays per pixel along each axis.
-const GRID: usize = 4;
+/// Rays per pixel along each axis. Measured: 4 change albedo and views by 0.03 dB at most (docs/lab/albedo.md).
+const GRID: usize = 3;
 /// Terms kept in memory at most; beyond it pixels are skipped evenly. Derived: a GiB of 16 bytes each.
 const MOST_TERMS: usize = 64 << 20;
 /// Error of coverage from `GRID`² rays, as a share of the contrast within the pixel; a texel seen at edges alone is as
-/// uncertain. Derived: the mean of √(p (1 − p)) / `GRID` over shares p, π/32.
-pub(super) const COVERAGE_ERROR: f32 = 0.1;
+/// uncertain. Derived: the mean of √(p (1 − p)) / `GRID` over shares p.
+pub(super) const COVERAGE_ERROR: f32 = PI / 8.0 / GRID as f32;
 
 /// What the equations are made from.
 pub struct MixedPixelSolver<'a> {
@@ -87,6 +87,8 @@ struct State<'a> {
     start: &'a [Vec3],
     /// Covered texel of every cell of the atlas, or [`KNOWN`].
     cells: Plane<u32>,
+    /// Rays through the pixels of every view.
+    rays: Vec<PixelRays>,
     /// Of so many pixels one is used.
     stride: usize,
 }
@@ -223,13 +225,16 @@ impl MixedPixelSolver<'_> {
             .iter()
             .map(|v| v.clean.data.iter().filter(|c| !**c).count())
             .sum();
-        let stride = edges * GRID * GRID / MOST_TERMS + 1;
+        let stride = edges * SAMPLES / MOST_TERMS + 1;
         let state = State {
             albedo,
             unknown,
             light,
             start,
             cells: self.texels.numbers(),
+            rays: (self.observer.views.iter())
+                .map(|v| PixelRays::new(&v.buffer.camera, GRID))
+                .collect(),
             stride,
         };
         let rows: Vec<(usize, usize)> = self
@@ -285,7 +290,7 @@ impl MixedPixelSolver<'_> {
                 && (x + 7 * y).is_multiple_of(state.stride)
         };
         let columns: Vec<usize> = (0..view.clean.width).filter(|&x| usable(x)).collect();
-        let rays = pixel_rays(&view.buffer.camera, y, columns.iter().copied(), GRID);
+        let rays = state.rays[v].of_row(y, columns.iter().copied());
         let mut hits = vec![Hit::miss(); rays.len()];
         self.tracer.closest(&rays, &mut hits);
         for (k, &x) in columns.iter().enumerate() {

@@ -270,7 +270,7 @@ mod tests {
         let (_, gain) = by_place(&fit(1, &table), &table, &[one, other], f64::NEG_INFINITY)
             .expect("points enough");
         assert!(gain < 0.0, "{gain}");
-        let few = |t: &Disagreement<'static>| t.of_points(|k| k < 300);
+        let few = |t: &Disagreement<'static>| t.of_points(|k| k < 150);
         let (table, halves) = strip(0.0, |_| 0.5);
         let few_halves = [few(&halves[0]), few(&halves[1])];
         assert!(

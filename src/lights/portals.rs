@@ -19,12 +19,12 @@ pub(super) const PROBES: usize = 16_384;
 /// Rays from each.
 /// Measured: ×½ little, ×2 albedo +0.2 dB (docs/constants.md).
 const RAYS: u32 = 32;
-/// Cells of a rectangle that must be open, else it is cut in two.
+/// Share of a rectangle's cells that must be open, else it is cut in two. Measured: ×½ same bits (dining-room).
 const FILLED: f32 = 0.6;
 /// Cells along a rectangle's side beyond which it is cut, so that from everywhere only the visible
-/// parts need be sampled.
+/// parts need be sampled. Measured: pieces of half the side take noise from 4.46 to 4.34 % (docs/lab/irradiance.md).
 const LONGEST: u32 = 32;
-/// At most this many rectangles: every ray that escapes is tested against all of them.
+/// At most this many rectangles: every ray that escapes is tested against all of them. Measured: as [`LONGEST`].
 const MOST: usize = 32;
 
 /// A face of the box and ranges of its cells.

@@ -12,7 +12,7 @@ use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::trace::Hit;
 use crate::observed::{ClippedTexel, Surface};
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 
 /// Sectors of the sky: four quarters around, above and below the horizon.
 pub(super) const SECTORS: usize = 8;
@@ -84,8 +84,7 @@ impl ClippedLooks {
                 let (seen, at) = (view.radiance.data[i], (i % width, i / width));
                 let triangle = view.buffer.triangle.data[i];
                 if triangle == Hit::MISS {
-                    let pixel = Vec2::new(at.0 as f32 + 0.5, at.1 as f32 + 0.5);
-                    let sky = self.sky[sector(view.buffer.camera.direction(pixel))];
+                    let sky = self.sky[sector(view.buffer.direction(at.0, at.1))];
                     let whole = seen.max(where_clipped(bits, sky));
                     return (i, by_hue(bits, seen, sky).or(Some(whole)));
                 }

@@ -350,9 +350,7 @@ fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientatio
             if t == Hit::MISS || !among_clean(&v.clean, x, y) {
                 return None;
             }
-            let d = b
-                .camera
-                .direction(glam::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+            let d = b.direction(x, y);
             let t = t as usize;
             let away = scene.mesh.face_normal(t).dot(d) * orientation.sign(t) > 0.0;
             away.then(|| (t, v.radiance[(x, y)]))

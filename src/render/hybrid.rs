@@ -12,7 +12,7 @@ use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
 use crate::core::sampling::hash_u64;
 use crate::core::trace::{CutOut, EmbreeTracer, Hit, MOST_LAYERS, Ray, Tracer, beyond};
-use crate::gbuffer::pixel_rays;
+use crate::gbuffer::PixelRays;
 use crate::lights::{Emitters, LitScene};
 use crate::radiance::{Environment, LightField, SurfaceRadiance};
 use crate::solution::Solution;
@@ -164,11 +164,24 @@ impl<'a> HybridRenderer<'a> {
         })
     }
 
-    fn render_row(&self, camera: &Camera, known: &Known, y: usize) -> Row {
-        let n = self.options.supersampling.max(1) as usize;
-        let columns: Vec<usize> = (0..camera.width).collect();
+    /// Rays along each side of a pixel.
+    fn supersampling(&self) -> usize {
+        self.options.supersampling.max(1) as usize
+    }
+
+    fn render_row(&self, raster: &Raster, known: &Known, y: usize) -> Row {
+        let n = self.supersampling();
+        let columns: Vec<usize> = (0..raster.camera.width).collect();
         let rays = [self.options.specular_rays, self.options.emitter_samples];
-        let points = self.points(camera, y, &columns, n, rays);
+        let points = self.points(
+            raster.camera,
+            &raster.even,
+            Strip {
+                y,
+                columns: &columns,
+            },
+            rays,
+        );
         let pixel = |x: usize| &points[x * n * n..(x + 1) * n * n];
         let (edges, smooth): (Vec<usize>, Vec<usize>) = columns.iter().partition(|&&x| {
             known.at_edges.as_ref().is_some_and(|e| e[(x, y)]) || shows_edge(pixel(x))
@@ -178,7 +191,12 @@ impl<'a> HybridRenderer<'a> {
             .flat_map(|&x| pixel(x).iter().copied())
             .collect();
         let fewer = rays.map(|r| r.div_ceil((EDGE_FACTOR * EDGE_FACTOR) as u32));
-        let mut fine = self.points(camera, y, &edges, n * EDGE_FACTOR, fewer);
+        let mut fine = self.points(
+            raster.camera,
+            &raster.fine,
+            Strip { y, columns: &edges },
+            fewer,
+        );
         self.add_specular(&mut even, rays);
         self.add_specular(&mut fine, fewer);
         let mut even = even.chunks_exact(n * n);
@@ -193,18 +211,18 @@ impl<'a> HybridRenderer<'a> {
         Row::resolve(pixels, |x| known.classes.map(|c| c[(x, y)]))
     }
 
-    /// What n × n rays through each of some pixels of row `y` meet, without their specular part;
-    /// what is seen through panes has its own, of as many rays as [`Self::add_specular`] is given.
+    /// What a camera's rays through each of some pixels meet, without their specular
+    /// part; what is seen through panes has its own, of as many rays as [`Self::add_specular`] is
+    /// given.
     fn points(
         &self,
         camera: &Camera,
-        y: usize,
-        columns: &[usize],
-        n: usize,
+        through: &PixelRays,
+        Strip { y, columns }: Strip,
         rays_per_point: [u32; 2],
     ) -> Vec<Point> {
-        let samples = n * n;
-        let rays = pixel_rays(camera, y, columns.iter().copied(), n);
+        let samples = through.per_pixel();
+        let rays = through.of_row(y, columns.iter().copied());
         let mut hits = vec![Hit::miss(); rays.len()];
         self.tracer.closest(&rays, &mut hits);
         let point = |(i, (ray, hit)): (usize, (&Ray, &Hit))| {
@@ -393,16 +411,17 @@ impl ViewRenderer for HybridRenderer<'_> {
     }
 
     fn reproject(&self, camera: &Camera) -> Result<Option<RgbPlane>> {
-        let n = self.options.supersampling.max(1) as usize;
-        let share = 1.0 / (n * n) as f32;
+        let through = PixelRays::new(camera, self.supersampling());
+        let samples = through.per_pixel();
+        let share = 1.0 / samples as f32;
         let row = |y: usize| {
-            let rays = pixel_rays(camera, y, 0..camera.width, n);
+            let rays = through.of_row(y, 0..camera.width);
             let mut hits = vec![Hit::miss(); rays.len()];
             self.tracer.closest(&rays, &mut hits);
             let radiance = |(ray, hit): (&Ray, &Hit)| self.fused(ray, hit);
-            let samples: Vec<Vec3> = rays.iter().zip(&hits).map(radiance).collect();
+            let shown: Vec<Vec3> = rays.iter().zip(&hits).map(radiance).collect();
             let mean = |pixel: &[Vec3]| pixel.iter().sum::<Vec3>() * share;
-            samples.chunks_exact(n * n).map(mean).collect::<Vec<_>>()
+            shown.chunks_exact(samples).map(mean).collect::<Vec<_>>()
         };
         let rows: Vec<Vec<Vec3>> = (0..camera.height).into_par_iter().map(row).collect();
         Ok(Some(Plane {
@@ -441,9 +460,15 @@ impl HybridRenderer<'_> {
             )
         });
         let known = Known { classes, at_edges };
+        let n = self.supersampling();
+        let raster = Raster {
+            camera,
+            even: PixelRays::new(camera, n),
+            fine: PixelRays::new(camera, n * EDGE_FACTOR),
+        };
         let rows: Vec<Row> = (0..h)
             .into_par_iter()
-            .map(|y| self.render_row(camera, &known, y))
+            .map(|y| self.render_row(&raster, &known, y))
             .collect();
         let mut out = RenderedView {
             radiance: unfilled(w, h),
@@ -521,6 +546,21 @@ impl Point {
             metallic: self.metallic,
         }
     }
+}
+
+/// A camera and the rays through its pixels.
+struct Raster<'a> {
+    camera: &'a Camera,
+    even: PixelRays,
+    /// Where a pixel shows an edge.
+    fine: PixelRays,
+}
+
+/// Some pixels of a row.
+#[derive(Clone, Copy)]
+struct Strip<'a> {
+    y: usize,
+    columns: &'a [usize],
 }
 
 /// What is known of the pixels of a picture before they are shaded.

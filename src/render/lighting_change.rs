@@ -219,7 +219,7 @@ impl Lighting {
         }
         let e = &self.environment;
         if let Some(file) = &e.file {
-            world.set_environment(crate::core::formats::read_rgb(file)?);
+            world.set_environment(crate::core::formats::read_panorama(file)?);
         } else if let Some(c) = e.constant {
             world.set_environment(Plane::filled(4, 2, Vec3::from_array(c)));
         }

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 const RIGID_TOLERANCE: f64 = 1e-3;
 
 /// The exact rotation next to `m`, or why `m` is none.
-pub(super) fn rigid(m: DMat3) -> Result<DMat3, String> {
+pub(crate) fn rigid(m: DMat3) -> Result<DMat3, String> {
     let det = m.determinant();
     if det.abs() <= 1e-12 || !det.is_finite() {
         return Err(format!(

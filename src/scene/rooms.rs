@@ -49,8 +49,12 @@ pub(super) fn description(path: &Path) -> PathBuf {
     }
 }
 
-/// Reads a room grid: a PNG of ids and, beside it, its JSON (same stem, or `rooms.json`).
-pub(super) fn read_rooms(path: &Path, origin: DVec3) -> Result<RoomGrid> {
+/// Reads a room grid: a PNG of ids and, beside it, its JSON (same stem, or `rooms.json`); its place
+/// is relative to `origin`, file coordinates.
+///
+/// # Errors
+/// One of the two is missing or damaged.
+pub fn read_rooms(path: &Path, origin: DVec3) -> Result<RoomGrid> {
     let cells = formats::read_labels(path).map_err(|e| as_input(e, path, "rooms_path"))?;
     let json = description(path);
     let text = formats::read_input_text(&json).map_err(|e| {

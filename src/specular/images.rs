@@ -140,9 +140,7 @@ impl SpecularImages<'_> {
                     if t == Hit::MISS {
                         continue;
                     }
-                    let d = b
-                        .camera
-                        .direction(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+                    let d = b.direction(x, y);
                     let position = b.camera.position + d * b.distance[(x, y)];
                     let (normal, face_normal) = self.surface.normals_at(t, position);
                     if face_normal.dot(d) >= 0.0 {

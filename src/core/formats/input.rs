@@ -78,11 +78,18 @@ pub fn read_input(path: &Path, most: u64) -> Result<Vec<u8>> {
 /// # Errors
 /// As [`read_input`], or the bytes are no UTF-8.
 pub fn read_input_text(path: &Path) -> Result<String> {
-    String::from_utf8(read_input(path, MOST_TEXT)?).map_err(|e| {
+    let mut bytes = read_input(path, MOST_TEXT)?;
+    if bytes.starts_with(BYTE_ORDER_MARK) {
+        bytes.drain(..BYTE_ORDER_MARK.len());
+    }
+    String::from_utf8(bytes).map_err(|e| {
         let at = e.utf8_error().valid_up_to();
         Error::input(path, format!("byte {at} is not UTF-8; save it as UTF-8"))
     })
 }
+
+/// What editors on Windows put before UTF-8.
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
 #[cfg(test)]
 mod tests {

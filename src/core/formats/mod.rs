@@ -4,6 +4,7 @@
 //! Readers return what is in the file, NaN included: the scene judges. Writers refuse values that
 //! are not finite.
 
+mod depth;
 mod exr_header;
 mod glb;
 pub mod gltf;
@@ -20,6 +21,7 @@ mod image_io;
 mod input;
 mod ktx2;
 pub mod obj;
+mod panorama;
 mod photograph;
 mod picture;
 pub mod ply;
@@ -36,6 +38,7 @@ mod whole;
 #[cfg(test)]
 mod tests;
 
+pub use depth::read_depth;
 pub use glb::{GlbWriter, glb_of};
 pub use gltf_material::{Alpha, GltfMaterial, TextureUse, Textured};
 pub use gltf_scene::{GltfFile, GltfLight, GltfLightKind, Piece, RawAttribute};
@@ -47,6 +50,7 @@ pub use image_io::{
 };
 pub use input::{MOST_DATA, MOST_TEXT, open_regular, read_input, read_input_text};
 pub use ktx2::{Rgb8, Transfer, encode_ktx2};
+pub use panorama::read_panorama;
 pub use photograph::{ImageAccount, Photograph, image_account, read_photograph};
 pub use picture::{
     Picture8, decode_rgba8, encode_grey8, encode_grey16, encode_rgb8, encode_webp8,

@@ -85,14 +85,31 @@ struct Open {
     triangles: Vec<[u32; 3]>,
 }
 
+/// The name on a line: "#" belongs to it ("Material #25" is 3ds Max's own) unless blanks around it
+/// make it the start of a comment.
+fn name_in(rest: &str) -> String {
+    let words = rest.split_ascii_whitespace();
+    words
+        .take_while(|w| *w != "#")
+        .collect::<Vec<_>>()
+        .join(" ")
+}
+
 type Reading<T> = std::result::Result<T, String>;
 
 impl Reader {
     fn line(&mut self, line: &str) -> Reading<()> {
-        let line = line.split('#').next().unwrap_or_default();
-        let mut words = line.split_ascii_whitespace();
-        match words.next() {
-            Some("v") => {
+        let (keyword, rest) = line
+            .trim_start()
+            .split_once(|c: char| c.is_ascii_whitespace())
+            .unwrap_or((line.trim(), ""));
+        let mut words = rest
+            .split('#')
+            .next()
+            .unwrap_or_default()
+            .split_ascii_whitespace();
+        match keyword {
+            "v" => {
                 let [x, y, z] = numbers(words.by_ref(), 3)?;
                 self.positions.push(DVec3::new(x, y, z));
                 let rest = words.map_while(|w| w.parse().ok());
@@ -100,24 +117,24 @@ impl Reader {
                     self.colours.push([r, g, b]);
                 }
             }
-            Some("vt") => {
+            "vt" => {
                 // one number is a coordinate along a curve: v is 0
                 let [u, v, _] = numbers(words, 1)?;
                 self.uvs.push(Vec2::new(u as f32, (1.0 - v) as f32));
             }
-            Some("vn") => {
+            "vn" => {
                 let [x, y, z] = numbers(words, 3)?;
                 let unit = DVec3::new(x, y, z).normalize_or_zero();
                 self.normals.push(unit.as_vec3());
             }
-            Some("f" | "fo") => self.face(words)?,
-            Some("mtllib") => {
-                let name = words.collect::<Vec<_>>().join(" ");
+            "f" | "fo" => self.face(words)?,
+            "mtllib" => {
+                let name = name_in(rest);
                 self.materials.extend(read_mtl(&self.path, &name));
             }
-            Some(keyword @ ("o" | "g" | "usemtl")) => {
+            "o" | "g" | "usemtl" => {
                 self.close();
-                let name = words.collect::<Vec<_>>().join(" ");
+                let name = name_in(rest);
                 let name = (!name.is_empty()).then_some(name);
                 match keyword {
                     "usemtl" => self.material = name,
@@ -256,6 +273,20 @@ mod tests {
         assert_eq!(mesh.positions[0].x, 10000.001, "positions keep f64");
         assert_eq!(mesh.uvs[3], Vec2::new(0.0, 0.25));
         assert!(mesh.normals.is_empty());
+    }
+
+    #[test]
+    fn names_keep_their_hashes_and_lose_comments() {
+        let text = TRIANGLE.replace(
+            "f 1 2 3",
+            "usemtl Material #25\nf 1 2 3 # a comment\n  usemtl Holz_#1 # oak\nf 1 2 3\n#usemtl none\nf 1 2 3",
+        );
+        let mesh = read(&text).expect("readable");
+        assert_eq!(mesh.triangles.len(), 3);
+        let materials = mesh.names.iter().find(|n| n.kind == NameKind::Material);
+        let materials = materials.expect("materials");
+        assert_eq!(materials.names, ["Material #25", "Holz_#1"]);
+        assert_eq!(materials.of_triangle, [0, 1, 1]);
     }
 
     #[test]

@@ -91,23 +91,32 @@ impl Camera {
     /// Unit world direction through continuous pixel coordinates.
     #[must_use]
     pub fn direction(&self, pixel: Vec2) -> Vec3 {
-        let d_camera = match self.projection {
+        match self.projection {
             Projection::Equirectangular => {
-                let lambda = TAU * (pixel.x / self.width as f32 - 0.5);
-                let theta = PI * pixel.y / self.height as f32;
-                Vec3::new(
-                    lambda.sin() * theta.sin(),
-                    theta.cos(),
-                    -lambda.cos() * theta.sin(),
-                )
+                self.on_sphere(self.azimuth(pixel.x), self.polar(pixel.y))
             }
             Projection::Pinhole(l) => {
                 let distorted = Vec2::new((pixel.x - l.cx) / l.fl_x, (pixel.y - l.cy) / l.fl_y);
                 let p = undistort(distorted, &l);
-                Vec3::new(p.x, -p.y, -1.0)
+                (self.world_from_camera * Vec3::new(p.x, -p.y, -1.0)).normalize()
             }
-        };
-        (self.world_from_camera * d_camera).normalize()
+        }
+    }
+
+    /// Sine and cosine of a panorama's azimuth at a column.
+    fn azimuth(&self, x: f32) -> (f32, f32) {
+        (TAU * (x / self.width as f32 - 0.5)).sin_cos()
+    }
+
+    /// Sine and cosine of a panorama's angle from the vertical at a row.
+    fn polar(&self, y: f32) -> (f32, f32) {
+        (PI * y / self.height as f32).sin_cos()
+    }
+
+    /// World direction of a panorama from sines and cosines of its angles.
+    fn on_sphere(&self, azimuth: (f32, f32), polar: (f32, f32)) -> Vec3 {
+        let d = Vec3::new(azimuth.0 * polar.0, polar.1, -azimuth.1 * polar.0);
+        (self.world_from_camera * d).normalize()
     }
 
     /// Continuous pixel coordinates of a world point; `None` where the camera cannot see it (behind
@@ -167,6 +176,52 @@ impl Camera {
     }
 }
 
+/// Directions through the points of a grid laid over an image, of one point per pixel: a panorama's
+/// angles are those of its rows and columns, whose sines are taken once.
+#[derive(Clone, Debug)]
+pub struct DirectionGrid {
+    camera: Camera,
+    /// Where in their pixels the points lie, (0, 0) to (1, 1).
+    place: Vec2,
+    /// Sine and cosine of the azimuth per column; none for pinhole cameras.
+    azimuth: Vec<(f32, f32)>,
+    /// Sine and cosine of the polar angle per row; none for pinhole cameras.
+    polar: Vec<(f32, f32)>,
+}
+
+impl DirectionGrid {
+    /// The grid of the points that lie at `place` in their pixels.
+    #[must_use]
+    pub fn new(camera: &Camera, place: Vec2) -> Self {
+        let (columns, rows) = match camera.projection {
+            Projection::Equirectangular => (camera.width, camera.height),
+            Projection::Pinhole(_) => (0, 0),
+        };
+        Self {
+            camera: *camera,
+            place,
+            azimuth: (0..columns)
+                .map(|x| camera.azimuth(x as f32 + place.x))
+                .collect(),
+            polar: (0..rows)
+                .map(|y| camera.polar(y as f32 + place.y))
+                .collect(),
+        }
+    }
+
+    /// Unit world direction through the point in a pixel: that of [`Camera::direction`], to the bit.
+    #[must_use]
+    #[inline]
+    pub fn direction(&self, x: usize, y: usize) -> Vec3 {
+        match (self.azimuth.get(x), self.polar.get(y)) {
+            (Some(a), Some(p)) => self.camera.on_sphere(*a, *p),
+            _ => self
+                .camera
+                .direction(Vec2::new(x as f32, y as f32) + self.place),
+        }
+    }
+}
+
 /// OpenCV's radial-tangential model (first two coefficients of each).
 fn distort(p: Vec2, l: &Lens) -> Vec2 {
     let r2 = p.length_squared();
@@ -185,7 +240,11 @@ fn undistort(target: Vec2, l: &Lens) -> Vec2 {
     }
     let mut p = target;
     for _ in 0..20 {
-        p += target - distort(p, l);
+        let next = p + (target - distort(p, l));
+        if next == p {
+            break;
+        }
+        p = next;
     }
     p
 }

@@ -7,7 +7,7 @@ mod mesh;
 mod shells;
 mod tangents;
 
-pub use camera::{Camera, Lens, Projection};
+pub use camera::{Camera, DirectionGrid, Lens, Projection};
 pub use clusters::{bodies, clusters, numbered, pieces, smooth_patches, touching};
 pub use distance::SurfaceDistance;
 #[cfg(test)]

@@ -23,7 +23,7 @@ pub use options::{BakeOptions, GodotVersion};
 pub use record::{BAKE, BakeRecord};
 
 use crate::core::formats::{
-    GltfFile, MOST_DATA, atomic_write, glb_of, read_input, read_rgb, write_rgb_float,
+    GltfFile, MOST_DATA, atomic_write, glb_of, read_input, read_panorama, write_rgb_float,
 };
 use crate::core::geometry::Mesh;
 use crate::core::progress::Progress;
@@ -191,13 +191,7 @@ fn read_sky(options: &BakeOptions) -> Result<Sky> {
     let Some(path) = &options.environment else {
         return Ok(Sky::black());
     };
-    let panorama = read_rgb(path)?;
-    if panorama.data.iter().any(|p| !p.is_finite()) {
-        return Err(Error::input(
-            path,
-            "has NaN or infinite pixels; expected finite radiance. Save it anew, or paint over the sun",
-        ));
-    }
+    let panorama = read_panorama(path)?;
     let turn = options.environment_turn.to_radians();
     Ok(Sky::new(panorama, options.environment_scale, turn))
 }

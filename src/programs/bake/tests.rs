@@ -1,6 +1,7 @@
 //! Baked light against closed forms, and files against what was put in.
 
 use super::*;
+use crate::core::formats::read_rgb;
 use crate::core::formats::{Picture8, decode_rgba8, encode_rgb8, glb_of};
 use crate::core::image::Wrap;
 use crate::core::math::linear_from_srgb;

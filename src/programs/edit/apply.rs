@@ -1,7 +1,7 @@
 //! Edits brought into the textures.
 
 use super::{Edit, EditList, Mapping, Selection, Selector, TextureSet, follow_light};
-use crate::core::formats::{read_ldr, read_rgb};
+use crate::core::formats::{image_info, read_ldr, read_rgb};
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::luminance;
 use crate::core::parallel::map_chunks;
@@ -168,6 +168,11 @@ struct Prepared<'a> {
     tint: Vec3,
 }
 
+/// Whether a picture's file holds linear values, whatever its name ends in.
+fn is_linear(path: &Path) -> Result<bool> {
+    Ok(image_info(path)?.format.is_linear())
+}
+
 impl<'a> Prepared<'a> {
     fn new(
         solution: &Solution,
@@ -177,8 +182,7 @@ impl<'a> Prepared<'a> {
     ) -> Result<Self> {
         let picture = |path: &Path| {
             let path = folder.join(path);
-            let linear = path.extension().is_some_and(|e| e == "exr" || e == "hdr");
-            if linear {
+            if is_linear(&path)? {
                 read_rgb(&path)
             } else {
                 read_ldr(&path)
@@ -194,11 +198,11 @@ impl<'a> Prepared<'a> {
             .map(picture)
             .transpose()?;
         // a roughness picture's bytes are the values themselves
-        let is_exr = set
+        let as_it_is = set
             .and_then(|t| t.roughness.as_ref())
-            .is_some_and(|p| p.extension().is_some_and(|e| e == "exr"));
+            .map_or(Ok(true), |p| is_linear(&folder.join(p)))?;
         let roughness = roughness.map(|r| {
-            if is_exr {
+            if as_it_is {
                 r
             } else {
                 r.map(|c| c.map(srgb_value))

@@ -260,7 +260,7 @@ impl<'a> LightMix<'a> {
         match light {
             Light::Lamps(_) => world.scale_environment(Vec3::ZERO),
             Light::Outside(Panorama { file: Some(f), .. }) => {
-                world.set_environment(crate::core::formats::read_rgb(f)?);
+                world.set_environment(crate::core::formats::read_panorama(f)?);
             }
             Light::Outside(Panorama { constant, .. }) => {
                 if let Some(c) = constant {

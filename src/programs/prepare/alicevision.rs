@@ -8,7 +8,9 @@
 
 use super::account::Account;
 use super::capture::{Capture, Shot, Surface, Up};
-use super::importer::{Importer, Located, PrepareOptions, is_rotation, photograph_named, stem_of};
+use super::importer::{
+    Importer, Located, PrepareOptions, is_rotation, mesh_beside, photograph_named, stem_of,
+};
 use super::lens::{Distortion, Lens, Optics, Perspective};
 use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
@@ -26,6 +28,9 @@ const MESHES: [&str; 4] = [
 ];
 /// Folders of the photographs, from the file's folder, where their stated path is gone.
 const IMAGES: [&str; 3] = [".", "images", "../images"];
+
+/// From axes with y down and z forward to such with y up and z backward, and back.
+const FLIP: DVec3 = DVec3::new(1.0, -1.0, -1.0);
 
 type Reading<T> = std::result::Result<T, String>;
 
@@ -64,6 +69,7 @@ impl Importer for AliceVision {
         let fail = |m: String| Error::input(file, m);
         let intrinsics = by_id(&root, "intrinsics", "intrinsicId");
         let poses = by_id(&root, "poses", "poseId");
+        let rigs = by_id(&root, "rigs", "rigId");
         let folder = located.folder();
         let (mut shots, mut unposed) = (Vec::new(), 0usize);
         for (i, view) in list(&root, "views").iter().enumerate() {
@@ -76,7 +82,7 @@ impl Importer for AliceVision {
             let intrinsic = id(view, "intrinsicId").and_then(|k| intrinsics.get(&k));
             let intrinsic = intrinsic
                 .ok_or_else(|| place("its intrinsics are missing; export the file again".into()))?;
-            let pose = world_from_camera(pose).map_err(&place)?;
+            let pose = pose_of(view, pose, &rigs).map_err(&place)?;
             let (optics, size) = optics(intrinsic).map_err(&place)?;
             let stated = view.get("path").and_then(Value::as_str).unwrap_or("");
             let image = image_at(folder, stated).ok_or_else(|| {
@@ -107,19 +113,36 @@ impl Importer for AliceVision {
         if unposed > 0 {
             account.ignored(format!("{unposed} views without a pose"));
         }
-        account.ignored("landmarks, rigs (each view has its own pose)");
-        let mesh = MESHES.iter().map(|m| folder.join(m)).find(|m| m.is_file());
+        account.ignored("landmarks");
+        let mesh = mesh_beside(folder, &MESHES);
+        let turned = mesh.is_some() && meshes_are_y_up(&root);
+        if turned {
+            account.converted(
+                "the mesh from axes with y up, in which Meshroom writes it since 2021, to those of the poses",
+            );
+        }
         Ok(Capture {
             shots,
             surface: mesh.map(|path| Surface::File {
                 path,
-                world_from_file: DMat4::IDENTITY,
+                world_from_file: if turned {
+                    DMat4::from_scale(FLIP)
+                } else {
+                    DMat4::IDENTITY
+                },
             }),
             up: Up::Unknown,
             unit_unknown: true,
             ..Capture::default()
         })
     }
+}
+
+/// Whether meshes have their y and z turned against the poses: since files of version 1.2.3
+/// (AliceVision, pull request 1030).
+fn meshes_are_y_up(root: &Value) -> bool {
+    let version = numbers(root, "version").unwrap_or_default();
+    version.as_slice() >= [1.0, 2.0, 3.0].as_slice()
 }
 
 fn file_in(path: &Path) -> Option<PathBuf> {
@@ -176,8 +199,29 @@ fn by_id<'a>(root: &'a Value, key: &str, name: &str) -> BTreeMap<String, &'a Val
     entries.filter_map(|v| Some((id(v, name)?, v))).collect()
 }
 
-fn world_from_camera(pose: &Value) -> Reading<DMat4> {
-    let transform = pose.pointer("/pose/transform").unwrap_or(&Value::Null);
+/// A view's pose: its own, or its place on a rig that has one.
+fn pose_of(view: &Value, pose: &Value, rigs: &BTreeMap<String, &Value>) -> Reading<DMat4> {
+    let to_gl = DMat4::from_scale(FLIP);
+    let of_pose = world_from_camera(pose.pointer("/pose/transform"))?;
+    // (4294967295 stands for none)
+    let rig = id(view, "rigId").and_then(|r| rigs.get(&r));
+    let alone = view.get("isPoseIndependent").is_some_and(|v| match v {
+        Value::String(t) => t == "true" || t == "1",
+        other => other.as_bool().unwrap_or(true),
+    });
+    let Some(rig) = rig.filter(|_| !alone) else {
+        return Ok(of_pose * to_gl);
+    };
+    let place = id(view, "subPoseId").and_then(|k| k.parse::<usize>().ok());
+    let sub_pose = place.and_then(|k| list(rig, "subPoses").get(k));
+    let sub_pose = sub_pose.ok_or("its rig has no such subPoseId; export the file again")?;
+    let rig_from_camera = world_from_camera(sub_pose.get("pose"))?;
+    Ok(of_pose * rig_from_camera * to_gl)
+}
+
+/// A pose with AliceVision's axes.
+fn world_from_camera(transform: Option<&Value>) -> Reading<DMat4> {
+    let transform = transform.unwrap_or(&Value::Null);
     let (rotation, centre) = (
         numbers(transform, "rotation")?,
         numbers(transform, "center")?,
@@ -192,8 +236,7 @@ fn world_from_camera(pose: &Value) -> Reading<DMat4> {
     if !is_rotation(camera_from_world) {
         return Err("its rotation is none; export the file again".into());
     }
-    let turn = camera_from_world.transpose() * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
-    let mut pose = DMat4::from_mat3(turn);
+    let mut pose = DMat4::from_mat3(camera_from_world.transpose());
     pose.w_axis = DVec3::from_array(centre).extend(1.0);
     Ok(pose)
 }
@@ -363,6 +406,47 @@ mod tests {
             (p.focal, p.centre, p.radial),
             ([210.0; 2], [202.0, 147.0], [0.1, 0.0])
         );
+    }
+
+    #[test]
+    fn cameras_of_a_rig_stand_where_it_holds_them() {
+        // the rig as the pose above; its second camera half a metre along the rig's x
+        let rig = r#""rigId": "5", "subPoseId": "1", "intrinsicId": "42", "path": "/gone/a.jpg""#;
+        let rigs = r#""rigs": [{"rigId": "5", "subPoses": [{"status": "constant"},
+            {"status": "estimated", "pose": {"rotation": ["1", "0", "0", "0", "1", "0", "0", "0", "1"],
+                "center": ["0.5", "0", "0"]}}]}],
+            "views": ["#;
+        let text = file(r#""type": "pinhole", "pxFocalLength": "210""#)
+            .replace(r#""intrinsicId": "42", "path": "/gone/a.jpg""#, rig)
+            .replace(r#""views": ["#, rigs);
+        let pose = read(&text).expect("reads").shots[0].world_from_camera;
+        assert_eq!(pose.w_axis.truncate(), DVec3::new(1.0, 2.0, 2.5));
+        let missing = text.replace(r#""subPoseId": "1""#, r#""subPoseId": "2""#);
+        let refused = read(&missing).expect_err("no third camera").to_string();
+        assert!(refused.contains("subPoseId"), "{refused}");
+    }
+
+    #[test]
+    fn meshes_of_newer_files_are_turned_into_the_world_of_the_poses() {
+        let surface = |version: &str| {
+            let dir = tempfile::tempdir().expect("temp");
+            let text = file(r#""type": "pinhole", "pxFocalLength": "210""#)
+                .replace(r#"["1", "2", "6"]"#, version);
+            std::fs::write(dir.path().join("a.jpg"), "").expect("image");
+            std::fs::write(dir.path().join("mesh.obj"), "").expect("mesh");
+            std::fs::write(dir.path().join("cameras.sfm"), text).expect("file");
+            let options = PrepareOptions::default();
+            let capture = AliceVision.import(dir.path(), &options, &mut Account::default());
+            match capture.expect("reads").surface {
+                Some(Surface::File {
+                    world_from_file, ..
+                }) => world_from_file,
+                other => panic!("{other:?}"),
+            }
+        };
+        assert_eq!(surface(r#"["1", "2", "2"]"#), DMat4::IDENTITY);
+        assert_eq!(surface(r#"["1", "2", "3"]"#), DMat4::from_scale(FLIP));
+        assert_eq!(surface(r#"["1", "10", "0"]"#), DMat4::from_scale(FLIP));
     }
 
     #[test]

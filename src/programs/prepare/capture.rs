@@ -50,6 +50,8 @@ pub struct Shot {
     pub points: Vec<DVec3>,
     /// Working radiance = image · 2^ev.
     pub exposure_ev: Option<f64>,
+    /// Primaries of the photograph where its file does not say: a name of docs/scene-format.md.
+    pub color_space: Option<String>,
     /// Stated split of the capture: held out or not.
     pub held_out: Option<bool>,
 }
@@ -74,6 +76,7 @@ impl Shot {
             depth: None,
             points: Vec::new(),
             exposure_ev: None,
+            color_space: None,
             held_out: None,
         }
     }

@@ -126,6 +126,7 @@ impl Importer for Colmap {
                 "text",
             )
         };
+        tell_other_models(folder, images.len(), account);
         let mut shots = Vec::new();
         for image in &images {
             let Some(camera) = cameras.get(&image.camera) else {
@@ -201,6 +202,31 @@ fn model_folder(path: &Path) -> Option<PathBuf> {
             }
         })
         .find(|f| has(f, "bin") || has(f, "txt"))
+}
+
+/// Says which other models COLMAP left beside this one: it numbers them where it could not join all
+/// images, and the largest need not be the first.
+fn tell_other_models(folder: &Path, images: usize, account: &mut Account) {
+    let numbered = folder.file_name().and_then(|n| n.to_str());
+    if numbered.is_none_or(|n| n.parse::<u32>().is_err()) {
+        return;
+    }
+    let others = std::fs::read_dir(folder.with_file_name(""))
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|e| e.path())
+        .filter(|p| p != folder && model_folder(p).is_some_and(|m| m == *p));
+    let mut names: Vec<String> = others.map(|p| p.display().to_string()).collect();
+    if names.is_empty() {
+        return;
+    }
+    names.sort();
+    account.ignored(format!(
+        "other models of this reconstruction ({}); {} with {images} images was taken, name the folder of another if it has more",
+        names.join(", "),
+        folder.display()
+    ));
 }
 
 fn models_used(cameras: &BTreeMap<u32, CameraEntry>) -> String {
@@ -345,8 +371,11 @@ fn text_cameras(path: &Path) -> Result<BTreeMap<u32, CameraEntry>> {
 fn text_images(path: &Path) -> Result<Vec<ImageEntry>> {
     let text = read_input_text(path)?;
     let mut images = Vec::new();
-    let mut rows = lines(&text).skip_while(|(_, l)| l.trim().is_empty());
-    // two lines an image: the pose, then its points (possibly empty)
+    let mut rows = lines(&text)
+        .skip_while(|(_, l)| l.trim().is_empty())
+        .peekable();
+    // two lines an image: the pose, then its points, which may be empty, and which files written by
+    // hand leave out
     while let Some((number, line)) = rows.next() {
         if line.trim().is_empty() {
             continue;
@@ -358,11 +387,9 @@ fn text_images(path: &Path) -> Result<Vec<ImageEntry>> {
                 .iter()
                 .map(|w| w.parse().ok())
                 .collect::<Option<_>>()?;
-            // the name is the rest of the line: it may hold spaces
-            let name = words.get(9..).filter(|n| !n.is_empty())?.join(" ");
             Some(ImageEntry {
                 id: words.first()?.parse().ok()?,
-                name,
+                name: after_words(line, 9)?.into(),
                 camera: words.get(8)?.parse().ok()?,
                 camera_from_world: pose([n[0], n[1], n[2], n[3]], [n[4], n[5], n[6]])?,
             })
@@ -373,9 +400,25 @@ fn text_images(path: &Path) -> Result<Vec<ImageEntry>> {
                 format!("line {number}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME; export the model again"),
             )
         })?);
-        rows.next();
+        rows.next_if(|(_, l)| are_points(l));
     }
     Ok(images)
+}
+
+/// Whether a line lists points of an image: X Y POINT3D_ID each, or nothing.
+fn are_points(line: &str) -> bool {
+    let numbers: Option<Vec<f64>> = line.split_whitespace().map(|w| w.parse().ok()).collect();
+    numbers.is_some_and(|n| n.len().is_multiple_of(3))
+}
+
+/// The rest of a line after its first `count` words, as it stands: names may hold blanks.
+fn after_words(line: &str, count: usize) -> Option<&str> {
+    let mut rest = line.trim();
+    for _ in 0..count {
+        let end = rest.find(char::is_whitespace)?;
+        rest = rest[end..].trim_start();
+    }
+    (!rest.is_empty()).then_some(rest)
 }
 
 /// Little-endian bytes with a place for messages.
@@ -636,6 +679,39 @@ mod tests {
 
     const CAMERAS: &str = "# a comment\n1 OPENCV 640 480 500 510 320 240 0.1 -0.02 0.001 0.002\n7 EQUIRECTANGULAR 64 32 64 32\n";
     const IMAGES_TXT: &str = "# two lines an image\n1 0.5 0.5 0.5 0.5 1 2 3 7 a b/pano 1.png\n10 20 -1\n2 1 0 0 0 0 0 -4 1 c.jpg\n\n";
+
+    #[test]
+    fn images_without_a_line_of_points_are_all_read_and_names_stand_as_they_are() {
+        let dir = tempfile::tempdir().expect("folder");
+        let file = dir.path().join("images.txt");
+        let text = "1 1 0 0 0 0 0 1 1 a.jpg\n2 1 0 0 0 0 0 2 1 two  blanks.jpg\n\n3 1 0 0 0 0 0 3 1 000012\n4 5 -1\n4 1 0 0 0 0 0 4 1 d.jpg";
+        std::fs::write(&file, text).expect("file");
+        let images = text_images(&file).expect("images");
+        let names: Vec<&str> = images.iter().map(|i| i.name.as_str()).collect();
+        assert_eq!(names, ["a.jpg", "two  blanks.jpg", "000012", "d.jpg"]);
+    }
+
+    #[test]
+    fn other_models_of_a_reconstruction_are_named() {
+        let dir = tempfile::tempdir().expect("folder");
+        for model in ["sparse/0", "sparse/1", "sparse/notes"] {
+            let folder = dir.path().join(model);
+            std::fs::create_dir_all(&folder).expect("folder");
+            if model != "sparse/notes" {
+                std::fs::write(folder.join("cameras.txt"), CAMERAS).expect("file");
+                std::fs::write(folder.join("images.txt"), "").expect("file");
+            }
+        }
+        let mut account = Account::default();
+        tell_other_models(&dir.path().join("sparse/0"), 3, &mut account);
+        let [told] = account.ignored.as_slice() else {
+            panic!("{:?}", account.ignored)
+        };
+        assert!(
+            told.contains("sparse/1") && !told.contains("notes"),
+            "{told}"
+        );
+    }
 
     #[test]
     fn text_and_binary_say_the_same_and_damage_is_an_error() {

@@ -6,8 +6,9 @@ use super::folder::{SceneFolder, extension};
 use super::labels::LabelSource;
 use super::lens::Lens;
 use super::lens::Optics;
-use crate::core::formats::{self, srgb8_from_linear};
+use crate::core::formats::{self, Photograph, srgb8_from_linear};
 use crate::core::image::Plane;
+use crate::core::math::colour::ColourSpace;
 use crate::error::{Error, Result};
 use glam::DVec2;
 use serde_json::{Map, Value, json};
@@ -79,6 +80,9 @@ impl FrameWriter<'_> {
             Ok(())
         };
         take(&shot.image, "images", "file_path", entry)?;
+        if let Some(space) = &shot.color_space {
+            entry.insert("color_space".into(), json!(space));
+        }
         if let Some(path) = &shot.labels {
             take(path, "labels", "label_path", entry)?;
         }
@@ -113,20 +117,30 @@ impl FrameWriter<'_> {
         linear: bool,
         entry: &mut Map<String, Value>,
     ) -> Result<(Optics, [usize; 2])> {
+        let space = shot.color_space.as_deref().and_then(ColourSpace::named);
         let photograph = match linear {
-            true => formats::read_rgb(&shot.image)?,
-            false => formats::read_ldr(&shot.image)?,
+            true => formats::read_photograph(&shot.image, space)?,
+            false => Photograph::opaque(formats::read_ldr(&shot.image)?),
         };
-        let from = [photograph.width, photograph.height];
+        if let Some(i) = photograph.pixels.data.iter().position(|p| !p.is_finite()) {
+            let (x, y) = (i % photograph.pixels.width, i / photograph.pixels.width);
+            return Err(Error::input(
+                &shot.image,
+                format!(
+                    "pixel (column {x}, row {y}) is NaN or infinite, which undoing the lens would spread; mend the image"
+                ),
+            ));
+        }
+        let from = [photograph.pixels.width, photograph.pixels.height];
         let target = lens.target(from);
-        let image = target.resample(lens, &photograph);
+        let image = target.resample(lens, &photograph.pixels);
         let name = format!(
             "images/{}.{}",
             shot.stem,
             if linear { "exr" } else { "png" }
         );
         if linear {
-            formats::write_rgb_half(self.folder.at(&name), &image)?;
+            self.folder.write_radiance(&name, &image)?;
         } else {
             let rgb: Vec<u8> = image
                 .data
@@ -136,11 +150,7 @@ impl FrameWriter<'_> {
             formats::write_png_rgb8(self.folder.at(&name), image.width, image.height, &rgb)?;
         }
         entry.insert("file_path".into(), json!(name));
-        let given = match &shot.mask {
-            Some(Mask::File(path)) => Some(formats::read_labels(path)?),
-            Some(Mask::Alpha(path)) => alpha(path)?.map(|m| m.map(|&v| u16::from(v))),
-            None => None,
-        };
+        let given = given_mask(shot, photograph.alpha.as_ref())?;
         let mask = target.mask(lens, from, given.as_ref());
         if mask.data.contains(&0) {
             let name = format!("masks/{}.png", shot.stem);
@@ -154,6 +164,18 @@ impl FrameWriter<'_> {
             entry.insert("label_path".into(), json!(name));
         }
         Ok((target.optics.clone(), target.size))
+    }
+}
+
+/// The pixels that a photograph's mask keeps, or where it has none its alpha.
+fn given_mask(shot: &Shot, linear_alpha: Option<&Plane<f32>>) -> Result<Option<Plane<bool>>> {
+    let of_png = |path: &Path| Ok(alpha(path)?.map(|m| m.map(|&v| v > 0)));
+    match (&shot.mask, linear_alpha) {
+        (Some(Mask::File(path)), _) => formats::read_mask(path).map(Some),
+        (Some(Mask::Alpha(path)), _) => of_png(path),
+        (None, Some(alpha)) => Ok(Some(alpha.map(|a| *a > 0.0))),
+        (None, None) if extension(&shot.image) == "png" => of_png(&shot.image),
+        (None, None) => Ok(None),
     }
 }
 
@@ -197,7 +219,7 @@ fn alpha(path: &Path) -> Result<Option<Plane<u8>>> {
 /// Depth in metres along the ray.
 pub(super) fn metres(depth: &Depth, optics: &Optics, size: [usize; 2]) -> Result<Plane<f32>> {
     let mut plane = match extension(&depth.path).as_str() {
-        "exr" => formats::read_plane(&depth.path)?,
+        "exr" => formats::read_depth(&depth.path)?,
         _ => formats::read_labels(&depth.path)?
             .map(|&v| (f64::from(v) * depth.metres_per_step) as f32),
     };

@@ -6,6 +6,7 @@ use super::network::NetworkOptions;
 use crate::error::{Error, Result};
 use glam::DMat3;
 use serde::{Deserialize, Serialize};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// How a capture becomes a scene.
@@ -179,6 +180,65 @@ pub(super) fn photograph_named(
         .map(|f| f.join(&name))
         .find(|p| p.is_file())
 }
+
+/// The mesh that lies with a capture: under the first of these names that is there, else the only one
+/// in the folder.
+pub(super) fn mesh_beside(folder: &Path, names: &[&str]) -> Option<PathBuf> {
+    let named = names.iter().map(|m| folder.join(m)).find(|m| m.is_file());
+    named.or_else(|| {
+        let mut found = meshes(folder);
+        found.retain(|m| has_faces(m));
+        found.pop().filter(|_| found.is_empty())
+    })
+}
+
+/// Meshes in a folder, or the file itself if it is one.
+pub(super) fn meshes(path: &Path) -> Vec<PathBuf> {
+    let is_mesh = |p: &PathBuf| {
+        let e = p.extension().and_then(|e| e.to_str()).unwrap_or("");
+        MESH_ENDINGS.contains(&e.to_ascii_lowercase().as_str())
+    };
+    if path.is_file() {
+        return vec![path.to_path_buf()]
+            .into_iter()
+            .filter(is_mesh)
+            .collect();
+    }
+    std::fs::read_dir(path)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|e| e.path())
+        .filter(is_mesh)
+        .collect()
+}
+
+/// Endings of meshes the program reads.
+const MESH_ENDINGS: [&str; 4] = ["glb", "gltf", "obj", "ply"];
+
+/// Whether a file is more than a cloud of points, which only PLY may be: its header says.
+fn has_faces(mesh: &Path) -> bool {
+    if !mesh
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("ply"))
+    {
+        return true;
+    }
+    let mut header = Vec::new();
+    let opened = std::fs::File::open(mesh);
+    let read = opened.and_then(|f| f.take(LONGEST_HEADER).read_to_end(&mut header));
+    let text = String::from_utf8_lossy(&header);
+    let count = |line: &str| {
+        line.strip_prefix("element face ")?
+            .trim()
+            .parse::<u64>()
+            .ok()
+    };
+    read.is_ok() && text.lines().filter_map(count).any(|n| n > 0)
+}
+
+/// Bytes within which a PLY header names its elements.
+const LONGEST_HEADER: u64 = 1 << 16;
 
 /// Whether a matrix is a rotation, to a thousandth: what files state with a few digits.
 pub(super) fn is_rotation(m: DMat3) -> bool {

@@ -290,7 +290,7 @@ impl Target {
 
     /// 255 where the lens saw something (and `mask` keeps it), 0 elsewhere.
     #[must_use]
-    pub fn mask(&self, lens: &Lens, size: [usize; 2], mask: Option<&Plane<u16>>) -> Plane<u8> {
+    pub fn mask(&self, lens: &Lens, size: [usize; 2], mask: Option<&Plane<bool>>) -> Plane<u8> {
         self.map(lens, size, |p| {
             let kept = |p: Vec2| {
                 mask.is_none_or(|m| {
@@ -298,7 +298,7 @@ impl Target {
                         m.width as f32 / size[0] as f32,
                         m.height as f32 / size[1] as f32,
                     );
-                    *m.nearest(p * scale) > 0
+                    *m.nearest(p * scale)
                 })
             };
             if p.is_some_and(kept) { 255 } else { 0 }

@@ -7,7 +7,7 @@
 
 use super::account::Account;
 use super::capture::{Capture, Shot, Surface, Up};
-use super::importer::{Importer, Located, PrepareOptions, photograph_named, stem_of};
+use super::importer::{Importer, Located, PrepareOptions, mesh_beside, photograph_named, stem_of};
 use super::lens::{Distortion, Lens, Optics};
 use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
@@ -102,7 +102,7 @@ impl Importer for Metashape {
                 "{left_out} cameras that are disabled or not aligned"
             ));
         }
-        let mesh = MESHES.iter().map(|m| folder.join(m)).find(|m| m.is_file());
+        let mesh = mesh_beside(folder, &MESHES);
         Ok(Capture {
             shots,
             surface: mesh.map(|path| Surface::File {

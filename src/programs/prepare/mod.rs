@@ -28,6 +28,7 @@ mod ply_out;
 mod polycam;
 mod roomplan;
 mod scan;
+mod scanner_app;
 mod surface_nets;
 mod texir;
 mod usd_layer;
@@ -46,6 +47,7 @@ pub use write::write_scene;
 
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
+use glam::DMat4;
 use std::path::Path;
 
 /// All importers in the order in which they are asked; the more particular ones come first.
@@ -54,12 +56,14 @@ pub fn importers() -> &'static [&'static dyn Importer] {
     &[
         &zind::Zind,
         &texir::TexIr,
-        &colmap::Colmap,
+        // (ns-process-data leaves COLMAP's model beside its own file)
         &nerfstudio::Nerfstudio,
+        &colmap::Colmap,
         &opensfm::OpenSfm,
         &alicevision::AliceVision,
         &metashape::Metashape,
         &polycam::Polycam,
+        &scanner_app::ScannerApp,
         &roomplan::RoomPlan,
         &scan::Scan,
     ]
@@ -87,9 +91,19 @@ pub fn prepare(
         None => found(path)?,
     };
     let mut account = Account::default();
+    if source.is_none() {
+        tell_others(importer, path, &mut account);
+    }
     let mut capture = progress.stage("reading the capture", 1, |_| {
         importer.import(path, options, &mut account)
     })?;
+    // what is given by hand lies in the capture's coordinates, and turns with them
+    if let Some(path) = &options.mesh {
+        capture.surface = Some(Surface::File {
+            path: path.clone(),
+            world_from_file: DMat4::IDENTITY,
+        });
+    }
     orient::orient(&mut capture, options, &mut account);
     let written = write_scene(capture, out, options, &mut account, progress)?;
     Ok(Prepared {
@@ -99,6 +113,21 @@ pub fn prepare(
         rooms: written.rooms,
         notes: account.lines(),
     })
+}
+
+/// Says what else `path` could be read as.
+fn tell_others(taken: &dyn Importer, path: &Path, account: &mut Account) {
+    let others = importers()
+        .iter()
+        .map(|i| (i.kind(), i.recognises(path)))
+        // a mesh lies beside most captures
+        .filter(|(kind, here)| *here && *kind != taken.kind() && *kind != scan::Scan.kind());
+    for (kind, _) in others {
+        account.ignored(format!(
+            "what \"{kind}\" would read here ({} was taken); name it before the folder to take it",
+            taken.kind()
+        ));
+    }
 }
 
 fn named(name: &str) -> Result<&'static dyn Importer> {
@@ -149,7 +178,7 @@ fn what_is_missing(path: &Path) -> String {
     let ending = |n: &String, of: &[&str]| of.iter().any(|e| n.ends_with(e));
     let count = |of: &[&str]| names.iter().filter(|n| ending(n, of)).count();
     let photographs = count(&[".jpg", ".jpeg", ".png", ".exr", ".hdr"]);
-    match (scan::meshes(path).len(), photographs) {
+    match (importer::meshes(path).len(), photographs) {
         (meshes @ 2.., _) => format!(" ({meshes} meshes: name the file of one)"),
         (_, n @ 1..) => format!(
             " ({n} images without poses: have a photogrammetry program find them first, see docs/bring-your-own.md)"

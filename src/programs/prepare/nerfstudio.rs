@@ -7,19 +7,23 @@
 //! steps of `depth_unit_scale_factor` (1 mm) along the optical axis.
 
 use super::account::Account;
-use super::capture::{Capture, Depth, Mask, Shot, Surface, Up};
+use super::capture::{Capture, Depth, Mask, RoomIds, Shot, Surface, Up};
 use super::importer::{Importer, Located, PrepareOptions};
 use super::lens::{Distortion, Lens};
 use super::lens::{Optics, Perspective};
 use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
-use crate::scene::Class;
-use glam::{DMat3, DMat4};
+use crate::scene::transforms::y_up_from_z_up;
+use crate::scene::{self, Class, read_rooms};
+use glam::{DMat3, DMat4, DVec2, DVec3};
 use serde_json::{Map, Value};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 const FILE: &str = "transforms.json";
+/// Blender's and the first NeRF scenes: a file of its own for every part of the split.
+const TRAIN: &str = "transforms_train.json";
+const TEST: &str = "transforms_test.json";
 /// nerfstudio's default: millimetres.
 const DEPTH_STEP: f64 = 1e-3;
 /// Endings tried for a `file_path` without one (the first NeRF scenes).
@@ -34,7 +38,7 @@ const MESHES: [&str; 6] = [
     "poly.ply",
 ];
 /// What this importer understands; every other key is named in the account.
-const KNOWN: [&str; 38] = [
+const KNOWN: [&str; 40] = [
     "camera_model",
     "fl_x",
     "fl_y",
@@ -69,6 +73,8 @@ const KNOWN: [&str; 38] = [
     "label_path",
     "exposure_ev",
     "rooms_path",
+    "color_space",
+    "mesh_up_axis",
     "colmap_im_id",
     "sharpness",
     "ply_file_path",
@@ -110,16 +116,18 @@ impl Importer for Nerfstudio {
 
     fn locate(&self, path: &Path) -> Result<Located> {
         // a file of another name is taken where the source is named
-        let file = match path.is_dir() {
-            true => path.join(FILE),
-            false => path.to_path_buf(),
+        let files = match path.is_dir() {
+            true => vec![path.join(FILE), path.join(TRAIN)],
+            false => vec![path.to_path_buf()],
         };
         let expected = format!("no {FILE} here; give its folder or the file");
-        Located::new(path, Some(file).filter(|f| f.is_file()), expected)
+        let file = files.into_iter().find(|f| f.is_file());
+        Located::new(path, file, expected)
     }
 
     fn recognises(&self, path: &Path) -> bool {
-        self.locate(path).is_ok_and(|l| l.start.ends_with(FILE))
+        let is_ours = |l: Located| l.start.ends_with(FILE) || l.start.ends_with(TRAIN);
+        self.locate(path).is_ok_and(is_ours)
     }
 
     fn read(
@@ -129,21 +137,82 @@ impl Importer for Nerfstudio {
         account: &mut Account,
     ) -> Result<Capture> {
         let (file, folder) = (&located.start, located.folder());
+        let main = Document::read(file)?;
+        let mut shots = main.shots(folder, account)?;
+        let held_out = folder.join(TEST);
+        if file.ends_with(TRAIN) && held_out.is_file() {
+            let mut test = Document::read(&held_out)?.shots(folder, account)?;
+            shots.iter_mut().for_each(|s| s.held_out = Some(false));
+            test.iter_mut().for_each(|s| s.held_out = Some(true));
+            shots.append(&mut test);
+        }
+        let root = &main.root;
+        if root.contains_key("ply_file_path") {
+            account.ignored("the sparse point cloud (ply_file_path)");
+        }
+        let text = |key: &str| root.get(key).and_then(Value::as_str);
+        let mesh = text("mesh_path")
+            .map(|m| folder.join(m))
+            .or_else(|| MESHES.iter().map(|m| folder.join(m)).find(|m| m.is_file()));
+        let is_z = |axis: &str| matches!(axis, "z" | "Z" | "+z");
+        let (up, mesh_up) = (text("up_axis").map(is_z), text("mesh_up_axis").map(is_z));
+        let up = up.or(mesh_up.map(|_| false));
+        let world_from_file = match mesh_up.zip(up) {
+            Some((true, false)) => DMat4::from_mat3(y_up_from_z_up()),
+            Some((false, true)) => DMat4::from_mat3(y_up_from_z_up().transpose()),
+            _ => DMat4::IDENTITY,
+        };
+        let rooms = text("rooms_path").map(|p| read_rooms(&folder.join(p), DVec3::ZERO));
+        Ok(Capture {
+            shots,
+            surface: mesh.map(|path| Surface::File {
+                path,
+                world_from_file,
+            }),
+            classes: classes(root),
+            room_grid: rooms.transpose()?.map(|grid| RoomIds {
+                cells: grid.cells,
+                cell: f64::from(grid.cell),
+                min: DVec2::new(f64::from(grid.x_min), f64::from(grid.z_min)),
+            }),
+            up: match up {
+                Some(true) => Up::Z,
+                Some(false) => Up::Y,
+                None => Up::Unknown,
+            },
+            ..Capture::default()
+        })
+    }
+}
+
+/// A file of frames.
+struct Document {
+    file: PathBuf,
+    root: Map<String, Value>,
+}
+
+impl Document {
+    fn read(file: &Path) -> Result<Self> {
         let text = read_input_text(file)?;
         let root: Value = serde_json::from_str(&text)
             .map_err(|e| Error::input(file, format!("{e}; expected nerfstudio's JSON")))?;
-        let no_frames = || {
-            Error::input(
-                file,
-                "frames: missing or empty; expected a list of posed images",
-            )
+        let Value::Object(root) = root else {
+            return Err(Error::input(file, NO_FRAMES));
         };
-        let root = root.as_object().ok_or_else(no_frames)?;
+        Ok(Self {
+            file: file.to_path_buf(),
+            root,
+        })
+    }
+
+    /// The frames as shots, whose files lie in `folder`.
+    fn shots(&self, folder: &Path, account: &mut Account) -> Result<Vec<Shot>> {
+        let (file, root) = (&self.file, &self.root);
         let frames = root
             .get("frames")
             .and_then(Value::as_array)
             .filter(|f| !f.is_empty())
-            .ok_or_else(no_frames)?;
+            .ok_or_else(|| Error::input(file, NO_FRAMES))?;
         let undo = undo_applied(root).map_err(|m| Error::input(file, m))?;
         let mut shots = Vec::new();
         for (i, frame) in frames.iter().enumerate() {
@@ -153,20 +222,20 @@ impl Importer for Nerfstudio {
                 .ok_or_else(|| fail("expected an object".into()))?;
             let keys = Keys { file: root, frame };
             let mut shot = shot(&keys, folder).map_err(fail)?;
-            shot.world_from_camera = undo.of(shot.world_from_camera);
+            let pose = rigid(undo.of(shot.world_from_camera));
+            shot.world_from_camera = pose.map_err(|m| fail(format!("transform_matrix: {m}")))?;
             shots.push(shot);
         }
         split(root, frames, &mut shots);
         account.read(format!("{}: {} posed images", file.display(), shots.len()));
         undo.tell(account);
+        let of_frames = frames
+            .iter()
+            .filter_map(Value::as_object)
+            .flat_map(Map::keys);
         let strange: BTreeSet<&str> = root
             .keys()
-            .chain(
-                frames
-                    .iter()
-                    .filter_map(Value::as_object)
-                    .flat_map(Map::keys),
-            )
+            .chain(of_frames)
             .map(String::as_str)
             .filter(|k| !KNOWN.contains(k))
             .collect();
@@ -174,28 +243,17 @@ impl Importer for Nerfstudio {
             let list: Vec<&str> = strange.into_iter().collect();
             account.ignored(format!("keys {}", list.join(", ")));
         }
-        if root.contains_key("ply_file_path") {
-            account.ignored("the sparse point cloud (ply_file_path)");
-        }
-        let stated = root.get("mesh_path").and_then(Value::as_str);
-        let mesh = stated
-            .map(|m| folder.join(m))
-            .or_else(|| MESHES.iter().map(|m| folder.join(m)).find(|m| m.is_file()));
-        Ok(Capture {
-            shots,
-            surface: mesh.map(|path| Surface::File {
-                path,
-                world_from_file: DMat4::IDENTITY,
-            }),
-            classes: classes(root),
-            up: match root.get("up_axis").and_then(Value::as_str) {
-                Some("z" | "Z" | "+z") => Up::Z,
-                Some(_) => Up::Y,
-                None => Up::Unknown,
-            },
-            ..Capture::default()
-        })
+        Ok(shots)
     }
+}
+
+const NO_FRAMES: &str = "frames: missing or empty; expected a list of posed images";
+
+/// A pose whose turn is the rotation next to what the file states, or why there is none.
+fn rigid(pose: DMat4) -> std::result::Result<DMat4, String> {
+    let mut out = DMat4::from_mat3(scene::rigid(DMat3::from_mat4(pose))?);
+    out.w_axis = pose.w_axis;
+    Ok(out)
 }
 
 /// The inverse of what was applied to the poses.
@@ -210,7 +268,16 @@ impl Undo {
         if let Some(s) = self.scale {
             pose.w_axis = (pose.w_axis.truncate() / s).extend(1.0);
         }
-        self.transform.map_or(pose, |t| t * pose)
+        let Some(transform) = self.transform else {
+            return pose;
+        };
+        // what scales the world moves cameras and does not turn them
+        let size = DMat3::from_mat4(transform).determinant().abs().cbrt();
+        let mut undone = transform * pose;
+        for axis in [&mut undone.x_axis, &mut undone.y_axis, &mut undone.z_axis] {
+            *axis /= size;
+        }
+        undone
     }
 
     fn tell(&self, account: &mut Account) {
@@ -283,6 +350,7 @@ fn shot(keys: &Keys<'_>, folder: &Path) -> std::result::Result<Shot, String> {
     shot.labels = stated("label_path");
     shot.mask = stated("mask_path").map(Mask::File);
     shot.exposure_ev = keys.frame.get("exposure_ev").and_then(Value::as_f64);
+    shot.color_space = keys.text("color_space").map(Into::into);
     shot.depth = stated("depth_file_path").map(|path| {
         let exr = path
             .extension()
@@ -311,7 +379,8 @@ fn optics(
     image: &Path,
     size: Option<[usize; 2]>,
 ) -> std::result::Result<Optics, String> {
-    let model = keys.text("camera_model").unwrap_or("");
+    let model = keys.text("camera_model").unwrap_or("").to_ascii_uppercase();
+    let model = model.as_str();
     if model == "EQUIRECTANGULAR" {
         return Ok(Optics::Panorama);
     }

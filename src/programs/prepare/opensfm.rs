@@ -8,7 +8,7 @@
 use super::account::Account;
 use super::capture::{Capture, Shot, Surface, Up};
 use super::colmap::gl_world_from_camera;
-use super::importer::{Importer, Located, PrepareOptions, photograph_named, stem_of};
+use super::importer::{Importer, Located, PrepareOptions, mesh_beside, photograph_named, stem_of};
 use super::lens::{Distortion, Lens, Optics, Perspective};
 use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
@@ -139,7 +139,7 @@ impl Importer for OpenSfm {
             ));
         }
         account.ignored("sparse points, rigs (each shot has its own pose)");
-        let mesh = MESHES.iter().map(|m| folder.join(m)).find(|m| m.is_file());
+        let mesh = mesh_beside(folder, &MESHES);
         Ok(Capture {
             shots,
             surface: mesh.map(|path| Surface::File {

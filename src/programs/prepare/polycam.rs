@@ -7,7 +7,7 @@
 
 use super::account::Account;
 use super::capture::{Capture, Depth, Shot, Surface, Up};
-use super::importer::{Importer, Located, PrepareOptions, is_rotation};
+use super::importer::{Importer, Located, PrepareOptions, is_rotation, mesh_beside};
 use super::lens::{Optics, Perspective};
 use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
@@ -51,13 +51,7 @@ impl Importer for Polycam {
     ) -> Result<Capture> {
         let (path, cameras) = (&located.named, &located.start);
         let images = images_of(cameras);
-        let mut files: Vec<PathBuf> = std::fs::read_dir(cameras)
-            .map_err(|e| Error::input(cameras, format!("cannot be listed: {e}")))?
-            .flatten()
-            .map(|e| e.path())
-            .filter(|p| p.extension().is_some_and(|e| e == "json"))
-            .collect();
-        files.sort();
+        let files = files_in(cameras);
         let (mut shots, mut without) = (Vec::new(), 0usize);
         for file in &files {
             let stem = file
@@ -65,7 +59,7 @@ impl Importer for Polycam {
                 .unwrap_or_default()
                 .to_string_lossy()
                 .into_owned();
-            let found = ["jpg", "png"].map(|e| images.join(format!("{stem}.{e}")));
+            let found = ["jpg", "png", "JPG"].map(|e| images.join(format!("{stem}.{e}")));
             let Some(image) = found.into_iter().find(|p| p.is_file()) else {
                 without += 1;
                 continue;
@@ -99,7 +93,7 @@ impl Importer for Polycam {
             account.ignored(format!("{without} cameras without an image"));
         }
         account.ignored("confidence of depth, blur scores");
-        let mesh = MESHES.iter().map(|m| path.join(m)).find(|m| m.is_file());
+        let mesh = mesh_beside(path, &MESHES);
         if mesh.is_some() && path.join("mesh_info.json").is_file() {
             account.ignored(
                 "mesh_info.json: the mesh is taken where it lies; `unbake check` says whether it fits the photographs, and --fix-alignment moves it",
@@ -123,7 +117,16 @@ fn cameras_in(path: &Path) -> Option<PathBuf> {
     let cameras = KEYFRAMES.map(|[cameras, _]| folder.join(cameras));
     cameras
         .into_iter()
-        .find(|c| c.is_dir() && images_of(c).is_dir())
+        .find(|c| !files_in(c).is_empty() && images_of(c).is_dir())
+}
+
+/// The files of a folder of cameras, in order.
+fn files_in(cameras: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(cameras).into_iter().flatten().flatten();
+    let is_camera = |p: &PathBuf| p.extension().is_some_and(|e| e == "json");
+    let mut files: Vec<PathBuf> = entries.map(|e| e.path()).filter(is_camera).collect();
+    files.sort();
+    files
 }
 
 /// The folder of the images that belong to a folder of cameras.

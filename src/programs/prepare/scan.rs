@@ -3,13 +3,10 @@
 
 use super::account::Account;
 use super::capture::{Capture, Surface, Up};
-use super::importer::{Importer, Located, PrepareOptions};
+use super::importer::{Importer, Located, PrepareOptions, meshes};
 use crate::error::Result;
 use glam::DMat4;
 use std::path::{Path, PathBuf};
-
-/// Endings of meshes the program reads.
-const MESHES: [&str; 4] = ["glb", "gltf", "obj", "ply"];
 
 /// The importer.
 pub struct Scan;
@@ -40,6 +37,12 @@ impl Importer for Scan {
         account: &mut Account,
     ) -> Result<Capture> {
         account.ignored("materials and colours of the mesh");
+        let pictures = pictures_beside(&located.named);
+        if pictures > MOST_TEXTURES {
+            account.ignored(format!(
+                "{pictures} images beside the mesh: no file here tells their poses in a way that is known"
+            ));
+        }
         Ok(Capture {
             surface: Some(Surface::File {
                 path: located.start.clone(),
@@ -51,23 +54,15 @@ impl Importer for Scan {
     }
 }
 
-/// Meshes in a folder, or the file itself if it is one.
-pub(super) fn meshes(path: &Path) -> Vec<PathBuf> {
-    let is_mesh = |p: &PathBuf| {
+/// More images than this beside a mesh are no textures of it alone.
+const MOST_TEXTURES: usize = 3;
+
+/// Images in a folder; 0 where a file was named.
+fn pictures_beside(named: &Path) -> usize {
+    let entries = std::fs::read_dir(named).into_iter().flatten().flatten();
+    let is_picture = |p: &PathBuf| {
         let e = p.extension().and_then(|e| e.to_str()).unwrap_or("");
-        MESHES.contains(&e.to_ascii_lowercase().as_str())
+        ["jpg", "jpeg", "png", "exr", "hdr", "heic"].contains(&e.to_ascii_lowercase().as_str())
     };
-    if path.is_file() {
-        return vec![path.to_path_buf()]
-            .into_iter()
-            .filter(is_mesh)
-            .collect();
-    }
-    std::fs::read_dir(path)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .map(|e| e.path())
-        .filter(is_mesh)
-        .collect()
+    entries.map(|e| e.path()).filter(is_picture).count()
 }

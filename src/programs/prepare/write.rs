@@ -51,10 +51,10 @@ pub fn write_scene(
     rescale(&mut capture, options.scale, account);
     unique_stems(&mut capture.shots);
     hold_out(&mut capture.shots, options.hold_out, account);
-    let meshed = options.mesh.is_some() || capture.surface.is_some();
+    let meshed = capture.surface.is_some();
     // (what the networks see goes with this, once it is copied)
     let _seen = network::predict(&mut capture, meshed, &options.networks, account, progress)?;
-    let mesh = match mesh_of(&mut capture, options, account)? {
+    let mesh = match mesh_of(&mut capture, account)? {
         None => mesh_of_depth(&capture.shots, account, progress)?.map(SceneMesh::Decoded),
         given => given,
     };
@@ -209,19 +209,10 @@ enum SceneMesh {
     Decoded(LabelledMesh),
 }
 
-/// The capture's mesh, or the one given by hand.
-fn mesh_of(
-    capture: &mut Capture,
-    options: &PrepareOptions,
-    account: &mut Account,
-) -> Result<Option<SceneMesh>> {
-    let scale = options.scale.unwrap_or(1.0);
-    let given = options.mesh.as_ref().map(|path| Surface::File {
-        path: path.clone(),
-        world_from_file: DMat4::from_scale(DVec3::splat(scale)),
-    });
+/// The capture's mesh.
+fn mesh_of(capture: &mut Capture, account: &mut Account) -> Result<Option<SceneMesh>> {
     let unlabelled = capture.shots.iter().all(|s| s.labels.is_none());
-    let Some(surface) = given.or_else(|| capture.surface.clone()) else {
+    let Some(surface) = capture.surface.clone() else {
         return Ok(None);
     };
     let (path, world_from_file) = match surface {

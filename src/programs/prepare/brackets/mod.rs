@@ -33,10 +33,12 @@ const POINTS: usize = 4000;
 const FLAT: u8 = 12;
 /// Codes the fit uses.
 const FIT_RANGE: std::ops::RangeInclusive<u8> = 5..=250;
+/// Disagreement of exposures beyond which their times are another's. Derived: a third of a stop, the step of cameras.
+const CONTRADICTED: f64 = 0.26;
+/// Share of a photograph that something may have moved in. Derived: most of it must show one scene.
+const MOST_MOVED: f64 = 0.5;
 /// The set's median radiance after scaling: middle grey.
 const MIDDLE_GREY: f64 = 0.18;
-/// Largest value written as half.
-const HALF_SAFE: f32 = 60_000.0;
 
 /// Whether a folder looks like brackets: its first two photographs state different exposures.
 #[must_use]
@@ -58,11 +60,37 @@ fn photographs(path: &Path) -> Vec<PathBuf> {
         .map(|e| e.path())
         .filter(|p| {
             let e = p.extension().and_then(|e| e.to_str()).unwrap_or("");
-            ["jpg", "jpeg", "png"].contains(&e.to_ascii_lowercase().as_str())
+            // macOS leaves a "._" file beside every file on a card
+            let hidden = p
+                .file_name()
+                .is_some_and(|n| n.to_string_lossy().starts_with('.'));
+            !hidden && ["jpg", "jpeg", "png"].contains(&e.to_ascii_lowercase().as_str())
         })
         .collect();
-    files.sort();
+    files.sort_by_cached_key(|p| counted(&p.to_string_lossy()));
     files
+}
+
+/// A name as people sort it: runs of digits by what they count, "img9" before "img10".
+fn counted(name: &str) -> Vec<(u64, String)> {
+    let mut parts: Vec<(u64, String)> = Vec::new();
+    let mut rest = name;
+    while !rest.is_empty() {
+        let text = rest
+            .find(|c: char| c.is_ascii_digit())
+            .unwrap_or(rest.len());
+        let (before, after) = rest.split_at(text);
+        let digits = after
+            .find(|c: char| !c.is_ascii_digit())
+            .unwrap_or(after.len());
+        let (number, next) = after.split_at(digits);
+        parts.push((0, before.to_owned()));
+        if !number.is_empty() {
+            parts.push((number.parse().unwrap_or(u64::MAX), String::new()));
+        }
+        rest = next;
+    }
+    parts
 }
 
 /// Merges the brackets of `path` into `out/images/*.exr`.
@@ -99,12 +127,7 @@ pub fn run(
     let scale = set_scale(&merged);
     for (stem, image) in &merged {
         let image = image.map(|v| *v * scale as f32);
-        let name = folder.at(format!("images/{stem}.exr"));
-        if image.data.iter().any(|v| v.max_element() > HALF_SAFE) {
-            formats::write_rgb_float(name, &image)?;
-        } else {
-            formats::write_rgb_half(name, &image)?;
-        }
+        folder.write_radiance(&format!("images/{stem}.exr"), &image)?;
     }
     account.converted(format!(
         "one scale for the whole set: the median radiance is {MIDDLE_GREY}"
@@ -238,6 +261,17 @@ fn fitted_response(sets: &[Vec<Photograph>], account: &mut Account) -> Result<[R
     });
     if fitted {
         let spread = [0, 1, 2].map(|c| responses[c].spread(&points[c]));
+        if spread.iter().sum::<f64>() / 3.0 > CONTRADICTED {
+            return Err(Error::input(
+                sets.first()
+                    .and_then(|s| s.first())
+                    .map_or(Path::new(""), |p| &p.path),
+                format!(
+                    "this photograph and those after it contradict their exposure times (by {:.0} % in the median): are --exposure-times in the order of the file names, and the photographs of each set of one place?",
+                    100.0 * spread.iter().sum::<f64>() / 3.0
+                ),
+            ));
+        }
         account.converted(format!(
             "the camera's response was fitted to {} points (Debevec & Malik); exposures agree to {:.1} % in the median",
             points[1].len(),
@@ -297,6 +331,15 @@ fn merge_one(
         .file_stem()
         .map(|s| s.to_string_lossy().into_owned())
         .unwrap_or_default();
+    if merged.moved > MOST_MOVED {
+        return Err(Error::input(
+            &set[reference].path,
+            format!(
+                "{:.0} % of this photograph is something else in the other exposures of its set: is one of them turned (EXIF), of another place, or its exposure time another's?",
+                100.0 * merged.moved
+            ),
+        ));
+    }
     let farthest = bracket
         .iter()
         .map(|e| e.shift.dx.abs().max(e.shift.dy.abs()))

@@ -4,7 +4,7 @@
 use super::engine_types::{Output, Shape};
 use super::options::{NetworkOptions, Normalisation, PanoramaTiles, Properties};
 use super::tiles::{Tile, tiles_of};
-use crate::core::formats::{image_info, read_ldr, read_rgb};
+use crate::core::formats::{image_info, read_ldr, read_photograph};
 use crate::core::geometry::{Lens, Projection};
 use crate::core::image::{BilinearTaps, RgbPlane, Wrap, bilinear_taps};
 use crate::core::math::{luminance, srgb_from_linear};
@@ -154,7 +154,7 @@ impl Picture {
         let info = image_info(path)?;
         let linear = info.format.is_linear();
         let mut pixels = match linear {
-            true => read_rgb(path)?,
+            true => read_photograph(path, None)?.pixels,
             false => read_ldr(path)?,
         };
         let exposure = if linear { exposure(&pixels) } else { 1.0 };
