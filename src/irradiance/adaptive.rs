@@ -22,7 +22,7 @@ use glam::Vec3;
 /// have not found is not looked for.
 /// Measured: ×½ albedo within two errors −1 %, ×2 albedo −0.3 dB (docs/constants.md).
 const FIRST: u32 = 2;
-/// Doublings between the first round's samples where texels do not matter and where they do.
+/// Doublings between the first round's samples where texels do not matter and where they do. Derived: twice the error.
 const SPARED: u8 = 2;
 /// Doublings of a texel in one round, and in all.
 /// Measured: ×½ albedo within two errors +8 %, ×2 albedo within two errors +6 % (docs/constants.md).

@@ -154,7 +154,7 @@ fn colmap_model(dir: &Path) {
     .expect("images");
     fs::write(
         dir.join("room.obj"),
-        "v -5 -5 -5\nv 5 -5 -5\nv 5 5 -5\nv -5 5 9\nf 1 2 3\nf 1 3 4\nf 2 3 4\nf 1 2 4\n",
+        "v -5 -5 -5\nv 5 -5 -5\nv 5 3 -5\nv -5 3 9\nf 1 2 3\nf 1 3 4\nf 2 3 4\nf 1 2 4\n",
     )
     .expect("mesh");
 }
@@ -185,9 +185,9 @@ fn a_colmap_model_of_three_lenses_becomes_an_upright_scene() {
         "the fisheye became a masked panorama"
     );
     assert_eq!(size(2)[0], 2 * size(2)[1]);
-    // the mesh went along: its lowest point was at y = 5 of a world that hung upside down
+    // the mesh went along: its lowest point was at y = 3 of a world that hung upside down
     let low = scene.origin.y + f64::from(scene.mesh.bounds().0.y);
-    assert!((low + 10.0).abs() < 1e-5, "{low}");
+    assert!((low + 6.0).abs() < 1e-5, "{low}");
 }
 
 #[test]
@@ -284,4 +284,89 @@ fn what_nearly_is_a_capture_is_told_what_it_lacks() {
         fs::write(dir.path().join(name), "").expect("file");
     }
     assert!(refused().contains("2 meshes: name the file"));
+}
+
+/// A frame of nerfstudio's at the origin.
+fn frame_of(image: &str) -> String {
+    format!(
+        r#"{{"file_path": "{image}", "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}}"#
+    )
+}
+
+#[test]
+fn what_a_scene_says_beyond_nerfstudio_goes_through() {
+    let dir = tempfile::tempdir().expect("folder");
+    let at = |n: &str| dir.path().join(n);
+    panorama(&at("a.png"), 64);
+    fs::write(at("mesh.obj"), "v 0 0 0\nv 4 0 0\nv 4 0 3\nf 1 2 3\n").expect("mesh");
+    formats::write_png16(at("plan.png"), &Plane::filled(4, 2, 3u16)).expect("rooms");
+    fs::write(at("plan.json"), r#"{"cell": 0.5, "x_min": -1, "z_min": 2}"#).expect("rooms");
+    let text = format!(
+        r#"{{"camera_model": "equirectangular", "mesh_path": "mesh.obj", "mesh_up_axis": "z", "color_space": "rec709",
+        "rooms_path": "plan.png", "frames": [{}]}}"#,
+        frame_of("a.png")
+    );
+    fs::write(at("transforms.json"), format!("\u{feff}{text}")).expect("file");
+    let out = at("scene");
+    run(None, dir.path(), &out, &PrepareOptions::default()).expect("prepared");
+    let scene = load(&out);
+    let high = scene.origin.y + f64::from(scene.mesh.bounds().1.y);
+    assert!((high - 3.0).abs() < 1e-6, "the mesh's z is up: {high}");
+    let rooms = scene.rooms.as_ref().expect("rooms");
+    assert_eq!((rooms.cells.width, rooms.cells[(0, 0)]), (4, 3));
+    assert!((f64::from(rooms.x_min) + scene.origin.x + 1.0).abs() < 1e-6);
+    let written = fs::read_to_string(out.join("transforms.json")).expect("text");
+    assert!(written.contains(r#""color_space": "rec709""#), "{written}");
+
+    let scaled = text.replace(
+        "[[1,0,0,0],[0,1,0,0],[0,0,1,0]",
+        "[[2,0,0,0],[0,2,0,0],[0,0,2,0]",
+    );
+    fs::write(at("transforms.json"), scaled).expect("file");
+    let error = run(None, dir.path(), &out, &PrepareOptions::default()).expect_err("scaled");
+    assert!(error.to_string().contains("scaled by 2"), "{error}");
+}
+
+#[test]
+fn files_of_training_and_test_frames_are_one_scene() {
+    let dir = tempfile::tempdir().expect("folder");
+    for part in ["train", "test"] {
+        fs::create_dir(dir.path().join(part)).expect("folder");
+        panorama(&dir.path().join(part).join("r_0.png"), 64);
+        let text = format!(
+            r#"{{"camera_angle_x": 1.2, "frames": [{}]}}"#,
+            frame_of(&format!("./{part}/r_0"))
+        );
+        fs::write(dir.path().join(format!("transforms_{part}.json")), text).expect("file");
+    }
+    let out = dir.path().join("scene");
+    let made = run(None, dir.path(), &out, &PrepareOptions::default()).expect("prepared");
+    assert_eq!((made.kind, made.frames), ("nerfstudio", 2));
+    let text = fs::read_to_string(out.join("transforms.json")).expect("text");
+    let scene: serde_json::Value = serde_json::from_str(&text).expect("json");
+    assert_eq!(
+        scene["train_filenames"],
+        serde_json::json!(["images/r_0.png"])
+    );
+    assert_eq!(
+        scene["test_filenames"],
+        serde_json::json!(["images/r_0_2.png"])
+    );
+}
+
+#[test]
+fn a_folder_of_two_kinds_is_read_by_its_own_file_and_says_so() {
+    let dir = tempfile::tempdir().expect("folder");
+    colmap_model(&dir.path().join("colmap"));
+    panorama(&dir.path().join("a.png"), 64);
+    let text = format!(
+        r#"{{"camera_model": "EQUIRECTANGULAR", "frames": [{}]}}"#,
+        frame_of("a.png")
+    );
+    fs::write(dir.path().join("transforms.json"), text).expect("file");
+    let out = dir.path().join("scene");
+    let made = run(None, dir.path(), &out, &PrepareOptions::default()).expect("prepared");
+    assert_eq!((made.kind, made.frames), ("nerfstudio", 1));
+    let told = made.notes.iter().any(|n| n.contains("\"colmap\""));
+    assert!(told, "{:?}", made.notes);
 }
