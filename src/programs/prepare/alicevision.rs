@@ -114,28 +114,31 @@ impl Importer for AliceVision {
             account.ignored(format!("{unposed} views without a pose"));
         }
         account.ignored("landmarks");
-        let mesh = mesh_beside(folder, &MESHES);
-        let turned = mesh.is_some() && meshes_are_y_up(&root);
-        if turned {
-            account.converted(
-                "the mesh from axes with y up, in which Meshroom writes it since 2021, to those of the poses",
-            );
-        }
         Ok(Capture {
             shots,
-            surface: mesh.map(|path| Surface::File {
-                path,
-                world_from_file: if turned {
-                    DMat4::from_scale(FLIP)
-                } else {
-                    DMat4::IDENTITY
-                },
-            }),
+            surface: surface_beside(folder, &root, account),
             up: Up::Unknown,
             unit_unknown: true,
             ..Capture::default()
         })
     }
+}
+
+/// The mesh beside a file, in the axes of its poses.
+fn surface_beside(folder: &Path, root: &Value, account: &mut Account) -> Option<Surface> {
+    let path = mesh_beside(folder, &MESHES)?;
+    let world_from_file = if meshes_are_y_up(root) {
+        account.converted(
+            "the mesh from axes with y up, in which Meshroom writes it since 2021, to those of the poses",
+        );
+        DMat4::from_scale(FLIP)
+    } else {
+        DMat4::IDENTITY
+    };
+    Some(Surface::File {
+        path,
+        world_from_file,
+    })
 }
 
 /// Whether meshes have their y and z turned against the poses: since files of version 1.2.3
