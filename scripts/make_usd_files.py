@@ -78,8 +78,8 @@ def copies(stage):
     count = 22
     instancer.CreatePositionsAttr([(i, 0.25 * i, 3) for i in range(count)])
     instancer.CreateScalesAttr([(1, 1 + 0.1 * i, 1) for i in range(count)])
-    turn = Gf.Rotation(Gf.Vec3d(1, 2, 3), 40).GetQuat()
-    instancer.CreateOrientationsAttr([Gf.Quath(turn)] * count)
+    # of length 1 in half precision too: usd-core does not normalise
+    instancer.CreateOrientationsAttr([Gf.Quath(0.5, 0.5, -0.5, 0.5)] * count)
     instancer.CreateProtoIndicesAttr([0] * count)
     instancer.CreateIdsAttr([100 * i * i for i in range(count)])
     instancer.CreateInvisibleIdsAttr([0, 100 * 21 * 21])

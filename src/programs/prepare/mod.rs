@@ -40,6 +40,7 @@ mod usd_xform;
 mod usda;
 mod usdc;
 mod usdc_bytes;
+mod usdc_kinds;
 mod usdc_tables;
 mod write;
 mod zind;

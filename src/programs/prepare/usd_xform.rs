@@ -102,7 +102,8 @@ fn along(axis: &str, n: &[f64], rest: f64) -> Option<DVec3> {
 
 /// Degrees about the axes stated, the first of them applied first; three numbers are x, y, z.
 fn rotation(axes: &str, n: &[f64]) -> Option<DMat4> {
-    if axes.is_empty() || axes.len() != n.len() || ![1, 3].contains(&n.len()) {
+    let all_three = ["X", "Y", "Z"].iter().all(|a| axes.contains(a));
+    if axes.len() != n.len() || !(n.len() == 1 || n.len() == 3 && all_three) {
         return None;
     }
     let mut all = DMat4::IDENTITY;

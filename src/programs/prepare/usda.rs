@@ -16,7 +16,8 @@ const DEEPEST: usize = 64;
 /// # Errors
 /// What was expected, and the line.
 pub fn parse(text: &str) -> Result<Prim, String> {
-    if !text.trim_start_matches('\u{feff}').starts_with("#usda") {
+    let text = text.trim_start_matches('\u{feff}');
+    if !text.starts_with("#usda") {
         return Err("line 1: expected #usda 1.0".into());
     }
     let mut reader = Reader {
@@ -481,6 +482,12 @@ def Xform "Room" (
             targets(&edits.applied_to(weaker.to_vec())),
             ["</p>", "kept.usda<>", "x@y.usda<>", "</q>"]
         );
+    }
+
+    #[test]
+    fn a_mark_of_byte_order_hides_no_metadata() {
+        let marked = parse(&format!("\u{feff}{LAYER}"));
+        assert_eq!(marked, parse(LAYER));
     }
 
     #[test]
