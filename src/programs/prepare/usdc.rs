@@ -267,7 +267,14 @@ impl<'a> Crate<'a> {
             };
             let count = self.spend(length)?;
             let packed = bits >> 61 & 1 == 1 && length >= SHORTEST_PACKED;
-            return self.array_of(kind, &mut from, count, packed).map(Some);
+            if packed {
+                let numbers = packed_numbers(kind, &mut from, count)?;
+                let numbers = numbers.into_iter().map(Value::Number);
+                return Ok(Some(Value::List(numbers.collect())));
+            }
+            // arrays of dictionaries may hold arrays
+            let list = (0..count).map(|_| self.plain(kind, &mut from, depth + 1));
+            return list.collect::<Reading<_>>().map(|l| Some(Value::List(l)));
         }
         self.plain(kind, &mut from, depth).map(Some)
     }
@@ -303,25 +310,6 @@ impl<'a> Crate<'a> {
             | Kind::Payload
             | Kind::Samples => Value::List(Vec::new()),
         })
-    }
-
-    fn array_of(
-        &self,
-        kind: Kind,
-        from: &mut Bytes<'_>,
-        count: usize,
-        packed: bool,
-    ) -> Reading<Value> {
-        if packed {
-            let numbers = packed_numbers(kind, from, count)?;
-            return Ok(Value::List(
-                numbers.into_iter().map(Value::Number).collect(),
-            ));
-        }
-        (0..count)
-            .map(|_| self.plain(kind, from, 0))
-            .collect::<Reading<_>>()
-            .map(Value::List)
     }
 
     fn plain(&self, kind: Kind, from: &mut Bytes<'_>, depth: usize) -> Reading<Value> {
@@ -531,5 +519,36 @@ fn packed_numbers(kind: Kind, from: &mut Bytes<'_>, count: usize) -> Reading<Vec
             _ => damaged("an unknown packing of floats"),
         },
         _ => damaged("an unknown packing"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_array_that_holds_itself_is_refused() {
+        // an array of one dictionary of one entry, which is the array again
+        let (array, dictionary, at) = (1u64 << 63, 31u64 << 48, 8u64);
+        let itself = array | dictionary | at;
+        let mut bytes = vec![0; 8];
+        bytes.extend(1u64.to_le_bytes());
+        bytes.extend(1u64.to_le_bytes());
+        bytes.extend(0u32.to_le_bytes());
+        bytes.extend(8u64.to_le_bytes());
+        bytes.extend(itself.to_le_bytes());
+        let file = Crate {
+            bytes: &bytes,
+            version: 8,
+            tokens: vec!["key".into()],
+            strings: vec![0],
+            fields: Vec::new(),
+            sets: Vec::new(),
+            places: BTreeMap::new(),
+            specs: Vec::new(),
+            spent: Cell::new(0),
+        };
+        let found = file.value(itself, 0);
+        assert!(found.is_err_and(|e| e.contains("nested too deeply")));
     }
 }
