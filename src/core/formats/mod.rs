@@ -26,7 +26,7 @@ mod photograph;
 mod picture;
 pub mod ply;
 mod png_io;
-mod polygon;
+pub mod polygon;
 mod probe;
 mod raw_mesh;
 mod read_mesh;

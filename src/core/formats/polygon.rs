@@ -2,7 +2,7 @@
 //!
 //! Meisters, "Polygons have Ears" (1975): every simple polygon has an ear, a corner whose triangle
 //! lies inside and holds no other corner; it is cut off, and the rest is a polygon again. Called by
-//! the readers of OBJ and PLY.
+//! the readers of OBJ, PLY and USD.
 
 use glam::{DVec2, DVec3};
 

@@ -31,9 +31,18 @@ mod scan;
 mod scanner_app;
 mod surface_nets;
 mod texir;
+mod usd_files;
 mod usd_layer;
+mod usd_mesh;
+mod usd_stage;
+#[cfg(test)]
+mod usd_tests;
+mod usd_xform;
 mod usda;
 mod usdc;
+mod usdc_bytes;
+mod usdc_kinds;
+mod usdc_tables;
 mod write;
 mod zind;
 

@@ -1,11 +1,12 @@
 //! USD in text form (`.usda`): prims, their properties and references, as far as rooms need them.
 //!
 //! A recursive-descent reader of the grammar in USD's documentation: `def Type "name" (metadata)
-//! { properties and prims }`. Binary layers are [`super::usdc`]'s. Hand-written because the one
+//! { properties, sets of variants and prims }`. Binary layers are [`super::usdc`]'s. Hand-written because the one
 //! maintained Rust reader (`openusd`) asks for a newer compiler than this program's.
 
-use super::usd_layer::{Prim, Value};
+use super::usd_layer::{ListEdits, Prim, Specifier, Target, Value};
 use std::collections::BTreeMap;
+use std::rc::Rc;
 
 /// Nesting beyond this is damage.
 const DEEPEST: usize = 64;
@@ -15,7 +16,8 @@ const DEEPEST: usize = 64;
 /// # Errors
 /// What was expected, and the line.
 pub fn parse(text: &str) -> Result<Prim, String> {
-    if !text.trim_start_matches('\u{feff}').starts_with("#usda") {
+    let text = text.trim_start_matches('\u{feff}');
+    if !text.starts_with("#usda") {
         return Err("line 1: expected #usda 1.0".into());
     }
     let mut reader = Reader {
@@ -125,21 +127,7 @@ impl Reader<'_> {
         self.space();
         match self.peek() {
             Some(b'"' | b'\'') => self.string().map(Value::Text),
-            Some(b'@') => {
-                self.at += 1;
-                let asset = self.delimited(b"@")?;
-                // a prim path after it names a prim inside
-                self.space();
-                if self.peek() == Some(b'<') {
-                    self.at += 1;
-                    self.delimited(b">")?;
-                }
-                Ok(Value::Text(asset))
-            }
-            Some(b'<') => {
-                self.at += 1;
-                self.delimited(b">").map(Value::Text)
-            }
+            Some(b'@' | b'<') => self.target(depth).map(Value::Target),
             Some(open @ (b'[' | b'(')) => {
                 self.at += 1;
                 let close = if open == b'[' { b']' } else { b')' };
@@ -163,6 +151,26 @@ impl Reader<'_> {
             }
             None => self.fail("a value"),
         }
+    }
+
+    /// `@asset@</Prim> (offset of time)`, each part optional.
+    fn target(&mut self, depth: usize) -> Result<Target, String> {
+        let mut target = Target::default();
+        for quote in [&b"@@@"[..], b"@"] {
+            if target.asset.is_empty() && self.bytes[self.at..].starts_with(quote) {
+                self.at += quote.len();
+                target.asset = self.delimited(quote)?;
+                self.space();
+            }
+        }
+        if self.peek() == Some(b'<') {
+            self.at += 1;
+            target.prim = self.delimited(b">")?;
+        }
+        if self.eat(b'(') {
+            self.metadata(depth + 1)?;
+        }
+        Ok(target)
     }
 
     /// `type name = value` entries up to `}`; keys may be quoted (`0.5: value` of time samples
@@ -202,14 +210,15 @@ impl Reader<'_> {
                     self.string()?;
                 }
                 Some(_) => {
-                    let mut key = String::new();
+                    let (mut key, mut edit) = (String::new(), String::new());
                     while !self.eat(b'=') {
-                        key = self.word();
+                        edit = std::mem::replace(&mut key, self.word());
                         if key.is_empty() {
                             return self.fail("name = value");
                         }
                     }
                     let value = self.value(depth + 1)?;
+                    let value = edited(map.remove(&key), &edit, value);
                     map.insert(key, value);
                 }
                 None => return self.fail(")"),
@@ -237,20 +246,38 @@ impl Reader<'_> {
             let word = self.word();
             match word.as_str() {
                 "def" | "over" | "class" => {
-                    let child = self.prim(depth + 1)?;
-                    if word != "class" {
-                        prim.children.push(child);
-                    }
+                    let mut child = self.prim(depth + 1)?;
+                    child.specifier = match word.as_str() {
+                        "def" => Specifier::Def,
+                        "over" => Specifier::Over,
+                        _ => Specifier::Class,
+                    };
+                    prim.children.push(Rc::new(child));
                 }
-                "variantSet" => {
-                    self.string()?;
-                    self.eat(b'=');
-                    self.value(depth + 1)?;
-                }
+                "variantSet" => self.variant_set(prim, depth + 1)?,
                 "" => return self.fail("a property or a prim"),
                 _ => self.property(word, prim, depth)?,
             }
         }
+    }
+
+    /// `"name" = { "variant" (metadata) { body } ... }`.
+    fn variant_set(&mut self, prim: &mut Prim, depth: usize) -> Result<(), String> {
+        let set = self.string()?;
+        self.eat(b'=');
+        if !self.eat(b'{') {
+            return self.fail("{");
+        }
+        while !self.eat(b'}') {
+            let mut variant = Prim {
+                name: self.string()?,
+                specifier: Specifier::Over,
+                ..Prim::default()
+            };
+            self.block(&mut variant, depth)?;
+            prim.add_variant(&set, Rc::new(variant));
+        }
+        Ok(())
     }
 
     fn prim(&mut self, depth: usize) -> Result<Prim, String> {
@@ -260,18 +287,24 @@ impl Reader<'_> {
             prim.kind = self.word();
         }
         prim.name = self.string()?;
+        self.block(&mut prim, depth)?;
+        Ok(prim)
+    }
+
+    /// `(metadata) { body }`.
+    fn block(&mut self, prim: &mut Prim, depth: usize) -> Result<(), String> {
         if self.eat(b'(') {
             prim.metadata = self.metadata(depth)?;
         }
         if !self.eat(b'{') {
             return self.fail("{");
         }
-        self.body(&mut prim, depth, false)?;
-        Ok(prim)
+        self.body(prim, depth, false)
     }
 
     /// The rest of `[uniform] type name = value (metadata)`, its first word read already.
     fn property(&mut self, first: String, prim: &mut Prim, depth: usize) -> Result<(), String> {
+        let withdrawn = first == "delete" || first == "reorder";
         let mut name = first;
         loop {
             self.space();
@@ -279,7 +312,9 @@ impl Reader<'_> {
                 Some(b'=') => {
                     self.at += 1;
                     let value = self.value(depth + 1)?;
-                    prim.properties.insert(name, value);
+                    if !withdrawn {
+                        insert(prim, name, value);
+                    }
                     break;
                 }
                 Some(b) if b.is_ascii_alphabetic() || b == b'_' => {
@@ -301,6 +336,43 @@ impl Reader<'_> {
         }
         Ok(())
     }
+}
+
+/// A property's value; of samples in time the first, which is stronger than a value without time.
+fn insert(prim: &mut Prim, name: String, value: Value) {
+    let Some(name) = name.strip_suffix(".timeSamples") else {
+        if !prim.sampled.contains(&name) {
+            prim.properties.insert(name, value);
+        }
+        return;
+    };
+    let Value::Map(samples) = value else { return };
+    let time = |(key, _): &(String, Value)| key.parse().unwrap_or(f64::INFINITY);
+    let first = samples
+        .into_iter()
+        .min_by(|a, b| time(a).total_cmp(&time(b)));
+    if let Some((_, value)) = first {
+        prim.properties.insert(name.into(), value);
+        prim.sampled.insert(name.into());
+    }
+}
+
+/// A list of metadata with one more line about it.
+fn edited(before: Option<Value>, edit: &str, value: Value) -> Value {
+    let mut edits = match before {
+        Some(Value::Edits(edits)) => edits,
+        _ => ListEdits::default(),
+    };
+    let list = match edit {
+        "prepend" => &mut edits.prepended,
+        "append" | "add" => &mut edits.appended,
+        "delete" => &mut edits.deleted,
+        // the order alone does not say what is in it
+        "reorder" => return Value::Edits(edits),
+        _ => return value,
+    };
+    list.extend_from_slice(value.list());
+    Value::Edits(edits)
 }
 
 #[cfg(test)]
@@ -332,8 +404,14 @@ def Xform "Room" (
     )
     uniform token[] xformOpOrder = ["xformOp:scale"]
     double x.timeSamples = {
-        0: 1.5,
-        1: 2,
+        10: 2,
+        9: 1.5,
+    }
+    variantSet "look" = {
+        "a" ( doc = "x" ) { double size = 3 }
+        "b b" {
+            def Cube "Q" { }
+        }
     }
     # a comment
     def Mesh "M" { point3f[] points = [(0, 0, 0), (1, 0, 0)] }
@@ -347,19 +425,69 @@ def Xform "Room" (
         assert_eq!(layer.metadata["defaultPrim"].text(), Some("Room"));
         let room = &layer.children[0];
         assert_eq!((room.kind.as_str(), room.name.as_str()), ("Xform", "Room"));
-        let references: Vec<_> = room.metadata["references"]
-            .list()
-            .iter()
-            .map(Value::text)
-            .collect();
-        assert_eq!(references, [Some("./a.usda"), Some("./b.usda")]);
+        let target = |asset: &str, prim: &str| {
+            Value::Target(Target {
+                asset: asset.into(),
+                prim: prim.into(),
+            })
+        };
+        assert_eq!(
+            room.metadata["references"].edits().prepended,
+            [target("./a.usda", ""), target("./b.usda", "/Inner")]
+        );
         let mut scale = Vec::new();
         room.properties["xformOp:scale"].numbers(&mut scale);
         assert_eq!(scale, [2.0, 3.5, -1e-3]);
         assert_eq!(room.children.len(), 2);
+        assert_eq!(room.children[1].specifier, Specifier::Over);
+        // the earliest of the samples, by number and not by text
+        assert_eq!(room.properties["x"].number(), Some(1.5));
+        assert!(room.sampled.contains("x"));
+        let [set] = room.variant_sets.as_slice() else {
+            panic!("{:?}", room.variant_sets)
+        };
+        let names: Vec<&str> = set.variants.iter().map(|v| v.name.as_str()).collect();
+        assert_eq!((set.name.as_str(), names), ("look", vec!["a", "b b"]));
+        assert_eq!(set.variants[0].properties["size"].number(), Some(3.0));
+        assert_eq!(set.variants[1].children[0].name, "Q");
         let mut points = Vec::new();
         room.children[0].properties["points"].numbers(&mut points);
         assert_eq!(points.len(), 6);
+    }
+
+    #[test]
+    fn edits_of_lists_add_up_in_a_layer_and_over_layers() {
+        let layer = parse(
+            "#usda 1.0\nover \"a\" (\n prepend references = </p>\n append references = [@@@x@y.usda@@@ (offset = 1; scale = 2), </q>]\n delete references = @gone.usda@\n) {}",
+        )
+        .expect("readable");
+        let edits = layer.children[0].metadata["references"].edits();
+        let targets = |list: &[Value]| -> Vec<String> {
+            list.iter()
+                .map(|v| match v {
+                    Value::Target(t) => format!("{}<{}>", t.asset, t.prim),
+                    other => panic!("{other:?}"),
+                })
+                .collect()
+        };
+        assert_eq!(targets(&edits.prepended), ["</p>"]);
+        assert_eq!(targets(&edits.appended), ["x@y.usda<>", "</q>"]);
+        let weaker = ["gone.usda", "kept.usda"].map(|asset| {
+            Value::Target(Target {
+                asset: asset.into(),
+                prim: String::new(),
+            })
+        });
+        assert_eq!(
+            targets(&edits.applied_to(weaker.to_vec())),
+            ["</p>", "kept.usda<>", "x@y.usda<>", "</q>"]
+        );
+    }
+
+    #[test]
+    fn a_mark_of_byte_order_hides_no_metadata() {
+        let marked = parse(&format!("\u{feff}{LAYER}"));
+        assert_eq!(marked, parse(LAYER));
     }
 
     #[test]
