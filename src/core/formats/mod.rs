@@ -7,6 +7,7 @@
 mod exr_header;
 mod glb;
 pub mod gltf;
+mod gltf_accessor;
 mod gltf_bytes;
 mod gltf_compressed;
 mod gltf_document;
@@ -23,6 +24,7 @@ pub mod obj;
 mod photograph;
 mod picture;
 pub mod ply;
+mod ply_ascii;
 mod png_io;
 mod polygon;
 mod probe;
@@ -54,7 +56,7 @@ pub use picture::{
 };
 pub use png_io::{read_labels, read_ldr, read_mask, write_png_rgb8, write_png8, write_png16};
 pub use probe::{generation_mark, image_info};
-pub use raw_mesh::{NameKind, RawMesh, SurfaceNames};
+pub use raw_mesh::{NameKind, Oddities, RawMesh, SurfaceNames};
 pub use read_mesh::read_mesh;
 pub use read_texture::{Texture, read_texture};
 pub use surface_look::{Look, TextureSource};
