@@ -204,6 +204,7 @@ impl Reader<'_> {
     pub(super) fn placed(&self) -> Reading<Vec<Placed>> {
         let d = &self.document;
         let (mut found, mut visited) = (Vec::new(), 0usize);
+        let mut worlds = BTreeMap::new();
         let mut stack: Vec<(usize, DMat4, usize)> = d
             .top_nodes()
             .into_iter()
@@ -226,11 +227,7 @@ impl Reader<'_> {
                 continue;
             }
             let world = parent * node.transform();
-            // the standard (3.7.3.3): a skin's joints place its mesh; at rest they leave it where it is
-            let of_mesh = match node.skin {
-                Some(_) => DMat4::IDENTITY,
-                None => world,
-            };
+            worlds.insert(index, world);
             stack.extend(node.children.iter().rev().map(|&c| (c, world, depth + 1)));
             let copies = match (&node.extensions.copies, node.mesh) {
                 (Some(copies), Some(_)) => self
@@ -242,9 +239,10 @@ impl Reader<'_> {
             found.extend(copies.into_iter().map(|copy| Placed {
                 node: index,
                 mesh: node.mesh,
-                world: of_mesh * copy,
+                world: world * copy,
             }));
         }
+        self.place_skinned(&mut found, &worlds)?;
         let mut asked = 0;
         for m in found.iter().filter_map(|p| p.mesh) {
             for primitive in &self.mesh(m)?.primitives {
@@ -252,6 +250,30 @@ impl Reader<'_> {
             }
         }
         Ok(found)
+    }
+
+    /// Puts the meshes of skins where their joints have them, whatever their own node says (the
+    /// standard, 3.7.3.3): at rest all joints of a skin agree, so the first decides.
+    fn place_skinned(&self, found: &mut [Placed], worlds: &BTreeMap<usize, DMat4>) -> Reading<()> {
+        let d = &self.document;
+        let mut known: BTreeMap<usize, DMat4> = BTreeMap::new();
+        for placed in found.iter_mut().filter(|p| p.mesh.is_some()) {
+            let Some(number) = d.nodes.get(placed.node).and_then(|n| n.skin) else {
+                continue;
+            };
+            if !known.contains_key(&number) {
+                let skin = (d.skins.get(number))
+                    .ok_or_else(|| format!("skin {number} does not exist; export again"))?;
+                let joint = skin.joints.first().and_then(|j| worlds.get(j));
+                let unbound = skin.inverse_bind_matrices.map(|a| self.floats::<16>(a));
+                let unbound = unbound.transpose()?.and_then(|list| list.first().copied());
+                let unbound = unbound.map_or(DMat4::IDENTITY, |m| DMat4::from_cols_array(&m));
+                let joint = joint.copied().unwrap_or(DMat4::IDENTITY);
+                known.insert(number, joint * unbound);
+            }
+            placed.world = known[&number];
+        }
+        Ok(())
     }
 
     /// From a mesh's coordinates to its node's, for each copy.
@@ -543,6 +565,52 @@ mod tests {
         let [a, b, c] = mesh.triangles[0].map(|i| mesh.positions[i as usize]);
         assert!((b - a).cross(c - a).z > 0.0, "the front still faces +z");
         assert!(mesh.uvs.is_empty() && mesh.normals.is_empty());
+    }
+
+    #[test]
+    fn joints_place_the_mesh_of_a_skin_and_hidden_nodes_are_left_out() {
+        let read = |node: &str, skins: &str| {
+            let text =
+                document(3, node).replace(r#""nodes":[{"c"#, &format!(r#"{skins}"nodes":[{{"c"#));
+            mesh_from_gltf(text.as_bytes(), Path::new("t.gltf")).map_err(|e| e.to_string())
+        };
+        let moved = r#","scale":[9,9,9],"skin":0"#;
+        let mesh = read(moved, r#""skins":[{"joints":[0]}],"#).expect("readable");
+        assert_eq!(mesh.positions[1], DVec3::new(10_001.0, 0.0, 0.0));
+        assert!(read(moved, "").is_err_and(|e| e.contains("skin 0")));
+        let flat = read(
+            moved,
+            r#""skins":[{"joints":[0],"inverseBindMatrices":0}],"#,
+        );
+        assert!(flat.is_err_and(|e| e.contains("MAT4")));
+        let seen = |visible: &str| {
+            let said =
+                format!(r#","extensions":{{"KHR_node_visibility":{{"visible":{visible}}}}}"#);
+            read(&said, "")
+        };
+        assert!(seen("true").is_ok());
+        assert!(seen("false").is_err_and(|e| e.contains("no triangle")));
+    }
+
+    #[test]
+    fn a_picture_of_a_format_that_is_not_read_is_named() {
+        let painted = |texture: &str| {
+            let text = document(3, "").replace(r#""attributes""#, r#""material":0,"attributes""#);
+            let material =
+                r#""materials":[{"pbrMetallicRoughness":{"baseColorTexture":{"index":0}}}],"#;
+            let text = text.replacen('{', &format!(r#"{{{material}"textures":[{texture}],"#), 1);
+            let mesh = mesh_from_gltf(text.as_bytes(), Path::new("t.gltf")).expect("geometry");
+            mesh.looks[0].texture.clone().expect("a picture")
+        };
+        let ktx2 = r#"{"extensions":{"KHR_texture_basisu":{"source":0}}}"#;
+        for (texture, said) in [(ktx2, "KTX2"), ("", "texture 0 does not exist")] {
+            let TextureSource::Unusable(why) = painted(texture) else {
+                panic!("{texture} cannot be read");
+            };
+            assert!(why.contains(said), "{why}");
+        }
+        let webp = r#"{"extensions":{"EXT_texture_webp":{"source":3}}}"#;
+        assert_eq!(painted(webp), TextureSource::Embedded(3));
     }
 
     /// The triangle's own corners serve as three translations, scales, or vectors that are too short

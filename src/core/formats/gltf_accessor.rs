@@ -161,11 +161,14 @@ impl Reader<'_> {
         Ok(into)
     }
 
-    /// Elements of `N` numbers: floats or (`KHR_mesh_quantization`) integers, normalised where the
+    /// Elements of `N` numbers (16: matrices, columns first): floats or (`KHR_mesh_quantization`) integers, normalised where the
     /// accessor says so.
     pub(super) fn floats<const N: usize>(&self, index: usize) -> Reading<Vec<[f64; N]>> {
         let a = self.accessor(index)?;
-        let expected = format!("VEC{N}");
+        let expected = match N {
+            16 => "MAT4".into(),
+            _ => format!("VEC{N}"),
+        };
         if a.shape != expected {
             return Err(format!(
                 "accessor {index} is {}, expected {expected}; export the mesh again",

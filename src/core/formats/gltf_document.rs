@@ -45,6 +45,8 @@ pub(super) struct Document {
     #[serde(default)]
     pub(super) nodes: Vec<Node>,
     #[serde(default)]
+    pub(super) skins: Vec<Skin>,
+    #[serde(default)]
     pub(super) meshes: Vec<MeshEntry>,
     #[serde(default)]
     pub(super) accessors: Vec<Accessor>,
@@ -124,6 +126,15 @@ pub(super) struct Node {
     pub(super) translation: Option<[f64; 3]>,
     pub(super) rotation: Option<[f64; 4]>,
     pub(super) scale: Option<[f64; 3]>,
+}
+
+/// The nodes that bend a mesh, and from the mesh's coordinates to theirs.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Skin {
+    #[serde(default)]
+    pub(super) joints: Vec<usize>,
+    pub(super) inverse_bind_matrices: Option<usize>,
 }
 
 /// Extensions of a node that change where its mesh is.

@@ -40,9 +40,13 @@ struct Element {
     picture: f64,
 }
 
-/// Names of the properties that hold a colour's first channel, a face's list of vertices, and
-/// texture coordinates of a vertex.
-const REDS: [&str; 3] = ["red", "diffuse_red", "r"];
+/// Names of the properties that hold a colour's channels, a face's list of vertices, and texture
+/// coordinates of a vertex.
+const COLOURS: [[&str; 3]; 3] = [
+    ["red", "green", "blue"],
+    ["diffuse_red", "diffuse_green", "diffuse_blue"],
+    ["r", "g", "b"],
+];
 const LISTS: [&str; 3] = ["vertex_indices", "vertex_index", "indices"];
 const US: [&str; 4] = ["s", "u", "texture_u", "texture_s"];
 const VS: [&str; 4] = ["t", "v", "texture_v", "texture_t"];
@@ -94,7 +98,7 @@ impl PropertyAccess for Element {
             return PropertyAccessResult::Set;
         }
         let slot = match name {
-            n if REDS.contains(&n) => &mut self.colour[0],
+            "red" | "diffuse_red" | "r" => &mut self.colour[0],
             "green" | "diffuse_green" | "g" => &mut self.colour[1],
             "blue" | "diffuse_blue" | "b" => &mut self.colour[2],
             "x" => &mut self.position[0],
@@ -368,8 +372,9 @@ fn names(faces: &[Element], face_of: &[u32], of_vertex: &[[f64; 2]]) -> Vec<Surf
 /// Linear colours of the vertices, if they have any: of display where whole numbers stand for them,
 /// up to 255 or, where the type is wider and so are the numbers, 65535; else light as it is.
 fn colours(elements: &[Element], kind: &ElementDef, notes: &mut Vec<String>) -> Option<Vec<Vec3>> {
-    let property = REDS.iter().find_map(|n| kind.properties.get(*n))?;
-    let PropertyType::Scalar(scalar) = &property.data_type else {
+    let has = |name: &&str| kind.properties.contains_key(*name);
+    let names = COLOURS.iter().find(|names| names.iter().all(has))?;
+    let PropertyType::Scalar(scalar) = &kind.properties.get(names[0])?.data_type else {
         return None;
     };
     let values = || elements.iter().map(|e| e.colour);

@@ -40,13 +40,16 @@ const BYTES_FROM: f64 = 4.0;
 
 /// What stands for white among colours of vertices that are written as numbers with a point: 1 by
 /// the conventions of OBJ and PLY, but 255 where somebody wrote bytes; then a note says so.
-pub(super) fn white_of(colours: impl Iterator<Item = [f64; 3]>, notes: &mut Vec<String>) -> f64 {
+pub(super) fn white_of(
+    colours: impl Iterator<Item = [f64; 3]> + Clone,
+    notes: &mut Vec<String>,
+) -> f64 {
     let lit = |c: &f64| c.is_finite() && *c > 0.0;
-    let mut values: Vec<f64> = colours.flatten().filter(lit).collect();
-    let most = values.iter().fold(0.0f64, |m, v| m.max(*v));
+    let most = colours.clone().flatten().filter(lit).fold(0.0, f64::max);
     if most <= BYTES_FROM || most > 255.0 {
         return 1.0;
     }
+    let mut values: Vec<f64> = colours.flatten().filter(lit).collect();
     let middle = values.len() / 2;
     let (_, median, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
     let median = *median;
