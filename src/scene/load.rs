@@ -192,6 +192,11 @@ impl Scene {
                     "{:.0} % of the atlas is claimed by several triangles (one atlas per material?), so it is not used",
                     100.0 * share
                 ),
+                _ if s.parts_without_uvs > 0 => format!(
+                    "{} parts have no texture coordinates (first: {}), so the others' are no atlas of the whole",
+                    s.parts_without_uvs,
+                    s.first_without_uvs.as_deref().unwrap_or_default()
+                ),
                 _ if self.options.unwrap => "a new atlas is asked for".into(),
                 _ => "no atlas given".into(),
             };

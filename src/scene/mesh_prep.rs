@@ -28,6 +28,10 @@ pub struct MeshStats {
     pub covered_texels: usize,
     /// Texels of a 2048² atlas claimed by more than one triangle.
     pub overlapping_texels: usize,
+    /// Parts without texture coordinates, where others have some.
+    pub parts_without_uvs: usize,
+    /// What the first of these is called.
+    pub first_without_uvs: Option<String>,
     /// Share of the file's own atlas that several triangles claimed, if it was dropped for that.
     pub overlap_dropped: f64,
     /// Present if the program made the atlas itself.
@@ -71,6 +75,8 @@ pub fn prepare_mesh(
     let fail = |m: String| Error::input(path, m);
     let mut stats = MeshStats {
         file_triangles: raw.triangles.len(),
+        parts_without_uvs: raw.oddities.without_uvs.len(),
+        first_without_uvs: raw.oddities.without_uvs.first().cloned(),
         ..MeshStats::default()
     };
     check_faces(&raw).map_err(fail)?;

@@ -87,7 +87,7 @@ impl Scan {
     pub fn load(path: &Path, options: &ScanOptions, load: &LoadOptions) -> Result<Self> {
         let raw = formats::read_mesh(path)?;
         let z_up = options.up.as_deref() == Some("z");
-        let (looks, source) = read_looks(path, &raw, options)?;
+        let (mut looks, source) = read_looks(path, &raw, options)?;
         let pictures = looks.iter().filter_map(|l| l.picture.as_ref());
         let bright = |p: &Picture| p.colours.base().data.iter().any(|c| luminance(*c) > 0.0);
         if pictures.clone().count() > 0 && !pictures.clone().any(bright) {
@@ -100,13 +100,12 @@ impl Scan {
             unwrap: load.unwrap || needs_atlas(&raw, looks.len()),
             ..load.clone()
         };
-        let (triangles, uvs) = (raw.triangles.clone(), raw.uvs.clone());
+        let (triangles, uvs) = (raw.triangles.clone(), raw.picture_uvs().to_vec());
         let (vertices, names) = (raw.colours.clone(), raw.names.clone());
         let encoded = are_encoded(&source, &vertices);
-        let look_of = match looks.len() {
-            1 => vec![0; triangles.len()],
-            _ => raw.look_of_triangle.clone(),
-        };
+        let mut notes = raw.oddities.look_notes.clone();
+        let look_of = look_of_triangles(&raw, &mut looks, &mut notes);
+        check_placed(&raw, &looks, &look_of).map_err(|m| Error::input(path, m))?;
         let prepared = prepare_mesh(raw, path, z_up, &load)?;
         let colours = ScanColours {
             triangles,
@@ -120,8 +119,68 @@ impl Scan {
         };
         let mut scene = scene_of(prepared, &names, path, &load, z_up);
         scene.files.extend(source.files);
+        let named = |note: String| format!("{}: {note}", path.display());
+        scene.warnings.extend(notes.into_iter().map(named));
         Ok(Self { scene, colours })
     }
+}
+
+/// Index into `looks` per triangle: its material's, or the only one. Where that is a picture, parts
+/// with neither material nor texture coordinates cannot have it: they are white.
+fn look_of_triangles(
+    raw: &RawMesh,
+    looks: &mut Vec<ReadLook>,
+    notes: &mut Vec<String>,
+) -> Vec<u32> {
+    if looks.len() != 1 {
+        return raw.look_of_triangle.clone();
+    }
+    let mut look_of = vec![0; raw.triangles.len()];
+    if looks[0].picture.is_none() || raw.oddities.without_uvs.is_empty() {
+        return look_of;
+    }
+    let own = (look_of.iter_mut()).zip(&raw.look_of_triangle);
+    let bare = (own.zip(&raw.triangles))
+        .filter(|((_, look), corners)| **look == SurfaceNames::NONE && !is_placed(raw, corners))
+        .map(|((look, _), _)| *look = 1)
+        .count();
+    if bare > 0 {
+        looks.push(ReadLook {
+            factor: Vec3::ONE,
+            picture: None,
+        });
+        notes.push(format!(
+            "{bare} triangles have neither a material nor texture coordinates: taken as white"
+        ));
+    }
+    look_of
+}
+
+/// Whether all corners have texture coordinates.
+fn is_placed(raw: &RawMesh, corners: &[u32; 3]) -> bool {
+    let uvs = raw.picture_uvs();
+    let known = |i: &u32| uvs.get(*i as usize).is_some_and(|t| !t.is_nan());
+    corners.iter().all(known)
+}
+
+/// Every triangle with a picture has texture coordinates.
+fn check_placed(
+    raw: &RawMesh,
+    looks: &[ReadLook],
+    look_of: &[u32],
+) -> std::result::Result<(), String> {
+    let painted = |look: &u32| (looks.get(*look as usize)).is_some_and(|l| l.picture.is_some());
+    let lost = (look_of.iter().zip(&raw.triangles))
+        .filter(|(look, corners)| painted(look) && !is_placed(raw, corners))
+        .count();
+    if lost == 0 {
+        return Ok(());
+    }
+    Err(format!(
+        "{lost} triangles have a picture and no texture coordinates to lay it on by; parts without: {}. Unwrap them in a modelling \
+         program, or give them a material without a picture",
+        raw.oddities.without_uvs.join(", ")
+    ))
 }
 
 /// The scan as a scene without views.
@@ -206,10 +265,10 @@ fn read_looks(
             "neither a texture nor vertex colours: nothing to take the light out of; give the picture of its surface with --texture",
         ));
     }
-    if textured && raw.uvs.is_empty() {
+    if textured && raw.picture_uvs().is_empty() {
         return Err(Error::input(
             path,
-            "no texture coordinates (or not for all of its parts), so that its picture cannot be laid on; export the mesh with them",
+            "no texture coordinates, so that its picture cannot be laid on; export the mesh with them",
         ));
     }
     let mut read: BTreeMap<TextureSource, Texture> = BTreeMap::new();
@@ -227,7 +286,7 @@ fn read_looks(
         files: (read.keys())
             .filter_map(|s| match s {
                 TextureSource::File(path) => Some(path.clone()),
-                TextureSource::Embedded(_) => None,
+                TextureSource::Embedded(_) | TextureSource::Unusable(_) => None,
             })
             .collect(),
         text: described(&looks, &read),
@@ -250,6 +309,7 @@ fn described(looks: &[Look], read: &BTreeMap<TextureSource, Texture>) -> String 
         let name = match source {
             TextureSource::File(path) => path.display().to_string(),
             TextureSource::Embedded(k) => format!("image {k} of the mesh"),
+            TextureSource::Unusable(_) => "no picture".into(),
         };
         format!(
             "{name} ({}×{}, {})",
@@ -278,7 +338,7 @@ fn linear_beside(mesh: &Path, named: Option<&Path>) -> Option<PathBuf> {
 fn linear_twin(mesh: &Path, source: TextureSource, only: bool) -> TextureSource {
     let named = match &source {
         TextureSource::File(path) => Some(path.as_path()),
-        TextureSource::Embedded(_) => None,
+        TextureSource::Embedded(_) | TextureSource::Unusable(_) => None,
     };
     let beside = if only {
         mesh
@@ -293,8 +353,9 @@ impl Picture {
     /// charts do not take over the background's colour.
     fn new(texture: &Texture, raw: &RawMesh, uses: impl Fn(&u32) -> bool) -> Self {
         let of_picture = |t: usize| raw.look_of_triangle.get(t).is_none_or(&uses);
+        let uvs = raw.picture_uvs();
         let inside = |c: &[u32; 3]| {
-            let uv = |i: &u32| raw.uvs.get(*i as usize);
+            let uv = |i: &u32| uvs.get(*i as usize);
             c.iter().all(|i| {
                 uv(i).is_some_and(|t| t.cmpge(Vec2::ZERO).all() && t.cmple(Vec2::ONE).all())
             })
@@ -306,7 +367,7 @@ impl Picture {
         let image = &texture.pixels;
         let charts = Mesh {
             positions: raw.positions.iter().map(|p| p.as_vec3()).collect(),
-            uvs: raw.uvs.clone(),
+            uvs: uvs.to_vec(),
             triangles,
             ..Mesh::default()
         };
@@ -426,6 +487,44 @@ mod tests {
         assert!(
             (c - Vec3::Z).length() < 1e-6,
             "{c}: the third corner is blue"
+        );
+    }
+
+    /// The square with a lamp beside it that has a material and no texture coordinates.
+    #[test]
+    fn a_part_without_texture_coordinates_leaves_the_others_their_picture() {
+        let dir = tempfile::tempdir().expect("folder");
+        let red = "newmtl a\nmap_Kd /elsewhere/p.png\nnewmtl b\nKd 1 0 0\n";
+        let mesh = square(dir.path(), red);
+        let green = [0, 255, 0].repeat(4);
+        formats::write_png_rgb8(dir.path().join("p.png"), 2, 2, &green).expect("picture");
+        let text = std::fs::read_to_string(&mesh).expect("mesh");
+        let lamp = "v 5 0 0\nv 6 0 0\nv 5 1 0\n";
+        let with = |more: &str| {
+            std::fs::write(&mesh, format!("{text}{lamp}{more}f 5 6 7\n")).expect("mesh");
+            load(&mesh)
+        };
+        let scan = with("o lamp\nusemtl b\n").expect("usable");
+        let colour = |t: usize| {
+            let lamp = |t: &usize| scan.colours.file_triangle[*t] == 2;
+            let is = (0..3).find(|k| lamp(k) == (t == 2)).expect("triangle");
+            scan.colours
+                .at(is, 0.25, 0.25, 1.0)
+                .expect("known")
+                .radiance
+        };
+        assert!((colour(0) - Vec3::Y).length() < 1e-6 && (colour(2) - Vec3::X).length() < 1e-6);
+        let said = scan.scene.warnings.join("\n");
+        assert!(
+            said.contains("\"lamp\"") && said.contains("p.png"),
+            "{said}"
+        );
+        let e = with("o lamp\n")
+            .map(|_| ())
+            .expect_err("the picture lies nowhere");
+        assert!(
+            e.exit_code() == 2 && e.to_string().contains("\"lamp\""),
+            "{e}"
         );
     }
 

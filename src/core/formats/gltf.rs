@@ -7,9 +7,8 @@
 
 use super::gltf_bytes::{load_buffer, split};
 use super::gltf_compressed::Unpacked;
-use super::gltf_document::{Accessor, Copies, Document, MeshEntry, Primitive, composed};
-use super::gltf_material::GltfMaterial;
-use super::gltf_numbers::{component, component_size};
+use super::gltf_document::{Copies, Document, MeshEntry, Primitive, composed};
+use super::gltf_numbers::normalised;
 use super::gltf_texture::{GltfTexture, UvSource};
 use super::raw_mesh::{NameKind, Part, RawMesh};
 use super::surface_look::{Look, TextureSource};
@@ -22,8 +21,13 @@ use std::path::Path;
 use std::rc::Rc;
 
 /// Beginnings of the names of extensions that a file may require without changing what is read
-/// here (materials, lights), and of those that are read: copies, integers and packed data.
-const UNDERSTOOD: [&str; 12] = [
+/// here (materials, lights, numbers of features), and of those that are read: copies, nodes left out,
+/// integers and packed data.
+const UNDERSTOOD: [&str; 16] = [
+    "EXT_mesh_features",
+    "EXT_structural_metadata",
+    "EXT_instance_features",
+    "KHR_node_visibility",
     "EXT_mesh_gpu_instancing",
     "KHR_mesh_quantization",
     "KHR_meshopt_compression",
@@ -66,11 +70,11 @@ pub(super) const WITHOUT_TRIANGLES: &str =
 /// A file whose JSON is read and whose buffers are at hand.
 pub(super) struct Reader<'a> {
     pub(super) document: Document,
-    buffers: Vec<Cow<'a, [u8]>>,
+    pub(super) buffers: Vec<Cow<'a, [u8]>>,
     /// Packed views that were unpacked.
-    views: Vec<OnceCell<Vec<u8>>>,
+    pub(super) views: Vec<OnceCell<Vec<u8>>>,
     /// Bytes in `views`.
-    unpacked: Cell<u64>,
+    pub(super) unpacked: Cell<u64>,
     /// Draco's primitives by their buffer view: a mesh may stand in the scene many times.
     draco: RefCell<BTreeMap<usize, Rc<Unpacked>>>,
 }
@@ -110,11 +114,7 @@ impl<'a> Reader<'a> {
     pub(super) fn open(bytes: &'a [u8], path: &Path) -> Result<Self> {
         let fail = |m: String| Error::input(path, m);
         let (json, blob) = split(bytes, path)?;
-        let document: Document = serde_json::from_slice(json).map_err(|e| {
-            fail(format!(
-                "the glTF JSON is malformed: {e}; export the mesh again"
-            ))
-        })?;
+        let document = Document::read(json).map_err(fail)?;
         let known = |e: &&String| !UNDERSTOOD.iter().any(|u| e.starts_with(u));
         if let Some(e) = document.extensions_required.iter().find(known) {
             return Err(fail(format!(
@@ -204,6 +204,7 @@ impl Reader<'_> {
     pub(super) fn placed(&self) -> Reading<Vec<Placed>> {
         let d = &self.document;
         let (mut found, mut visited) = (Vec::new(), 0usize);
+        let mut worlds = BTreeMap::new();
         let mut stack: Vec<(usize, DMat4, usize)> = d
             .top_nodes()
             .into_iter()
@@ -222,7 +223,11 @@ impl Reader<'_> {
                 .nodes
                 .get(index)
                 .ok_or_else(|| format!("node {index} does not exist; export the mesh again"))?;
+            if node.extensions.hidden() {
+                continue;
+            }
             let world = parent * node.transform();
+            worlds.insert(index, world);
             stack.extend(node.children.iter().rev().map(|&c| (c, world, depth + 1)));
             let copies = match (&node.extensions.copies, node.mesh) {
                 (Some(copies), Some(_)) => self
@@ -237,6 +242,7 @@ impl Reader<'_> {
                 world: world * copy,
             }));
         }
+        self.place_skinned(&mut found, &worlds)?;
         let mut asked = 0;
         for m in found.iter().filter_map(|p| p.mesh) {
             for primitive in &self.mesh(m)?.primitives {
@@ -244,6 +250,30 @@ impl Reader<'_> {
             }
         }
         Ok(found)
+    }
+
+    /// Puts the meshes of skins where their joints have them, whatever their own node says (the
+    /// standard, 3.7.3.3): at rest all joints of a skin agree, so the first decides.
+    fn place_skinned(&self, found: &mut [Placed], worlds: &BTreeMap<usize, DMat4>) -> Reading<()> {
+        let d = &self.document;
+        let mut known: BTreeMap<usize, DMat4> = BTreeMap::new();
+        for placed in found.iter_mut().filter(|p| p.mesh.is_some()) {
+            let Some(number) = d.nodes.get(placed.node).and_then(|n| n.skin) else {
+                continue;
+            };
+            if !known.contains_key(&number) {
+                let skin = (d.skins.get(number))
+                    .ok_or_else(|| format!("skin {number} does not exist; export again"))?;
+                let joint = skin.joints.first().and_then(|j| worlds.get(j));
+                let unbound = skin.inverse_bind_matrices.map(|a| self.floats::<16>(a));
+                let unbound = unbound.transpose()?.and_then(|list| list.first().copied());
+                let unbound = unbound.map_or(DMat4::IDENTITY, |m| DMat4::from_cols_array(&m));
+                let joint = joint.copied().unwrap_or(DMat4::IDENTITY);
+                known.insert(number, joint * unbound);
+            }
+            placed.world = known[&number];
+        }
+        Ok(())
     }
 
     /// From a mesh's coordinates to its node's, for each copy.
@@ -344,11 +374,6 @@ impl Reader<'_> {
         }))
     }
 
-    pub(super) fn accessor(&self, index: usize) -> Reading<&Accessor> {
-        let found = self.document.accessors.get(index);
-        found.ok_or_else(|| format!("accessor {index} does not exist; export the mesh again"))
-    }
-
     /// Where a primitive's attributes are read.
     pub(super) fn source<'p>(&self, primitive: &'p Primitive) -> Reading<Source<'p>> {
         let draco = self.draco(primitive)?;
@@ -402,7 +427,8 @@ impl Reader<'_> {
     fn uvs(&self, from: &Source<'_>) -> Reading<Option<Vec<Vec2>>> {
         let material = from.primitive.material;
         let material = material.and_then(|m| self.document.materials.get(m));
-        let source = material.map_or_else(UvSource::default, |m| m.base_uv());
+        let paint = material.and_then(|m| m.paint().texture);
+        let source = paint.map_or_else(UvSource::default, |t| t.uv);
         let named = format!("TEXCOORD_{}", source.set);
         let has = from.primitive.attributes.contains_key(&named);
         let name = if has { named.as_str() } else { "TEXCOORD_0" };
@@ -415,14 +441,22 @@ impl Reader<'_> {
         let Some(&accessor) = from.primitive.attributes.get("COLOR_0") else {
             return Ok(None);
         };
-        let read = match self.accessor(accessor)?.shape.as_str() {
-            "VEC4" => self.vectors::<4>(from, "COLOR_0")?,
-            _ => self
-                .vectors::<3>(from, "COLOR_0")?
-                .map(|list| list.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect()),
+        let a = self.accessor(accessor)?;
+        // whole numbers stand for shares by the standard; some writers forget to say so
+        let share = match a.normalized {
+            true => 1.0,
+            false => normalised(1.0, a.component_type),
         };
-        let colour = |c: [f64; 4]| Vec4::from_array(c.map(|x| x as f32));
-        Ok(read.map(|list| list.into_iter().map(colour).collect()))
+        let of = |x: f64| (share * x) as f32;
+        let colours = match a.shape.as_str() {
+            "VEC4" => (self.vectors::<4>(from, "COLOR_0")?)
+                .map(|list| list.into_iter().map(|c| Vec4::from(c.map(of))).collect()),
+            _ => (self.vectors::<3>(from, "COLOR_0")?).map(|list| {
+                let opaque = |c: [f64; 3]| Vec3::from(c.map(of)).extend(1.0);
+                list.into_iter().map(opaque).collect()
+            }),
+        };
+        Ok(colours)
     }
 
     /// A texture: its picture and how it goes on; of a picture in several formats the one that is
@@ -433,8 +467,12 @@ impl Reader<'_> {
         let texture = texture.ok_or_else(|| missing("does not exist"))?;
         let webp = texture.extensions.webp.as_ref().and_then(|w| w.source);
         let image = texture.source.or(webp);
-        let image = image.ok_or_else(|| {
-            missing("has neither a PNG, JPEG nor WebP picture (KTX2 is not read)")
+        let image = image.ok_or_else(|| match texture.extensions.unread() {
+            Some(format) => format!(
+                "texture {index} is {format} only; PNG, JPEG and WebP are read: convert it \
+                 (`gltf-transform png old.glb new.glb`) or export with PNG pictures"
+            ),
+            None => missing("has no picture"),
         })?;
         let sampler = texture.sampler.and_then(|s| self.document.samplers.get(s));
         Ok(GltfTexture::new(image, sampler))
@@ -443,127 +481,16 @@ impl Reader<'_> {
     /// The colour that a primitive is painted with: its material's, metal or not.
     fn look(&self, primitive: &Primitive) -> Option<Look> {
         let material = self.document.materials.get(primitive.material?)?;
-        let base = GltfMaterial::from(material).base;
-        let [r, g, b, _] = base.factor;
-        let texture = base.texture.and_then(|t| self.texture(t.texture).ok());
+        let paint = material.paint();
+        let [r, g, b, _] = paint.factor;
+        let texture = paint.texture.map(|t| match self.texture(t.texture) {
+            Ok(texture) => TextureSource::Embedded(texture.image),
+            Err(why) => TextureSource::Unusable(why),
+        });
         Some(Look {
             factor: Vec3::new(r, g, b),
-            texture: texture.map(|t| TextureSource::Embedded(t.image)),
+            texture,
         })
-    }
-
-    /// The bytes of a buffer view, unpacked if they are packed.
-    pub(super) fn view_bytes(&self, v: usize) -> Reading<&[u8]> {
-        let again = "export the mesh again";
-        let view = self
-            .document
-            .buffer_views
-            .get(v)
-            .ok_or_else(|| format!("buffer view {v} does not exist; {again}"))?;
-        let in_buffer = |buffer: usize, offset: u64, length: u64| -> Reading<&[u8]> {
-            let bytes = self
-                .buffers
-                .get(buffer)
-                .ok_or_else(|| format!("buffer {buffer} does not exist; {again}"))?;
-            let end = offset
-                .checked_add(length)
-                .filter(|e| *e <= bytes.len() as u64);
-            let end = end.ok_or_else(|| {
-                format!(
-                    "buffer view {v} claims more than its buffer of {} bytes holds; the file is truncated or damaged, {again}",
-                    bytes.len()
-                )
-            })?;
-            Ok(&bytes[offset as usize..end as usize])
-        };
-        let Some(packed) = &view.extensions.packed else {
-            return in_buffer(view.buffer, view.byte_offset, view.byte_length);
-        };
-        if let Some(done) = self.views[v].get() {
-            return Ok(done);
-        }
-        let bytes = in_buffer(packed.buffer, packed.byte_offset, packed.byte_length)?;
-        let mut sum = self.unpacked.get();
-        let done = packed.unpack(bytes, &mut sum);
-        self.unpacked.set(sum);
-        let done = done.map_err(|e| format!("buffer view {v}: {e}"))?;
-        Ok(self.views[v].get_or_init(|| done))
-    }
-
-    /// The bytes of an accessor's elements: `(bytes from the first element, stride, count)`,
-    /// checked to lie in the buffer.
-    pub(super) fn elements(&self, index: usize, size: u64) -> Reading<(&[u8], usize, usize)> {
-        let again = "export the mesh again";
-        let a = self.accessor(index)?;
-        if a.sparse.is_some() {
-            return Err(format!(
-                "accessor {index} is sparse, which is not supported; export without morph targets"
-            ));
-        }
-        let v = a
-            .buffer_view
-            .ok_or_else(|| format!("accessor {index} has no data; {again}"))?;
-        let bytes = self.view_bytes(v)?;
-        let stride = self.document.buffer_views[v].byte_stride.unwrap_or(size);
-        let needed = if a.count == 0 {
-            Some(0)
-        } else {
-            (a.count - 1)
-                .checked_mul(stride)
-                .and_then(|n| n.checked_add(size))
-                .and_then(|n| n.checked_add(a.byte_offset))
-        };
-        if needed.is_some_and(|n| n <= bytes.len() as u64) && stride >= size {
-            let begin = a.byte_offset.min(bytes.len() as u64) as usize;
-            return Ok((&bytes[begin..], stride as usize, a.count as usize));
-        }
-        Err(format!(
-            "accessor {index} claims {} elements, more than its {} bytes hold; the file is truncated or damaged, {again}",
-            a.count,
-            bytes.len()
-        ))
-    }
-
-    /// Elements of `N` numbers: floats or (`KHR_mesh_quantization`) integers, normalised where the
-    /// accessor says so.
-    fn floats<const N: usize>(&self, index: usize) -> Reading<Vec<[f64; N]>> {
-        let a = self.accessor(index)?;
-        let expected = format!("VEC{N}");
-        if a.shape != expected {
-            return Err(format!(
-                "accessor {index} is {}, expected {expected}; export the mesh again",
-                a.shape
-            ));
-        }
-        let width = component_size(a.component_type)
-            .ok_or_else(|| format!("accessor {index}: unknown component type"))?;
-        let (bytes, stride, count) = self.elements(index, (width * N) as u64)?;
-        let number = |at: usize| component(&bytes[at..at + width], a.component_type, a.normalized);
-        Ok((0..count)
-            .map(|i| std::array::from_fn(|k| number(i * stride + k * width)))
-            .collect())
-    }
-
-    fn indices(&self, index: usize) -> Reading<Vec<u32>> {
-        let a = self.accessor(index)?;
-        let width = match (a.component_type, a.shape.as_str()) {
-            (5121, "SCALAR") => 1,
-            (5123, "SCALAR") => 2,
-            (5125, "SCALAR") => 4,
-            _ => {
-                return Err(format!(
-                    "accessor {index}: indices must be unsigned integers; export the mesh again"
-                ));
-            }
-        };
-        let (bytes, stride, count) = self.elements(index, width as u64)?;
-        let word = |at: usize| {
-            bytes[at..at + width]
-                .iter()
-                .rev()
-                .fold(0u32, |w, &b| (w << 8) | u32::from(b))
-        };
-        Ok((0..count).map(|i| word(i * stride)).collect())
     }
 }
 
@@ -638,6 +565,52 @@ mod tests {
         let [a, b, c] = mesh.triangles[0].map(|i| mesh.positions[i as usize]);
         assert!((b - a).cross(c - a).z > 0.0, "the front still faces +z");
         assert!(mesh.uvs.is_empty() && mesh.normals.is_empty());
+    }
+
+    #[test]
+    fn joints_place_the_mesh_of_a_skin_and_hidden_nodes_are_left_out() {
+        let read = |node: &str, skins: &str| {
+            let text =
+                document(3, node).replace(r#""nodes":[{"c"#, &format!(r#"{skins}"nodes":[{{"c"#));
+            mesh_from_gltf(text.as_bytes(), Path::new("t.gltf")).map_err(|e| e.to_string())
+        };
+        let moved = r#","scale":[9,9,9],"skin":0"#;
+        let mesh = read(moved, r#""skins":[{"joints":[0]}],"#).expect("readable");
+        assert_eq!(mesh.positions[1], DVec3::new(10_001.0, 0.0, 0.0));
+        assert!(read(moved, "").is_err_and(|e| e.contains("skin 0")));
+        let flat = read(
+            moved,
+            r#""skins":[{"joints":[0],"inverseBindMatrices":0}],"#,
+        );
+        assert!(flat.is_err_and(|e| e.contains("MAT4")));
+        let seen = |visible: &str| {
+            let said =
+                format!(r#","extensions":{{"KHR_node_visibility":{{"visible":{visible}}}}}"#);
+            read(&said, "")
+        };
+        assert!(seen("true").is_ok());
+        assert!(seen("false").is_err_and(|e| e.contains("no triangle")));
+    }
+
+    #[test]
+    fn a_picture_of_a_format_that_is_not_read_is_named() {
+        let painted = |texture: &str| {
+            let text = document(3, "").replace(r#""attributes""#, r#""material":0,"attributes""#);
+            let material =
+                r#""materials":[{"pbrMetallicRoughness":{"baseColorTexture":{"index":0}}}],"#;
+            let text = text.replacen('{', &format!(r#"{{{material}"textures":[{texture}],"#), 1);
+            let mesh = mesh_from_gltf(text.as_bytes(), Path::new("t.gltf")).expect("geometry");
+            mesh.looks[0].texture.clone().expect("a picture")
+        };
+        let ktx2 = r#"{"extensions":{"KHR_texture_basisu":{"source":0}}}"#;
+        for (texture, said) in [(ktx2, "KTX2"), ("", "texture 0 does not exist")] {
+            let TextureSource::Unusable(why) = painted(texture) else {
+                panic!("{texture} cannot be read");
+            };
+            assert!(why.contains(said), "{why}");
+        }
+        let webp = r#"{"extensions":{"EXT_texture_webp":{"source":3}}}"#;
+        assert_eq!(painted(webp), TextureSource::Embedded(3));
     }
 
     /// The triangle's own corners serve as three translations, scales, or vectors that are too short

@@ -1,7 +1,7 @@
 //! The bytes of a glTF file: the chunks of a `.glb`, buffers and pictures within or beside it. Called by
 //! `gltf` and `gltf_scene`.
 
-use super::gltf_document::Buffer;
+use super::gltf_document::{Buffer, OLD_STANDARD};
 use super::surface_look::beside;
 use super::{MOST_DATA, read_input};
 use crate::{Error, Result};
@@ -11,11 +11,17 @@ use std::path::Path;
 
 /// The JSON of a `.glb` or `.gltf`, and the binary chunk if there is one.
 pub(super) fn split<'a>(bytes: &'a [u8], path: &Path) -> Result<(&'a [u8], Option<&'a [u8]>)> {
-    if bytes.starts_with(b"glTF") {
-        split_glb(bytes).map_err(|m| Error::input(path, m))
-    } else {
-        Ok((bytes, None))
-    }
+    let (json, blob) = match bytes.starts_with(b"glTF") {
+        true => split_glb(bytes).map_err(|m| Error::input(path, m))?,
+        false => (bytes, None),
+    };
+    // some writers fill the chunk up with zeros, some editors put a mark before the first letter
+    let json = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json);
+    let end = json
+        .iter()
+        .rposition(|b| *b != 0)
+        .map_or(0, |last| last + 1);
+    Ok((&json[..end], blob))
 }
 
 /// The JSON and binary chunks of a `.glb`.
@@ -32,6 +38,9 @@ fn split_glb(bytes: &[u8]) -> std::result::Result<(&[u8], Option<&[u8]>), String
         )
     };
     let version = word(4).ok_or_else(truncated)?;
+    if version == 1 {
+        return Err(OLD_STANDARD.into());
+    }
     if version != 2 {
         return Err(format!(
             "glTF binary version {version}; only version 2 is supported"
@@ -150,4 +159,26 @@ fn decode_percent(uri: &str) -> String {
         i += if escaped.is_some() { 3 } else { 1 };
     }
     String::from_utf8_lossy(&out).into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fillings_and_marks_around_the_json_do_not_matter() {
+        let split = |bytes: &[u8]| {
+            let found = split(bytes, Path::new("m.glb"));
+            found
+                .map(|(json, _)| json.to_vec())
+                .map_err(|e| e.to_string())
+        };
+        assert_eq!(split(b"\xef\xbb\xbf{}"), Ok(b"{}".to_vec()));
+        let mut glb = b"glTF\x02\0\0\0\x18\0\0\0\x04\0\0\0JSON{}\0\0".to_vec();
+        assert_eq!(split(&glb), Ok(b"{}".to_vec()));
+        glb[4] = 1;
+        let old = split(&glb).expect_err("glTF 1.0");
+        assert!(old.contains("glTF 1.0") && old.contains("convert"), "{old}");
+        assert_eq!(split(b"\0\0"), Ok(Vec::new()));
+    }
 }

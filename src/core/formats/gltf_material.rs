@@ -88,7 +88,20 @@ struct Extensions {
     #[serde(rename = "KHR_materials_transmission")]
     transmission: Option<Transmission>,
     #[serde(rename = "KHR_materials_pbrSpecularGlossiness")]
-    specular_glossiness: Option<serde::de::IgnoredAny>,
+    specular_glossiness: Option<SpecularGlossiness>,
+}
+
+/// What of the extension is colour without gloss.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct SpecularGlossiness {
+    #[serde(default = "opaque_white")]
+    diffuse_factor: [f32; 4],
+    diffuse_texture: Option<TextureInfo>,
+}
+
+fn opaque_white() -> [f32; 4] {
+    [1.0; 4]
 }
 
 #[derive(Deserialize)]
@@ -135,13 +148,34 @@ impl Default for Pbr {
 }
 
 impl MaterialJson {
-    /// Where the base colour is sampled; without a texture, where its coordinates would be.
-    pub(super) fn base_uv(&self) -> UvSource {
-        let texture = self.pbr_metallic_roughness.base_color_texture.as_ref();
-        texture.map_or_else(UvSource::default, TextureInfo::uv_source)
+    /// What a surface of it looks like: its base colour (diffuse colour, where that is how the file
+    /// has it), or the light that it sends out itself. Scans without lighting are written so: black
+    /// with their picture as light.
+    pub(super) fn paint(&self) -> Textured<[f32; 4]> {
+        let GltfMaterial { base, emissive, .. } = GltfMaterial::from(self);
+        let base = match &self.extensions.specular_glossiness {
+            // (a picture of the fallback is more than a factor)
+            Some(s) if s.diffuse_texture.is_some() || base.texture.is_none() => Textured {
+                factor: s.diffuse_factor,
+                texture: TextureInfo::used(s.diffuse_texture.as_ref()),
+            },
+            _ => base,
+        };
+        let light = emissive.factor.iter().any(|e| *e > 0.0);
+        let black = base.factor[..3].iter().all(|c| *c == 0.0);
+        let unstated = base.texture.is_none() && base.factor == [1.0; 4];
+        if light && (black || unstated && emissive.texture.is_some()) {
+            let [r, g, b] = emissive.factor;
+            return Textured {
+                factor: [r, g, b, 1.0],
+                texture: emissive.texture,
+            };
+        }
+        base
     }
 
-    /// Whether its colours stand in an extension that is not read.
+    /// Whether its colours stand in an extension of which only the diffuse one is read, and only by
+    /// `paint`.
     pub(super) fn is_specular_glossiness(&self) -> bool {
         self.extensions.specular_glossiness.is_some()
     }
@@ -169,16 +203,21 @@ impl MaterialJson {
     }
 }
 
+impl TextureInfo {
+    /// A texture as a material uses it, if it names one.
+    fn used(info: Option<&Self>) -> Option<TextureUse> {
+        let info = info?;
+        Some(TextureUse {
+            texture: info.index?,
+            uv: info.uv_source(),
+        })
+    }
+}
+
 impl From<&MaterialJson> for GltfMaterial {
     fn from(m: &MaterialJson) -> Self {
         let pbr = &m.pbr_metallic_roughness;
-        let used = |info: &Option<TextureInfo>| {
-            let info = info.as_ref()?;
-            Some(TextureUse {
-                texture: info.index?,
-                uv: info.uv_source(),
-            })
-        };
+        let used = |info: &Option<TextureInfo>| TextureInfo::used(info.as_ref());
         let strength = m.extensions.strength.as_ref().map_or(1.0, |s| s.strength);
         Self {
             base: Textured {
@@ -205,5 +244,40 @@ impl From<&MaterialJson> for GltfMaterial {
                 .map_or(0.0, |t| t.factor.clamp(0.0, 1.0)),
             double_sided: m.double_sided,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn paint(json: &str) -> (Option<usize>, [f32; 4]) {
+        let material: MaterialJson = serde_json::from_str(json).expect(json);
+        let paint = material.paint();
+        (paint.texture.map(|t| t.texture), paint.factor)
+    }
+
+    #[test]
+    fn the_picture_is_found_wherever_a_material_has_it() {
+        let pbr = r#""pbrMetallicRoughness":{"baseColorTexture":{"index":3}}"#;
+        let light = r#""emissiveFactor":[1,0.5,1],"emissiveTexture":{"index":4}"#;
+        assert_eq!(paint(&format!("{{{pbr}}}")), (Some(3), [1.0; 4]));
+        // a lamp's picture adds to its own colour
+        assert_eq!(paint(&format!("{{{pbr},{light}}}")), (Some(3), [1.0; 4]));
+        let sent_out = (Some(4), [1.0, 0.5, 1.0, 1.0]);
+        assert_eq!(paint(&format!("{{{light}}}")), sent_out);
+        let black = r#""pbrMetallicRoughness":{"baseColorFactor":[0,0,0,1]}"#;
+        assert_eq!(paint(&format!("{{{black},{light}}}")), sent_out);
+        assert_eq!(paint(&format!("{{{black}}}")), (None, [0.0, 0.0, 0.0, 1.0]));
+        // a picture of light that the factor turns off
+        assert_eq!(
+            paint(r#"{"emissiveTexture":{"index":4}}"#),
+            (None, [1.0; 4])
+        );
+        let gloss = r#""extensions":{"KHR_materials_pbrSpecularGlossiness":{"diffuseFactor":[0.5,1,1,1],"diffuseTexture":{"index":5}}}"#;
+        assert_eq!(
+            paint(&format!("{{{gloss},{pbr}}}")),
+            (Some(5), [0.5, 1.0, 1.0, 1.0])
+        );
     }
 }

@@ -370,7 +370,7 @@ impl GltfFile<'_> {
     /// The numbers that a primitive's vertices have, as stored; floats where Draco packed them.
     ///
     /// # Errors
-    /// An attribute that is sparse, damaged or of an unknown kind.
+    /// An attribute that is damaged or of an unknown kind.
     pub fn attributes(&self, mesh: usize, primitive: usize) -> Result<Vec<RawAttribute>> {
         let read = || -> Reading<Vec<RawAttribute>> {
             let entry = &self.reader.mesh(mesh)?.primitives[primitive];
@@ -423,9 +423,9 @@ impl GltfFile<'_> {
             return Ok(raw(floats, 4 * numbers, FLOAT, false));
         }
         let size = component_size(a.component_type).ok_or("unknown component type")? * numbers;
-        let (bytes, stride, count) = self.reader.elements(accessor, size as u64)?;
-        let mut out = Vec::with_capacity(count * size);
-        (0..count).for_each(|i| out.extend_from_slice(&bytes[i * stride..i * stride + size]));
+        let found = self.reader.elements(accessor, size as u64)?;
+        let mut out = Vec::with_capacity(found.count * size);
+        (0..found.count).for_each(|i| out.extend_from_slice(found.element(i, size)));
         Ok(raw(out, size, a.component_type, a.normalized))
     }
 }

@@ -67,6 +67,13 @@ pub(super) fn sniff(path: &Path) -> Result<ImageFormat> {
         [0xff, 0xd8, 0xff, ..] => return Ok(ImageFormat::Jpeg),
         [] => "an empty file",
         h if h.starts_with(b"version https://git-lfs") => "a Git LFS pointer (run `git lfs pull`)",
+        h if h.starts_with(b"\xabKTX") => "a KTX2 texture (gltf-transform png makes PNG of it)",
+        h if h.starts_with(b"DDS ") => "a DDS texture (convert it to PNG)",
+        h if h.starts_with(b"BM") => "a BMP picture (convert it to PNG)",
+        h if h.starts_with(b"RIFF") && h.get(8..12) == Some(b"WEBP") => {
+            "a WebP picture (convert it to PNG)"
+        }
+        h if h.get(4..8) == Some(b"ftyp") => "an AVIF or HEIC picture (convert it to PNG)",
         h if h.starts_with(b"II") || h.starts_with(b"MM") => "a TIFF or camera raw file",
         _ => "something else",
     };

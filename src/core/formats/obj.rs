@@ -7,7 +7,7 @@
 
 use super::polygon;
 use super::raw_mesh::{NameKind, Part, RawMesh};
-use super::surface_look::{Look, of_display, read_mtl};
+use super::surface_look::{Look, of_display, read_mtl, white_of};
 use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use std::collections::{BTreeMap, HashMap};
@@ -53,7 +53,10 @@ pub fn mesh_from_obj(bytes: &[u8], path: &Path) -> Result<RawMesh> {
             "no faces; export the mesh with its triangles",
         ));
     }
-    RawMesh::from_parts(reader.parts, path)
+    reader.settle_colours();
+    let mut mesh = RawMesh::from_parts(reader.parts, path)?;
+    mesh.oddities.look_notes = reader.notes;
+    Ok(mesh)
 }
 
 /// Position, texture coordinate and normal of a corner, by their places in the file.
@@ -67,6 +70,8 @@ struct Reader {
     /// Of display, from 0 to 1 as a rule; as long as `positions` where every vertex has one.
     colours: Vec<[f64; 3]>,
     materials: BTreeMap<String, Look>,
+    /// What had to be guessed of colours, for people.
+    notes: Vec<String>,
     uvs: Vec<Vec2>,
     normals: Vec<Vec3>,
     parts: Vec<Part>,
@@ -129,8 +134,9 @@ impl Reader {
             }
             "f" | "fo" => self.face(words)?,
             "mtllib" => {
-                let name = name_in(rest);
-                self.materials.extend(read_mtl(&self.path, &name));
+                let library = read_mtl(&self.path, &name_in(rest));
+                self.materials.extend(library.looks);
+                self.notes.extend(library.notes);
             }
             "o" | "g" | "usemtl" => {
                 self.close();
@@ -189,7 +195,14 @@ impl Reader {
         Ok((position, uv, normal))
     }
 
-    /// Ends the part under way; an attribute that some of its corners lack counts as absent.
+    /// Colours as written become linear, now that all of them are known.
+    fn settle_colours(&mut self) {
+        let bytes = 255.0 / white_of(self.colours.iter().copied(), &mut self.notes);
+        let colours = self.parts.iter_mut().flat_map(|p| &mut p.colours).flatten();
+        colours.for_each(|c| *c = of_display(c.as_dvec3().to_array().map(|c| bytes * c)));
+    }
+
+    /// Ends the part under way; its colours stay as written, and an attribute that some of its corners lack counts as absent.
     fn close(&mut self) {
         let open = std::mem::take(&mut self.open);
         if open.triangles.is_empty() {
@@ -215,7 +228,7 @@ impl Reader {
                 material.into_iter().chain(object).collect()
             },
             colours: (self.colours.len() == self.positions.len()).then(|| {
-                let colour = |c: &Corner| of_display(self.colours[c.0 as usize].map(|c| 255.0 * c));
+                let colour = |c: &Corner| DVec3::from(self.colours[c.0 as usize]).as_vec3();
                 open.corners.iter().map(colour).collect()
             }),
             look: {
@@ -341,6 +354,25 @@ mod tests {
         let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\nf 1 2 3\n";
         let mesh = read(text).expect("readable");
         assert!(mesh.uvs.is_empty() && mesh.triangles.len() == 2);
+    }
+
+    #[test]
+    fn colours_of_bytes_are_those_of_shares() {
+        let coloured = |colour: &str| {
+            let vertex = |p: &str| format!("v {p} {colour}\n");
+            let text: String = ["0 0 0", "1 0 0", "0 1 0"].map(vertex).concat();
+            read(&format!("{text}f 1 2 3\n")).expect("readable")
+        };
+        let (shares, bytes) = (coloured("0.2 0.4 0.6"), coloured("51 102 153"));
+        let off = (shares.colours[0] - bytes.colours[0]).length();
+        assert!(off < 1e-6 && shares.colours[0].x < 0.04, "{off}");
+        assert_eq!(
+            (
+                shares.oddities.look_notes.len(),
+                bytes.oddities.look_notes.len()
+            ),
+            (0, 1)
+        );
     }
 
     #[test]

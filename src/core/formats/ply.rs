@@ -4,13 +4,18 @@
 //! The header's counts are checked against the size of the file before anything is read: every
 //! element takes at least one byte, so a larger count is damage.
 
+use super::ply_ascii::AsciiLines;
 use super::polygon;
 use super::raw_mesh::{NameKind, Part, RawMesh, SurfaceNames};
-use super::surface_look::{Look, TextureSource, beside, of_display};
+use super::surface_look::{Look, TextureSource, of_display, picture_file, white_of};
 use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use ply_rs_bw::parser::{Parser, Reader};
-use ply_rs_bw::ply::{Header, Property, PropertyAccess, PropertyAccessResult};
+use ply_rs_bw::ply::{
+    ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyType,
+    ScalarType,
+};
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::io::Cursor;
 use std::path::Path;
@@ -29,12 +34,22 @@ struct Element {
     wedge: Vec<f32>,
     /// Number of its class and of its object; 0 = none.
     label: [f64; 2],
-    /// Linear RGB, or of display where the property is a byte.
+    /// RGB as written.
     colour: [f64; 3],
-    /// Whether its colour is of display.
-    encoded: bool,
+    /// Number of its picture.
+    picture: f64,
 }
 
+/// Names of the properties that hold a colour's channels, a face's list of vertices, and texture
+/// coordinates of a vertex.
+const COLOURS: [[&str; 3]; 3] = [
+    ["red", "green", "blue"],
+    ["diffuse_red", "diffuse_green", "diffuse_blue"],
+    ["r", "g", "b"],
+];
+const LISTS: [&str; 3] = ["vertex_indices", "vertex_index", "indices"];
+const US: [&str; 4] = ["s", "u", "texture_u", "texture_s"];
+const VS: [&str; 4] = ["t", "v", "texture_v", "texture_t"];
 /// Properties that number the class of a face or vertex, and its object (ScanNet's, Replica's and
 /// MeshLab-like names).
 const CLASSES: [&str; 7] = [
@@ -68,17 +83,8 @@ impl PropertyAccess for Element {
     }
 
     fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
-        if matches!(name, "vertex_indices" | "vertex_index") {
-            match property.to_u32_list() {
-                Some(list) => self.indices = list,
-                // negative or fractional
-                None => {
-                    self.bad_index = true;
-                    if let Property::ListInt(list) = property {
-                        self.signed = list;
-                    }
-                }
-            }
+        if LISTS.contains(&name) {
+            self.set_indices(&property);
             return PropertyAccessResult::Set;
         }
         if name == "texcoord" {
@@ -91,21 +97,19 @@ impl PropertyAccess for Element {
             }
             return PropertyAccessResult::Set;
         }
-        if name.ends_with("red") {
-            self.encoded |= matches!(property, Property::UChar(_));
-        }
         let slot = match name {
-            "red" | "diffuse_red" => &mut self.colour[0],
-            "green" | "diffuse_green" => &mut self.colour[1],
-            "blue" | "diffuse_blue" => &mut self.colour[2],
+            "red" | "diffuse_red" | "r" => &mut self.colour[0],
+            "green" | "diffuse_green" | "g" => &mut self.colour[1],
+            "blue" | "diffuse_blue" | "b" => &mut self.colour[2],
             "x" => &mut self.position[0],
             "y" => &mut self.position[1],
             "z" => &mut self.position[2],
             "nx" => &mut self.normal[0],
             "ny" => &mut self.normal[1],
             "nz" => &mut self.normal[2],
-            "s" | "u" | "texture_u" => &mut self.uv[0],
-            "t" | "v" | "texture_v" => &mut self.uv[1],
+            n if US.contains(&n) => &mut self.uv[0],
+            n if VS.contains(&n) => &mut self.uv[1],
+            "texnumber" => &mut self.picture,
             n if CLASSES.contains(&n) => &mut self.label[0],
             n if OBJECTS.contains(&n) => &mut self.label[1],
             _ => return PropertyAccessResult::Ignored,
@@ -120,17 +124,102 @@ impl PropertyAccess for Element {
     }
 }
 
+impl Element {
+    /// Takes a list of vertices, of whichever type; whole numbers may be written with a point.
+    fn set_indices(&mut self, property: &Property) {
+        if let Some(indices) = property.to_u32_list() {
+            self.indices = indices;
+            return;
+        }
+        let list: Vec<f64> = match property {
+            Property::ListFloat(list) => list.iter().map(|v| f64::from(*v)).collect(),
+            Property::ListDouble(list) => list.clone(),
+            Property::ListInt(list) => list.iter().map(|v| f64::from(*v)).collect(),
+            _ => vec![f64::NAN],
+        };
+        let whole = list.iter().all(|v| v.fract() == 0.0);
+        self.bad_index = !whole || list.iter().any(|v| *v < 0.0);
+        match self.bad_index {
+            true if whole => self.signed = list.into_iter().map(|v| v as i32).collect(),
+            true => {}
+            false => self.indices = list.into_iter().map(|v| v as u32).collect(),
+        }
+    }
+}
+
+/// The bytes of a file: its header as text, and what follows.
+struct Pieces<'a> {
+    header: String,
+    /// Lines of the header.
+    lines: usize,
+    payload: &'a [u8],
+}
+
+/// Most bytes of a header. Derived: a thousand times what scanners write.
+const MOST_HEADER: usize = 1 << 20;
+
+/// Takes the header off: without blanks around its lines, names and comments in whatever encoding.
+fn split(bytes: &[u8]) -> Pieces<'_> {
+    let mut out = Pieces {
+        header: String::new(),
+        lines: 0,
+        payload: &[],
+    };
+    let mut end = 0;
+    for line in bytes[..bytes.len().min(MOST_HEADER)].split_inclusive(|b| *b == b'\n') {
+        end += line.len();
+        out.lines += 1;
+        let text: Cow<'_, str> = String::from_utf8_lossy(line.trim_ascii());
+        if !text.is_empty() {
+            out.header.push_str(&text);
+            out.header.push('\n');
+        }
+        if text == "end_header" {
+            out.payload = &bytes[end..];
+            break;
+        }
+    }
+    out
+}
+
+/// Reads a file's elements in their order.
+struct Payload<'a> {
+    header: &'a Header,
+    parser: Parser<Element>,
+    binary: Reader<Cursor<&'a [u8]>>,
+    ascii: AsciiLines<'a>,
+}
+
+impl Payload<'_> {
+    /// All elements of the next kind.
+    fn next(&mut self, kind: &ElementDef) -> std::result::Result<Vec<Element>, String> {
+        match self.header.encoding {
+            Encoding::Ascii => self.ascii.elements(kind),
+            _ => (self.parser)
+                .read_payload_for_element(&mut self.binary, kind, self.header)
+                .map_err(|e| e.to_string()),
+        }
+    }
+}
+
 /// Geometry of a PLY file from its bytes.
 ///
 /// # Errors
 /// If the header or the data are damaged, an index has no vertex, or there are no triangles.
 pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     let fail = |m: String| Error::input(path, format!("{m}; export the mesh again"));
+    let pieces = split(bytes);
     let parser = Parser::<Element>::new();
-    let mut reader = Reader::new(Cursor::new(bytes));
     let header = parser
-        .read_header(&mut reader)
+        .read_header(&mut Reader::new(Cursor::new(pieces.header.as_bytes())))
         .map_err(|e| fail(format!("the PLY header is malformed: {e}")))?;
+    let mut payload = Payload {
+        header: &header,
+        parser,
+        binary: Reader::new(Cursor::new(pieces.payload)),
+        ascii: AsciiLines::new(pieces.payload, pieces.lines),
+    };
+    let mut notes = Vec::new();
     let (mut part, mut found_vertices, mut found_faces) = (Part::default(), false, false);
     let mut faces: Vec<Element> = Vec::new();
     let mut vertex_labels: Vec<[f64; 2]> = Vec::new();
@@ -142,8 +231,8 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
                 bytes.len()
             )));
         }
-        let elements = parser
-            .read_payload_for_element(&mut reader, element, &header)
+        let elements = payload
+            .next(element)
             .map_err(|e| fail(format!("the PLY elements \"{name}\" are damaged: {e}")))?;
         let has = |names: &[&str]| names.iter().any(|n| element.properties.contains_key(*n));
         match name.as_str() {
@@ -153,6 +242,7 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
                 }
                 found_vertices = true;
                 add_vertices(&mut part, &elements, has);
+                part.colours = colours(&elements, element, &mut notes);
                 if has(&CLASSES) || has(&OBJECTS) {
                     vertex_labels = elements.iter().map(|e| e.label).collect();
                 }
@@ -191,24 +281,69 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
             "no elements \"vertex\" and \"face\": a point cloud is no mesh; reconstruct a surface first",
         ));
     }
-    part.look = picture(&header, path);
+    let pictures = pictures(&header, path, &mut notes);
     let face_of = add_faces(&mut part, &faces).map_err(fail)?;
     let names = names(&faces, &face_of, &vertex_labels);
     let mut mesh = RawMesh::from_parts(vec![part], path)?;
     if face_of.len() == mesh.triangles.len() {
         mesh.names = names;
     }
+    paint(&mut mesh, pictures, &faces, &face_of);
+    mesh.oddities.look_notes = notes;
     Ok(mesh)
 }
 
-/// The picture that a comment names, as MeshLab writes it.
-fn picture(header: &Header, path: &Path) -> Option<Look> {
+/// The pictures of a file.
+struct Pictures {
+    sources: Vec<TextureSource>,
+    /// Whether faces say which is theirs (`texnumber`).
+    numbered: bool,
+}
+
+/// The pictures that comments name, as MeshLab and OpenMVS write them.
+fn pictures(header: &Header, path: &Path, notes: &mut Vec<String>) -> Pictures {
     let named = |c: &String| Some(c.trim().strip_prefix("TextureFile")?.trim().to_owned());
-    let file = beside(path, &header.comments.iter().find_map(named)?)?;
-    Some(Look {
+    let named = header.comments.iter().filter_map(named);
+    let faces = header.elements.get("face");
+    Pictures {
+        sources: named
+            .filter_map(|name| picture_file(path, &name, notes))
+            .collect(),
+        numbered: faces.is_some_and(|f| f.properties.contains_key("texnumber")),
+    }
+}
+
+/// Gives every triangle the picture that its face's number counts to, or the only one.
+fn paint(mesh: &mut RawMesh, pictures: Pictures, faces: &[Element], face_of: &[u32]) {
+    let count = pictures.sources.len();
+    let all = mesh.triangles.len();
+    let numbered = pictures.numbered && face_of.len() == all;
+    let sources = match count {
+        0 => return,
+        2.. if !numbered => vec![TextureSource::Unusable(format!(
+            "it names {count} pictures, but its faces do not say whose they are (property texnumber); export it as glTF or OBJ"
+        ))],
+        _ => pictures.sources,
+    };
+    mesh.look_of_triangle = match count {
+        2.. if numbered => {
+            let number = |f: &u32| faces[*f as usize].picture;
+            let known = |n: &f64| (0.0..count as f64).contains(n);
+            (face_of.iter().map(number))
+                .map(|n| {
+                    Some(n)
+                        .filter(known)
+                        .map_or(SurfaceNames::NONE, |n| n as u32)
+                })
+                .collect()
+        }
+        _ => vec![0; all],
+    };
+    let look = |source| Look {
         factor: Vec3::ONE,
-        texture: Some(TextureSource::File(file)),
-    })
+        texture: Some(source),
+    };
+    mesh.looks = sources.into_iter().map(look).collect();
 }
 
 /// The numbers of the triangles' classes and of their objects: those of their faces, else the one
@@ -234,7 +369,29 @@ fn names(faces: &[Element], face_of: &[u32], of_vertex: &[[f64; 2]]) -> Vec<Surf
     kinds.into_iter().filter_map(named).collect()
 }
 
-/// Places, and normals, colours and texture coordinates where the element has them.
+/// Linear colours of the vertices, if they have any: of display where whole numbers stand for them,
+/// up to 255 or, where the type is wider and so are the numbers, 65535; else light as it is.
+fn colours(elements: &[Element], kind: &ElementDef, notes: &mut Vec<String>) -> Option<Vec<Vec3>> {
+    let has = |name: &&str| kind.properties.contains_key(*name);
+    let names = COLOURS.iter().find(|names| names.iter().all(has))?;
+    let PropertyType::Scalar(scalar) = &kind.properties.get(names[0])?.data_type else {
+        return None;
+    };
+    let values = || elements.iter().map(|e| e.colour);
+    let white = match scalar {
+        ScalarType::Float | ScalarType::Double => white_of(values(), notes),
+        ScalarType::UChar => 255.0,
+        _ if values().flatten().all(|v| v <= 255.0) => 255.0,
+        _ => 65535.0,
+    };
+    let linear = |c: [f64; 3]| match white > 1.0 {
+        true => of_display(c.map(|v| v * (255.0 / white))),
+        false => DVec3::from_array(c).as_vec3(),
+    };
+    Some(values().map(linear).collect())
+}
+
+/// Places, and normals and texture coordinates where the element has them.
 fn add_vertices(part: &mut Part, elements: &[Element], has: impl Fn(&[&str]) -> bool) {
     part.positions = elements
         .iter()
@@ -246,15 +403,8 @@ fn add_vertices(part: &mut Part, elements: &[Element], has: impl Fn(&[&str]) -> 
             .map(|e| DVec3::from_array(e.normal).normalize_or_zero().as_vec3())
             .collect::<Vec<Vec3>>()
     });
-    part.colours = (has(&["red", "diffuse_red"]) && has(&["green", "diffuse_green"])).then(|| {
-        let linear = |e: &Element| match e.encoded {
-            true => of_display(e.colour),
-            false => DVec3::from_array(e.colour).as_vec3(),
-        };
-        elements.iter().map(linear).collect()
-    });
     // like OBJ, PLY counts v from the bottom of the image
-    part.uvs = (has(&["s", "u", "texture_u"]) && has(&["t", "v", "texture_v"])).then(|| {
+    part.uvs = (has(&US) && has(&VS)).then(|| {
         elements
             .iter()
             .map(|e| Vec2::new(e.uv[0] as f32, (1.0 - e.uv[1]) as f32))
@@ -358,6 +508,133 @@ mod tests {
             mesh.positions[mesh.triangles[1][1] as usize],
             DVec3::new(1.0, 1.0, 0.0)
         );
+    }
+
+    fn read(text: &str) -> Result<RawMesh> {
+        mesh_from_ply(text.as_bytes(), Path::new("m.ply"))
+    }
+
+    #[test]
+    fn what_programs_write_besides_the_standard_is_read() {
+        let plain = read(ASCII).expect("readable");
+        let lists = |name: &str| ASCII.replace("vertex_indices", name);
+        for text in [
+            ASCII.replace("4 0 1 2 3", "4.0 0 1.0 2 3.0"),
+            ASCII.replace("list uchar int", "list uchar double"),
+            ASCII
+                .replace("end_header\n", "end_header\n\n")
+                .replace("\n1 1", "\n\n 1 1"),
+            ASCII.replace(
+                "\nproperty float s\nproperty float t",
+                "\nproperty float texture_s\nproperty float texture_t",
+            ),
+            lists("vertex_index"),
+            lists("indices"),
+            ASCII.replace('\n', "\r\n"),
+        ] {
+            assert_eq!(read(&text).expect(&text), plain, "{text}");
+        }
+        let quality = ASCII.replace("property float s", "property float q\nproperty float s");
+        let quality = quality.replace(" 0 0 0 0\n", " 0 0 -nan(ind) 0 0\n");
+        let quality = quality.replace("1 0 0 1 0", "1 0 0 nan 1 0");
+        let quality = quality.replace("1 1 0 1 1", "1 1 0 inf 1 1");
+        let quality = quality.replace("0 1 0 0 0.75", "0 1 0 2 0 0.75");
+        assert_eq!(read(&quality).expect("readable"), plain);
+        let mut latin = b"ply\ncomment TextureFile R\xe4m.png\n".to_vec();
+        latin.extend(&ASCII.as_bytes()[4..]);
+        let named = mesh_from_ply(&latin, Path::new("m.ply")).expect("readable");
+        assert_eq!((named.positions, named.looks.len()), (plain.positions, 1));
+        for (text, said) in [
+            (
+                ASCII.replace("1 1 0 1 1", "1 1 0 1"),
+                "line 14: it ends before",
+            ),
+            (
+                ASCII.replace("1 1 0 1 1", "1 1 x 1 1"),
+                "line 14: 'x' is no number",
+            ),
+            (
+                ASCII.replace("4 0 1 2 3", "4 0 1 2.5 3"),
+                "no whole numbers",
+            ),
+            (
+                ASCII.replace("4 0 1 2 3", "4 0 1 nan 3"),
+                "no whole numbers",
+            ),
+            (ASCII.replace("4 0 1 2 3", "4e9 0 1 2 3"), "no length"),
+            (
+                ASCII.replace("4 0 1 2 3\n", ""),
+                "the file ends after 0 of 1",
+            ),
+        ] {
+            let e = read(&text).expect_err(said).to_string();
+            assert!(e.contains(said), "{e}");
+        }
+    }
+
+    #[test]
+    fn float_lists_of_binary_files_are_indices() {
+        let whole = binary(3, 1, 3);
+        let at = whole.len() - 12;
+        let text = String::from_utf8_lossy(&whole[..whole.len() - 49]).replace("uint", "float");
+        let mut bytes = text.into_bytes();
+        bytes.extend(&whole[whole.len() - 49..at]);
+        bytes.extend([0.0f32, 1.0, 2.0].iter().flat_map(|f| f.to_le_bytes()));
+        let mesh = mesh_from_ply(&bytes, Path::new("m.ply")).expect("readable");
+        assert_eq!(mesh.triangles, [[0, 1, 2]]);
+    }
+
+    #[test]
+    fn every_face_has_the_picture_of_its_number() {
+        let text = ASCII
+            .replace(
+                "format ascii 1.0\n",
+                "format ascii 1.0\ncomment TextureFile a.png\ncomment TextureFile b.png\n",
+            )
+            .replace("element face 1", "element face 3")
+            .replace("end_header", "property int texnumber\nend_header")
+            .replace("4 0 1 2 3\n", "3 0 1 2 1\n3 0 2 3 0\n3 0 1 3 -1\n");
+        let mesh = read(&text).expect("readable");
+        let b = TextureSource::File("b.png".into());
+        assert_eq!(mesh.looks[1].texture, Some(b));
+        assert_eq!(mesh.look_of_triangle, [1, 0, SurfaceNames::NONE]);
+        let mesh = read(&text.replace("texnumber", "something")).expect("readable");
+        let [
+            Look {
+                texture: Some(TextureSource::Unusable(why)),
+                ..
+            },
+        ] = &mesh.looks[..]
+        else {
+            panic!("nobody knows whose pictures these are: {:?}", mesh.looks);
+        };
+        assert!(why.contains("texnumber"), "{why}");
+    }
+
+    #[test]
+    fn colours_are_the_same_in_every_type() {
+        let coloured = |kind: &str, colour: &str| {
+            let properties = ["red", "green", "blue"].map(|c| format!("property {kind} {c}\n"));
+            let vertex = |p: &str| format!("{p} {colour}\n");
+            let vertices = ["0 0 0", "1 0 0", "0 1 0"].map(vertex).concat();
+            let text = format!(
+                "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n{}element face 1\nproperty list uchar int vertex_indices\nend_header\n{vertices}3 0 1 2\n",
+                properties.concat()
+            );
+            read(&text).expect("readable")
+        };
+        let bytes = coloured("uchar", "51 102 255.0").colours;
+        for (kind, colour) in [
+            ("ushort", "13107 26214 65535"),
+            ("ushort", "51 102 255"),
+            ("int", "51 102 255"),
+            ("float", "51 102 255"),
+        ] {
+            let off = (coloured(kind, colour).colours[0] - bytes[0]).length();
+            assert!(off < 1e-6, "{kind} {colour}: {off}");
+        }
+        let light = coloured("float", "0.5 0.25 3").colours;
+        assert_eq!(light[0], Vec3::new(0.5, 0.25, 3.0), "light as it is");
     }
 
     #[test]

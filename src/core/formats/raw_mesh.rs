@@ -17,7 +17,7 @@ pub struct RawMesh {
     /// `positions`.
     pub normals: Vec<Vec3>,
     /// Texture coordinates with v = 0 at texture row 0; empty where at least one part has none,
-    /// else as long as `positions`.
+    /// because half an atlas is no atlas, else as long as `positions`.
     pub uvs: Vec<Vec2>,
     /// Vertex indices per triangle.
     pub triangles: Vec<[u32; 3]>,
@@ -30,6 +30,20 @@ pub struct RawMesh {
     /// Index into `looks` per triangle, [`SurfaceNames::NONE`] without a material; empty where no
     /// triangle has one.
     pub look_of_triangle: Vec<u32>,
+    /// What of the file is out of the ordinary.
+    pub oddities: Box<Oddities>,
+}
+
+/// What of a file's mesh is out of the ordinary; nothing, as a rule.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Oddities {
+    /// Where only some parts have texture coordinates: theirs, which say where pictures lie; as long
+    /// as the positions, NaN at the vertices of the parts that have none. Else empty.
+    pub partial_uvs: Vec<Vec2>,
+    /// The parts without texture coordinates where others have some, as people know them.
+    pub without_uvs: Vec<String>,
+    /// What had to be guessed of colours, for people.
+    pub look_notes: Vec<String>,
 }
 
 /// What a file's names of triangles are names of.
@@ -101,8 +115,8 @@ pub(super) struct Part {
 }
 
 impl RawMesh {
-    /// Joins parts; an attribute one part lacks is dropped from the whole, because half an atlas is
-    /// no atlas.
+    /// Joins parts; an attribute one part lacks is dropped from the whole, but texture coordinates are
+    /// kept apart: they say where the other parts' pictures lie.
     pub(super) fn from_parts(parts: Vec<Part>, path: &Path) -> Result<Self> {
         let total: usize = parts.iter().map(|p| p.positions.len()).sum();
         if u32::try_from(total).is_err() {
@@ -115,11 +129,14 @@ impl RawMesh {
             ));
         }
         let with_normals = parts.iter().all(|p| p.normals.is_some());
-        let with_uvs = parts.iter().all(|p| p.uvs.is_some());
+        let some_uvs = parts.iter().any(|p| p.uvs.is_some());
         let mut mesh = Self {
             names: names_of(&parts),
             ..Self::default()
         };
+        if some_uvs {
+            mesh.oddities.without_uvs = parts_without_uvs(&parts);
+        }
         mesh.take_looks(&parts);
         let coloured = parts.iter().any(|p| p.colours.is_some());
         for part in parts {
@@ -145,11 +162,25 @@ impl RawMesh {
             if with_normals {
                 mesh.normals.extend(part.normals.unwrap_or_default());
             }
-            if with_uvs {
-                mesh.uvs.extend(part.uvs.unwrap_or_default());
+            if some_uvs {
+                let none = || vec![Vec2::NAN; count];
+                mesh.uvs.extend(part.uvs.unwrap_or_else(none));
             }
         }
+        if !mesh.oddities.without_uvs.is_empty() {
+            mesh.oddities.partial_uvs = std::mem::take(&mut mesh.uvs);
+        }
         Ok(mesh)
+    }
+
+    /// Where pictures lie: texture coordinates, NaN at vertices of parts that have none; empty where no
+    /// part has any.
+    #[must_use]
+    pub fn picture_uvs(&self) -> &[Vec2] {
+        match self.oddities.without_uvs.is_empty() {
+            true => &self.uvs,
+            false => &self.oddities.partial_uvs,
+        }
     }
 
     /// The parts' materials, equal ones once.
@@ -171,6 +202,26 @@ impl RawMesh {
     }
 }
 
+/// What people call the parts with triangles and no texture coordinates: by object and material,
+/// else by number.
+fn parts_without_uvs(parts: &[Part]) -> Vec<String> {
+    let called = |(number, part): (usize, &Part)| {
+        let name = |kind: NameKind| {
+            let found = part.names.iter().find(|n| n.0 == kind);
+            found.map(|n| format!("\"{}\"", n.1))
+        };
+        match (name(NameKind::Object), name(NameKind::Material)) {
+            (Some(object), Some(material)) => format!("{object} (material {material})"),
+            (Some(object), None) => object,
+            (None, Some(material)) => format!("material {material}"),
+            (None, None) => format!("number {}", number + 1),
+        }
+    };
+    let lacking = |p: &(usize, &Part)| p.1.uvs.is_none() && !p.1.triangles.is_empty();
+    let all = parts.iter().enumerate();
+    all.filter(lacking).map(called).collect()
+}
+
 /// The names of the parts' triangles; parts that share a name share its index.
 fn names_of(parts: &[Part]) -> Vec<SurfaceNames> {
     let of = |kind: NameKind| {
@@ -185,4 +236,28 @@ fn names_of(parts: &[Part]) -> Vec<SurfaceNames> {
     };
     let kinds = [NameKind::Class, NameKind::Material, NameKind::Object];
     kinds.into_iter().filter_map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_without_texture_coordinates_leaves_the_others_theirs() {
+        let part = |object: &str, uvs: Option<Vec<Vec2>>| Part {
+            positions: vec![DVec3::ZERO; 3],
+            triangles: vec![[0, 1, 2]],
+            names: vec![(NameKind::Object, object.to_owned())],
+            uvs,
+            ..Part::default()
+        };
+        let read = |parts| RawMesh::from_parts(parts, Path::new("m.glb")).expect("joins");
+        let atlas = vec![Vec2::splat(0.5); 3];
+        let mesh = read(vec![part("lamp", None), part("room", Some(atlas.clone()))]);
+        assert_eq!(mesh.oddities.without_uvs, ["\"lamp\""]);
+        assert!(mesh.uvs.is_empty() && mesh.oddities.partial_uvs[..3].iter().all(|t| t.is_nan()));
+        assert_eq!(mesh.oddities.partial_uvs[3..], atlas);
+        let mesh = read(vec![part("lamp", None), part("room", None)]);
+        assert!(mesh.oddities.without_uvs.is_empty() && mesh.oddities.partial_uvs.is_empty());
+    }
 }
