@@ -2,8 +2,11 @@
 //! `scene::scan`.
 
 use super::image_format::{ImageFormat, sniff};
-use super::{GltfFile, MOST_DATA, TextureSource, read_input, read_ldr, read_photograph};
+use super::{
+    GltfFile, MOST_DATA, TextureSource, read_display_photograph, read_input, read_photograph,
+};
 use crate::core::image::RgbPlane;
+use crate::core::math::colour::ColourSpace;
 use crate::{Error, Result};
 use std::io::Write;
 use std::path::Path;
@@ -42,7 +45,8 @@ pub fn read_texture(mesh: &Path, source: &TextureSource) -> Result<Texture> {
 fn read_texture_file(path: &Path) -> Result<Texture> {
     let encoded = matches!(sniff(path)?, ImageFormat::Png | ImageFormat::Jpeg);
     let pixels = match encoded {
-        true => read_ldr(path)?,
+        // glTF 2.0, section 3.8.2: what pictures say of their colours is ignored
+        true => read_display_photograph(path, Some(ColourSpace::Srgb))?.pixels,
         false => read_photograph(path, None)?.pixels,
     };
     Ok(Texture { pixels, encoded })

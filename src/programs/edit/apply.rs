@@ -1,8 +1,9 @@
 //! Edits brought into the textures.
 
 use super::{Edit, EditList, Mapping, Selection, Selector, TextureSet, follow_light};
-use crate::core::formats::{read_ldr, read_rgb};
+use crate::core::formats::{read_display_photograph, read_ldr, read_rgb};
 use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::math::colour::ColourSpace;
 use crate::core::math::luminance;
 use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
@@ -175,23 +176,25 @@ impl<'a> Prepared<'a> {
         selection: Selection,
         folder: &Path,
     ) -> Result<Self> {
-        let picture = |path: &Path| {
-            let path = folder.join(path);
-            let linear = path.extension().is_some_and(|e| e == "exr" || e == "hdr");
-            if linear {
-                read_rgb(&path)
-            } else {
-                read_ldr(&path)
-            }
+        let is_linear = |path: &Path| path.extension().is_some_and(|e| e == "exr" || e == "hdr");
+        let colours = |path: &Path| match is_linear(path) {
+            true => read_rgb(folder.join(path)),
+            false => read_ldr(folder.join(path)),
+        };
+        // of numbers, whatever a profile says of colours
+        let numbers = |path: &Path| match is_linear(path) {
+            true => read_rgb(folder.join(path)),
+            false => read_display_photograph(&folder.join(path), Some(ColourSpace::Srgb))
+                .map(|photograph| photograph.pixels),
         };
         let set = edit.texture.as_ref();
         let albedo = set
             .and_then(|t| t.albedo.as_deref())
-            .map(picture)
+            .map(colours)
             .transpose()?;
         let roughness = set
             .and_then(|t| t.roughness.as_deref())
-            .map(picture)
+            .map(numbers)
             .transpose()?;
         // a roughness picture's bytes are the values themselves
         let is_exr = set
