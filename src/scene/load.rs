@@ -95,9 +95,7 @@ impl Scene {
             .collect();
         let mut views = usable(checked, &mut issues);
         warnings.extend(level_white(&mut views));
-        if transforms.frames.iter().all(|f| f.exposure_ev.is_none()) {
-            warnings.extend(level_exposure(&mut views));
-        }
+        warnings.extend(level_exposure(&mut views, &transforms.frames));
         warnings.extend(completed_note(&transforms.frames, &views));
         let classes_declared = transforms.classes.is_some();
         let unlabelled = views.iter().all(|v| v.label_path.is_none());
@@ -521,7 +519,10 @@ const SAME_EXPOSURE: f64 = 0.1;
 
 /// Brings photographs to one scale whose EXIF data state different exposures, where the scene says
 /// nothing of them; what a user should know of it.
-fn level_exposure(views: &mut [View]) -> Option<String> {
+fn level_exposure(views: &mut [View], frames: &[Frame]) -> Option<String> {
+    if frames.iter().any(|f| f.exposure_ev.is_some()) {
+        return None;
+    }
     let stated: Vec<f64> = views
         .iter()
         .filter_map(|v| v.account.exif_exposure)

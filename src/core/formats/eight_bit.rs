@@ -15,10 +15,9 @@ pub enum Rounding {
 
 /// A few levels are a drawing (a mask, a test card), which says nothing.
 const LEVELS: usize = 32;
-/// Levels that the lower quarter must show in RGBE, where its steps are finer than the levels and
-/// most other values would lie between them. Derived: with a chance of 3 in 8 that a value at 1/4
-/// is taken for a level, 16 are so by chance once in six million images.
-const DARK_LEVELS: usize = 16;
+/// Bits of evidence that RGBE must give: how improbable it is that all values are levels by chance.
+/// Derived: once in 16 million images.
+const EVIDENCE: f32 = 24.0;
 
 /// The stored value that stands for white, 1 or 255, if all values are levels of an 8-bit picture.
 #[must_use]
@@ -45,9 +44,15 @@ fn are_levels(pixels: &RgbPlane, white: f32, rounding: Rounding) -> bool {
         // of the other channels less than eight bits are kept
         Rounding::Rgbe => p.is_finite() && meet(p.max_element()),
     });
-    let count = |met: &[bool]| met.iter().filter(|m| **m).count();
-    let enough = rounding == Rounding::Float || count(&met[..64]) >= DARK_LEVELS;
-    all && enough && count(&met) >= LEVELS
+    let levels: Vec<usize> = (0..256).filter(|k| met[*k]).collect();
+    let certain = match rounding {
+        Rounding::Float => true,
+        Rounding::Rgbe => {
+            let bits = levels.iter().map(|k| rgbe_evidence(*k, white));
+            bits.sum::<f32>() >= EVIDENCE
+        }
+    };
+    all && certain && levels.len() >= LEVELS
 }
 
 /// The level that a value of a file in half or single precision is.
@@ -60,6 +65,17 @@ fn float_level(v: f32, white: f32) -> Option<usize> {
     ((0.0..=255.0).contains(&level) && (scaled - level).abs() <= rounded).then_some(level as usize)
 }
 
+/// A step of a value of a pixel's brightest channel in RGBE.
+fn rgbe_step(v: f32) -> f32 {
+    (v.log2().floor() - 7.0).exp2()
+}
+
+/// How far below and above a stored value the level may lie, in steps. Whole numbers of eight bits
+/// are stored as they are; others are rounded or cut off.
+fn rgbe_slack(white: f32) -> [f32; 2] {
+    if white == 1.0 { [0.5, 1.0] } else { [0.0; 2] }
+}
+
 /// A level that RGBE may store as this value of a pixel's brightest channel.
 fn rgbe_level(v: f32, white: f32) -> Option<usize> {
     if v == 0.0 {
@@ -68,15 +84,21 @@ fn rgbe_level(v: f32, white: f32) -> Option<usize> {
     if !(v > 0.0 && v <= white * 1.01) {
         return None;
     }
-    // whole numbers of eight bits are stored as they are
-    let step = if white == 1.0 {
-        (v.log2().floor() - 7.0).exp2()
-    } else {
-        0.0
-    };
+    let [below, above] = rgbe_slack(white).map(|s| s * rgbe_step(v));
     let level = |v: f32| v * (255.0 / white);
-    let first = (level(v - 0.5 * step) - 1e-3).ceil();
-    (first <= level(v + step) + 1e-3 && first <= 255.0).then_some(first.max(0.0) as usize)
+    let first = (level(v - below) - 1e-3).ceil();
+    (first <= level(v + above) + 1e-3 && first <= 255.0).then_some(first.max(0.0) as usize)
+}
+
+/// Bits that tell how improbable it is that another value there is taken for level `k`: dark ones
+/// have many steps between them, bright ones none.
+fn rgbe_evidence(k: usize, white: f32) -> f32 {
+    if k == 0 {
+        return 0.0;
+    }
+    let steps = white / 255.0 / rgbe_step(k as f32 * white / 255.0);
+    let taken = rgbe_slack(white).iter().sum::<f32>().max(1.0);
+    (steps / taken).log2().max(0.0)
 }
 
 #[cfg(test)]
@@ -114,6 +136,15 @@ mod tests {
             assert_eq!(white(&|k| rgbe(k / 255.0, rest), Rounding::Rgbe), Some(1.0));
             assert_eq!(white(&|k| rgbe(k, rest), Rounding::Rgbe), Some(255.0));
         }
+    }
+
+    #[test]
+    fn bright_pictures_are_known_too() {
+        let mut bright = picture(|k| k.max(60.0));
+        assert_eq!(white_of_levels(&bright, Rounding::Rgbe), Some(255.0));
+        // where whole numbers are all that can be stored they say nothing
+        bright = picture(|k| 128.0 + k / 2.0).map(|p| p.floor());
+        assert_eq!(white_of_levels(&bright, Rounding::Rgbe), None);
     }
 
     #[test]

@@ -2,8 +2,8 @@
 
 use super::image_format::{ImageFormat, ImageInfo, sniff};
 use super::{exr_header, hdr, image_io, open_regular, png_io};
-use crate::ffi::oiio::Sample;
 use crate::Result;
+use crate::ffi::oiio::Sample;
 use std::path::Path;
 
 /// The mark of the set of files that an OpenEXR or PNG file of this program belongs to, if it has
