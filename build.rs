@@ -7,7 +7,7 @@
 use std::env;
 use std::path::{Path, PathBuf};
 
-const PACKAGES: &str = "apt-get install --no-install-recommends libembree-dev libopenimageio-dev libclang-dev pkg-config g++";
+const PACKAGES: &str = "apt-get install --no-install-recommends libembree-dev libopenimageio-dev libjpeg-dev libclang-dev pkg-config g++";
 
 /// An Embree installation: headers, library folder and version.
 struct Embree {
@@ -222,6 +222,8 @@ fn build_image_shim(out: &Path) -> Result<(), String> {
         }
     }
     link.args(oiio.libs.iter().map(|l| format!("-l{l}")));
+    // what OpenImageIO itself reads JPEG with: it is loaded along with it
+    link.arg("-ljpeg");
     let status = link.status().map_err(|e| failed(&e))?;
     if status.success() {
         Ok(())

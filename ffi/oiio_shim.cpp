@@ -5,11 +5,17 @@
 #include <Imath/ImathVec.h>
 #include <OpenImageIO/imageio.h>
 
+#include <csetjmp>
+#include <cstdio>
 #include <cstring>
 #include <exception>
 #include <memory>
 #include <string>
 #include <vector>
+
+// after <cstdio>: they use FILE and size_t without including them
+#include <jpeglib.h>
+#include <jerror.h>
 
 namespace {
 
@@ -42,6 +48,67 @@ int sample_of(const OIIO::TypeDesc &type) {
         case OIIO::TypeDesc::HALF: return UNBAKE_SAMPLE_HALF;
         case OIIO::TypeDesc::FLOAT: return UNBAKE_SAMPLE_FLOAT;
         default: return UNBAKE_SAMPLE_OTHER;
+    }
+}
+
+// Bytes that writers pad a segment with (to a word or a cache line); more are data that the decoder lost its place in.
+constexpr int PADDING = 16;
+
+// libjpeg's manager of errors, which keeps the first remark that means lost data. Plain data: it is left by longjmp.
+struct JpegJudge {
+    jpeg_error_mgr base;
+    jmp_buf out;
+    char reason[JMSG_LENGTH_MAX];
+    bool ended_early;
+};
+
+JpegJudge *judge_of(j_common_ptr codec) { return reinterpret_cast<JpegJudge *>(codec->err); }
+
+void jpeg_failed(j_common_ptr codec) {
+    JpegJudge *judge = judge_of(codec);
+    judge->base.format_message(codec, judge->reason);
+    longjmp(judge->out, 1);
+}
+
+void jpeg_remarked(j_common_ptr codec, int level) {
+    JpegJudge *judge = judge_of(codec);
+    if (level >= 0) {
+        return;
+    }
+    bool lost = false;
+    switch (judge->base.msg_code) {
+        case JWRN_HIT_MARKER:
+        case JWRN_HUFF_BAD_CODE:
+        case JWRN_ARITH_BAD_CODE:
+        case JWRN_MUST_RESYNC: lost = true; break;
+        case JWRN_EXTRANEOUS_DATA: lost = judge->base.msg_parm.i[0] > PADDING; break;
+        case JWRN_JPEG_EOF: judge->ended_early = true; break;
+        default: break;
+    }
+    if (lost && judge->reason[0] == '\0') {
+        judge->base.format_message(codec, judge->reason);
+    }
+}
+
+// Decodes all data of an open file at an eighth of its size, which is cheap and looks at every code.
+void decode_small(jpeg_decompress_struct *codec, JpegJudge *judge) {
+    jpeg_read_header(codec, TRUE);
+    codec->out_color_space = codec->jpeg_color_space;
+    codec->scale_num = 1;
+    codec->scale_denom = 8;
+    codec->do_fancy_upsampling = FALSE;
+    codec->do_block_smoothing = FALSE;
+    const bool several = jpeg_has_multiple_scans(codec) != 0;
+    jpeg_start_decompress(codec);
+    JSAMPARRAY row = (*codec->mem->alloc_sarray)(reinterpret_cast<j_common_ptr>(codec), JPOOL_IMAGE,
+                                                 codec->output_width * static_cast<JDIMENSION>(codec->output_components), 1);
+    while (codec->output_scanline < codec->output_height) {
+        jpeg_read_scanlines(codec, row, 1);
+    }
+    jpeg_finish_decompress(codec);
+    // one scan without the marker at its end is whole; of several the last may be missing
+    if (judge->ended_early && several && judge->reason[0] == '\0') {
+        std::strcpy(judge->reason, "Premature end of JPEG file");
     }
 }
 
@@ -107,6 +174,32 @@ extern "C" void unbake_image_close(void *image) {
         delete static_cast<OIIO::ImageInput *>(image);
         return 1;
     });
+}
+
+extern "C" int unbake_image_whole_jpeg(const char *path, char *error, size_t size) {
+    FILE *file = std::fopen(path, "rb");
+    if (file == nullptr) {
+        report(error, size, "cannot be opened");
+        return 0;
+    }
+    jpeg_decompress_struct codec;
+    JpegJudge judge;
+    std::memset(&judge, 0, sizeof judge);
+    codec.err = jpeg_std_error(&judge.base);
+    judge.base.error_exit = jpeg_failed;
+    judge.base.emit_message = jpeg_remarked;
+    jpeg_create_decompress(&codec);
+    if (setjmp(judge.out) == 0) {
+        jpeg_stdio_src(&codec, file);
+        decode_small(&codec, &judge);
+    }
+    jpeg_destroy_decompress(&codec);
+    std::fclose(file);
+    if (judge.reason[0] == '\0') {
+        return 1;
+    }
+    report(error, size, judge.reason);
+    return 0;
 }
 
 extern "C" int unbake_image_write(const char *path, int width, int height, int channels, const char *const *names, int sample,

@@ -12,7 +12,7 @@
 extern "C" {
 #endif
 
-#define UNBAKE_IMAGE_ABI 2
+#define UNBAKE_IMAGE_ABI 3
 
 // Sample types of a file.
 enum { UNBAKE_SAMPLE_OTHER = 0, UNBAKE_SAMPLE_U8 = 1, UNBAKE_SAMPLE_U16 = 2, UNBAKE_SAMPLE_HALF = 3, UNBAKE_SAMPLE_FLOAT = 4 };
@@ -42,6 +42,10 @@ const char *unbake_image_channel(void *image, int channel);
 // Reads channels [begin, end) into floats; pixels lie `stride` bytes apart.
 int unbake_image_read(void *image, int begin, int end, float *out, size_t stride, char *error, size_t error_size);
 void unbake_image_close(void *image);
+
+// Whether a JPEG file holds all of its picture: 1, or 0 with what libjpeg says of it. OpenImageIO keeps libjpeg's warnings to
+// itself and hands out the grey that libjpeg fills missing data with.
+int unbake_image_whole_jpeg(const char *path, char *error, size_t error_size);
 
 // Writes scanlines as OpenEXR with ZIP compression. `data` holds width * height * channels samples, interleaved, of type
 // `sample` (HALF or FLOAT), stored as they are.

@@ -607,3 +607,112 @@ fn eight_bit_pictures_saved_as_openexr_are_taken_as_encoded() {
     let (said, value) = read();
     assert!(!said && value == raw, "the scene says that they are linear");
 }
+
+/// A PNG of the box room's size whose upper half is transparent.
+fn half_transparent(path: &std::path::Path) {
+    let alpha = |i: usize| if i < WIDTH * HEIGHT / 2 { 0 } else { 255 };
+    let bytes: Vec<u8> = (0..WIDTH * HEIGHT)
+        .flat_map(|i| [188, 188, 188, alpha(i)])
+        .collect();
+    let file = std::fs::File::create(path).expect("file");
+    let mut encoder = png::Encoder::new(file, WIDTH as u32, HEIGHT as u32);
+    encoder.set_color(png::ColorType::Rgba);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut writer = encoder.write_header().expect("header");
+    writer.write_image_data(&bytes).expect("pixels");
+}
+
+/// As OpenEXR's, and found by a name without its ending, as NeRF's scenes have it.
+#[test]
+fn transparent_pixels_of_png_are_left_out_and_counted() {
+    let scene = SceneDir::box_room();
+    half_transparent(&scene.path("photo.png"));
+    scene.edit(|t| {
+        t["frames"][0]["file_path"] = json!("photo");
+        t["train_filenames"] = json!(["photo"]);
+    });
+    let loaded = read_all(&scene, &LoadOptions::default()).expect("usable");
+    let view = loaded.train_views().next().expect("view");
+    let mask = loaded.load_mask(view).expect("read").expect("a mask");
+    assert_eq!(mask.data.iter().filter(|m| **m).count(), WIDTH * HEIGHT / 2);
+    assert!(!mask.data[0] && mask.data[WIDTH * HEIGHT - 1]);
+    let report = check(scene.folder(), &LoadOptions::default());
+    let said = report.warnings.join("\n");
+    assert!(said.contains("alpha does not cover"), "{said}");
+    assert!(said.contains("has no ending"), "{said}");
+    let frame = &report.summary.as_ref().expect("understood").frames[0];
+    assert!(frame.image.has_alpha && (frame.masked_share - 0.5).abs() < 1e-9);
+    // two files of that name: which one is meant is not clear
+    std::fs::copy(scene.path("a.exr"), scene.path("photo.exr")).expect("copy");
+    refused(&scene, &["no such file", "photo"]);
+}
+
+/// A grey JPEG whose EXIF data state an exposure time of 1 / `under` s, and this orientation.
+fn jpeg_with_exif(path: &std::path::Path, under: u32, orientation: u16) {
+    // TIFF: IFD0 at 8 with orientation and a link to the EXIF IFD at 38, whose one entry is the
+    // time, stored at 56
+    let entry = |tag: u16, kind: u16, value: u32| {
+        let mut bytes = Vec::new();
+        bytes.extend(tag.to_le_bytes());
+        bytes.extend(kind.to_le_bytes());
+        bytes.extend(1u32.to_le_bytes());
+        bytes.extend(value.to_le_bytes());
+        bytes
+    };
+    let mut exif = b"Exif\0\0II*\0\x08\0\0\0\x02\0".to_vec();
+    exif.extend(entry(0x0112, 3, orientation.into()));
+    exif.extend(entry(0x8769, 4, 38));
+    exif.extend([0; 4]);
+    exif.extend([1, 0]);
+    exif.extend(entry(0x829a, 5, 56));
+    exif.extend([0; 4]);
+    exif.extend(1u32.to_le_bytes());
+    exif.extend(under.to_le_bytes());
+    let mut encoder = jpeg_encoder::Encoder::new_file(path, 95).expect("file");
+    encoder.add_app_segment(1, exif).expect("EXIF");
+    let (w, h) = (WIDTH as u16, HEIGHT as u16);
+    let grey = vec![128; WIDTH * HEIGHT];
+    encoder
+        .encode(&grey, w, h, jpeg_encoder::ColorType::Luma)
+        .expect("encoded");
+}
+
+#[test]
+fn exposures_that_only_exif_states_are_levelled() {
+    let scene = SceneDir::box_room();
+    jpeg_with_exif(&scene.path("a.jpg"), 50, 1);
+    jpeg_with_exif(&scene.path("b.jpg"), 200, 1);
+    scene.edit(|t| {
+        t["frames"][0]["file_path"] = json!("a.jpg");
+        t["frames"][1]["file_path"] = json!("b.jpg");
+        t["train_filenames"] = json!(["a.jpg", "b.jpg"]);
+        t["test_filenames"] = json!([]);
+        for i in 0..2 {
+            t["frames"][i]
+                .as_object_mut()
+                .map(|f| f.remove("exposure_ev"));
+        }
+    });
+    let loaded = read_all(&scene, &LoadOptions::default()).expect("usable");
+    let evs: Vec<f32> = loaded.views.iter().map(|v| v.exposure_ev).collect();
+    assert!(evs[0] == 0.0 && (evs[1] - 2.0).abs() < 1e-5, "{evs:?}");
+    let said = loaded.warnings.join("\n");
+    assert!(said.contains("differ by up to 2.0 stops"), "{said}");
+    // the scene says it: EXIF is not asked
+    scene.edit(|t| t["frames"][0]["exposure_ev"] = json!(0.0));
+    let loaded = read_all(&scene, &LoadOptions::default()).expect("usable");
+    assert!(loaded.views.iter().all(|v| v.exposure_ev == 0.0));
+}
+
+#[test]
+fn a_size_as_viewers_show_it_is_told_by_its_reason() {
+    let scene = SceneDir::box_room();
+    jpeg_with_exif(&scene.path("a.jpg"), 50, 6);
+    scene.edit(|t| {
+        t["frames"][0]["file_path"] = json!("a.jpg");
+        t["frames"][0]["w"] = json!(HEIGHT);
+        t["frames"][0]["h"] = json!(WIDTH);
+        t["train_filenames"] = json!(["a.jpg"]);
+    });
+    refused(&scene, &["a.jpg", "EXIF orientation", "auto-orient"]);
+}

@@ -258,6 +258,25 @@ impl Drop for OpenImage {
     }
 }
 
+/// Whether the JPEG file at `path` holds all of its picture; the error is libjpeg's remark.
+///
+/// # Errors
+/// Its data are cut short or damaged, or the file is no JPEG that libjpeg reads.
+pub fn whole_jpeg(path: &Path) -> Result<(), String> {
+    let shim = shim()?;
+    let name = c_path(path)?;
+    let mut error = ErrorText::new();
+    // SAFETY: the name is NUL-terminated, the error buffer's size is its own, and both outlive the
+    // call.
+    let whole =
+        unsafe { shim.unbake_image_whole_jpeg(name.as_ptr(), error.as_mut_ptr(), error.0.len()) };
+    if whole == 1 {
+        Ok(())
+    } else {
+        Err(error.text())
+    }
+}
+
 /// Samples to write: raw bits of half floats, or floats.
 #[derive(Clone, Copy)]
 pub enum Samples<'a> {

@@ -95,6 +95,8 @@ impl Scene {
             .collect();
         let mut views = usable(checked, &mut issues);
         warnings.extend(level_white(&mut views));
+        warnings.extend(level_exposure(&mut views, &transforms.frames));
+        warnings.extend(completed_note(&transforms.frames, &views));
         let classes_declared = transforms.classes.is_some();
         let unlabelled = views.iter().all(|v| v.label_path.is_none());
         let named = mesh.as_ref().ok().filter(|_| unlabelled);
@@ -149,7 +151,7 @@ impl Scene {
             .collect();
         if let Some(first) = names.first() {
             self.warnings.push(format!(
-                "{} of {} photographs are display-referred (PNG or JPEG; first: {first}): taken as sRGB, their brightest values as lower bounds of the light",
+                "{} of {} photographs are display-referred (PNG or JPEG; first: {first}): taken as sRGB unless they or color_space say otherwise, their brightest values as lower bounds of the light",
                 names.len(),
                 self.views.len()
             ));
@@ -403,7 +405,7 @@ fn view(
     origin: DVec3,
     options: &LoadOptions,
 ) -> std::result::Result<View, Vec<Error>> {
-    let image_path = resolved(folder, &f.file_path);
+    let image_path = photograph_path(folder, &f.file_path);
     let mut issues = Vec::new();
     let info = match formats::image_account(&image_path, f.colour_space) {
         Ok(i) => Some(i),
@@ -424,8 +426,14 @@ fn view(
             issues.push(Error::input(
                 &image_path,
                 format!(
-                    "the image is {}x{}, transforms.json says {w}x{h} for frames[{}]; correct w and h or the image",
-                    i.width, i.height, f.index
+                    "the image is {}x{}, transforms.json says {w}x{h} for frames[{}]; {}",
+                    i.width,
+                    i.height,
+                    f.index,
+                    match i.orientation > 4 && [h, w] == [i.width, i.height] {
+                        true => "viewers turn it by its EXIF orientation, unbake does not: give w, h, lens and pose of the stored rows, or turn the pixels and remove the tag (`exiftran -ai`, `magick mogrify -auto-orient`)",
+                        false => "correct w and h or the image",
+                    }
                 ),
             ));
         } else if f.model == Model::Equirectangular && i.width != 2 * i.height {
@@ -465,7 +473,7 @@ fn view(
         image_path,
         label_path,
         mask_path,
-        exposure_ev: f.exposure_ev,
+        exposure_ev: f.exposure_ev.unwrap_or(0.0),
         split,
     })
 }
@@ -508,6 +516,82 @@ fn level_white(views: &mut [View]) -> Vec<String> {
         "the images state different whiteLuminance: all are brought to the scale of the first"
             .into(),
     ]
+}
+
+/// Exposures that differ by less are left to `solve`, which finds them. Derived: the smallest step
+/// of cameras is a third of a stop, 26 %.
+const SAME_EXPOSURE: f64 = 0.1;
+
+/// Brings photographs to one scale whose EXIF data state different exposures, where the scene says
+/// nothing of them; what a user should know of it.
+fn level_exposure(views: &mut [View], frames: &[Frame]) -> Option<String> {
+    if frames.iter().any(|f| f.exposure_ev.is_some()) {
+        return None;
+    }
+    let stated: Vec<f64> = views
+        .iter()
+        .filter_map(|v| v.account.exif_exposure)
+        .collect();
+    let first = *stated.first()?;
+    let least = stated.iter().copied().fold(first, f64::min);
+    let most = stated.iter().copied().fold(first, f64::max);
+    if most / least <= 1.0 + SAME_EXPOSURE {
+        return None;
+    }
+    let stops = (most / least).log2();
+    if stated.len() < views.len() {
+        return Some(format!(
+            "the EXIF data of {} of {} photographs state exposures that differ by up to {stops:.1} stops, the others none: they are not used; set exposure_ev where exposures differ",
+            stated.len(),
+            views.len()
+        ));
+    }
+    for v in views.iter_mut() {
+        let own = v.account.exif_exposure.unwrap_or(first);
+        v.exposure_ev += (first / own).log2() as f32;
+    }
+    Some(format!(
+        "the EXIF data of the photographs state exposures (time · ISO / aperture²) that differ by up to {stops:.1} stops, and no frame has exposure_ev: all are brought to the scale of the first; exposure_ev of the frames overrides it (0 where they were levelled already)"
+    ))
+}
+
+/// Says which photographs were found by a `file_path` without its ending.
+fn completed_note(frames: &[Frame], views: &[View]) -> Option<String> {
+    let bare: BTreeSet<String> = frames
+        .iter()
+        .filter(|f| Path::new(&f.file_path).extension().is_none())
+        .filter_map(|f| stem(&f.file_path))
+        .collect();
+    let found: Vec<&View> = views
+        .iter()
+        .filter(|v| v.image_path.extension().is_some() && bare.contains(&v.stem))
+        .collect();
+    let first = found.first()?;
+    Some(format!(
+        "file_path of {} frames has no ending: the only photograph of that name is taken (first: {})",
+        found.len(),
+        first.image_path.display()
+    ))
+}
+
+/// The photograph that a `file_path` names. NeRF's synthetic scenes and instant-ngp leave the ending
+/// out: then it is the only image of that name.
+fn photograph_path(folder: &Path, named: &str) -> PathBuf {
+    const ENDINGS: [&str; 5] = ["exr", "hdr", "png", "jpg", "jpeg"];
+    let path = resolved(folder, named);
+    if path.extension().is_some() || path.exists() {
+        return path;
+    }
+    let small = ENDINGS.iter().map(|e| (*e).to_owned());
+    let large = ENDINGS.iter().map(|e| e.to_uppercase());
+    let mut found = small
+        .chain(large)
+        .map(|e| path.with_extension(e))
+        .filter(|p| p.is_file());
+    match (found.next(), found.next()) {
+        (Some(only), None) => only,
+        _ => path,
+    }
 }
 
 /// By how many times a label or mask image may be finer than its photograph, in columns; smaller

@@ -245,7 +245,7 @@ impl Scene {
         let linear = formats::image_info(path).map(|i| i.format.is_linear());
         let image = match linear {
             Ok(false) if self.options.ldr != LdrImages::Off => {
-                formats::read_ldr(path).map(Photograph::opaque)
+                formats::read_display_photograph(path, view.colour_space)
             }
             _ => formats::read_photograph(path, view.colour_space),
         };

@@ -92,8 +92,8 @@ pub struct Frame {
     pub model: Model,
     /// `w`, `h` if stated.
     pub size: Option<[usize; 2]>,
-    /// Working radiance = image · 2^ev.
-    pub exposure_ev: f32,
+    /// Working radiance = image · 2^ev; `None` if the key is absent.
+    pub exposure_ev: Option<f32>,
     /// `color_space` of the frame or the scene, where the file itself is not to be asked.
     pub colour_space: Option<ColourSpace>,
 }
@@ -391,8 +391,8 @@ fn frame(
     let size = size(&keys, globals, issues);
     let model = model(&keys, globals, issues);
     let colour_space = colour_space(&keys, globals, issues);
-    let exposure = keys.number("exposure_ev", issues).unwrap_or(0.0);
-    if exposure.abs() > 60.0 {
+    let exposure = keys.number("exposure_ev", issues);
+    if let Some(exposure) = exposure.filter(|e| e.abs() > 60.0) {
         issues.push(format!(
             "{}: {exposure} stops; expected a value between -60 and 60",
             keys.at("exposure_ev")
@@ -410,7 +410,7 @@ fn frame(
         position,
         model: model?,
         size,
-        exposure_ev: exposure as f32,
+        exposure_ev: exposure.map(|e| e as f32),
         colour_space,
     };
     (issues.len() == before).then_some(frame)

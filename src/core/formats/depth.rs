@@ -3,7 +3,7 @@
 
 use super::exr_header::{self, ExrPart};
 use super::image_format::{ImageFormat, sniff};
-use super::image_io::{damaged, open_part, read_channel};
+use super::image_io::{open_part, read_channel, refused};
 use super::input::open_regular;
 use super::read_plane;
 use crate::core::image::Plane;
@@ -21,7 +21,7 @@ pub fn read_depth(path: &Path) -> Result<Plane<f32>> {
     }
     let file = open_regular(path)?;
     let bytes = file.metadata().map_or(0, |m| m.len());
-    let parts = exr_header::vetted(file, bytes).map_err(|e| Error::input(path, damaged(&e)))?;
+    let parts = exr_header::vetted(file, bytes).map_err(|e| refused(path, &e))?;
     let has_depth = |part: &ExrPart| part.channels.iter().any(|c| is_depth(&c.name));
     // a part may be named instead of its channels
     let by_name = parts.iter().position(has_depth).or_else(|| {

@@ -47,6 +47,35 @@ const COMPRESSIONS: [(&str, i64, f64); 10] = [
     ("DWAB", 256, f64::INFINITY),
 ];
 
+/// Compressions of later releases.
+const LATER: [&str; 4] = [
+    "HTJ2K256 (OpenEXR 3.4)",
+    "HTJ2K32 (OpenEXR 3.4)",
+    "LJ2K (OpenEXR 3.5)",
+    "ZSTD (OpenEXR 3.5)",
+];
+
+/// Why a file is not read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// Its header cannot be right.
+    Damaged(String),
+    /// It is whole, and of a kind that is not read; says the way out.
+    Unsupported(String),
+}
+
+impl From<String> for Refusal {
+    fn from(reason: String) -> Self {
+        Self::Damaged(reason)
+    }
+}
+
+impl From<&str> for Refusal {
+    fn from(reason: &str) -> Self {
+        Self::Damaged(reason.into())
+    }
+}
+
 /// A channel of a part.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ExrChannel {
@@ -167,7 +196,7 @@ impl ExrPart {
 ///
 /// # Errors
 /// If the header is damaged, or asks for more than the file holds.
-pub fn vetted(file: impl Read, file_bytes: u64) -> Result<Vec<ExrPart>, String> {
+pub fn vetted(file: impl Read, file_bytes: u64) -> Result<Vec<ExrPart>, Refusal> {
     let mut bytes = Vec::new();
     file.take(LIMIT)
         .read_to_end(&mut bytes)
@@ -178,7 +207,7 @@ pub fn vetted(file: impl Read, file_bytes: u64) -> Result<Vec<ExrPart>, String> 
     let version = u32::from_le_bytes(word(&mut rest).ok_or(CUT)?);
     let unknown = version & !(0xff | TILED | LONG_NAMES | DEEP | MULTI_PART);
     if version & 0xff != 2 || unknown != 0 {
-        return Err(format!("version word {version:#x} is not one of OpenEXR 2"));
+        return Err(format!("version word {version:#x} is not one of OpenEXR 2").into());
     }
     if version & MULTI_PART != 0 && version & TILED != 0 {
         return Err("its version word calls it both multi-part and single tiled".into());
@@ -196,12 +225,17 @@ pub fn vetted(file: impl Read, file_bytes: u64) -> Result<Vec<ExrPart>, String> 
         }
         let place = place(&part, parts.len());
         whole(&part, version).map_err(|e| format!("{place}{e}"))?;
+        if let Some(name) = later_compression(&part) {
+            return Err(Refusal::Unsupported(format!(
+                "{place}its compression {name} is newer than this OpenImageIO: save it with ZIP, as by `oiiotool IN.exr --compression zip -o OUT.exr` of a newer one"
+            )));
+        }
         parts.push(part);
         if version & MULTI_PART == 0 {
             break;
         }
         if parts.len() > MOST_PARTS {
-            return Err(format!("more than {MOST_PARTS} parts"));
+            return Err(format!("more than {MOST_PARTS} parts").into());
         }
         // an empty header ends the list
         if rest.first() == Some(&0) {
@@ -219,9 +253,16 @@ pub fn vetted(file: impl Read, file_bytes: u64) -> Result<Vec<ExrPart>, String> 
         let (w, h) = parts[0].size;
         return Err(format!(
             "its header states {w} × {h} pixels, which take at least {least:.0} bytes, but the file has {file_bytes}"
-        ));
+        )
+        .into());
     }
     Ok(parts)
+}
+
+/// The compression of a part, if only later releases have it.
+fn later_compression(part: &ExrPart) -> Option<&'static str> {
+    let number = part.compression.checked_sub(COMPRESSIONS.len())?;
+    LATER.get(number).copied()
 }
 
 const CUT: &str = "it ends within its header";
@@ -365,12 +406,9 @@ fn whole(part: &ExrPart, version: u32) -> Result<(), String> {
     }
     match part.compression {
         usize::MAX => return Err("its header names no compression".into()),
-        10 | 11 => {
-            return Err(
-                "compression HTJ2K needs OpenEXR 3.4, which this OpenImageIO is not built with: save it with ZIP".into(),
-            );
+        n if n >= COMPRESSIONS.len() + LATER.len() => {
+            return Err(format!("unknown compression {n}"));
         }
-        n if n >= COMPRESSIONS.len() => return Err(format!("unknown compression {n}")),
         _ => {}
     }
     let kinds = ["scanlineimage", "tiledimage", "deepscanline", "deeptile"];
@@ -434,8 +472,12 @@ mod tests {
         bytes
     }
 
-    fn size(bytes: &[u8]) -> Result<(i64, i64), String> {
+    fn size(bytes: &[u8]) -> Result<(i64, i64), Refusal> {
         vetted(bytes, u64::MAX).map(|p| p[0].size)
+    }
+
+    fn is_damaged(found: Result<impl Sized, Refusal>, said: &str) -> bool {
+        matches!(found, Err(Refusal::Damaged(e)) if e.contains(said))
     }
 
     #[test]
@@ -469,14 +511,28 @@ mod tests {
     fn what_a_library_would_stumble_over_is_named() {
         for (bytes, said) in [
             (header(3, 3, [0, 0, 9, 9]), "channel R has pixel type 3"),
-            (header(1, 10, [0, 0, 9, 9]), "HTJ2K"),
             (header(1, 77, [0, 0, 9, 9]), "unknown compression 77"),
         ] {
-            assert!(size(&bytes).is_err_and(|e| e.contains(said)), "{said}");
+            assert!(is_damaged(size(&bytes), said), "{said}");
         }
         let mut other = header(1, 3, [0, 0, 9, 9]);
         other[4] = 3;
-        assert!(size(&other).is_err_and(|e| e.contains("version")));
+        assert!(is_damaged(size(&other), "version"));
+    }
+
+    #[test]
+    fn what_later_releases_write_is_no_damage() {
+        for (number, said) in [
+            (10, "HTJ2K256"),
+            (11, "HTJ2K32"),
+            (12, "LJ2K"),
+            (13, "ZSTD"),
+        ] {
+            let Err(Refusal::Unsupported(e)) = size(&header(1, number, [0, 0, 9, 9])) else {
+                panic!("{number} is read, or called damaged");
+            };
+            assert!(e.contains(said) && e.contains("ZIP"), "{e}");
+        }
     }
 
     #[test]
@@ -509,7 +565,7 @@ mod tests {
     fn a_stated_size_must_fit_the_file() {
         // ZIP packs 1032 to 1 at most: 23170 × 11585 halves need half a megabyte
         let bytes = header(1, 3, [0, 0, 23169, 11584]);
-        assert!(vetted(&bytes[..], 1000).is_err_and(|e| e.contains("at least")));
+        assert!(is_damaged(vetted(&bytes[..], 1000), "at least"));
         assert!(vetted(&bytes[..], 1 << 20).is_ok());
     }
 }

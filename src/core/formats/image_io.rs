@@ -5,7 +5,7 @@
 
 use super::image_format::{ImageFormat, sniff};
 use super::whole::Aside;
-use super::{checked_size, exr_header, hdr, open_regular, pixel_buffer};
+use super::{checked_size, exr_header, hdr, jpeg_header, open_regular, pixel_buffer};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::parallel::prelude::*;
 use crate::ffi::oiio::{self, OpenImage, Samples};
@@ -32,13 +32,16 @@ pub(super) fn open_part(path: &Path, format: ImageFormat, part: usize) -> Result
     if format == ImageFormat::Exr {
         let file = open_regular(path)?;
         let bytes = file.metadata().map_or(0, |m| m.len());
-        let parts = exr_header::vetted(file, bytes).map_err(|e| Error::input(path, damaged(&e)))?;
+        let parts = exr_header::vetted(file, bytes).map_err(|e| refused(path, &e))?;
         for part in &parts {
             checked_size(path, part.size.0, part.size.1)?;
         }
         if let Some(why) = parts.get(part).and_then(exr_header::ExrPart::sampled_apart) {
             return Err(Error::input(path, why));
         }
+    }
+    if format == ImageFormat::Jpeg {
+        jpeg_header::read(path)?.supported(path)?;
     }
     crate::ffi::oiio::version().map_err(Error::Native)?;
     let image = OpenImage::open(path, format.reader(), part)
@@ -66,6 +69,15 @@ pub(super) fn open_part(path: &Path, format: ImageFormat, part: usize) -> Result
 /// What is wrong with a file whose pixels cannot be read.
 pub(super) fn damaged(reason: &str) -> String {
     format!("damaged or cut short: {reason}; copy, render or download it again")
+}
+
+/// The refusal of an OpenEXR file by its header: one that is whole needs no other copy.
+pub(super) fn refused(path: &Path, why: &exr_header::Refusal) -> Error {
+    let message = match why {
+        exr_header::Refusal::Damaged(reason) => damaged(reason),
+        exr_header::Refusal::Unsupported(reason) => reason.clone(),
+    };
+    Error::input(path, message)
 }
 
 /// Opens `path` as linear radiance.
@@ -104,6 +116,21 @@ pub fn read_rgb(path: impl AsRef<Path>) -> Result<RgbPlane> {
     }
     let image = open_linear(path)?;
     let channels = rgb_channels(&image);
+    read_rgb_channels(path, image, channels)
+}
+
+/// Reads a JPEG as stored, values from 0 to 1.
+///
+/// # Errors
+/// If the file cannot be read, or does not hold all of its picture.
+pub(super) fn read_jpeg(path: &Path) -> Result<RgbPlane> {
+    let image = open(path, ImageFormat::Jpeg)?;
+    oiio::whole_jpeg(path).map_err(|e| Error::input(path, damaged(&e)))?;
+    let channels = if image.size().2 < 3 {
+        [0; 3]
+    } else {
+        [0, 1, 2]
+    };
     read_rgb_channels(path, image, channels)
 }
 

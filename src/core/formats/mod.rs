@@ -4,7 +4,11 @@
 //! Readers return what is in the file, NaN included: the scene judges. Writers refuse values that
 //! are not finite.
 
+mod curve;
 mod depth;
+mod eight_bit;
+mod encoding;
+mod exif_exposure;
 mod exr_header;
 mod glb;
 pub mod gltf;
@@ -17,9 +21,11 @@ mod gltf_numbers;
 mod gltf_scene;
 mod gltf_texture;
 mod hdr;
+mod icc;
 mod image_format;
 mod image_io;
 mod input;
+mod jpeg_header;
 mod ktx2;
 pub mod obj;
 mod panorama;
@@ -38,9 +44,12 @@ mod text;
 mod whole;
 
 #[cfg(test)]
+mod display_tests;
+#[cfg(test)]
 mod tests;
 
 pub use depth::read_depth;
+pub use exif_exposure::exif_exposure;
 pub use glb::{GlbWriter, glb_of};
 pub use gltf_material::{Alpha, GltfMaterial, TextureUse, Textured};
 pub use gltf_scene::{GltfFile, GltfLight, GltfLightKind, Piece, RawAttribute};
@@ -53,12 +62,14 @@ pub use image_io::{
 pub use input::{MOST_DATA, MOST_TEXT, open_regular, read_input, read_input_text};
 pub use ktx2::{Rgb8, Transfer, encode_ktx2};
 pub use panorama::read_panorama;
-pub use photograph::{ImageAccount, Photograph, image_account, read_photograph};
+pub use photograph::{
+    ImageAccount, Photograph, image_account, read_display_photograph, read_ldr, read_photograph,
+};
 pub use picture::{
     Picture8, decode_rgba8, encode_grey8, encode_grey16, encode_rgb8, encode_webp8,
     srgb8_from_linear,
 };
-pub use png_io::{read_labels, read_ldr, read_mask, write_png_rgb8, write_png8, write_png16};
+pub use png_io::{read_labels, read_mask, write_png_rgb8, write_png8, write_png16};
 pub use probe::{generation_mark, image_info};
 pub use raw_mesh::{NameKind, Oddities, RawMesh, SurfaceNames};
 pub use read_mesh::read_mesh;

@@ -1,13 +1,16 @@
 //! Photographs as scene-linear Rec. 709: which part of a file, which channels, which colours.
 //!
 //! The file says (OpenEXR's `chromaticities` and `adoptedNeutral`, Radiance's `PRIMARIES`,
-//! `EXPOSURE`, `COLORCORR` and `FORMAT`), or `color_space` in `transforms.json` says it instead.
+//! `EXPOSURE`, `COLORCORR` and `FORMAT`, profiles and chunks of JPEG and PNG), or `color_space` in `transforms.json` says it instead.
 //! Whatever is converted is told in an [`ImageAccount`]. Own outputs are read by `image_io`, which
 //! converts nothing.
 
+use super::eight_bit::{Rounding, white_of_levels};
+use super::encoding::Encoding;
+use super::exif_exposure::exif_exposure;
 use super::exr_header::{self, ExrPart};
 use super::image_format::{ImageFormat, sniff};
-use super::{hdr, image_io, open_regular};
+use super::{hdr, image_io, jpeg_header, open_regular, png_io};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::colour::{Chromaticities, ColourSpace, D65, REC709};
 use crate::core::parallel::prelude::*;
@@ -33,7 +36,7 @@ pub struct ImageAccount {
     pub part: Option<String>,
     /// Primaries and white of the stored values.
     pub primaries: String,
-    /// Curve of the stored values: `linear` or `sRGB`.
+    /// Curve of the stored values: `linear`, `sRGB` or `own curve`.
     pub transfer: &'static str,
     /// What was done to get linear Rec. 709; `None` if nothing.
     pub converted: Option<String>,
@@ -43,6 +46,8 @@ pub struct ImageAccount {
     pub has_alpha: bool,
     /// EXIF orientation; 1 is the usual. It is never applied.
     pub orientation: i32,
+    /// Seconds · ISO / 100 / f-number² by the EXIF data of a JPEG.
+    pub exif_exposure: Option<f64>,
 }
 
 impl ImageAccount {
@@ -59,8 +64,8 @@ pub struct Photograph {
     pub pixels: RgbPlane,
     /// Alpha, where the file has any that is not 0 everywhere.
     pub alpha: Option<Plane<f32>>,
-    /// The file's numbers were the 256 levels of an 8-bit picture, which nothing called linear: its
-    /// sRGB curve was undone.
+    /// The file's numbers were the 256 levels of an 8-bit picture (0 to 1, or to 255), which nothing
+    /// called linear: its sRGB curve was undone.
     pub eight_bit: bool,
 }
 
@@ -108,26 +113,91 @@ pub fn image_account(path: &Path, space: Option<ColourSpace>) -> Result<ImageAcc
     match sniff(path)? {
         ImageFormat::Exr => exr_plan(path, space).map(|(plan, _)| plan.account),
         ImageFormat::Hdr => hdr_plan(path, space, &hdr::header(path)?).map(|p| p.account),
-        format => {
-            let info = super::image_info(path)?;
-            let jpeg = format == ImageFormat::Jpeg;
-            let orientation = match jpeg {
-                true => image_io::open(path, format)?.orientation(),
-                false => 1,
-            };
-            Ok(ImageAccount {
-                width: info.width,
-                height: info.height,
-                format: if jpeg { "JPEG" } else { "PNG" },
-                sample: sample_name(info.sample),
-                channels: if info.channels < 3 { "grey" } else { "R, G, B" }.into(),
-                primaries: REC709.title(),
-                transfer: "sRGB",
-                orientation,
-                ..ImageAccount::default()
+        format => display_account(path, format, space),
+    }
+}
+
+/// The account of a PNG or JPEG.
+fn display_account(
+    path: &Path,
+    format: ImageFormat,
+    space: Option<ColourSpace>,
+) -> Result<ImageAccount> {
+    let info = super::image_info(path)?;
+    let jpeg = format == ImageFormat::Jpeg;
+    let (encoding, has_alpha, orientation) = match jpeg {
+        true => {
+            let orientation = image_io::open(path, format)?.orientation();
+            (jpeg_encoding(path, space)?, false, orientation)
+        }
+        false => {
+            let png = png_io::says(path, space)?;
+            (png.encoding, png.has_alpha, 1)
+        }
+    };
+    Ok(ImageAccount {
+        width: info.width,
+        height: info.height,
+        format: if jpeg { "JPEG" } else { "PNG" },
+        sample: sample_name(info.sample),
+        channels: if info.channels < 3 { "grey" } else { "R, G, B" }.into(),
+        primaries: encoding.space.title(),
+        transfer: encoding.transfer(),
+        converted: encoding.account(),
+        has_alpha,
+        orientation,
+        exif_exposure: jpeg.then(|| exif_exposure(path).ok()).flatten(),
+        ..ImageAccount::default()
+    })
+}
+
+fn jpeg_encoding(path: &Path, space: Option<ColourSpace>) -> Result<Encoding> {
+    Ok(match space {
+        Some(space) => Encoding::declared(space),
+        None => Encoding::of_profile(jpeg_header::read(path)?.profile.as_deref()),
+    })
+}
+
+/// Reads a display-referred photograph, PNG or JPEG, as light.
+///
+/// # Errors
+/// As [`image_account`], or the pixels are damaged, or the image is scene-linear.
+pub fn read_display_photograph(path: &Path, space: Option<ColourSpace>) -> Result<Photograph> {
+    match sniff(path)? {
+        ImageFormat::Png => {
+            let png = png_io::read_picture(path, space)?;
+            Ok(Photograph {
+                alpha: png.alpha.and_then(filled),
+                ..Photograph::opaque(png.pixels)
             })
         }
+        ImageFormat::Jpeg => {
+            let mut pixels = image_io::read_jpeg(path)?;
+            jpeg_encoding(path, space)?.decode(&mut pixels);
+            Ok(Photograph::opaque(pixels))
+        }
+        _ => Err(Error::input(
+            path,
+            "scene-linear where a display-referred PNG or JPEG is expected; leave out --ldr",
+        )),
     }
+}
+
+/// Reads a display-referred PNG or JPEG as linear Rec. 709 from 0 to 1; transparency is ignored, and
+/// colours beyond Rec. 709 become the nearest within.
+///
+/// # Errors
+/// If the file cannot be read, is damaged, or is of another format.
+pub fn read_ldr(path: impl AsRef<Path>) -> Result<RgbPlane> {
+    let mut pixels = read_display_photograph(path.as_ref(), None)?.pixels;
+    let within = |p: Vec3| p.clamp(Vec3::ZERO, Vec3::ONE);
+    pixels.data.par_iter_mut().for_each(|p| *p = within(*p));
+    Ok(pixels)
+}
+
+/// An alpha channel, unless nobody filled it: one of 0 throughout says nothing.
+fn filled(alpha: Plane<f32>) -> Option<Plane<f32>> {
+    alpha.data.iter().any(|a| *a != 0.0).then_some(alpha)
 }
 
 /// Reads an OpenEXR or Radiance HDR photograph.
@@ -142,8 +212,13 @@ pub fn read_photograph(path: &Path, space: Option<ColourSpace>) -> Result<Photog
         }
         ImageFormat::Hdr => {
             let (mut pixels, header) = hdr::read(path)?;
-            hdr_plan(path, space, &header)?.convert(&mut pixels);
-            Ok(Photograph::opaque(pixels))
+            let mut plan = hdr_plan(path, space, &header)?;
+            let eight_bit = plan.undo_levels(&mut pixels, Rounding::Rgbe);
+            plan.convert(&mut pixels);
+            Ok(Photograph {
+                eight_bit,
+                ..Photograph::opaque(pixels)
+            })
         }
         _ => Err(Error::input(
             path,
@@ -198,8 +273,7 @@ fn hdr_plan(path: &Path, space: Option<ColourSpace>, header: &hdr::HdrHeader) ->
 fn exr_plan(path: &Path, space: Option<ColourSpace>) -> Result<(Plan, OpenImage)> {
     let file = open_regular(path)?;
     let bytes = file.metadata().map_or(0, |m| m.len());
-    let parts =
-        exr_header::vetted(file, bytes).map_err(|e| Error::input(path, image_io::damaged(&e)))?;
+    let parts = exr_header::vetted(file, bytes).map_err(|e| image_io::refused(path, &e))?;
     let chosen = choose_part(&parts).map_err(|e| Error::input(path, e))?;
     let part = &parts[chosen];
     let image = image_io::open_part(path, ImageFormat::Exr, chosen).map_err(|e| {
@@ -283,6 +357,20 @@ impl Plan {
         self.account.converted = (!done.is_empty()).then(|| done.join("; "));
     }
 
+    /// Takes files of which nobody says what they hold, and that hold the levels of an 8-bit
+    /// picture, as that picture; returns whether it is one.
+    fn undo_levels(&mut self, pixels: &mut RgbPlane, rounding: Rounding) -> bool {
+        let white = match self.declared {
+            true => None,
+            false => white_of_levels(pixels, rounding),
+        };
+        if let Some(white) = white.filter(|w| *w != 1.0) {
+            pixels.data.par_iter_mut().for_each(|p| *p /= white);
+        }
+        self.curve |= white.is_some();
+        white.is_some()
+    }
+
     fn convert(&self, pixels: &mut RgbPlane) {
         if let Channels::LuminanceChroma(_) = self.channels {
             let w = self.space.luminance_weights().as_vec3();
@@ -302,25 +390,6 @@ impl Plan {
     }
 }
 
-/// Whether all values are k/255, as of an 8-bit picture that was saved as OpenEXR without undoing its
-/// curve: linear light would show bands in steps of that size, and nobody stores it so.
-fn has_eight_bit_levels(pixels: &RgbPlane) -> bool {
-    // half precision rounds values below 1 by 2⁻¹² at most: 0.062 of a level, which an eighth of all
-    // numbers keep by chance
-    const ROUNDED: f32 = 255.0 / 4096.0 + 1e-3;
-    // a few levels are a drawing (a mask, a test card), which says nothing
-    const LEVELS: usize = 32;
-    let mut met = [false; 256];
-    for v in pixels.data.iter().flat_map(|p| p.to_array()) {
-        let level = (v * 255.0).round();
-        if !(0.0..=255.0).contains(&level) || (v * 255.0 - level).abs() > ROUNDED {
-            return false;
-        }
-        met[level as usize] = true;
-    }
-    met.iter().filter(|m| **m).count() >= LEVELS
-}
-
 /// The sRGB curve's inverse continued above 1 and, mirrored, below 0.
 fn linear_from_srgb_beyond(v: f32) -> f32 {
     let x = v.abs();
@@ -334,18 +403,13 @@ fn linear_from_srgb_beyond(v: f32) -> f32 {
 fn read_exr(path: &Path, mut plan: Plan, mut image: OpenImage) -> Result<Photograph> {
     let alpha = match plan.alpha {
         None => None,
-        Some(c) => {
-            let plane = image_io::read_channel(path, &mut image, c)?;
-            // an alpha channel that nobody filled says nothing
-            plane.data.iter().any(|a| *a != 0.0).then_some(plane)
-        }
+        Some(c) => filled(image_io::read_channel(path, &mut image, c)?),
     };
     let (Channels::Rgb(three) | Channels::LuminanceChroma(three)) = plan.channels;
     let chroma = matches!(plan.channels, Channels::LuminanceChroma(_));
     let mut pixels = image_io::read_rgb_channels(path, image, three)
         .map_err(|e| if chroma { unread_chroma(path, &e) } else { e })?;
-    let eight_bit = !plan.declared && !chroma && has_eight_bit_levels(&pixels);
-    plan.curve |= eight_bit;
+    let eight_bit = !chroma && plan.undo_levels(&mut pixels, Rounding::Float);
     plan.convert(&mut pixels);
     Ok(Photograph {
         pixels,

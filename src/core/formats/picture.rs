@@ -1,6 +1,5 @@
 //! 8-bit pictures in memory (PNG, WebP; JPEG to read), and the sRGB encoding.
 
-use super::image_format::ImageFormat;
 use super::{MAX_PIXELS, image_io};
 use crate::error::{Error, Result};
 use std::io::{Cursor, Write};
@@ -72,16 +71,7 @@ fn decode_png(bytes: &[u8]) -> std::result::Result<Picture8, String> {
 fn decode_jpeg(bytes: &[u8]) -> std::result::Result<Picture8, String> {
     let mut file = tempfile::NamedTempFile::new().map_err(|e| e.to_string())?;
     file.write_all(bytes).map_err(|e| e.to_string())?;
-    let read = || {
-        let image = image_io::open(file.path(), ImageFormat::Jpeg)?;
-        let channels = if image.size().2 < 3 {
-            [0; 3]
-        } else {
-            [0, 1, 2]
-        };
-        image_io::read_rgb_channels(file.path(), image, channels)
-    };
-    let plane = read().map_err(|e| damaged(&e))?;
+    let plane = image_io::read_jpeg(file.path()).map_err(|e| damaged(&e))?;
     let byte = |x: f32| (x * 255.0 + 0.5) as u8;
     let pixel = |p: &glam::Vec3| [byte(p.x), byte(p.y), byte(p.z), 255];
     Ok(Picture8 {

@@ -1,10 +1,11 @@
 //! PNG: class and room ids in and out, pictures for the report, display-referred photographs in.
 
+use super::encoding::Encoding;
 use super::image_format::{ImageFormat, ImageInfo, sniff};
-use super::image_io::{self, GENERATION, Marked};
+use super::image_io::{GENERATION, Marked};
 use super::{atomic_write, checked_size, open_regular, pixel_buffer};
 use crate::core::image::{Plane, RgbPlane};
-use crate::core::math::linear_from_srgb;
+use crate::core::math::colour::ColourSpace;
 use crate::core::parallel::prelude::*;
 use crate::ffi::oiio::Sample;
 use crate::{Error, Result};
@@ -77,7 +78,8 @@ fn expect_png(path: &Path, what: &str) -> Result<()> {
 }
 
 /// Reads ids: greyscale of up to 16 bits as stored (in three channels if they are all alike), or the
-/// indices of a palette.
+/// indices of a palette; the greys of a palette that has nothing else, as programs write that make
+/// files smaller.
 ///
 /// # Errors
 /// If the file cannot be read, is no PNG, or has colours.
@@ -97,7 +99,7 @@ pub fn read_labels(path: impl AsRef<Path>) -> Result<Plane<u16>> {
         bytes = grey_of_rgb(&bytes, if depth == BitDepth::Sixteen { 2 } else { 1 })
             .ok_or_else(|| no_ids(path, color))?;
     }
-    let data = match depth {
+    let mut data: Vec<u16> = match depth {
         BitDepth::Sixteen => bytes
             .chunks_exact(2)
             .map(|b| u16::from_be_bytes([b[0], b[1]]))
@@ -115,8 +117,33 @@ pub fn read_labels(path: impl AsRef<Path>) -> Result<Plane<u16>> {
             (0..width * height).map(id).collect()
         }
     };
+    if let Some(palette) = &reader.info().palette {
+        let greys = greys_of_palette(palette, &data);
+        if let Some(greys) = greys {
+            data.iter_mut().for_each(|id| *id = greys[usize::from(*id)]);
+        }
+    }
     Plane::from_data(width, height, data)
         .ok_or_else(|| Error::input(path, "fewer pixels than its header states"))
+}
+
+/// What the entries of a palette stand for if they are all grey and those in use differ: the
+/// palette of a greyscale image, in whatever order. `None` for palettes of colours, whose indices
+/// are the ids (Pascal VOC and the like), and for those that tell nothing apart.
+fn greys_of_palette(palette: &[u8], used: &[u16]) -> Option<Vec<u16>> {
+    let entries = palette.chunks_exact(3);
+    let greys: Vec<u16> = entries
+        .map(|p| (p[0] == p[1] && p[1] == p[2]).then_some(u16::from(p[0])))
+        .collect::<Option<_>>()?;
+    let mut index_of = [None; 256];
+    for index in used {
+        let grey = *greys.get(usize::from(*index))?;
+        let first = index_of[usize::from(grey)].get_or_insert(*index);
+        if first != index {
+            return None;
+        }
+    }
+    Some(greys)
 }
 
 /// One channel of an image of three whose channels are all alike, as editors save greyscale; `None`
@@ -144,30 +171,30 @@ fn no_ids(path: &Path, found: ColorType) -> Error {
 
 /// Reads a mask: `true` where a pixel is to be kept.
 ///
-/// Any number of channels: a pixel is kept if one of its colour channels (or its palette index) is
-/// not 0 and it is not fully transparent.
+/// Any number of channels: a pixel is kept if its colour is not black (that of its entry in a
+/// palette) and it is not fully transparent.
 ///
 /// # Errors
 /// If the file cannot be read or is damaged.
 pub fn read_mask(path: impl AsRef<Path>) -> Result<Plane<bool>> {
     let path = path.as_ref();
     expect_png(path, "a mask")?;
-    let mut reader = open(path, Transformations::IDENTITY)?;
-    let (color, depth) = (reader.info().color_type, reader.info().bit_depth);
-    if matches!(color, ColorType::Grayscale | ColorType::Indexed) {
-        return read_labels(path).map(|ids| ids.map(|id| *id != 0));
-    }
+    let mut reader = open(path, Transformations::EXPAND)?;
+    let (color, depth) = reader.output_color_type();
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
     let bytes = pixels(path, &mut reader)?;
     let sample = if depth == BitDepth::Sixteen { 2 } else { 1 };
-    let alpha = matches!(color, ColorType::GrayscaleAlpha | ColorType::Rgba);
     let keeps = |p: &[u8]| {
-        let (colour, a) = p.split_at(p.len() - if alpha { sample } else { 0 });
+        let (colour, a) = p.split_at(p.len() - if has_alpha(color) { sample } else { 0 });
         colour.iter().any(|v| *v != 0) && (a.is_empty() || a.iter().any(|v| *v != 0))
     };
     let data = bytes.chunks_exact(color.samples() * sample).map(keeps);
     Plane::from_data(width, height, data.collect())
         .ok_or_else(|| Error::input(path, "fewer pixels than its header states"))
+}
+
+fn has_alpha(color: ColorType) -> bool {
+    matches!(color, ColorType::GrayscaleAlpha | ColorType::Rgba)
 }
 
 /// Writes ids as a 16-bit greyscale PNG.
@@ -278,62 +305,80 @@ fn write_png(path: &Path, pixels: &Pixels<'_>, mark: &str) -> Result<()> {
     atomic_write(path, &file)
 }
 
-/// Reads a display-referred PNG or JPEG and undoes the sRGB curve; transparency and colour profiles
-/// are ignored.
+/// What a PNG says of its values.
+pub(super) struct PngSays {
+    /// How they encode light.
+    pub encoding: Encoding,
+    /// Some pixels may be transparent.
+    pub has_alpha: bool,
+}
+
+/// What the header of a PNG says, or the scene in its place.
 ///
 /// # Errors
-/// If the file cannot be read, is damaged, or is of another format.
-pub fn read_ldr(path: impl AsRef<Path>) -> Result<RgbPlane> {
-    let path = path.as_ref();
-    match sniff(path)? {
-        ImageFormat::Png => read_ldr_png(path),
-        ImageFormat::Jpeg => {
-            let image = image_io::open(path, ImageFormat::Jpeg)?;
-            let channels = if image.size().2 < 3 {
-                [0; 3]
-            } else {
-                [0, 1, 2]
-            };
-            let mut plane = image_io::read_rgb_channels(path, image, channels)?;
-            plane
-                .data
-                .par_iter_mut()
-                .for_each(|p| *p = p.map(linear_from_srgb));
-            Ok(plane)
-        }
-        _ => Err(Error::input(
-            path,
-            "scene-linear where a display-referred PNG or JPEG is expected; leave out --ldr",
-        )),
+/// As [`info`]; or its values are encoded in a way that is not read.
+pub(super) fn says(path: &Path, space: Option<ColourSpace>) -> Result<PngSays> {
+    let reader = open(path, Transformations::EXPAND)?;
+    Ok(PngSays {
+        encoding: encoding(path, reader.info(), space)?,
+        has_alpha: has_alpha(reader.output_color_type().0),
+    })
+}
+
+fn encoding(path: &Path, info: &png::Info<'_>, space: Option<ColourSpace>) -> Result<Encoding> {
+    match space {
+        Some(space) => Ok(Encoding::declared(space)),
+        None => Encoding::of_png(info).map_err(|e| Error::input(path, e)),
     }
 }
 
-fn read_ldr_png(path: &Path) -> Result<RgbPlane> {
+/// A picture as light.
+pub(super) struct PngPicture {
+    /// Linear Rec. 709.
+    pub pixels: RgbPlane,
+    /// How much of each pixel is there, where the file says so; colours are not weighted with it.
+    pub alpha: Option<Plane<f32>>,
+}
+
+/// Reads a display-referred PNG.
+///
+/// # Errors
+/// As [`says`], or the pixels are damaged.
+pub(super) fn read_picture(path: &Path, space: Option<ColourSpace>) -> Result<PngPicture> {
     let mut reader = open(path, Transformations::EXPAND)?;
+    let encoding = encoding(path, reader.info(), space)?;
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
     let (color, depth) = reader.output_color_type();
     let bytes = pixels(path, &mut reader)?;
     let samples = color.samples();
     let wide = depth == BitDepth::Sixteen;
     let steps = if wide { 65535 } else { 255 };
-    let curve: Vec<f32> = (0..=steps)
-        .map(|v| linear_from_srgb(v as f32 / steps as f32))
-        .collect();
+    let curves = [0, 1, 2].map(|c| -> Vec<f32> {
+        let light = |v: usize| encoding.curves[c].light(v as f32 / steps as f32);
+        (0..=steps).map(light).collect()
+    });
+    let stored = |p: &[u8], i: usize| match wide {
+        true => usize::from(u16::from_be_bytes([p[2 * i], p[2 * i + 1]])),
+        false => usize::from(p[i]),
+    };
     let pixel = |p: &[u8]| {
-        let value = |c: usize| {
-            let c = if samples < 3 { 0 } else { c };
-            curve[if wide {
-                usize::from(u16::from_be_bytes([p[2 * c], p[2 * c + 1]]))
-            } else {
-                usize::from(p[c])
-            }]
-        };
+        let value = |c: usize| curves[c][stored(p, if samples < 3 { 0 } else { c })];
         Vec3::new(value(0), value(1), value(2))
     };
-    let data = bytes
-        .par_chunks_exact(samples * if wide { 2 } else { 1 })
-        .map(pixel)
-        .collect();
-    Plane::from_data(width, height, data)
-        .ok_or_else(|| Error::input(path, "fewer pixels than its header states"))
+    let rows = || bytes.par_chunks_exact(samples * if wide { 2 } else { 1 });
+    let plane = |data| {
+        Plane::from_data(width, height, data)
+            .ok_or_else(|| Error::input(path, "fewer pixels than its header states"))
+    };
+    let mut pixels = plane(rows().map(pixel).collect())?;
+    encoding.convert(&mut pixels);
+    let alpha = has_alpha(color).then(|| {
+        let covered = |p: &[u8]| stored(p, samples - 1) as f32 / steps as f32;
+        Plane {
+            width,
+            height,
+            data: rows().map(covered).collect(),
+        }
+    });
+    Ok(PngPicture { pixels, alpha })
 }

@@ -2,8 +2,8 @@
 
 use super::image_format::{ImageFormat, ImageInfo, sniff};
 use super::{exr_header, hdr, image_io, open_regular, png_io};
+use crate::Result;
 use crate::ffi::oiio::Sample;
-use crate::{Error, Result};
 use std::path::Path;
 
 /// The mark of the set of files that an OpenEXR or PNG file of this program belongs to, if it has
@@ -17,8 +17,7 @@ pub fn generation_mark(path: &Path) -> Result<Option<String>> {
         ImageFormat::Exr => {
             let file = open_regular(path)?;
             let bytes = file.metadata().map_or(0, |m| m.len());
-            let parts = exr_header::vetted(file, bytes)
-                .map_err(|e| Error::input(path, image_io::damaged(&e)))?;
+            let parts = exr_header::vetted(file, bytes).map_err(|e| image_io::refused(path, &e))?;
             let mark = parts[0].text(image_io::GENERATION);
             Ok(mark.map(str::to_owned))
         }

@@ -3,10 +3,11 @@
 
 use super::image_format::{ImageFormat, sniff};
 use super::{
-    GltfFile, MOST_DATA, TextureSource, decode_rgba8, open_regular, read_input, read_ldr,
-    read_photograph,
+    GltfFile, MOST_DATA, TextureSource, decode_rgba8, open_regular, read_display_photograph,
+    read_input, read_photograph,
 };
 use crate::core::image::{Plane, RgbPlane};
+use crate::core::math::colour::ColourSpace;
 use crate::core::math::linear_from_srgb;
 use crate::{Error, Result};
 use glam::Vec3;
@@ -84,7 +85,8 @@ fn read_texture_file(path: &Path) -> Result<Texture> {
     }
     let encoded = matches!(sniff(path)?, ImageFormat::Png | ImageFormat::Jpeg);
     let pixels = match encoded {
-        true => read_ldr(path)?,
+        // glTF 2.0, section 3.8.2: what pictures say of their colours is ignored
+        true => read_display_photograph(path, Some(ColourSpace::Srgb))?.pixels,
         false => read_photograph(path, None)?.pixels,
     };
     Ok(Texture { pixels, encoded })

@@ -1,8 +1,9 @@
 //! Colour spaces as matrices: chromaticities, CIE XYZ and the working space, linear Rec. 709.
 //!
 //! Sources: SMPTE RP 177 (XYZ from primaries and white); Bradford's chromatic adaptation as in
-//! Lindbloom, "Chromatic Adaptation"; primaries of ITU-R BT.709 and BT.2020, of ACES AP0 (SMPTE
-//! ST 2065-1) and AP1 (ACEScg, S-2014-004). Called by the readers of images.
+//! Lindbloom, "Chromatic Adaptation"; primaries of ITU-R BT.709 and BT.2020, of Display P3 and
+//! Adobe RGB (1998), of ACES AP0 (SMPTE ST 2065-1) and AP1 (ACEScg, S-2014-004). Called by the
+//! readers of images.
 
 use glam::{DMat3, DVec2, DVec3};
 
@@ -17,6 +18,8 @@ pub struct Chromaticities {
 
 /// D65 as ITU-R BT.709 and BT.2020 state it.
 pub const D65: DVec2 = DVec2::new(0.3127, 0.3290);
+/// The white of ICC's connection space, CIE XYZ (ICC.1, section 7.2.16).
+const D50: DVec3 = DVec3::new(0.9642, 1.0, 0.8249);
 /// The white of ACES, near D60.
 const ACES_WHITE: DVec2 = DVec2::new(0.32168, 0.33767);
 
@@ -30,11 +33,29 @@ pub const REC709: Chromaticities = Chromaticities {
     white: D65,
 };
 /// ITU-R BT.2020.
-const REC2020: Chromaticities = Chromaticities {
+pub const REC2020: Chromaticities = Chromaticities {
     primaries: [
         DVec2::new(0.708, 0.292),
         DVec2::new(0.170, 0.797),
         DVec2::new(0.131, 0.046),
+    ],
+    white: D65,
+};
+/// SMPTE EG 432-1 with the white of displays (Display P3).
+pub const DISPLAY_P3: Chromaticities = Chromaticities {
+    primaries: [
+        DVec2::new(0.680, 0.320),
+        DVec2::new(0.265, 0.690),
+        DVec2::new(0.150, 0.060),
+    ],
+    white: D65,
+};
+/// Adobe RGB (1998).
+const ADOBE_RGB: Chromaticities = Chromaticities {
+    primaries: [
+        DVec2::new(0.64, 0.33),
+        DVec2::new(0.21, 0.71),
+        DVec2::new(0.15, 0.06),
     ],
     white: D65,
 };
@@ -141,6 +162,19 @@ impl Chromaticities {
         (sane && matrix.is_finite() && matrix.determinant().abs() > 1e-6).then_some(found)
     }
 
+    /// From the CIE XYZ of red, green and blue that an ICC profile states: adapted to D50 there, and
+    /// brought back to D65 here. `None` unless they span a space.
+    #[must_use]
+    pub fn from_d50(columns: [DVec3; 3]) -> Option<Self> {
+        let to_d65 = bradford(xy_of(D50), D65);
+        let [r, g, b] = columns.map(|c| to_d65 * c);
+        let list: Vec<f64> = [r, g, b, r + g + b]
+            .into_iter()
+            .flat_map(|c| xy_of(c).to_array())
+            .collect();
+        Self::from_list(&list)
+    }
+
     /// CIE XYZ of linear RGB, white at Y = 1 (RP 177).
     #[must_use]
     pub fn xyz_from_rgb(&self) -> DMat3 {
@@ -187,6 +221,8 @@ impl Chromaticities {
         let known = [
             ("Rec. 709", REC709),
             ("Rec. 2020", REC2020),
+            ("Display P3", DISPLAY_P3),
+            ("Adobe RGB", ADOBE_RGB),
             ("ACEScg (AP1)", ACESCG),
             ("ACES2065-1 (AP0)", ACES2065),
             ("CIE XYZ", XYZ),
@@ -198,6 +234,11 @@ impl Chromaticities {
         let [r, g, b] = self.primaries.map(point);
         format!("red {r}, green {g}, blue {b}, white {}", point(self.white))
     }
+}
+
+/// The chromaticity of a colour.
+fn xy_of(xyz: DVec3) -> DVec2 {
+    DVec2::new(xyz.x, xyz.y) / xyz.element_sum()
 }
 
 /// XYZ at Y = 1 of a chromaticity.

@@ -343,6 +343,8 @@ impl Copy<'_> {
             .collect();
         let path = path.with_extension("png");
         write_png_rgb8(self.place(&path)?, image.width, image.height, &pixels)?;
+        // whatever the scene says of its own files
+        frame["color_space"] = json!("srgb");
         frame["file_path"] = json!(path);
         Ok(())
     }

@@ -1,8 +1,9 @@
 //! Edits brought into the textures.
 
 use super::{Edit, EditList, Mapping, Selection, Selector, TextureSet, follow_light};
-use crate::core::formats::{image_info, read_ldr, read_rgb};
+use crate::core::formats::{image_info, read_display_photograph, read_ldr, read_rgb};
 use crate::core::image::{Plane, RgbPlane, Wrap};
+use crate::core::math::colour::ColourSpace;
 use crate::core::math::luminance;
 use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
@@ -180,22 +181,30 @@ impl<'a> Prepared<'a> {
         selection: Selection,
         folder: &Path,
     ) -> Result<Self> {
-        let picture = |path: &Path| {
+        let colours = |path: &Path| {
             let path = folder.join(path);
-            if is_linear(&path)? {
-                read_rgb(&path)
-            } else {
-                read_ldr(&path)
+            match is_linear(&path)? {
+                true => read_rgb(path),
+                false => read_ldr(path),
+            }
+        };
+        // of numbers, whatever a profile says of colours
+        let numbers = |path: &Path| {
+            let path = folder.join(path);
+            match is_linear(&path)? {
+                true => read_rgb(path),
+                false => read_display_photograph(&path, Some(ColourSpace::Srgb))
+                    .map(|photograph| photograph.pixels),
             }
         };
         let set = edit.texture.as_ref();
         let albedo = set
             .and_then(|t| t.albedo.as_deref())
-            .map(picture)
+            .map(colours)
             .transpose()?;
         let roughness = set
             .and_then(|t| t.roughness.as_deref())
-            .map(picture)
+            .map(numbers)
             .transpose()?;
         // a roughness picture's bytes are the values themselves
         let as_it_is = set

@@ -1,14 +1,9 @@
-//! The exposure of a photograph by its EXIF: time × ISO / 100 / aperture², never the bias (which
-//! says what was asked of the camera, not what it did), and the groups of a folder.
+//! The exposure of a photograph by its EXIF, and the groups of a folder.
 
+use crate::core::formats::exif_exposure;
 use crate::error::{Error, Result};
-use exif::{Exif, In, Tag, Value};
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-/// `ShutterSpeedValue` (APEX) is the exact time where it differs from `ExposureTime` by the
-/// rounding of printed times only (derived: 1/30 stands for 1/32, 1/15 for 1/16: 6.7 %).
-const PRINTED_ROUNDING: f64 = 0.08;
 /// Exposures nearer than this are the same (derived: a third of a stop is 26 %).
 const SAME: f64 = 0.05;
 
@@ -26,44 +21,14 @@ pub struct Photograph {
 /// # Errors
 /// [`Error::Input`] where the file states no time.
 pub fn read_exposure(path: &Path) -> Result<f64> {
-    let file = std::fs::File::open(path)
-        .map_err(|e| Error::input(path, format!("cannot be read: {e}")))?;
-    let fail = |what: String| {
+    exif_exposure(path).map_err(|what| {
         Error::input(
             path,
             format!(
                 "{what}; give the times in the order of the file names with --exposure-times 1/4,1/15,1/60"
             ),
         )
-    };
-    let exif = exif::Reader::new()
-        .read_from_container(&mut BufReader::new(file))
-        .map_err(|e| fail(format!("no EXIF data ({e})")))?;
-    let time = time(&exif).ok_or_else(|| fail("its EXIF states no exposure time".into()))?;
-    let iso = number(&exif, Tag::PhotographicSensitivity).filter(|&i| i > 0.0);
-    let aperture = number(&exif, Tag::FNumber)
-        .or_else(|| number(&exif, Tag::ApertureValue).map(|apex| (0.5 * apex).exp2()))
-        .filter(|&n| n > 0.0);
-    Ok(time * iso.unwrap_or(100.0) / 100.0 / aperture.unwrap_or(1.0).powi(2))
-}
-
-fn time(exif: &Exif) -> Option<f64> {
-    let stated = number(exif, Tag::ExposureTime).filter(|&t| t > 0.0);
-    let apex = number(exif, Tag::ShutterSpeedValue).map(|v| (-v).exp2());
-    match (stated, apex) {
-        (Some(t), Some(a)) if (a / t).ln().abs() < PRINTED_ROUNDING => Some(a),
-        (Some(t), _) => Some(t),
-        (None, apex) => apex,
-    }
-}
-
-fn number(exif: &Exif, tag: Tag) -> Option<f64> {
-    let value = match &exif.get_field(tag, In::PRIMARY)?.value {
-        Value::Rational(v) => v.first()?.to_f64(),
-        Value::SRational(v) => v.first()?.to_f64(),
-        other => f64::from(other.get_uint(0)?),
-    };
-    value.is_finite().then_some(value)
+    })
 }
 
 /// Parses `--exposure-times`: seconds, `1/60` or `0.5`.
