@@ -195,7 +195,7 @@ impl Scene {
                     100.0 * share
                 ),
                 _ if s.parts_without_uvs > 0 => format!(
-                    "{} parts have no texture coordinates (first: {}), so the others' are no atlas of the whole",
+                    "parts without texture coordinates: {} (first: {}), so those of the others are no atlas of the whole",
                     s.parts_without_uvs,
                     s.first_without_uvs.as_deref().unwrap_or_default()
                 ),

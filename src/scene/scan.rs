@@ -276,7 +276,12 @@ fn read_looks(
         if let std::collections::btree_map::Entry::Vacant(entry) = read.entry(source.clone()) {
             let texture = formats::read_texture(path, &source);
             entry.insert(texture.map_err(|e| {
-                e.advise("it is a picture of the mesh: keep it beside the mesh, or give it with --texture")
+                e.advise(match source {
+                    TextureSource::File(_) => {
+                        "it is a picture of the mesh: keep it beside the mesh, or give it with --texture"
+                    }
+                    _ => "or give the picture of the surface with --texture",
+                })
             })?);
         }
     }

@@ -17,6 +17,7 @@ use glam::{DMat4, DVec3, Vec2, Vec3, Vec4};
 use std::borrow::Cow;
 use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::path::Path;
 use std::rc::Rc;
 
@@ -253,27 +254,31 @@ impl Reader<'_> {
     }
 
     /// Puts the meshes of skins where their joints have them, whatever their own node says (the
-    /// standard, 3.7.3.3): at rest all joints of a skin agree, so the first decides.
+    /// standard, 3.7.3.3).
     fn place_skinned(&self, found: &mut [Placed], worlds: &BTreeMap<usize, DMat4>) -> Reading<()> {
-        let d = &self.document;
         let mut known: BTreeMap<usize, DMat4> = BTreeMap::new();
         for placed in found.iter_mut().filter(|p| p.mesh.is_some()) {
-            let Some(number) = d.nodes.get(placed.node).and_then(|n| n.skin) else {
+            let node = self.document.nodes.get(placed.node);
+            let Some(skin) = node.and_then(|n| n.skin) else {
                 continue;
             };
-            if !known.contains_key(&number) {
-                let skin = (d.skins.get(number))
-                    .ok_or_else(|| format!("skin {number} does not exist; export again"))?;
-                let joint = skin.joints.first().and_then(|j| worlds.get(j));
-                let unbound = skin.inverse_bind_matrices.map(|a| self.floats::<16>(a));
-                let unbound = unbound.transpose()?.and_then(|list| list.first().copied());
-                let unbound = unbound.map_or(DMat4::IDENTITY, |m| DMat4::from_cols_array(&m));
-                let joint = joint.copied().unwrap_or(DMat4::IDENTITY);
-                known.insert(number, joint * unbound);
-            }
-            placed.world = known[&number];
+            placed.world = match known.entry(skin) {
+                Entry::Occupied(known) => *known.get(),
+                Entry::Vacant(place) => *place.insert(self.at_rest(skin, worlds)?),
+            };
         }
         Ok(())
+    }
+
+    /// From a skinned mesh's coordinates to the world: at rest all joints agree, so the first decides.
+    fn at_rest(&self, skin: usize, worlds: &BTreeMap<usize, DMat4>) -> Reading<DMat4> {
+        let found = self.document.skins.get(skin);
+        let found = found.ok_or_else(|| format!("skin {skin} does not exist; export again"))?;
+        let joint = found.joints.first().and_then(|j| worlds.get(j)).copied();
+        let unbound = found.inverse_bind_matrices.map(|a| self.floats::<16>(a));
+        let unbound = unbound.transpose()?.and_then(|list| list.first().copied());
+        let unbound = unbound.map_or(DMat4::IDENTITY, |m| DMat4::from_cols_array(&m));
+        Ok(joint.unwrap_or(DMat4::IDENTITY) * unbound)
     }
 
     /// From a mesh's coordinates to its node's, for each copy.
