@@ -81,10 +81,7 @@ pub fn prepare_mesh(
     };
     check_faces(&raw).map_err(fail)?;
     if z_up {
-        let turn = y_up_from_z_up();
-        raw.positions.iter_mut().for_each(|p| *p = turn * *p);
-        let turn = turn.as_mat3();
-        raw.normals.iter_mut().for_each(|n| *n = turn * *n);
+        stand_up(&mut raw);
     }
     let used = used_vertices(&raw.triangles, raw.positions.len());
     check_finite(&raw, &used).map_err(fail)?;
@@ -147,6 +144,14 @@ pub fn prepare_mesh(
         stats,
         file_triangle,
     })
+}
+
+/// Turns z up to y up.
+fn stand_up(raw: &mut RawMesh) {
+    let turn = y_up_from_z_up();
+    raw.positions.iter_mut().for_each(|p| *p = turn * *p);
+    let turn = turn.as_mat3();
+    raw.normals.iter_mut().for_each(|n| *n = turn * *n);
 }
 
 /// Drops the triangles that are not marked.

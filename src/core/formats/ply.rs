@@ -258,19 +258,7 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
             }
             "tristrips" => {
                 found_faces = true;
-                for e in &elements {
-                    let whole: Vec<i32> = match e.bad_index {
-                        true => e.signed.clone(),
-                        false => e
-                            .indices
-                            .iter()
-                            .filter_map(|i| i32::try_from(*i).ok())
-                            .collect(),
-                    };
-                    whole
-                        .split(|i| *i < 0)
-                        .for_each(|strip| part.triangles.extend(of_strip(strip)));
-                }
+                part.triangles.extend(elements.iter().flat_map(of_strips));
             }
             _ => {}
         }
@@ -291,6 +279,18 @@ pub fn mesh_from_ply(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     paint(&mut mesh, pictures, &faces, &face_of);
     mesh.oddities.look_notes = notes;
     Ok(mesh)
+}
+
+/// The triangles of an element of strips, which negative indices part.
+fn of_strips(e: &Element) -> Vec<[u32; 3]> {
+    let whole: Vec<i32> = match e.bad_index {
+        true => e.signed.clone(),
+        false => (e.indices.iter())
+            .filter_map(|i| i32::try_from(*i).ok())
+            .collect(),
+    };
+    let strips = whole.split(|i| *i < 0);
+    strips.flat_map(of_strip).collect()
 }
 
 /// The pictures of a file.
