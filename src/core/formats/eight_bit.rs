@@ -19,86 +19,71 @@ const LEVELS: usize = 32;
 /// Derived: once in 16 million images.
 const EVIDENCE: f32 = 24.0;
 
+/// Octaves below white that are told apart; darker values count as the last.
+const OCTAVES: usize = 16;
+
 /// The stored value that stands for white, 1 or 255, if all values are levels of an 8-bit picture.
 #[must_use]
 pub fn white_of_levels(pixels: &RgbPlane, rounding: Rounding) -> Option<f32> {
-    [1.0, 255.0]
-        .into_iter()
-        .find(|white| are_levels(pixels, *white, rounding))
+    [1.0, 255.0].into_iter().find(|white| match rounding {
+        Rounding::Float => are_float_levels(pixels, *white),
+        // steps that a level may lie below and above what is stored: cut off, or rounded
+        Rounding::Rgbe => [[0.0, 1.0], [0.5, 0.5]]
+            .into_iter()
+            .any(|slack| are_rgbe_levels(pixels, *white, slack)),
+    })
 }
 
-fn are_levels(pixels: &RgbPlane, white: f32, rounding: Rounding) -> bool {
-    let mut met = [false; 256];
-    let mut meet = |v: f32| {
-        let level = match rounding {
-            Rounding::Float => float_level(v, white),
-            Rounding::Rgbe => rgbe_level(v, white),
-        };
-        level.is_some_and(|k| {
-            met[k] = true;
-            true
-        })
-    };
-    let all = pixels.data.iter().all(|p| match rounding {
-        Rounding::Float => p.to_array().into_iter().all(&mut meet),
-        // of the other channels less than eight bits are kept
-        Rounding::Rgbe => p.is_finite() && meet(p.max_element()),
-    });
-    let levels: Vec<usize> = (0..256).filter(|k| met[*k]).collect();
-    let certain = match rounding {
-        Rounding::Float => true,
-        Rounding::Rgbe => {
-            let bits = levels.iter().map(|k| rgbe_evidence(*k, white));
-            bits.sum::<f32>() >= EVIDENCE
-        }
-    };
-    all && certain && levels.len() >= LEVELS
-}
-
-/// The level that a value of a file in half or single precision is.
-fn float_level(v: f32, white: f32) -> Option<usize> {
+fn are_float_levels(pixels: &RgbPlane, white: f32) -> bool {
     // half precision rounds values below 1 by 2⁻¹² at most: 0.062 of a level, which an eighth of all
     // numbers keep by chance; whole numbers it keeps
     let rounded = if white == 1.0 { 255.0 / 4096.0 } else { 0.0 } + 1e-3;
-    let scaled = v * (255.0 / white);
-    let level = scaled.round();
-    ((0.0..=255.0).contains(&level) && (scaled - level).abs() <= rounded).then_some(level as usize)
-}
-
-/// A step of a value of a pixel's brightest channel in RGBE.
-fn rgbe_step(v: f32) -> f32 {
-    (v.log2().floor() - 7.0).exp2()
-}
-
-/// How far below and above a stored value the level may lie, in steps. Whole numbers of eight bits
-/// are stored as they are; others are rounded or cut off.
-fn rgbe_slack(white: f32) -> [f32; 2] {
-    if white == 1.0 { [0.5, 1.0] } else { [0.0; 2] }
-}
-
-/// A level that RGBE may store as this value of a pixel's brightest channel.
-fn rgbe_level(v: f32, white: f32) -> Option<usize> {
-    if v == 0.0 {
-        return Some(0);
+    let mut met = [false; 256];
+    for v in pixels.data.iter().flat_map(|p| p.to_array()) {
+        let scaled = v * (255.0 / white);
+        let level = scaled.round();
+        if !(0.0..=255.0).contains(&level) || (scaled - level).abs() > rounded {
+            return false;
+        }
+        met[level as usize] = true;
     }
-    if !(v > 0.0 && v <= white * 1.01) {
-        return None;
+    met.iter().filter(|m| **m).count() >= LEVELS
+}
+
+fn are_rgbe_levels(pixels: &RgbPlane, white: f32, slack: [f32; 2]) -> bool {
+    let top = white.log2().floor();
+    let step_of = |octave: usize| (top - 7.0 - octave as f32).exp2();
+    // by octave of the brightest channel, whose step the others share
+    let mut met = [[false; 256]; OCTAVES];
+    for p in &pixels.data {
+        let most = p.max_element();
+        if !p.is_finite() || p.min_element() < 0.0 || most > white * 1.01 {
+            return false;
+        }
+        let below = (top - most.log2().floor()).clamp(0.0, OCTAVES as f32 - 1.0);
+        let step = step_of(below as usize);
+        for v in p.to_array() {
+            let Some(k) = rgbe_level(v, white, slack.map(|s| s * step)) else {
+                return false;
+            };
+            met[below as usize][k] = true;
+        }
     }
-    let [below, above] = rgbe_slack(white).map(|s| s * rgbe_step(v));
+    let levels = (0..256).filter(|k| met.iter().any(|octave| octave[*k]));
+    let evidence = |octave: usize| {
+        // how many steps there are to a level: one of them is taken for it
+        let bits = (white / 255.0 / step_of(octave)).log2().max(0.0);
+        met[octave][1..].iter().filter(|m| **m).count() as f32 * bits
+    };
+    levels.count() >= LEVELS && (0..OCTAVES).map(evidence).sum::<f32>() >= EVIDENCE
+}
+
+/// The level within `slack` below and above a stored value; whole numbers are stored as they are.
+fn rgbe_level(v: f32, white: f32, slack: [f32; 2]) -> Option<usize> {
+    let [below, above] = if white == 1.0 { slack } else { [0.0; 2] };
     let level = |v: f32| v * (255.0 / white);
-    let first = (level(v - below) - 1e-3).ceil();
-    (first <= level(v + above) + 1e-3 && first <= 255.0).then_some(first.max(0.0) as usize)
-}
-
-/// Bits that tell how improbable it is that another value there is taken for level `k`: dark ones
-/// have many steps between them, bright ones none.
-fn rgbe_evidence(k: usize, white: f32) -> f32 {
-    if k == 0 {
-        return 0.0;
-    }
-    let steps = white / 255.0 / rgbe_step(k as f32 * white / 255.0);
-    let taken = rgbe_slack(white).iter().sum::<f32>().max(1.0);
-    (steps / taken).log2().max(0.0)
+    let first = (level(v - below) - 1e-3).ceil().max(0.0);
+    (first <= level(v + above) + 1e-3 && first <= 255.0).then_some(first as usize)
 }
 
 #[cfg(test)]
