@@ -29,6 +29,9 @@ const SPARED: u8 = 2;
 const MAX_STEPS: u8 = 4;
 /// Measured: ×½ albedo within two errors +10 %, ×2 little (docs/constants.md).
 const MAX_LEVEL: u8 = 9 + SPARED;
+/// Share of the budget that is kept back: of the samples of doubled texels, fewer may go untraced
+/// than of the others'. Measured: 0.15 % more is traced without it (`samples_go_where_they_matter`).
+const KEPT_BACK: f64 = 0.005;
 
 /// What a texture's irradiance may cost.
 #[derive(Clone, Debug, PartialEq)]
@@ -201,7 +204,7 @@ pub fn bake_surface(
         progress,
     };
     spending.first_round();
-    let total = f64::from(budget.samples.iter().sum::<u32>()) * count as f64;
+    let total = (1.0 - KEPT_BACK) * f64::from(budget.samples.iter().sum::<u32>()) * count as f64;
     for round in 1..budget.rounds {
         let (baked, level) = (&spending.baked, &spending.level);
         let Judgement { light, error } = filter.judge(baked, |i| samples(level[i]) as f32);

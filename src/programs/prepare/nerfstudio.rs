@@ -140,8 +140,12 @@ impl Importer for Nerfstudio {
         let main = Document::read(file)?;
         let mut shots = main.shots(folder, account)?;
         let held_out = folder.join(TEST);
-        if file.ends_with(TRAIN) && held_out.is_file() {
-            let mut test = Document::read(&held_out)?.shots(folder, account)?;
+        let test = match file.ends_with(TRAIN) && held_out.is_file() {
+            true => Some(Document::read(&held_out)?).filter(Document::has_frames),
+            false => None,
+        };
+        if let Some(test) = test {
+            let mut test = test.shots(folder, account)?;
             shots.iter_mut().for_each(|s| s.held_out = Some(false));
             test.iter_mut().for_each(|s| s.held_out = Some(true));
             shots.append(&mut test);
@@ -203,6 +207,11 @@ impl Document {
             file: file.to_path_buf(),
             root,
         })
+    }
+
+    fn has_frames(&self) -> bool {
+        let frames = self.root.get("frames").and_then(Value::as_array);
+        frames.is_some_and(|f| !f.is_empty())
     }
 
     /// The frames as shots, whose files lie in `folder`.
