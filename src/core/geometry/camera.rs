@@ -258,6 +258,30 @@ mod tests {
     }
 
     #[test]
+    fn a_grid_has_the_directions_of_its_camera_to_the_bit() {
+        let lens = Lens {
+            k: [0.1, -0.02],
+            ..Lens::centred(31, 17, 80.0)
+        };
+        for projection in [Projection::Equirectangular, Projection::Pinhole(lens)] {
+            let camera = Camera {
+                projection,
+                width: 31,
+                height: 17,
+                world_from_camera: rotation(),
+                position: Vec3::ZERO,
+            };
+            for place in [Vec2::splat(0.5), Vec2::new(0.125, 0.875)] {
+                let grid = DirectionGrid::new(&camera, place);
+                for (x, y) in (0..17).flat_map(|y| (0..31).map(move |x| (x, y))) {
+                    let pixel = Vec2::new(x as f32, y as f32) + place;
+                    assert_eq!(grid.direction(x, y), camera.direction(pixel));
+                }
+            }
+        }
+    }
+
+    #[test]
     fn project_inverts_direction_for_both_models() {
         let lens = Lens {
             fl_x: 300.0,
