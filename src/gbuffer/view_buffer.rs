@@ -14,7 +14,8 @@ pub(super) const SAME_SURFACE_COSINE: f32 = 0.7;
 /// Rays through n × n places of the pixels of a view: one place per square of an n × n grid, and
 /// one per n²-th of each side (`places_in_pixel`).
 pub struct PixelRays {
-    position: Vec3,
+    /// Whose pixels they go through.
+    pub camera: Camera,
     /// Per place, row-major within the pixel.
     grids: Vec<DirectionGrid>,
 }
@@ -25,7 +26,7 @@ impl PixelRays {
     pub fn new(camera: &Camera, n: usize) -> Self {
         let grid = |place| DirectionGrid::new(camera, place);
         Self {
-            position: camera.position,
+            camera: *camera,
             grids: places_in_pixel(n).into_iter().map(grid).collect(),
         }
     }
@@ -40,13 +41,18 @@ impl PixelRays {
     #[must_use]
     pub fn of_row(&self, y: usize, columns: impl IntoIterator<Item = usize>) -> Vec<Ray> {
         let ray = |x: usize, grid: &DirectionGrid| {
-            Ray::new(self.position, grid.direction(x, y), f32::INFINITY)
+            Ray::new(self.camera.position, grid.direction(x, y), f32::INFINITY)
         };
         columns
             .into_iter()
             .flat_map(|x| self.grids.iter().map(move |grid| ray(x, grid)))
             .collect()
     }
+}
+
+/// Rays from a camera along a row of its grid, to infinity.
+fn row_rays(camera: &Camera, grid: &DirectionGrid, y: usize) -> impl Iterator<Item = Ray> {
+    (0..camera.width).map(move |x| Ray::new(camera.position, grid.direction(x, y), f32::INFINITY))
 }
 
 /// Places in the unit square, one in each of n × n squares, of which no two share an n²-th of
@@ -96,7 +102,7 @@ impl ViewBuffer {
     #[must_use]
     pub fn trace(camera: &Camera, tracer: &dyn Tracer) -> Self {
         let (w, h) = (camera.width, camera.height);
-        let centres = PixelRays::new(camera, 1);
+        let directions = DirectionGrid::new(camera, Vec2::splat(0.5));
         let mut triangle = Plane::filled(w, h, Hit::MISS);
         let mut distance = Plane::filled(w, h, f32::INFINITY);
         triangle
@@ -105,7 +111,7 @@ impl ViewBuffer {
             .zip(distance.data.par_chunks_mut(w))
             .enumerate()
             .for_each(|(y, (tri, dist))| {
-                let rays = centres.of_row(y, 0..w);
+                let rays: Vec<Ray> = row_rays(camera, &directions, y).collect();
                 let mut hits = vec![Hit::miss(); w];
                 tracer.closest(&rays, &mut hits);
                 for (x, hit) in hits.iter().enumerate() {
@@ -117,7 +123,7 @@ impl ViewBuffer {
             camera: *camera,
             triangle,
             distance,
-            directions: DirectionGrid::new(camera, Vec2::splat(0.5)),
+            directions,
         }
     }
 
@@ -125,6 +131,11 @@ impl ViewBuffer {
     #[must_use]
     pub fn wrap(&self) -> Wrap {
         wrap_of(&self.camera)
+    }
+
+    /// Rays through the centres of the pixels of row `y`, to infinity.
+    pub fn row_rays(&self, y: usize) -> impl Iterator<Item = Ray> + '_ {
+        row_rays(&self.camera, &self.directions, y)
     }
 
     /// Unit world direction through a pixel's centre.

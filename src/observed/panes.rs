@@ -16,7 +16,7 @@ use crate::core::parallel::prelude::*;
 use crate::core::stats::{Mean, SURELY, median, median_colour};
 use crate::core::texture::Texels;
 use crate::core::trace::{EmbreeTracer, Hit, Ray, Tracer, beyond};
-use crate::gbuffer::{Observation, ObservedView, Observer, PixelRays, ViewBuffer};
+use crate::gbuffer::{Observation, ObservedView, Observer, ViewBuffer};
 use crate::scene::{MeshClasses, Scene};
 use glam::Vec3;
 use std::collections::{BTreeMap, BTreeSet};
@@ -156,10 +156,8 @@ impl Panes {
     ) -> Plane<Option<Vec3>> {
         let (width, height) = (first.triangle.width, first.triangle.height);
         let mut share = Plane::filled(width, height, None);
-        let centres = PixelRays::new(&first.camera, 1);
         (share.data.par_chunks_mut(width).enumerate()).for_each(|(y, row)| {
-            let rays = centres.of_row(y, 0..width);
-            for (x, (share, ray)) in row.iter_mut().zip(rays).enumerate() {
+            for (x, (share, ray)) in row.iter_mut().zip(first.row_rays(y)).enumerate() {
                 let pane = self.of(first.triangle[(x, y)]);
                 *share = pane.map(|_| self.passed(mesh, whole, ray));
             }
@@ -693,8 +691,7 @@ mod tests {
                 position: Vec3::new(0.45 * ((k / 2) as f32 - 3.0), 0.1 * (k % 3) as f32, 0.0),
             };
             let buffer = ViewBuffer::trace(&camera, tracer);
-            let centres = PixelRays::new(&camera, 1);
-            let rays = (0..height).flat_map(|y| centres.of_row(y, 0..width));
+            let rays = (0..height).flat_map(|y| buffer.row_rays(y));
             let radiance = |ray: Ray| {
                 let direction = Vec3::from(ray.direction);
                 let (mut share, mut mirrored) = (Vec3::ONE, Vec3::ZERO);

@@ -171,10 +171,9 @@ impl<'a> HybridRenderer<'a> {
 
     fn render_row(&self, raster: &Raster, known: &Known, y: usize) -> Row {
         let n = self.supersampling();
-        let columns: Vec<usize> = (0..raster.camera.width).collect();
+        let columns: Vec<usize> = (0..raster.even.camera.width).collect();
         let rays = [self.options.specular_rays, self.options.emitter_samples];
         let points = self.points(
-            raster.camera,
             &raster.even,
             Strip {
                 y,
@@ -191,12 +190,7 @@ impl<'a> HybridRenderer<'a> {
             .flat_map(|&x| pixel(x).iter().copied())
             .collect();
         let fewer = rays.map(|r| r.div_ceil((EDGE_FACTOR * EDGE_FACTOR) as u32));
-        let mut fine = self.points(
-            raster.camera,
-            &raster.fine,
-            Strip { y, columns: &edges },
-            fewer,
-        );
+        let mut fine = self.points(&raster.fine, Strip { y, columns: &edges }, fewer);
         self.add_specular(&mut even, rays);
         self.add_specular(&mut fine, fewer);
         let mut even = even.chunks_exact(n * n);
@@ -216,11 +210,11 @@ impl<'a> HybridRenderer<'a> {
     /// given.
     fn points(
         &self,
-        camera: &Camera,
         through: &PixelRays,
         Strip { y, columns }: Strip,
         rays_per_point: [u32; 2],
     ) -> Vec<Point> {
+        let camera = &through.camera;
         let samples = through.per_pixel();
         let rays = through.of_row(y, columns.iter().copied());
         let mut hits = vec![Hit::miss(); rays.len()];
@@ -462,7 +456,6 @@ impl HybridRenderer<'_> {
         let known = Known { classes, at_edges };
         let n = self.supersampling();
         let raster = Raster {
-            camera,
             even: PixelRays::new(camera, n),
             fine: PixelRays::new(camera, n * EDGE_FACTOR),
         };
@@ -548,9 +541,8 @@ impl Point {
     }
 }
 
-/// A camera and the rays through its pixels.
-struct Raster<'a> {
-    camera: &'a Camera,
+/// Rays through a camera's pixels.
+struct Raster {
     even: PixelRays,
     /// Where a pixel shows an edge.
     fine: PixelRays,

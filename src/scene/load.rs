@@ -294,8 +294,7 @@ fn read_transforms(file: &Path) -> std::result::Result<(Transforms, Vec<Error>),
     let bytes = formats::read_input(file, formats::MOST_TEXT).map_err(|e| {
         vec![e.advise("give a scene folder that holds transforms.json, or such a file")]
     })?;
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
-    let text = std::str::from_utf8(bytes).map_err(|e| {
+    let text = std::str::from_utf8(formats::without_mark(&bytes)).map_err(|e| {
         vec![Error::input(
             file,
             format!(

@@ -56,11 +56,13 @@ impl Scene {
     /// As [`Scene::load_radiance`].
     pub fn load_radiance_with_stats(&self, view: &View) -> Result<(RgbPlane, PixelStats)> {
         let path = &view.image_path;
+        let photograph = self.read_image(view)?;
+        let covered = photograph.covered();
         let Photograph {
             pixels: mut image,
-            alpha,
             eight_bit,
-        } = self.read_image(view)?;
+            ..
+        } = photograph;
         let gain = view.exposure_ev.exp2();
         let mut stats = PixelStats {
             at_one: at_one(&image),
@@ -91,7 +93,7 @@ impl Scene {
             *p = scaled.max(Vec3::ZERO);
         }
         if !bad.is_empty() && !self.options.clamp_nan {
-            let mask = joined(self.read_mask(view)?, alpha.as_ref());
+            let mask = joined(self.read_mask(view)?, covered);
             let seen: Vec<usize> = bad
                 .iter()
                 .copied()
@@ -190,24 +192,14 @@ impl Scene {
         if !self.options.clamp_nan && !view.account.has_alpha {
             return Ok(mask);
         }
-        let Photograph {
-            pixels: image,
-            alpha,
-            ..
-        } = self.read_image(view)?;
-        let mask = joined(mask, alpha.as_ref());
+        let photograph = self.read_image(view)?;
+        let mask = joined(mask, photograph.covered());
         if !self.options.clamp_nan {
             return Ok(mask);
         }
-        let usable = |p: &Vec3| p.is_finite() || is_beyond(*p);
-        if image.data.iter().all(usable) {
-            return Ok(mask);
-        }
-        let mut mask = mask.unwrap_or_else(|| Plane::filled(image.width, image.height, true));
-        for (m, p) in mask.data.iter_mut().zip(&image.data) {
-            *m &= usable(p);
-        }
-        Ok(Some(mask))
+        let usable = (photograph.pixels).map(|p| p.is_finite() || is_beyond(*p));
+        let usable = usable.data.contains(&false).then_some(usable);
+        Ok(joined(mask, usable))
     }
 
     /// A mask without the pixels that show what the camera carries along.
@@ -218,15 +210,7 @@ impl Scene {
             .camera_masks
             .iter()
             .find(|m| m.covers(panorama, c.width, c.height));
-        match (mask, rig) {
-            (Some(mut mask), Some(rig)) => {
-                let visible = &rig.visible.data;
-                mask.data.iter_mut().zip(visible).for_each(|(m, v)| *m &= v);
-                Some(mask)
-            }
-            (None, Some(rig)) => Some(rig.visible.clone()),
-            (mask, None) => mask,
-        }
+        joined(mask, rig.map(|rig| rig.visible.clone()))
     }
 
     /// Whether each possible id is declared; 0 always is.
@@ -318,22 +302,16 @@ fn turned_back<T>(mut plane: Plane<T>, mirrored: bool) -> Plane<T> {
     plane
 }
 
-/// A mask that also leaves out what the image's alpha does not wholly cover: values there are
-/// weighted with what lies behind, or were never photographed.
-fn joined(mask: Option<Plane<bool>>, alpha: Option<&Plane<f32>>) -> Option<Plane<bool>> {
-    // one step of half precision below 1
-    const WHOLE: f32 = 1.0 - 1.0 / 1024.0;
-    let Some(alpha) = alpha else {
-        return mask;
-    };
-    if alpha.data.iter().all(|a| *a >= WHOLE) {
-        return mask;
+/// The pixels that both masks keep; a mask that is none keeps all.
+fn joined(mask: Option<Plane<bool>>, other: Option<Plane<bool>>) -> Option<Plane<bool>> {
+    match (mask, other) {
+        (Some(mut mask), Some(other)) => {
+            let both = mask.data.iter_mut().zip(&other.data);
+            both.for_each(|(m, o)| *m &= o);
+            Some(mask)
+        }
+        (mask, other) => mask.or(other),
     }
-    let mut mask = mask.unwrap_or_else(|| Plane::filled(alpha.width, alpha.height, true));
-    for (m, a) in mask.data.iter_mut().zip(&alpha.data) {
-        *m &= *a >= WHOLE;
-    }
-    Some(mask)
 }
 
 /// The refusal of a scene whose training images are black throughout.

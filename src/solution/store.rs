@@ -42,9 +42,6 @@ const METALLIC: &str = "metallic.exr";
 /// A file that only solutions with panes have.
 const TRANSMISSION: &str = "transmission.exr";
 
-/// The largest finite half-precision value.
-const HALF_MAX: f32 = 65_504.0;
-
 /// Choices of [`Solution::save`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SaveOptions {
@@ -73,9 +70,9 @@ impl Solution {
         let textures = || {
             marked.rgb_half(&at("albedo.exr"), &self.albedo)?;
             marked.plane_half(&at("roughness.exr"), &self.roughness)?;
-            write_radiometric(&marked, &at("irradiance.exr"), &self.irradiance)?;
-            write_radiometric(&marked, &at("radiance.exr"), &self.radiance)?;
-            write_radiometric(&marked, &at("emission.exr"), &self.emission)?;
+            marked.radiance(&at("irradiance.exr"), &self.irradiance)?;
+            marked.radiance(&at("radiance.exr"), &self.radiance)?;
+            marked.radiance(&at("emission.exr"), &self.emission)?;
             marked.two_channels_half(&at("confidence.exr"), &self.confidence)?;
             for (name, plane) in self.optional_planes() {
                 if let Some(plane) = plane {
@@ -85,7 +82,7 @@ impl Solution {
             marked.png16(&at("labels.png"), &self.labels)?;
             marked.png16(&at("rooms.png"), &self.rooms)?;
             write_camera_masks(aside.path(), &self.camera_masks)?;
-            write_radiometric(&marked, &at("environment.exr"), &self.environment)?;
+            marked.radiance(&at("environment.exr"), &self.environment)?;
             let path = at(LIGHTS);
             std::fs::write(
                 &path,
@@ -319,26 +316,6 @@ fn one_generation(folder: &Path, of_glb: Option<&str>) -> Result<()> {
         }
     }
     Ok(())
-}
-
-/// Smallest value that half precision holds to its full 11 bits: 2⁻¹⁴ (derived).
-const HALF_NORMAL: f32 = 6.103_515_6e-5;
-
-/// Share of the lit values that may lose precision before a texture is written in single precision.
-/// Derived: at most one in a hundred keeps sums and quantiles right to a per cent.
-const MAY_UNDERFLOW: f64 = 0.01;
-
-/// Half precision where it can hold the values; 32-bit float where some exceed 65,504, or more than
-/// a few of those that are not 0 lie below what it holds precisely.
-fn write_radiometric(marked: &Marked<'_>, path: &Path, plane: &RgbPlane) -> Result<()> {
-    let values = || plane.data.iter().flat_map(|v| v.abs().to_array());
-    let lit = values().filter(|v| *v > 0.0).count();
-    let faint = values().filter(|v| *v > 0.0 && *v < HALF_NORMAL).count();
-    if values().any(|v| v > HALF_MAX) || faint as f64 > MAY_UNDERFLOW * lit as f64 {
-        marked.rgb_float(path, plane)
-    } else {
-        marked.rgb_half(path, plane).map(drop)
-    }
 }
 
 /// Removes a file that an earlier solution may have left.

@@ -1,10 +1,9 @@
 //! Depth images of OpenEXR, as renderers and tools write them: alone, beside colours, in a layer or
 //! a part of its own.
 
-use super::exr_header::{self, ExrPart};
+use super::exr_header::ExrPart;
 use super::image_format::{ImageFormat, sniff};
-use super::image_io::{open_part, read_channel, refused};
-use super::input::open_regular;
+use super::image_io::{exr_parts, open_part, read_channel};
 use super::read_plane;
 use crate::core::image::Plane;
 use crate::error::{Error, Result};
@@ -19,9 +18,7 @@ pub fn read_depth(path: &Path) -> Result<Plane<f32>> {
     if sniff(path)? != ImageFormat::Exr {
         return read_plane(path);
     }
-    let file = open_regular(path)?;
-    let bytes = file.metadata().map_or(0, |m| m.len());
-    let parts = exr_header::vetted(file, bytes).map_err(|e| refused(path, &e))?;
+    let parts = exr_parts(path)?;
     let has_depth = |part: &ExrPart| part.channels.iter().any(|c| is_depth(&c.name));
     // a part may be named instead of its channels
     let by_name = parts.iter().position(has_depth).or_else(|| {

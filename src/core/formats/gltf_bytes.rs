@@ -3,7 +3,7 @@
 
 use super::gltf_document::{Buffer, OLD_STANDARD};
 use super::surface_look::beside;
-use super::{MOST_DATA, read_input};
+use super::{MOST_DATA, read_input, without_mark};
 use crate::{Error, Result};
 use base64::engine::Engine;
 use std::borrow::Cow;
@@ -16,7 +16,7 @@ pub(super) fn split<'a>(bytes: &'a [u8], path: &Path) -> Result<(&'a [u8], Optio
         false => (bytes, None),
     };
     // some writers fill the chunk up with zeros, some editors put a mark before the first letter
-    let json = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json);
+    let json = without_mark(json);
     let end = json
         .iter()
         .rposition(|b| *b != 0)

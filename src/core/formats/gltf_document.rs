@@ -297,13 +297,13 @@ pub(super) struct OtherSource {
 impl TextureExtensions {
     /// A format of the picture that is not read.
     pub(super) fn unread(&self) -> Option<&'static str> {
-        let has = |source: &Option<OtherSource>| source.is_some();
-        match () {
-            () if has(&self.basisu) => Some("KTX2"),
-            () if has(&self.avif) => Some("AVIF"),
-            () if has(&self.dds) => Some("DDS"),
-            () => None,
-        }
+        let formats = [
+            (&self.basisu, "KTX2"),
+            (&self.avif, "AVIF"),
+            (&self.dds, "DDS"),
+        ];
+        let found = formats.into_iter().find(|(source, _)| source.is_some());
+        found.map(|(_, name)| name)
     }
 }
 

@@ -77,6 +77,11 @@ pub(super) fn sniff(path: &Path) -> Result<ImageFormat> {
     ))
 }
 
+/// Whether a file that begins like this is WebP, which is read as a texture only.
+pub(super) fn is_webp(head: &[u8]) -> bool {
+    head.starts_with(b"RIFF") && head.get(8..12) == Some(b"WEBP")
+}
+
 /// A format that is not read.
 struct OtherFormat {
     name: &'static str,
@@ -103,7 +108,7 @@ fn other_format(head: &[u8]) -> Option<OtherFormat> {
             "extract its frames as PNG, as by `ffmpeg -i IN %04d.png`",
         ),
         None if starts(b"version https://git-lfs") => ("a Git LFS pointer", "run `git lfs pull`"),
-        None if starts(b"RIFF") && head.get(8..12) == Some(b"WEBP") => ("a WebP picture", CONVERT),
+        None if is_webp(head) => ("a WebP picture", CONVERT),
         None if starts(&[0xff, 0x0a]) || head.get(4..8) == Some(b"JXL ") => (
             "a JPEG XL picture",
             "convert it to PNG, as by `djxl IN OUT.png`",

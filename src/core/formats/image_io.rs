@@ -3,9 +3,10 @@
 //! Values are scene-linear and returned as stored. A file's format is told by its first bytes,
 //! never by its name, and its size is judged before anything is allocated for it.
 
+use super::exr_header::{self, ExrPart};
 use super::image_format::{ImageFormat, sniff};
 use super::whole::Aside;
-use super::{checked_size, exr_header, hdr, jpeg_header, open_regular, pixel_buffer};
+use super::{checked_size, hdr, jpeg_header, open_regular, pixel_buffer};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::parallel::prelude::*;
 use crate::ffi::oiio::{self, OpenImage, Samples};
@@ -19,6 +20,13 @@ use std::path::Path;
 /// Largest finite half-precision value.
 const HALF_MAX: f32 = 65504.0;
 
+/// Smallest value that half precision holds to its full 11 bits: 2⁻¹⁴ (derived).
+const HALF_NORMAL: f32 = 6.103_515_6e-5;
+
+/// Share of the lit values that may lose precision before radiance is written in single precision.
+/// Derived: at most one in a hundred keeps sums and quantiles right to a per cent.
+const MAY_UNDERFLOW: f64 = 0.01;
+
 /// Channels a file may have before it is called damaged.
 const MAX_CHANNELS: i32 = 1024;
 
@@ -27,16 +35,21 @@ pub(super) fn open(path: &Path, format: ImageFormat) -> Result<OpenImage> {
     open_part(path, format, 0)
 }
 
+/// The parts of an OpenEXR file by its header, judged.
+pub(super) fn exr_parts(path: &Path) -> Result<Vec<ExrPart>> {
+    let file = open_regular(path)?;
+    let bytes = file.metadata().map_or(0, |m| m.len());
+    exr_header::vetted(file, bytes).map_err(|e| refused(path, &e))
+}
+
 /// [`open`] for one part of a multi-part file, counted from 0.
 pub(super) fn open_part(path: &Path, format: ImageFormat, part: usize) -> Result<OpenImage> {
     if format == ImageFormat::Exr {
-        let file = open_regular(path)?;
-        let bytes = file.metadata().map_or(0, |m| m.len());
-        let parts = exr_header::vetted(file, bytes).map_err(|e| refused(path, &e))?;
+        let parts = exr_parts(path)?;
         for part in &parts {
             checked_size(path, part.size.0, part.size.1)?;
         }
-        if let Some(why) = parts.get(part).and_then(exr_header::ExrPart::sampled_apart) {
+        if let Some(why) = parts.get(part).and_then(ExrPart::sampled_apart) {
             return Err(Error::input(path, why));
         }
     }
@@ -72,7 +85,7 @@ pub(super) fn damaged(reason: &str) -> String {
 }
 
 /// The refusal of an OpenEXR file by its header: one that is whole needs no other copy.
-pub(super) fn refused(path: &Path, why: &exr_header::Refusal) -> Error {
+fn refused(path: &Path, why: &exr_header::Refusal) -> Error {
     let message = match why {
         exr_header::Refusal::Damaged(reason) => damaged(reason),
         exr_header::Refusal::Unsupported(reason) => reason.clone(),
@@ -290,6 +303,22 @@ impl Marked<'_> {
     pub fn rgb_float(&self, path: &Path, plane: &RgbPlane) -> Result<()> {
         let layout = Layout::of(plane, RGB, self.0);
         write_float(path, &layout, bytemuck::cast_slice(&plane.data))
+    }
+
+    /// Linear RGB in half precision where it can hold the values; in single precision where some
+    /// exceed 65,504, or more than a few of those that are not 0 lie below what half holds precisely.
+    ///
+    /// # Errors
+    /// As [`Self::rgb_half`].
+    pub fn radiance(&self, path: &Path, plane: &RgbPlane) -> Result<()> {
+        let values = || plane.data.iter().flat_map(|v| v.abs().to_array());
+        let lit = values().filter(|v| *v > 0.0).count();
+        let faint = values().filter(|v| *v > 0.0 && *v < HALF_NORMAL).count();
+        if values().any(|v| v > HALF_MAX) || faint as f64 > MAY_UNDERFLOW * lit as f64 {
+            self.rgb_float(path, plane)
+        } else {
+            self.rgb_half(path, plane).map(drop)
+        }
     }
 
     /// As [`write_plane_half`].

@@ -78,18 +78,19 @@ pub fn read_input(path: &Path, most: u64) -> Result<Vec<u8>> {
 /// # Errors
 /// As [`read_input`], or the bytes are no UTF-8.
 pub fn read_input_text(path: &Path) -> Result<String> {
-    let mut bytes = read_input(path, MOST_TEXT)?;
-    if bytes.starts_with(BYTE_ORDER_MARK) {
-        bytes.drain(..BYTE_ORDER_MARK.len());
-    }
-    String::from_utf8(bytes).map_err(|e| {
-        let at = e.utf8_error().valid_up_to();
+    let bytes = read_input(path, MOST_TEXT)?;
+    let text = std::str::from_utf8(without_mark(&bytes)).map_err(|e| {
+        let at = e.valid_up_to();
         Error::input(path, format!("byte {at} is not UTF-8; save it as UTF-8"))
-    })
+    })?;
+    Ok(text.to_owned())
 }
 
-/// What editors on Windows put before UTF-8.
-const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+/// Text without the mark of byte order that editors on Windows put before UTF-8.
+#[must_use]
+pub fn without_mark(bytes: &[u8]) -> &[u8] {
+    bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
+}
 
 #[cfg(test)]
 mod tests {

@@ -59,7 +59,7 @@ pub use image_io::{
     Marked, read_plane, read_rgb, read_two_channels, write_plane_float, write_plane_half,
     write_rgb_float, write_rgb_half, write_two_channels_float, write_two_channels_half,
 };
-pub use input::{MOST_DATA, MOST_TEXT, open_regular, read_input, read_input_text};
+pub use input::{MOST_DATA, MOST_TEXT, open_regular, read_input, read_input_text, without_mark};
 pub use ktx2::{Rgb8, Transfer, encode_ktx2};
 pub use panorama::read_panorama;
 pub use photograph::{

@@ -8,6 +8,7 @@
 use super::polygon;
 use super::raw_mesh::{NameKind, Part, RawMesh};
 use super::surface_look::{Look, of_display, read_mtl, white_of};
+use super::without_mark;
 use crate::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use std::collections::{BTreeMap, HashMap};
@@ -19,7 +20,7 @@ use std::path::{Path, PathBuf};
 /// A line is malformed, or names what is not there: the message names the line.
 pub fn mesh_from_obj(bytes: &[u8], path: &Path) -> Result<RawMesh> {
     // names may be in any encoding; numbers are ASCII
-    let text = String::from_utf8_lossy(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes));
+    let text = String::from_utf8_lossy(without_mark(bytes));
     let mut reader = Reader {
         path: path.to_path_buf(),
         ..Reader::default()

@@ -8,9 +8,9 @@
 use super::eight_bit::{Rounding, white_of_levels};
 use super::encoding::Encoding;
 use super::exif_exposure::exif_exposure;
-use super::exr_header::{self, ExrPart};
+use super::exr_header::ExrPart;
 use super::image_format::{ImageFormat, sniff};
-use super::{hdr, image_io, jpeg_header, open_regular, png_io};
+use super::{hdr, image_io, jpeg_header, png_io};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::colour::{Chromaticities, ColourSpace, D65, REC709};
 use crate::core::parallel::prelude::*;
@@ -78,6 +78,17 @@ impl Photograph {
             alpha: None,
             eight_bit: false,
         }
+    }
+
+    /// The pixels that alpha wholly covers; `None` if it covers all. Values elsewhere are weighted
+    /// with what lies behind, or were never photographed.
+    #[must_use]
+    pub fn covered(&self) -> Option<Plane<bool>> {
+        // one step of half precision below 1
+        const WHOLE: f32 = 1.0 - 1.0 / 1024.0;
+        let alpha = self.alpha.as_ref()?;
+        let covered = alpha.map(|a| *a >= WHOLE);
+        covered.data.contains(&false).then_some(covered)
     }
 }
 
@@ -271,9 +282,7 @@ fn hdr_plan(path: &Path, space: Option<ColourSpace>, header: &hdr::HdrHeader) ->
 }
 
 fn exr_plan(path: &Path, space: Option<ColourSpace>) -> Result<(Plan, OpenImage)> {
-    let file = open_regular(path)?;
-    let bytes = file.metadata().map_or(0, |m| m.len());
-    let parts = exr_header::vetted(file, bytes).map_err(|e| image_io::refused(path, &e))?;
+    let parts = image_io::exr_parts(path)?;
     let chosen = choose_part(&parts).map_err(|e| Error::input(path, e))?;
     let part = &parts[chosen];
     let image = image_io::open_part(path, ImageFormat::Exr, chosen).map_err(|e| {
@@ -553,6 +562,7 @@ fn pick(names: &[String], xyz: bool) -> std::result::Result<(Channels, Option<us
 
 #[cfg(test)]
 mod tests {
+    use super::super::exr_header;
     use super::*;
 
     fn strings(names: &[&str]) -> Vec<String> {

@@ -1,5 +1,6 @@
 //! 8-bit pictures in memory (PNG, WebP; JPEG to read), and the sRGB encoding.
 
+use super::image_format::is_webp;
 use super::{MAX_PIXELS, image_io};
 use crate::error::{Error, Result};
 use std::io::{Cursor, Write};
@@ -23,7 +24,7 @@ pub fn decode_rgba8(bytes: &[u8]) -> std::result::Result<Picture8, String> {
     match bytes {
         b if b.starts_with(b"\x89PNG") => decode_png(b),
         [0xff, 0xd8, 0xff, ..] => decode_jpeg(bytes),
-        b if b.starts_with(b"RIFF") && b.get(8..12) == Some(b"WEBP") => decode_webp(b),
+        b if is_webp(b) => decode_webp(b),
         _ => Err("no picture that is read: expected PNG, JPEG or WebP; export it as one".into()),
     }
 }

@@ -1,7 +1,7 @@
 //! What an image file's header states, whatever its format.
 
 use super::image_format::{ImageFormat, ImageInfo, sniff};
-use super::{exr_header, hdr, image_io, open_regular, png_io};
+use super::{hdr, image_io, png_io};
 use crate::Result;
 use crate::ffi::oiio::Sample;
 use std::path::Path;
@@ -15,9 +15,7 @@ pub fn generation_mark(path: &Path) -> Result<Option<String>> {
     match sniff(path)? {
         ImageFormat::Png => png_io::mark(path),
         ImageFormat::Exr => {
-            let file = open_regular(path)?;
-            let bytes = file.metadata().map_or(0, |m| m.len());
-            let parts = exr_header::vetted(file, bytes).map_err(|e| image_io::refused(path, &e))?;
+            let parts = image_io::exr_parts(path)?;
             let mark = parts[0].text(image_io::GENERATION);
             Ok(mark.map(str::to_owned))
         }

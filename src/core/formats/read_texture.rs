@@ -1,7 +1,7 @@
 //! Reads the pictures that a mesh is painted with, wherever its file has them. Called by
 //! `scene::scan`.
 
-use super::image_format::{ImageFormat, sniff};
+use super::image_format::{ImageFormat, is_webp, sniff};
 use super::{
     GltfFile, MOST_DATA, TextureSource, decode_rgba8, open_regular, read_display_photograph,
     read_input, read_photograph,
@@ -54,10 +54,6 @@ fn embedded(bytes: &[u8]) -> std::result::Result<Texture, String> {
         let said = e.to_string().replace(&format!("{name}: "), "");
         said.replace(&name, "the picture")
     })
-}
-
-fn is_webp(head: &[u8]) -> bool {
-    head.starts_with(b"RIFF") && head.get(8..12) == Some(b"WEBP")
 }
 
 fn of_webp(bytes: &[u8]) -> std::result::Result<Texture, String> {

@@ -1,7 +1,7 @@
 //! What a file paints its triangles with: a picture or a colour per material, a colour per vertex.
 //! Called by the readers of meshes, which note where pictures lie; `read_texture` reads them.
 
-use super::{MOST_TEXT, read_input};
+use super::{MOST_TEXT, read_input, without_mark};
 use crate::core::math::linear_from_srgb;
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -86,9 +86,7 @@ pub(super) fn read_mtl(mesh: &Path, named: &str) -> Library {
     let bytes = bytes.unwrap_or_default();
     let mut found = Library::default();
     let mut open: Option<String> = None;
-    // (editors on Windows put a mark before the first letter)
-    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
-    for line in String::from_utf8_lossy(text).lines() {
+    for line in String::from_utf8_lossy(without_mark(&bytes)).lines() {
         let line = line.trim();
         let (word, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
         let look = open.as_ref().and_then(|name| found.looks.get_mut(name));

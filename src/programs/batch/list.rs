@@ -81,7 +81,6 @@ fn scenes_of_file(list: &Path) -> Result<Vec<Item>> {
         ));
     }
     let text = read_input_text(list)?;
-    let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
     let folder = list.parent().unwrap_or(Path::new("."));
     let mut items = Vec::new();
     for (i, line) in text.lines().enumerate() {

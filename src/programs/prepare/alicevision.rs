@@ -8,8 +8,9 @@
 
 use super::account::Account;
 use super::capture::{Capture, Shot, Surface, Up};
+use super::folder::extension;
 use super::importer::{
-    Importer, Located, PrepareOptions, is_rotation, mesh_beside, photograph_named, stem_of,
+    Importer, Located, PrepareOptions, is_rotation, mesh_beside, of_kind, photograph_named, stem_of,
 };
 use super::lens::{Distortion, Lens, Optics, Perspective};
 use crate::core::formats::read_input_text;
@@ -149,12 +150,7 @@ fn meshes_are_y_up(root: &Value) -> bool {
 }
 
 fn file_in(path: &Path) -> Option<PathBuf> {
-    let is_sfm = |p: &Path| p.extension().is_some_and(|e| e.eq_ignore_ascii_case("sfm"));
-    if path.is_file() {
-        return is_sfm(path).then(|| path.to_path_buf());
-    }
-    let entries = std::fs::read_dir(path).ok()?.flatten().map(|e| e.path());
-    let found: Vec<PathBuf> = entries.filter(|p| is_sfm(p)).collect();
+    let found = of_kind(path, |p| extension(p) == "sfm");
     // Meshroom leaves the poses beside the whole model: cameras.sfm and sfm.sfm
     let named = found.iter().find(|p| p.ends_with("cameras.sfm"));
     match (named, found.as_slice()) {

@@ -106,6 +106,17 @@ pub enum Surface {
     Built(LabelledMesh),
 }
 
+impl Surface {
+    /// A mesh file that lies in the world of the capture.
+    #[must_use]
+    pub fn of_file(path: PathBuf) -> Self {
+        Self::File {
+            path,
+            world_from_file: DMat4::IDENTITY,
+        }
+    }
+}
+
 /// A room on the plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RoomOutline {

@@ -1,6 +1,6 @@
 //! The scene folder that `prepare` writes into.
 
-use crate::core::formats;
+use crate::core::formats::Marked;
 use crate::core::image::RgbPlane;
 use crate::error::{Error, Result};
 use crate::scene::StagedScene;
@@ -12,8 +12,6 @@ use std::path::{Path, PathBuf};
 pub(super) const MARK: &str = "prepare.json";
 /// Folders of a scene that a capture may leave empty.
 const FOLDERS: [&str; 4] = ["images", "labels", "masks", "depth"];
-/// The largest number of half precision.
-const HALF_MAX: f32 = 65_504.0;
 
 /// The scene folder under construction.
 pub(super) struct SceneFolder(StagedScene);
@@ -32,16 +30,9 @@ impl SceneFolder {
         self.0.write_json(name, value)
     }
 
-    /// Writes linear radiance, in single precision where half does not reach.
+    /// Writes linear radiance.
     pub(super) fn write_radiance(&self, name: &str, image: &RgbPlane) -> Result<()> {
-        let brightest = image
-            .data
-            .iter()
-            .fold(0f32, |m, v| m.max(v.abs().max_element()));
-        if brightest > HALF_MAX {
-            return formats::write_rgb_float(self.at(name), image);
-        }
-        formats::write_rgb_half(self.at(name), image).map(|_| ())
+        Marked("").radiance(&self.at(name), image)
     }
 
     /// Copies (or links) a file of the capture.

@@ -89,8 +89,9 @@ impl FrameWriter<'_> {
         match &shot.mask {
             Some(Mask::File(path)) => take(path, "masks", "mask_path", entry)?,
             Some(Mask::Alpha(path)) => {
-                if let Some(mask) = alpha(path)? {
+                if let Some(kept) = alpha_mask(path)? {
                     let name = format!("masks/{}.png", shot.stem);
+                    let mask = kept.map(|k| if *k { u8::MAX } else { 0 });
                     formats::write_png8(self.folder.at(&name), &mask)?;
                     entry.insert("mask_path".into(), json!(name));
                 }
@@ -120,7 +121,7 @@ impl FrameWriter<'_> {
         let space = shot.color_space.as_deref().and_then(ColourSpace::named);
         let photograph = match linear {
             true => formats::read_photograph(&shot.image, space)?,
-            false => Photograph::opaque(formats::read_ldr(&shot.image)?),
+            false => formats::read_display_photograph(&shot.image, space)?,
         };
         if let Some(i) = photograph.pixels.data.iter().position(|p| !p.is_finite()) {
             let (x, y) = (i % photograph.pixels.width, i / photograph.pixels.width);
@@ -150,7 +151,7 @@ impl FrameWriter<'_> {
             formats::write_png_rgb8(self.folder.at(&name), image.width, image.height, &rgb)?;
         }
         entry.insert("file_path".into(), json!(name));
-        let given = given_mask(shot, photograph.alpha.as_ref())?;
+        let given = given_mask(shot, &photograph)?;
         let mask = target.mask(lens, from, given.as_ref());
         if mask.data.contains(&0) {
             let name = format!("masks/{}.png", shot.stem);
@@ -167,53 +168,20 @@ impl FrameWriter<'_> {
     }
 }
 
-/// The pixels that a photograph's mask keeps, or where it has none its alpha.
-fn given_mask(shot: &Shot, linear_alpha: Option<&Plane<f32>>) -> Result<Option<Plane<bool>>> {
-    let of_png = |path: &Path| Ok(alpha(path)?.map(|m| m.map(|&v| v > 0)));
-    match (&shot.mask, linear_alpha) {
-        (Some(Mask::File(path)), _) => formats::read_mask(path).map(Some),
-        (Some(Mask::Alpha(path)), _) => of_png(path),
-        (None, Some(alpha)) => Ok(Some(alpha.map(|a| *a > 0.0))),
-        (None, None) if extension(&shot.image) == "png" => of_png(&shot.image),
-        (None, None) => Ok(None),
+/// The pixels that a photograph's mask keeps, or where it has none those that its alpha covers.
+fn given_mask(shot: &Shot, photograph: &Photograph) -> Result<Option<Plane<bool>>> {
+    match &shot.mask {
+        Some(Mask::File(path)) => formats::read_mask(path).map(Some),
+        Some(Mask::Alpha(path)) => alpha_mask(path),
+        None => Ok(photograph.covered()),
     }
 }
 
-/// The fourth channel of a PNG; `None` where it has none or hides nothing.
-fn alpha(path: &Path) -> Result<Option<Plane<u8>>> {
-    let fail = |e: &dyn std::fmt::Display| {
-        Error::input(
-            path,
-            format!("its alpha channel cannot be read: {e}; save it as PNG"),
-        )
-    };
-    // the size is judged by the reader of images before anything is decoded
-    formats::image_info(path)?;
-    let file = std::fs::File::open(path).map_err(|e| fail(&e))?;
-    let mut decoder = png::Decoder::new(std::io::BufReader::new(file));
-    decoder.set_transformations(png::Transformations::EXPAND | png::Transformations::STRIP_16);
-    let mut reader = decoder.read_info().map_err(|e| fail(&e))?;
-    let size = reader
-        .output_buffer_size()
-        .ok_or_else(|| fail(&"too large"))?;
-    let mut bytes = vec![0; size];
-    let info = reader.next_frame(&mut bytes).map_err(|e| fail(&e))?;
-    let channels = info.color_type.samples();
-    if channels != 4 && channels != 2 {
-        return Ok(None);
-    }
-    let data: Vec<u8> = bytes
-        .chunks_exact(channels)
-        .map(|p| p[channels - 1])
-        .collect();
-    if data.iter().all(|&a| a > 0) {
-        return Ok(None);
-    }
-    Ok(Plane::from_data(
-        info.width as usize,
-        info.height as usize,
-        data,
-    ))
+/// The pixels that the alpha of a PNG does not hide; `None` where it hides nothing.
+fn alpha_mask(path: &Path) -> Result<Option<Plane<bool>>> {
+    let alpha = formats::read_display_photograph(path, None)?.alpha;
+    let kept = alpha.map(|alpha| alpha.map(|a| *a > 0.0));
+    Ok(kept.filter(|kept| kept.data.contains(&false)))
 }
 
 /// Depth in metres along the ray.

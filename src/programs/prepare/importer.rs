@@ -2,6 +2,7 @@
 
 use super::account::Account;
 use super::capture::Capture;
+use super::folder::extension;
 use super::network::NetworkOptions;
 use crate::error::{Error, Result};
 use glam::DMat3;
@@ -194,23 +195,30 @@ pub(super) fn mesh_beside(folder: &Path, names: &[&str]) -> Option<PathBuf> {
 
 /// Meshes in a folder, or the file itself if it is one.
 pub(super) fn meshes(path: &Path) -> Vec<PathBuf> {
-    let is_mesh = |p: &PathBuf| {
-        let e = p.extension().and_then(|e| e.to_str()).unwrap_or("");
-        MESH_ENDINGS.contains(&e.to_ascii_lowercase().as_str())
-    };
+    let is_mesh = |p: &Path| MESH_ENDINGS.contains(&extension(p).as_str());
+    of_kind(path, is_mesh)
+}
+
+/// Photographs in a folder.
+pub(super) fn pictures(path: &Path) -> Vec<PathBuf> {
+    let endings = ["jpg", "jpeg", "png", "exr", "hdr", "heic"];
+    files_in(path, |p| endings.contains(&extension(p).as_str()))
+}
+
+/// The file itself if it is of a kind, or those in a folder that are.
+pub(super) fn of_kind(path: &Path, is: impl Fn(&Path) -> bool) -> Vec<PathBuf> {
     if path.is_file() {
-        return vec![path.to_path_buf()]
-            .into_iter()
-            .filter(is_mesh)
-            .collect();
+        return Vec::from_iter(is(path).then(|| path.to_path_buf()));
     }
-    std::fs::read_dir(path)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .map(|e| e.path())
-        .filter(is_mesh)
-        .collect()
+    files_in(path, is)
+}
+
+/// What lies in a folder and is of a kind, in the order of the names.
+pub(super) fn files_in(folder: &Path, is: impl Fn(&Path) -> bool) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut files: Vec<PathBuf> = entries.map(|e| e.path()).filter(|p| is(p)).collect();
+    files.sort();
+    files
 }
 
 /// Endings of meshes the program reads.
@@ -218,10 +226,7 @@ const MESH_ENDINGS: [&str; 4] = ["glb", "gltf", "obj", "ply"];
 
 /// Whether a file is more than a cloud of points, which only PLY may be: its header says.
 fn has_faces(mesh: &Path) -> bool {
-    if !mesh
-        .extension()
-        .is_some_and(|e| e.eq_ignore_ascii_case("ply"))
-    {
+    if extension(mesh) != "ply" {
         return true;
     }
     let mut header = Vec::new();

@@ -105,10 +105,7 @@ impl Importer for Metashape {
         let mesh = mesh_beside(folder, &MESHES);
         Ok(Capture {
             shots,
-            surface: mesh.map(|path| Surface::File {
-                path,
-                world_from_file: DMat4::IDENTITY,
-            }),
+            surface: mesh.map(Surface::of_file),
             up: Up::Unknown,
             unit_unknown: !chunk.is_measured(),
             ..Capture::default()

@@ -11,6 +11,7 @@ mod alicevision;
 mod brackets;
 mod capture;
 mod colmap;
+mod colmap_files;
 mod depth_mesh;
 mod floor_plan;
 mod folder;
@@ -56,7 +57,6 @@ pub use write::write_scene;
 
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
-use glam::DMat4;
 use std::path::Path;
 
 /// All importers in the order in which they are asked; the more particular ones come first.
@@ -108,10 +108,7 @@ pub fn prepare(
     })?;
     // what is given by hand lies in the capture's coordinates, and turns with them
     if let Some(path) = &options.mesh {
-        capture.surface = Some(Surface::File {
-            path: path.clone(),
-            world_from_file: DMat4::IDENTITY,
-        });
+        capture.surface = Some(Surface::of_file(path.clone()));
     }
     orient::orient(&mut capture, options, &mut account);
     let written = write_scene(capture, out, options, &mut account, progress)?;
@@ -180,14 +177,7 @@ fn found(path: &Path) -> Result<&'static dyn Importer> {
 
 /// What nearly makes a capture of a folder, for the message.
 fn what_is_missing(path: &Path) -> String {
-    let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
-    let names: Vec<String> = entries
-        .map(|e| e.file_name().to_string_lossy().to_ascii_lowercase())
-        .collect();
-    let ending = |n: &String, of: &[&str]| of.iter().any(|e| n.ends_with(e));
-    let count = |of: &[&str]| names.iter().filter(|n| ending(n, of)).count();
-    let photographs = count(&[".jpg", ".jpeg", ".png", ".exr", ".hdr"]);
-    match (importer::meshes(path).len(), photographs) {
+    match (importer::meshes(path).len(), importer::pictures(path).len()) {
         (meshes @ 2.., _) => format!(" ({meshes} meshes: name the file of one)"),
         (_, n @ 1..) => format!(
             " ({n} images without poses: have a photogrammetry program find them first, see docs/bring-your-own.md)"

@@ -142,10 +142,7 @@ impl Importer for OpenSfm {
         let mesh = mesh_beside(folder, &MESHES);
         Ok(Capture {
             shots,
-            surface: mesh.map(|path| Surface::File {
-                path,
-                world_from_file: DMat4::IDENTITY,
-            }),
+            surface: mesh.map(Surface::of_file),
             up: Up::Unknown,
             // positions of satellites give metres
             unit_unknown: largest.reference_lla.is_none(),

@@ -7,7 +7,7 @@
 
 use super::account::Account;
 use super::capture::{Capture, Depth, Shot, Surface, Up};
-use super::importer::{Importer, Located, PrepareOptions, is_rotation, mesh_beside};
+use super::importer::{Importer, Located, PrepareOptions, files_in, is_rotation, mesh_beside};
 use super::lens::{Optics, Perspective};
 use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
@@ -51,7 +51,7 @@ impl Importer for Polycam {
     ) -> Result<Capture> {
         let (path, cameras) = (&located.named, &located.start);
         let images = images_of(cameras);
-        let files = files_in(cameras);
+        let files = camera_files(cameras);
         let (mut shots, mut without) = (Vec::new(), 0usize);
         for file in &files {
             let stem = file
@@ -101,10 +101,7 @@ impl Importer for Polycam {
         }
         Ok(Capture {
             shots,
-            surface: mesh.map(|path| Surface::File {
-                path,
-                world_from_file: DMat4::IDENTITY,
-            }),
+            surface: mesh.map(Surface::of_file),
             up: Up::Y,
             ..Capture::default()
         })
@@ -117,16 +114,12 @@ fn cameras_in(path: &Path) -> Option<PathBuf> {
     let cameras = KEYFRAMES.map(|[cameras, _]| folder.join(cameras));
     cameras
         .into_iter()
-        .find(|c| !files_in(c).is_empty() && images_of(c).is_dir())
+        .find(|c| !camera_files(c).is_empty() && images_of(c).is_dir())
 }
 
-/// The files of a folder of cameras, in order.
-fn files_in(cameras: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(cameras).into_iter().flatten().flatten();
-    let is_camera = |p: &PathBuf| p.extension().is_some_and(|e| e == "json");
-    let mut files: Vec<PathBuf> = entries.map(|e| e.path()).filter(is_camera).collect();
-    files.sort();
-    files
+/// The files of a folder of cameras.
+fn camera_files(cameras: &Path) -> Vec<PathBuf> {
+    files_in(cameras, |p| p.extension().is_some_and(|e| e == "json"))
 }
 
 /// The folder of the images that belong to a folder of cameras.

@@ -7,7 +7,8 @@
 
 use super::account::Account;
 use super::capture::{Capture, Surface, Up};
-use super::importer::{Importer, Located, PrepareOptions};
+use super::folder::extension;
+use super::importer::{Importer, Located, PrepareOptions, of_kind};
 use super::usd_layer::Value;
 use super::usd_mesh::Drawing;
 use super::usd_stage::Stage;
@@ -111,19 +112,8 @@ fn describe(drawing: &Drawing<'_>, file: &Path, account: &mut Account) {
 
 /// The file itself, or the only one of its kind in a folder.
 fn usd_file(path: &Path) -> Option<PathBuf> {
-    let is_usd = |p: &Path| {
-        let e = p.extension().and_then(|e| e.to_str()).unwrap_or("");
-        ["usdz", "usda", "usdc", "usd"].contains(&e.to_ascii_lowercase().as_str())
-    };
-    if path.is_file() {
-        return is_usd(path).then(|| path.to_path_buf());
-    }
-    let found: Vec<PathBuf> = std::fs::read_dir(path)
-        .ok()?
-        .flatten()
-        .map(|e| e.path())
-        .filter(|p| is_usd(p))
-        .collect();
+    let endings = ["usdz", "usda", "usdc", "usd"];
+    let found = of_kind(path, |p| endings.contains(&extension(p).as_str()));
     match found.as_slice() {
         [only] => Some(only.clone()),
         _ => None,

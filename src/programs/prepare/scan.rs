@@ -3,10 +3,9 @@
 
 use super::account::Account;
 use super::capture::{Capture, Surface, Up};
-use super::importer::{Importer, Located, PrepareOptions, meshes};
+use super::importer::{Importer, Located, PrepareOptions, meshes, pictures};
 use crate::error::Result;
-use glam::DMat4;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// The importer.
 pub struct Scan;
@@ -37,17 +36,14 @@ impl Importer for Scan {
         account: &mut Account,
     ) -> Result<Capture> {
         account.ignored("materials and colours of the mesh");
-        let pictures = pictures_beside(&located.named);
+        let pictures = pictures(&located.named).len();
         if pictures > MOST_TEXTURES {
             account.ignored(format!(
                 "{pictures} images beside the mesh: no file here tells their poses in a way that is known"
             ));
         }
         Ok(Capture {
-            surface: Some(Surface::File {
-                path: located.start.clone(),
-                world_from_file: DMat4::IDENTITY,
-            }),
+            surface: Some(Surface::of_file(located.start.clone())),
             up: Up::Y,
             ..Capture::default()
         })
@@ -56,13 +52,3 @@ impl Importer for Scan {
 
 /// More images than this beside a mesh are no textures of it alone.
 const MOST_TEXTURES: usize = 3;
-
-/// Images in a folder; 0 where a file was named.
-fn pictures_beside(named: &Path) -> usize {
-    let entries = std::fs::read_dir(named).into_iter().flatten().flatten();
-    let is_picture = |p: &PathBuf| {
-        let e = p.extension().and_then(|e| e.to_str()).unwrap_or("");
-        ["jpg", "jpeg", "png", "exr", "hdr", "heic"].contains(&e.to_ascii_lowercase().as_str())
-    };
-    entries.map(|e| e.path()).filter(is_picture).count()
-}

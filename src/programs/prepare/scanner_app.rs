@@ -8,7 +8,7 @@
 
 use super::account::Account;
 use super::capture::{Capture, Depth, Shot, Surface, Up};
-use super::importer::{Importer, Located, PrepareOptions, is_rotation, mesh_beside};
+use super::importer::{Importer, Located, PrepareOptions, files_in, is_rotation, mesh_beside};
 use super::lens::{Optics, Perspective};
 use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
@@ -84,26 +84,19 @@ impl Importer for ScannerApp {
         let mesh = mesh_beside(folder, &MESHES);
         Ok(Capture {
             shots,
-            surface: mesh.map(|path| Surface::File {
-                path,
-                world_from_file: DMat4::IDENTITY,
-            }),
+            surface: mesh.map(Surface::of_file),
             up: Up::Y,
             ..Capture::default()
         })
     }
 }
 
-/// The files of frames in a folder, in order.
+/// The files of frames in a folder.
 fn frames(folder: &Path) -> Vec<PathBuf> {
-    let is_frame = |p: &PathBuf| {
+    files_in(folder, |p| {
         let name = p.file_name().and_then(|n| n.to_str()).unwrap_or("");
         name.starts_with("frame_") && name.ends_with(".json")
-    };
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut files: Vec<PathBuf> = entries.map(|e| e.path()).filter(is_frame).collect();
-    files.sort();
-    files
+    })
 }
 
 /// The photograph of a frame.

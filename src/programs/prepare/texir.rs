@@ -77,10 +77,7 @@ impl Importer for TexIr {
         account.ignored("the baked textures (radiance, irradiance, index map) and true materials; class 0 counts as unlabelled");
         Ok(Capture {
             shots,
-            surface: mesh.is_file().then_some(Surface::File {
-                path: mesh,
-                world_from_file: DMat4::IDENTITY,
-            }),
+            surface: Some(mesh).filter(|m| m.is_file()).map(Surface::of_file),
             classes: classes(&facts),
             room_grid: room_grid(root, account)?,
             up: Up::Unknown,

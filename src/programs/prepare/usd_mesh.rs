@@ -132,8 +132,7 @@ impl<'a> Drawing<'a> {
     }
 
     fn draw(&mut self, prim: &Composed, above: Inherited<'_>) -> Result<()> {
-        let file = self.file;
-        let fail = |m: String| Error::input(file, format!("prim {}: {m}", prim.path));
+        let fail = refusal(self.file, prim);
         self.drawn += 1;
         if above.depth > DEEPEST {
             return Err(fail(format!("lies more than {DEEPEST} prims deep")));
@@ -185,8 +184,7 @@ impl<'a> Drawing<'a> {
     }
 
     fn surface(&mut self, prim: &Composed, here: Inherited<'_>, kind: &str) -> Result<()> {
-        let file = self.file;
-        let fail = |m: String| Error::input(file, format!("prim {}: {m}", prim.path));
+        let fail = refusal(self.file, prim);
         match kind {
             "Cube" => self.cube(prim, here),
             "Mesh" => self.polygons(prim, here).map_err(fail)?,
@@ -200,7 +198,7 @@ impl<'a> Drawing<'a> {
     }
 
     fn copied(&mut self, prim: &Composed, copies: &Copies, here: Inherited<'_>) -> Result<()> {
-        let fail = |m: String| Error::input(self.file, format!("prim {}: {m}", prim.path));
+        let fail = refusal(self.file, prim);
         let mut prototypes = Vec::new();
         for path in prim.targets("prototypes") {
             let missing = || fail(format!("prototypes: no prim {path}; export the room again"));
@@ -304,6 +302,11 @@ impl<'a> Drawing<'a> {
         self.mesh.mesh.triangles.push(corners);
         self.mesh.classes.push(class);
     }
+}
+
+/// Makes errors that name a prim.
+fn refusal<'a>(file: &'a Path, prim: &'a Composed) -> impl Fn(String) -> Error + use<'a> {
+    move |m| Error::input(file, format!("prim {}: {m}", prim.path))
 }
 
 /// What a point instancer copies and where to.

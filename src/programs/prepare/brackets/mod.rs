@@ -11,7 +11,8 @@ mod response;
 #[cfg(test)]
 mod tests;
 
-use super::folder::SceneFolder;
+use super::folder::{SceneFolder, extension};
+use super::importer::files_in;
 use super::{Account, PrepareOptions, Prepared};
 use crate::core::formats;
 use crate::core::image::{Plane, RgbPlane};
@@ -53,20 +54,11 @@ pub fn recognises(path: &Path) -> bool {
 
 /// JPEG and PNG files of a folder by name.
 fn photographs(path: &Path) -> Vec<PathBuf> {
-    let mut files: Vec<PathBuf> = std::fs::read_dir(path)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .map(|e| e.path())
-        .filter(|p| {
-            let e = p.extension().and_then(|e| e.to_str()).unwrap_or("");
-            // macOS leaves a "._" file beside every file on a card
-            let hidden = p
-                .file_name()
-                .is_some_and(|n| n.to_string_lossy().starts_with('.'));
-            !hidden && ["jpg", "jpeg", "png"].contains(&e.to_ascii_lowercase().as_str())
-        })
-        .collect();
+    let mut files = files_in(path, |p| {
+        // macOS leaves a "._" file beside every file on a card
+        let name = p.file_name().unwrap_or_default().to_string_lossy();
+        !name.starts_with('.') && ["jpg", "jpeg", "png"].contains(&extension(p).as_str())
+    });
     files.sort_by_cached_key(|p| counted(&p.to_string_lossy()));
     files
 }
