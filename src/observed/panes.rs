@@ -41,6 +41,9 @@ const FAR_SIDE: f32 = 1.5;
 const THICKEST: f32 = 0.1;
 /// Faces of one pane that a ray may pass: panes of more than double glazing tell no more.
 const MOST_FACES: usize = 8;
+/// Share of light, in every channel, below which a pixel says nothing of what lies behind panes. Derived: a
+/// photograph's noise of a percent is a fifth there.
+const LEAST_PASSED: f32 = 0.05;
 
 /// A surface that photographs look through.
 #[derive(Clone, Debug)]
@@ -111,7 +114,7 @@ impl Panes {
     }
 
     /// Lets a view look through the panes: what its pixels see is what lies behind them, brighter
-    /// by what they kept back. Such a pixel may hold a reflection of the room and is not clean; its
+    /// by what they kept back; where they keep back nearly all of a channel, the pixel is not used. Such a pixel may hold a reflection of the room and is not clean; its
     /// label is not that of what it sees, unless the mesh tells that.
     pub fn look_through(
         &self,
@@ -122,9 +125,14 @@ impl Panes {
     ) {
         let behind = ViewBuffer::trace(&view.buffer.camera, cleared);
         let share = self.passed_by_pixel(&view.buffer, &scene.mesh, whole);
-        for (radiance, share) in view.radiance.data.iter_mut().zip(&share.data) {
-            if let Some(share) = share {
-                *radiance /= share.max(Vec3::splat(f32::MIN_POSITIVE));
+        let all = || share.map(|_| true);
+        for (i, share) in share.data.iter().enumerate() {
+            match share {
+                Some(share) if share.min_element() < LEAST_PASSED => {
+                    view.valid.get_or_insert_with(all).data[i] = false;
+                }
+                Some(share) => view.radiance.data[i] /= *share,
+                None => {}
             }
         }
         if let Some(labels) = &mut view.labels {
@@ -824,5 +832,26 @@ mod tests {
             }
         }
         assert!(through > 2000, "{through}");
+    }
+
+    /// Light that does not come through is not made up: of panes that are black in red, pixels say nothing.
+    #[test]
+    fn through_what_lets_no_light_pass_nothing_is_seen() {
+        let (scene, tracer, mut views, mut panes) = found(Stands::Pane(1));
+        assert!(!panes.panes.is_empty());
+        panes.panes.iter_mut().for_each(|p| p.tint.x = 0.0);
+        let cleared = panes.cleared(&scene.mesh).expect("Embree");
+        let mut left_out = 0;
+        for view in &mut views {
+            let before = view.radiance.clone();
+            panes.look_through(view, &tracer, &cleared, &scene);
+            let all = view.radiance.map(|_| true);
+            let valid = view.valid.as_ref().unwrap_or(&all);
+            for (i, used) in valid.data.iter().enumerate() {
+                assert_eq!(view.radiance.data[i], before.data[i]);
+                left_out += usize::from(!used);
+            }
+        }
+        assert!(left_out > 2000, "{left_out}");
     }
 }

@@ -190,33 +190,76 @@ impl Range {
         bilinear_taps(w, h, pixel, wrap).map(|(k, weight)| (weight, self.depth.data[k]))
     }
 
-    /// Depth between the pixels' centres: its inverse is linear on planes. `None` at jumps.
+    /// Depth between the pixels' centres, of those that see what the nearest one sees: its inverse is linear
+    /// on planes.
     fn depth_at(&self, pixel: Vec2) -> Option<f32> {
-        let depths = self.depths(pixel);
-        let (least, most) = extremes(depths.map(|(_, d)| d));
-        // across the diagonal of a pixel, on a surface that is seen as grazing as counts
-        let slope = std::f32::consts::SQRT_2 * self.camera.pixel_angle(pixel) / GRAZING;
-        let inverse: f32 = depths.iter().map(|(weight, d)| weight / d).sum();
-        (least > 0.0 && most - least <= slope * most).then_some(1.0 / inverse)
+        let taps = self.depths(pixel);
+        let (_, nearest) = taps.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let slope = self.slope(pixel);
+        let (mut inverse, mut whole) = (0.0, 0.0);
+        for (weight, depth) in taps {
+            if continues(depth, nearest, slope) {
+                inverse += weight / depth;
+                whole += weight;
+            }
+        }
+        (whole > 0.0).then(|| whole / inverse)
     }
 
-    /// Cosine between the ray through a pixel and the surface there, by the pixels beside it; `None`
-    /// where it is grazing or unknown.
+    /// Most that depth changes from one pixel to the next across a diagonal, on a surface that is seen as grazing as counts,
+    /// as a share of the depth.
+    fn slope(&self, pixel: Vec2) -> f32 {
+        std::f32::consts::SQRT_2 * self.camera.pixel_angle(pixel) / GRAZING
+    }
+
+    /// Cosine between the ray through a pixel and the surface there, by the pixels beside it that see the same
+    /// surface; `None` where it is grazing or unknown, or the pixel is a mixture.
     fn cosine(&self, pixel: Vec2) -> Option<f32> {
         let (w, h) = (self.depth.width, self.depth.height);
         let (x, y) = ((pixel.x as usize).min(w - 1), (pixel.y as usize).min(h - 1));
-        let beside = |x: usize, y: usize| self.point(y.min(h - 1) * w + x.min(w - 1));
-        let across = beside(x + 1, y)? - beside(x.saturating_sub(1), y)?;
-        let down = beside(x, y + 1)? - beside(x, y.saturating_sub(1))?;
         let ray = self.camera.direction(pixel);
+        let across = self.tangent([x, y], [(x + 1).min(w - 1), y], [x.saturating_sub(1), y])?;
+        let down = self.tangent([x, y], [x, (y + 1).min(h - 1)], [x, y.saturating_sub(1)])?;
+        // of a bar one pixel wide nobody says how it is turned: as towards the camera
+        let (across, down) = match (across, down) {
+            (Some(a), Some(d)) => (a, d),
+            (Some(a), None) => (a, ray.cross(a)),
+            (None, Some(d)) => (ray.cross(d), d),
+            (None, None) => return None,
+        };
         let cosine = across.cross(down).normalize_or_zero().dot(ray).abs();
         (cosine > GRAZING).then_some(cosine)
     }
+
+    /// How the surface runs at a pixel, by those `after` and `before` it that see the same one; `Some(None)` where neither
+    /// does, `None` where one of them sees something nearer and the other something farther: between an object and what is behind it a
+    /// sensor's pixel measures neither.
+    fn tangent(
+        &self,
+        at: [usize; 2],
+        after: [usize; 2],
+        before: [usize; 2],
+    ) -> Option<Option<Vec3>> {
+        let index = |[x, y]: [usize; 2]| y * self.depth.width + x;
+        let depth = |at: [usize; 2]| self.depth.data[index(at)];
+        let slope = self.slope(self.pixel(index(at)));
+        let on = |p: [usize; 2]| continues(depth(p), depth(at), slope);
+        let point = |p: [usize; 2]| self.point(index(p));
+        match (on(after), on(before)) {
+            (true, true) => Some(Some(point(after)? - point(before)?)),
+            (true, false) => Some(Some(point(after)? - point(at)?)),
+            (false, true) => Some(Some(point(at)? - point(before)?)),
+            (false, false) => {
+                let farther = |p: [usize; 2]| depth(p) <= 0.0 || depth(p) > depth(at);
+                (farther(after) == farther(before)).then_some(None)
+            }
+        }
+    }
 }
 
-fn extremes(depths: [f32; 4]) -> (f32, f32) {
-    let least = depths.iter().copied().fold(f32::INFINITY, f32::min);
-    (least, depths.iter().copied().fold(0.0, f32::max))
+/// Whether two depths are of one surface that is seen less than grazing.
+fn continues(depth: f32, other: f32, slope: f32) -> bool {
+    depth > 0.0 && other > 0.0 && (depth - other).abs() <= slope * depth.max(other)
 }
 
 /// What an image says of a place.
