@@ -114,8 +114,9 @@ impl Panes {
     }
 
     /// Lets a view look through the panes: what its pixels see is what lies behind them, brighter
-    /// by what they kept back; where they keep back nearly all of a channel, the pixel is not used. Such a pixel may hold a reflection of the room and is not clean; its
-    /// label is not that of what it sees, unless the mesh tells that.
+    /// by what they kept back; where they keep back nearly all of a channel, the pixel is not used. Such a
+    /// pixel may hold a reflection of the room and is not clean; its label is not that of what it sees,
+    /// unless the mesh tells that.
     pub fn look_through(
         &self,
         view: &mut ObservedView,

@@ -166,10 +166,9 @@ impl Range {
     /// What the image says of a place about which it measures no distance; `None` where it does not look, or
     /// within `band` metres of what it sees.
     fn sight(&self, place: Vec3, band: f32) -> Option<Sight> {
-        let depths = self.depths(self.camera.project(place)?);
-        let along = (place - self.camera.position).length();
         // at an outline the nearest pixel decides
-        let (_, depth) = depths.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let depth = nearest(&self.depths(self.camera.project(place)?));
+        let along = (place - self.camera.position).length();
         if depth <= 0.0 {
             return Some(Sight::NoDepth);
         }
@@ -194,11 +193,10 @@ impl Range {
     /// on planes.
     fn depth_at(&self, pixel: Vec2) -> Option<f32> {
         let taps = self.depths(pixel);
-        let (_, nearest) = taps.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
-        let slope = self.slope(pixel);
+        let (seen, slope) = (nearest(&taps), self.slope(pixel));
         let (mut inverse, mut whole) = (0.0, 0.0);
         for (weight, depth) in taps {
-            if continues(depth, nearest, slope) {
+            if continues(depth, seen, slope) {
                 inverse += weight / depth;
                 whole += weight;
             }
@@ -206,8 +204,8 @@ impl Range {
         (whole > 0.0).then(|| whole / inverse)
     }
 
-    /// Most that depth changes from one pixel to the next across a diagonal, on a surface that is seen as grazing as counts,
-    /// as a share of the depth.
+    /// Most that depth changes from one pixel to the next across a diagonal, on a surface that is seen as
+    /// grazing as counts, as a share of the depth.
     fn slope(&self, pixel: Vec2) -> f32 {
         std::f32::consts::SQRT_2 * self.camera.pixel_angle(pixel) / GRAZING
     }
@@ -217,44 +215,60 @@ impl Range {
     fn cosine(&self, pixel: Vec2) -> Option<f32> {
         let (w, h) = (self.depth.width, self.depth.height);
         let (x, y) = ((pixel.x as usize).min(w - 1), (pixel.y as usize).min(h - 1));
+        let index = |x: usize, y: usize| y.min(h - 1) * w + x.min(w - 1);
+        let at = index(x, y);
+        let slope = self.slope(self.pixel(at));
+        let course = |after, before| self.course(at, [after, before], slope);
+        let across = course(index(x + 1, y), index(x.saturating_sub(1), y));
+        let down = course(index(x, y + 1), index(x, y.saturating_sub(1)));
         let ray = self.camera.direction(pixel);
-        let across = self.tangent([x, y], [(x + 1).min(w - 1), y], [x.saturating_sub(1), y])?;
-        let down = self.tangent([x, y], [x, (y + 1).min(h - 1)], [x, y.saturating_sub(1)])?;
         // of a bar one pixel wide nobody says how it is turned: as towards the camera
         let (across, down) = match (across, down) {
-            (Some(a), Some(d)) => (a, d),
-            (Some(a), None) => (a, ray.cross(a)),
-            (None, Some(d)) => (ray.cross(d), d),
-            (None, None) => return None,
+            (Course::Along(a), Course::Along(d)) => (a, d),
+            (Course::Along(a), Course::Alone) => (a, ray.cross(a)),
+            (Course::Alone, Course::Along(d)) => (ray.cross(d), d),
+            _ => return None,
         };
         let cosine = across.cross(down).normalize_or_zero().dot(ray).abs();
         (cosine > GRAZING).then_some(cosine)
     }
 
-    /// How the surface runs at a pixel, by those `after` and `before` it that see the same one; `Some(None)` where neither
-    /// does, `None` where one of them sees something nearer and the other something farther: between an object and what is behind it a
-    /// sensor's pixel measures neither.
-    fn tangent(
-        &self,
-        at: [usize; 2],
-        after: [usize; 2],
-        before: [usize; 2],
-    ) -> Option<Option<Vec3>> {
-        let index = |[x, y]: [usize; 2]| y * self.depth.width + x;
-        let depth = |at: [usize; 2]| self.depth.data[index(at)];
-        let slope = self.slope(self.pixel(index(at)));
-        let on = |p: [usize; 2]| continues(depth(p), depth(at), slope);
-        let point = |p: [usize; 2]| self.point(index(p));
-        match (on(after), on(before)) {
-            (true, true) => Some(Some(point(after)? - point(before)?)),
-            (true, false) => Some(Some(point(after)? - point(at)?)),
-            (false, true) => Some(Some(point(at)? - point(before)?)),
-            (false, false) => {
-                let farther = |p: [usize; 2]| depth(p) <= 0.0 || depth(p) > depth(at);
-                (farther(after) == farther(before)).then_some(None)
+    /// How the surface runs at pixel `at`, by those `beside` it, after and before, that see the same one.
+    fn course(&self, at: usize, beside: [usize; 2], slope: f32) -> Course {
+        let depth = |i: usize| self.depth.data[i];
+        let [from, to] = match beside.map(|i| continues(depth(i), depth(at), slope)) {
+            [true, true] => [beside[1], beside[0]],
+            [true, false] => [at, beside[0]],
+            [false, true] => [beside[1], at],
+            [false, false] => {
+                let [one, other] = beside.map(|i| depth(i) <= 0.0 || depth(i) > depth(at));
+                return if one == other {
+                    Course::Alone
+                } else {
+                    Course::Between
+                };
             }
-        }
+        };
+        let ends = self.point(to).zip(self.point(from));
+        ends.map_or(Course::Between, |(to, from)| Course::Along(to - from))
     }
+}
+
+/// How a surface runs from pixel to pixel.
+enum Course {
+    /// From one pixel to the next but one, or half of that, metres.
+    Along(Vec3),
+    /// Neither pixel beside it sees the same surface.
+    Alone,
+    /// One sees something nearer, the other something farther: between an object and what is behind it a
+    /// sensor's pixel measures neither.
+    Between,
+}
+
+/// The depth of the nearest of the pixels around a place: weight and depth.
+fn nearest(taps: &[(f32, f32)]) -> f32 {
+    let heaviest = taps.iter().max_by(|a, b| a.0.total_cmp(&b.0));
+    heaviest.map_or(0.0, |(_, depth)| *depth)
 }
 
 /// Whether two depths are of one surface that is seen less than grazing.
