@@ -7,7 +7,7 @@ use crate::Result;
 use crate::core::lock::OutputLock;
 use crate::core::trace::EmbreeTracer;
 use crate::programs::export::FrameWriter;
-use crate::programs::run::keep_inputs;
+use crate::programs::run::{keep_inputs, keep_results};
 use crate::render::{FrameOptions, NamedCamera, cameras_of_scene, read_cameras, viewpoints};
 use crate::solution::Solution;
 use serde_json::json;
@@ -69,6 +69,7 @@ impl FrameSource {
         let folder = self.to.clone().unwrap_or_else(|| out.join(verb));
         // the solution's own files are read as well
         keep_inputs(&folder, out, &[])?;
+        keep_results(&folder)?;
         for list in self.cameras.iter().chain(&self.scene) {
             let list = match list.is_dir() {
                 true => list.join("transforms.json"),

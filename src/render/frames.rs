@@ -3,8 +3,8 @@
 
 use super::{
     Adaptive, EditableScene, HybridOptions, HybridRenderer, Lighting, NamedCamera, Noise,
-    PathTracedScene, PathTracerOptions, RelightOptions, RenderOptions, Renderer, TraceSettings,
-    ViewRenderer,
+    PathTracedScene, PathTracerOptions, RelightOptions, RenderOptions, Renderer, Show,
+    TraceSettings, ViewRenderer,
 };
 use crate::core::image::RgbPlane;
 use crate::core::progress::Progress;
@@ -13,17 +13,41 @@ use crate::solution::Solution;
 use std::time::Instant;
 
 impl RenderOptions {
-    /// Whether numbers are in range.
+    /// Whether numbers are in range, and the renderer can do what is asked.
     ///
     /// # Errors
-    /// Those that are not, with the range.
+    /// Numbers that are not, with the range; what only the other renderer does.
     pub fn validate(&self) -> Result<()> {
         if self.supersampling == 0 || self.supersampling > 16 || self.samples == 0 {
             return Err(Error::Usage(
                 "--supersampling must be from 1 to 16, and --samples at least 1".into(),
             ));
         }
-        Ok(())
+        let other = |option: &str, is: &str| {
+            let message = format!("{option} is of --renderer {is}; leave out one of them");
+            Err(Error::Usage(message))
+        };
+        match self.renderer {
+            Renderer::Path if self.show != Show::Light => other("--show", "hybrid"),
+            Renderer::Hybrid if self.diffuse_only => other("--diffuse-only", "path"),
+            Renderer::Hybrid if self.flat => other("--flat", "path"),
+            _ => Ok(()),
+        }
+    }
+
+    /// What is given and has no effect with this renderer, in words.
+    #[must_use]
+    pub fn without_effect(&self) -> Option<&'static str> {
+        let usual = Self::default();
+        match self.renderer {
+            Renderer::Path if self.supersampling != usual.supersampling => {
+                Some("--supersampling is of --renderer hybrid: the path renderer takes --samples")
+            }
+            Renderer::Hybrid if self.samples != usual.samples => {
+                Some("--samples is of --renderer path: the hybrid renderer takes --supersampling")
+            }
+            _ => None,
+        }
     }
 
     /// Renders frames one after another; `done(i, image, seconds)` takes each, linear RGB in the unit of

@@ -1,6 +1,7 @@
 //! Changed light: which lamps burn, how, where; what is added; what lies outside.
 
-use super::{Added, EditableScene};
+use super::added_lamp::{finite, light};
+use super::{Added, EditableScene, LampMove};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::luminance;
 use crate::error::{Error, Result};
@@ -24,7 +25,8 @@ pub struct LampChange {
     pub scale: Option<f32>,
     /// Colour filter: factor per channel.
     pub colour: Option<[f32; 3]>,
-    /// Displacement, metres.
+    /// Displacement of the lamp with its body, metres; a lamp that is a part of something much
+    /// larger, as of a ceiling, leaves it behind.
     #[serde(rename = "move")]
     pub shift: Option<[f32; 3]>,
 }
@@ -96,21 +98,11 @@ impl Lighting {
         }
     }
 
-    /// Whether all that is given is light.
+    /// Whether all that is given is light, and somewhere.
     ///
     /// # Errors
     /// What is out of range, in words that name its key.
     pub fn check(&self) -> std::result::Result<(), String> {
-        let light = |values: &[f32], what: &str| {
-            let fine = values.iter().all(|v| v.is_finite() && *v >= 0.0);
-            if fine {
-                Ok(())
-            } else {
-                Err(format!(
-                    "{what}: {values:?}; light is finite and not negative"
-                ))
-            }
-        };
         for (i, l) in self.lamps.iter().enumerate() {
             if l.group.is_some() && l.near.is_some() {
                 return Err(format!("lamp[{i}]: has both group and near; keep one"));
@@ -123,24 +115,15 @@ impl Lighting {
                 &l.colour.map_or(vec![], |c| c.to_vec()),
                 &format!("lamp[{i}].colour"),
             )?;
-        }
-        for (i, a) in self.add.iter().enumerate() {
-            let at = format!("add[{i}]");
-            match a {
-                Added::Quad { size, radiance, .. } => {
-                    light(radiance, &at)?;
-                    light(size, &format!("{at}.size"))?;
-                }
-                Added::Sphere {
-                    radius, radiance, ..
-                } => {
-                    light(radiance, &at)?;
-                    light(&[*radius], &format!("{at}.radius"))?;
-                }
-                Added::Point { intensity, .. }
-                | Added::Spot { intensity, .. }
-                | Added::Ies { intensity, .. } => light(intensity, &at)?,
+            let shift = l.shift.map(|s| s.map(f64::from));
+            for (place, key) in [(l.near, "near"), (shift, "move")] {
+                place
+                    .iter()
+                    .try_for_each(|p| finite(p, &format!("lamp[{i}].{key}")))?;
             }
+        }
+        for (i, added) in self.add.iter().enumerate() {
+            added.check().map_err(|m| format!("add[{i}]{m}"))?;
         }
         light(
             &self.environment.scale.map_or(vec![], |s| vec![s]),
@@ -207,13 +190,14 @@ impl Lighting {
             for g in chosen {
                 world.scale_emission(&g.triangles, factor);
                 if let Some(by) = change.shift {
-                    moves.push((g.triangles.clone(), Vec3::from_array(by)));
+                    moves.push(LampMove {
+                        triangles: g.triangles.clone(),
+                        by: Vec3::from_array(by),
+                    });
                 }
             }
         }
-        for (triangles, by) in moves {
-            world.move_emission(&triangles, by);
-        }
+        world.move_lamps(&moves);
         for lamp in &self.add {
             world.add(lamp)?;
         }
@@ -340,6 +324,28 @@ mod tests {
             ("[[lamp]]\ngroup = 1\nscale = -1\n", "lamp[0].scale"),
             ("[[lamp]]\ngroup = 1\nnear = [0,0,0]\n", "keep one"),
             ("[[add]]\nkind = \"candle\"\n", "candle"),
+            ("[[lamp]]\nnear = [nan,0,0]\n", "lamp[0].near"),
+            ("[[lamp]]\nmove = [0,inf,0]\n", "lamp[0].move"),
+            (
+                "[[add]]\nkind = \"point\"\nposition = [inf,0,0]\nintensity = [1,1,1]\n",
+                "add[0].position",
+            ),
+            (
+                "[[add]]\nkind = \"sphere\"\nposition = [0,0,0]\nradius = 0\nradiance = [1,1,1]\n",
+                "add[0].radius",
+            ),
+            (
+                "[[add]]\nkind = \"quad\"\nposition = [0,0,0]\ndirection = [0,0,0]\nsize = [1,1]\nradiance = [1,1,1]\n",
+                "add[0].direction",
+            ),
+            (
+                "[[add]]\nkind = \"spot\"\nposition = [0,0,0]\ndirection = [0,-1,0]\nangle = 120\nintensity = [1,1,1]\n",
+                "add[0].angle",
+            ),
+            (
+                "[[add]]\nkind = \"spot\"\nposition = [0,0,0]\ndirection = [0,-1,0]\nangle = 20\nblend = 5\nintensity = [1,1,1]\n",
+                "add[0].blend",
+            ),
         ] {
             std::fs::write(&path, text).expect("writes");
             let e = Lighting::read(&path).expect_err("wrong");

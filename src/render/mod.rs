@@ -4,6 +4,7 @@
 //! * the hybrid renderer: irradiance texture plus traced specular reflection;
 //! * [`denoise`]: variance-guided filtering of what it renders.
 
+mod added_lamp;
 mod cameras;
 pub mod denoise;
 mod edges;
@@ -22,6 +23,7 @@ mod tone;
 mod viewpoints;
 mod world;
 
+pub use added_lamp::Added;
 pub use cameras::{FileCameras, NamedCamera, cameras_of_scene, read_cameras, smooth_path};
 pub use hybrid::{HybridOptions, HybridRenderer, RenderedView, ViewRenderer};
 pub use ies::IesProfile;
@@ -36,4 +38,4 @@ pub use point_light::{PointLight, Shape};
 pub use relight::{PathTracedScene, RelightOptions, TraceSettings};
 pub use tone::{Exposure, tone_map};
 pub use viewpoints::viewpoints;
-pub use world::{Added, EditableScene};
+pub use world::{EditableScene, LampMove};

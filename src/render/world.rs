@@ -1,83 +1,76 @@
 //! A solution as something the path tracer can light: its materials, its lamps, its environment,
 //! and changes to the latter two.
 
+use super::added_lamp::Added;
 use super::path_tracer::{self, Surface, SurfaceModel};
 use super::{IesProfile, PointLight, Shape};
 use crate::core::brdf::{BaseColour, Material, Reflectance};
-use crate::core::geometry::Mesh;
+use crate::core::geometry::{Mesh, bodies};
 use crate::core::image::{RgbPlane, Wrap};
 use crate::error::Result;
 use crate::radiance::Environment;
 use crate::solution::{Solution, triangle_emission};
 use glam::{DVec3, Vec2, Vec3};
-use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::f32::consts::{PI, TAU};
-use std::path::PathBuf;
 
-/// A lamp that the scene does not have. Positions in the coordinates of the scene's file, metres.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Added {
-    /// A luminous rectangle that shines along `direction`.
-    Quad {
-        /// Centre.
-        position: [f64; 3],
-        /// Where it shines.
-        direction: [f32; 3],
-        /// Width and height.
-        size: [f32; 2],
-        /// Emitted radiance.
-        radiance: [f32; 3],
-    },
-    /// A luminous sphere.
-    Sphere {
-        /// Centre.
-        position: [f64; 3],
-        /// Radius.
-        radius: f32,
-        /// Emitted radiance.
-        radiance: [f32; 3],
-    },
-    /// A bulb without extent.
-    Point {
-        /// Place.
-        position: [f64; 3],
-        /// Radiant intensity per steradian.
-        intensity: [f32; 3],
-    },
-    /// A spotlight without extent.
-    Spot {
-        /// Place.
-        position: [f64; 3],
-        /// Axis of the cone.
-        direction: [f32; 3],
-        /// Angle between axis and edge of the cone, degrees.
-        angle: f32,
-        /// Share of the angle over which the light fades, 0 to 1.
-        #[serde(default)]
-        blend: f32,
-        /// Radiant intensity on the axis, per steradian.
-        intensity: [f32; 3],
-    },
-    /// A measured luminaire without extent.
-    Ies {
-        /// Place.
-        position: [f64; 3],
-        /// Where its axis points (vertical angle 0 of the file); down if not given.
-        #[serde(default = "down")]
-        direction: [f32; 3],
-        /// IES file (LM-63, type C), relative to the lighting file.
-        file: PathBuf,
-        /// Turn about the axis, degrees.
-        #[serde(default)]
-        turn: f32,
-        /// Radiant intensity where the luminaire is brightest, per steradian.
-        intensity: [f32; 3],
-    },
+/// Where a lamp goes.
+#[derive(Clone, Debug)]
+pub struct LampMove {
+    /// What emits of it: triangles of the solution.
+    pub triangles: Vec<u32>,
+    /// Displacement, metres.
+    pub by: Vec3,
 }
 
-fn down() -> [f32; 3] {
-    [0.0, -1.0, 0.0]
+/// A body longer than what shines of it times this is no lamp's but what the lamp is mounted on
+/// (rule of thumb: shades and housings are about as long as their lamps; ceilings and beams are not).
+const LONGEST_BODY: f32 = 2.0;
+
+/// What vertices at one place hold together.
+struct Bodies {
+    /// Per triangle.
+    of_triangle: Vec<u32>,
+    /// Diagonal of each body's bounding box.
+    length: Vec<f32>,
+}
+
+impl Bodies {
+    fn of(mesh: &Mesh) -> Self {
+        let of_triangle = bodies(mesh);
+        let count = of_triangle.iter().max().map_or(0, |n| *n as usize + 1);
+        let mut bounds = vec![(Vec3::INFINITY, Vec3::NEG_INFINITY); count];
+        for (t, &body) in of_triangle.iter().enumerate() {
+            let (low, high) = &mut bounds[body as usize];
+            for p in mesh.corners(t) {
+                (*low, *high) = (low.min(p), high.max(p));
+            }
+        }
+        Self {
+            of_triangle,
+            length: bounds
+                .iter()
+                .map(|(low, high)| (*high - *low).length())
+                .collect(),
+        }
+    }
+
+    /// The triangles of the bodies that a lamp alone makes up: those it shines from, but for what is
+    /// much longer than the lamp.
+    fn of_lamp(&self, mesh: &Mesh, emitting: &[u32]) -> BTreeSet<u32> {
+        let corners = || emitting.iter().flat_map(|&t| mesh.corners(t as usize));
+        let low = corners().fold(Vec3::INFINITY, Vec3::min);
+        let high = corners().fold(Vec3::NEG_INFINITY, Vec3::max);
+        let most = LONGEST_BODY * (high - low).length();
+        let of = |t: u32| self.of_triangle[t as usize];
+        let own: BTreeSet<u32> = emitting
+            .iter()
+            .map(|&t| of(t))
+            .filter(|&body| self.length[body as usize] <= most)
+            .collect();
+        let all = 0..self.of_triangle.len() as u32;
+        all.filter(|&t| own.contains(&of(t))).collect()
+    }
 }
 
 /// Materials and lights of a solution, with changed lights if so wished.
@@ -88,6 +81,10 @@ pub struct EditableScene<'a> {
     gain: Vec<Vec3>,
     /// Per triangle: mean of the emission texture.
     mean: Vec<Vec3>,
+    /// Whether lamps were moved.
+    moved: bool,
+    /// Emitting triangles whose light was moved away from what they were mounted on.
+    dark: BTreeSet<usize>,
     /// Emission of triangles beyond the solution's own and its moved lamps: `constant[t -
     /// textured]`.
     constant: Vec<Vec3>,
@@ -119,6 +116,8 @@ impl<'a> EditableScene<'a> {
             mesh,
             gain,
             mean,
+            moved: false,
+            dark: BTreeSet::new(),
             constant: Vec::new(),
             environment: Environment::from_map(solution.environment.clone()),
             environment_gain: Vec3::ONE,
@@ -150,10 +149,21 @@ impl<'a> EditableScene<'a> {
         self.mean[t]
     }
 
-    /// Factor on what a triangle of the solution emits; 0 where it does not.
+    /// Factor on what a triangle of the solution emits where it is now, or its light after it was
+    /// moved away; 0 where it does not emit.
+    #[must_use]
+    pub fn lamp_factor(&self, t: usize) -> Vec3 {
+        self.gain[t]
+    }
+
+    /// Factor on what a triangle of the solution emits; 0 where it does not, or its light was moved
+    /// away from it.
     #[must_use]
     pub fn emission_factor(&self, t: usize) -> Vec3 {
-        self.gain[t]
+        match self.dark.contains(&t) {
+            true => Vec3::ZERO,
+            false => self.gain[t],
+        }
     }
 
     /// Factor on the light from outside.
@@ -168,7 +178,26 @@ impl<'a> EditableScene<'a> {
         self.environment.map()
     }
 
-    /// Triangles that the solution does not have: moved lamps, then added ones.
+    /// Whether its light is that of the solution but for factors: no lamp was moved or added.
+    #[must_use]
+    pub fn has_own_lamps_alone(&self) -> bool {
+        !self.moved && self.beyond_solution().is_empty() && self.points.is_empty()
+    }
+
+    /// The solution's own surfaces as they stand now: lamps that were moved with their bodies are
+    /// elsewhere.
+    #[must_use]
+    pub fn own_mesh(&self) -> Mesh {
+        let own = &self.solution.mesh;
+        let vertices = own.positions.len();
+        Mesh {
+            positions: self.mesh.positions[..vertices].to_vec(),
+            ..own.clone()
+        }
+    }
+
+    /// Triangles that the solution does not have: the light of moved lamps without a body of their
+    /// own, then added lamps.
     #[must_use]
     pub fn beyond_solution(&self) -> std::ops::Range<usize> {
         self.solution.mesh.triangles.len()..self.mesh.triangles.len()
@@ -181,24 +210,45 @@ impl<'a> EditableScene<'a> {
         }
     }
 
-    /// Moves emitting triangles; what they were mounted on stays. To be called before any lamp is
-    /// added.
-    pub fn move_emission(&mut self, triangles: &[u32], by: Vec3) {
-        for &t in triangles {
-            let t = t as usize;
-            let base = self.mesh.positions.len() as u32;
-            for corner in self.mesh.triangles[t] {
-                let i = corner as usize;
-                self.mesh.positions.push(self.mesh.positions[i] + by);
-                self.mesh.normals.push(self.mesh.normals[i]);
-                self.mesh.uvs.push(self.mesh.uvs[i]);
+    /// Moves lamps, each with its body: what vertices hold together with it, if it
+    /// is not much longer than the lamp. Where a lamp has none (it shines from a
+    /// part of a ceiling), its light moves and what it was mounted on stays, dark. To be called
+    /// before any lamp is added.
+    pub fn move_lamps(&mut self, moves: &[LampMove]) {
+        let moves = || moves.iter().filter(|m| m.by != Vec3::ZERO);
+        if moves().next().is_none() {
+            return;
+        }
+        self.moved = true;
+        let bodies = Bodies::of(&self.solution.mesh);
+        for LampMove { triangles, by } in moves() {
+            let body = bodies.of_lamp(&self.solution.mesh, triangles);
+            let corners = body
+                .iter()
+                .flat_map(|&t| self.solution.mesh.triangles[t as usize]);
+            for v in corners.collect::<BTreeSet<u32>>() {
+                self.mesh.positions[v as usize] += *by;
             }
-            self.mesh.triangles.push([base, base + 1, base + 2]);
-            self.gain.push(self.gain[t]);
-            self.mean.push(self.mean[t]);
-            self.gain[t] = Vec3::ZERO;
+            for &t in triangles.iter().filter(|t| !body.contains(t)) {
+                self.move_light(t as usize, *by);
+            }
         }
         self.textured = self.mesh.triangles.len();
+    }
+
+    /// Moves the light of a triangle; what it was mounted on stays.
+    fn move_light(&mut self, t: usize, by: Vec3) {
+        let base = self.mesh.positions.len() as u32;
+        for corner in self.mesh.triangles[t] {
+            let i = corner as usize;
+            self.mesh.positions.push(self.mesh.positions[i] + by);
+            self.mesh.normals.push(self.mesh.normals[i]);
+            self.mesh.uvs.push(self.mesh.uvs[i]);
+        }
+        self.mesh.triangles.push([base, base + 1, base + 2]);
+        self.gain.push(self.gain[t]);
+        self.mean.push(self.mean[t]);
+        self.dark.insert(t);
     }
 
     /// Replaces the environment by a panorama in world axes.
@@ -268,8 +318,8 @@ impl<'a> EditableScene<'a> {
                 blend,
                 intensity,
             } => {
-                let outer = angle.clamp(0.1, 179.0).to_radians();
-                let inner = outer * (1.0 - blend.clamp(0.0, 1.0));
+                let outer = angle.to_radians();
+                let inner = outer * (1.0 - blend);
                 self.points.push(PointLight {
                     position: local(position),
                     intensity: Vec3::from_array(*intensity),
@@ -326,7 +376,7 @@ impl SurfaceModel for EditableScene<'_> {
         let roughness = s
             .roughness
             .bilinear(at(s.roughness.width, s.roughness.height), Wrap::Clamp);
-        let gain = self.gain[triangle];
+        let gain = self.emission_factor(triangle);
         let emission = if gain == Vec3::ZERO {
             gain
         } else {
@@ -347,7 +397,7 @@ impl SurfaceModel for EditableScene<'_> {
         if triangle >= self.textured {
             self.constant[triangle - self.textured]
         } else {
-            self.gain[triangle] * self.mean[triangle]
+            self.emission_factor(triangle) * self.mean[triangle]
         }
     }
 
@@ -451,30 +501,79 @@ mod tests {
         assert_eq!(m.positions.len(), m.uvs.len());
     }
 
+    /// Where rays meet a triangle of the world, and what it emits there.
+    fn shining(world: &EditableScene<'_>) -> Vec<(Vec3, Vec3)> {
+        let mesh = world.mesh();
+        let emits = |t: &usize| world.mean_emission(*t) != Vec3::ZERO;
+        (0..mesh.triangles.len())
+            .filter(emits)
+            .map(|t| {
+                (
+                    mesh.position(t, 0.3, 0.3),
+                    world.surface(t, 0.3, 0.3).emission,
+                )
+            })
+            .collect()
+    }
+
     #[test]
-    fn scaled_and_moved_emission() {
+    fn a_lamp_moves_with_its_body_and_by_nothing_not_at_all() {
         let mut solution = small_solution();
         solution.emission.data.fill(Vec3::splat(2.0));
         let mut world = EditableScene::new(&solution);
-        assert!(world.emits(0));
         world.scale_emission(&[0], Vec3::new(0.5, 1.0, 0.0));
-        assert_eq!(
-            world.surface(0, 0.2, 0.2).emission,
-            Vec3::new(1.0, 2.0, 0.0)
-        );
-        world.move_emission(&[0], Vec3::Y);
+        let before = shining(&world);
+        let lamp = |by| LampMove {
+            triangles: (0..solution.mesh.triangles.len() as u32).collect(),
+            by,
+        };
+        world.move_lamps(&[lamp(Vec3::ZERO)]);
+        assert!(world.has_own_lamps_alone() && shining(&world) == before);
+        world.move_lamps(&[lamp(Vec3::Y), lamp(Vec3::X)]);
+        // all is one body: nothing stays behind, nothing is added
+        assert!(!world.has_own_lamps_alone() && world.beyond_solution().is_empty());
+        for ((p, emission), (p_before, emission_before)) in shining(&world).iter().zip(&before) {
+            assert!((*p - *p_before - Vec3::Y - Vec3::X).length() < 1e-5);
+            assert_eq!(emission, emission_before);
+        }
+        let moved = world.own_mesh();
+        assert!((moved.position(0, 0.2, 0.2) - world.mesh().position(0, 0.2, 0.2)).length() == 0.0);
+    }
+
+    #[test]
+    fn light_from_a_part_of_a_ceiling_leaves_the_ceiling() {
+        let mut solution = small_solution();
+        solution.emission.data.fill(Vec3::splat(2.0));
+        // beside it, joined to it, ten times as long
+        let [a, b, _] = solution.mesh.triangles[0];
+        let far = solution.mesh.positions.len() as u32;
+        let along = solution.mesh.positions[b as usize] - solution.mesh.positions[a as usize];
+        let place = solution.mesh.positions[a as usize] + 100.0 * along.any_orthogonal_vector();
+        solution.mesh.positions.push(place);
+        solution
+            .mesh
+            .normals
+            .push(solution.mesh.normals[a as usize]);
+        solution.mesh.uvs.push(solution.mesh.uvs[a as usize]);
+        solution.mesh.triangles.push([b, a, far]);
+        let mut world = EditableScene::new(&solution);
+        world.scale_emission(&[0], Vec3::new(0.5, 1.0, 0.0));
+        world.move_lamps(&[LampMove {
+            triangles: vec![0],
+            by: Vec3::Y,
+        }]);
         assert_eq!(world.surface(0, 0.2, 0.2).emission, Vec3::ZERO);
+        assert_eq!(world.mean_emission(0), Vec3::ZERO);
+        assert_eq!(world.emission_factor(0), Vec3::ZERO);
+        assert_eq!(world.lamp_factor(0), Vec3::new(0.5, 1.0, 0.0));
         let moved = world.mesh().triangles.len() - 1;
+        assert_eq!(world.beyond_solution(), moved..moved + 1);
         assert_eq!(
             world.surface(moved, 0.2, 0.2).emission,
             Vec3::new(1.0, 2.0, 0.0)
         );
-        assert!(
-            (world.mesh().position(moved, 0.2, 0.3) - world.mesh().position(0, 0.2, 0.3) - Vec3::Y)
-                .length()
-                < 1e-6
-        );
-        assert_eq!(world.mean_emission(0), Vec3::ZERO);
+        let path = world.mesh().position(moved, 0.2, 0.3) - world.mesh().position(0, 0.2, 0.3);
+        assert!((path - Vec3::Y).length() < 1e-4);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use crate::cli::context::Context;
 use crate::core::lock::OutputLock;
 use crate::error::Result;
 use crate::programs::bake::{BakeJob, bake_file};
-use crate::programs::run::keep_inputs;
+use crate::programs::run::{keep_inputs, keep_results};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -15,6 +15,7 @@ pub(crate) fn bake(scene: &Path, out: &Path, context: &Context) -> Result<()> {
         .chain(options.environment.clone())
         .collect();
     keep_inputs(out, scene, &inputs)?;
+    keep_results(out)?;
     let _lock = OutputLock::acquire(out, &[])?;
     let job = BakeJob {
         scene,

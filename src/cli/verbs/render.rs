@@ -13,6 +13,9 @@ pub(crate) fn render(out: &Path, places: &FrameSource, context: &Context) -> Res
     let options = &context.config.render;
     let progress = &context.progress;
     options.validate()?;
+    if let Some(note) = options.without_effect() {
+        progress.note(note);
+    }
     let solution = read_solution(out, progress)?;
     let cameras = places.frames(out, &options.frames, &solution, context)?;
     let (folder, _lock) = places.folder(out, "render")?;

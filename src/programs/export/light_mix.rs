@@ -69,14 +69,14 @@ impl Factors {
         let world = relit(lighting, solution)?;
         let factor = |triangles: &[u32]| {
             let emitting = triangles.iter().find(|&&t| world.emits(t as usize));
-            emitting.map_or(Vec3::ZERO, |&t| world.emission_factor(t as usize))
+            emitting.map_or(Vec3::ZERO, |&t| world.lamp_factor(t as usize))
         };
         let lamps = solution.lamps.iter().map(|l| factor(&l.triangles));
         Ok(Self {
             lamps: lamps.collect(),
             environment: world.environment_factor(),
             panorama: Panorama::of(lighting),
-            own_geometry: !(world.beyond_solution().is_empty() && world.points().is_empty()),
+            own_geometry: !world.has_own_lamps_alone(),
         })
     }
 }
@@ -195,7 +195,7 @@ impl<'a> LightMix<'a> {
         let lights = lights(&mixed, solution.lamps.len(), !out.rest.is_empty());
         if lights.len() < mixed.len() {
             for light in lights {
-                let irradiance = out.bake(&out.alone(&light)?, progress)?;
+                let irradiance = out.bake(&out.texels, &out.alone(&light)?, progress)?;
                 out.baked.push((light, irradiance));
             }
         }
@@ -230,7 +230,10 @@ impl<'a> LightMix<'a> {
             return Ok(sum);
         }
         if !self.is_mixed(k) {
-            return self.bake(&relit(&self.lightings[k], self.solution)?, progress);
+            let world = relit(&self.lightings[k], self.solution)?;
+            let own = world.own_mesh();
+            let texels = LightmapTexels::new(&own, side);
+            return self.bake(&texels, &world, progress);
         }
         for (light, irradiance) in &self.baked {
             let factor = light.factor(&self.factors[k]);
@@ -272,7 +275,12 @@ impl<'a> LightMix<'a> {
         Ok(world)
     }
 
-    fn bake(&self, world: &EditableScene<'_>, progress: &Progress) -> Result<RgbPlane> {
+    fn bake(
+        &self,
+        texels: &LightmapTexels<'_>,
+        world: &EditableScene<'_>,
+        progress: &Progress,
+    ) -> Result<RgbPlane> {
         let embree = EmbreeTracer::new(world.mesh())?;
         let options = PathTracerOptions {
             seed: self.quality.seed,
@@ -281,7 +289,7 @@ impl<'a> LightMix<'a> {
         let renderer = PathTracer::new(world.mesh(), &embree, world, world, options)
             .with_points(world.points().to_vec());
         let sampling = LightmapSampling::of_paths(self.quality.paths);
-        Ok(self.texels.bake(&renderer, None, sampling, progress))
+        Ok(texels.bake(&renderer, None, sampling, progress))
     }
 }
 

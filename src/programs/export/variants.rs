@@ -6,7 +6,7 @@ use super::light_mix::{LightMix, LightmapQuality, relit};
 use super::lightings::{Lightings, NamedLighting};
 use super::object_atlas::AtlasKind;
 use super::punctual::{point_light, punctual_lights, surface_light};
-use crate::core::geometry::clusters;
+use crate::core::geometry::{Mesh, clusters};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::progress::Progress;
 use crate::core::texture::{Texels, fill_uncovered};
@@ -83,7 +83,7 @@ pub struct Variant {
 pub struct VariantLamp {
     /// Its number in `lights.json`.
     pub id: usize,
-    /// Factor per channel on its light; 0 = off, or moved.
+    /// Factor per channel on its light; 0 = off.
     pub factor: [f32; 3],
     /// Its power then, RGB.
     pub power: [f32; 3],
@@ -184,12 +184,12 @@ fn save(folder: &Path, name: &str, bytes: &[u8]) -> Result<()> {
 }
 
 impl Workshop<'_> {
-    fn glb(&self, solution: &Solution, more: GlbOptions) -> Result<Vec<u8>> {
+    fn glb(&self, solution: &Solution, parts: Vec<MeshPart>, more: GlbOptions) -> Result<Vec<u8>> {
         let options = GlbOptions {
             lights: more.lights,
             lightmap: more.lightmap,
             luminous: more.luminous,
-            parts: self.parts.clone(),
+            parts,
             encoded: self.encoded.clone(),
             ..packing(self.options)
         };
@@ -200,7 +200,11 @@ impl Workshop<'_> {
     fn write_unlit(&self, folder: &Path) -> Result<()> {
         let mut solution = self.exported.solution.clone();
         solution.emission.data.fill(Vec3::ZERO);
-        save(folder, UNLIT, &self.glb(&solution, GlbOptions::default())?)
+        save(
+            folder,
+            UNLIT,
+            &self.glb(&solution, self.parts.clone(), GlbOptions::default())?,
+        )
     }
 
     /// Writes lighting `k`.
@@ -220,20 +224,18 @@ impl Workshop<'_> {
         lit.environment = world
             .environment_map()
             .map(|c| *c * world.environment_factor());
-        for (lamp, factor) in lit.lamps.iter_mut().zip(factors) {
-            lamp.power = (Vec3::from_array(lamp.power) * *factor).to_array();
-            lamp.radiance = (Vec3::from_array(lamp.radiance) * *factor).to_array();
-        }
-        let lamps: Vec<VariantLamp> = lit
-            .lamps
-            .iter()
-            .zip(factors)
+        lit.mesh = world.own_mesh();
+        let lamps = lit.lamps.iter().zip(factors);
+        let lamps: Vec<VariantLamp> = lamps
             .map(|(lamp, factor)| VariantLamp {
                 id: lamp.id,
                 factor: factor.to_array(),
-                power: lamp.power,
+                power: (Vec3::from_array(lamp.power) * *factor).to_array(),
             })
             .collect();
+        lit.lamps
+            .iter_mut()
+            .for_each(|lamp| as_it_stands(lamp, &world, &self.exported.solution.mesh));
         let beyond = beyond_solution(&world, origin);
         let file = format!("{}.glb", lighting.name);
         let glb = GlbOptions {
@@ -242,7 +244,16 @@ impl Workshop<'_> {
             luminous: beyond.into_iter().map(|b| b.part).collect(),
             ..GlbOptions::default()
         };
-        save(folder, &file, &self.glb(&lit, glb)?)?;
+        let exported = Exported {
+            solution: &lit,
+            ..*self.exported
+        };
+        // (levels of detail hold places of their own)
+        let parts = match lit.mesh.positions == self.exported.solution.mesh.positions {
+            true => self.parts.clone(),
+            false => shown_parts(&exported, self.options),
+        };
+        save(folder, &file, &self.glb(&lit, parts, glb)?)?;
         let bright = lit.environment.data.iter().any(|c| *c != Vec3::ZERO);
         let environment = bright.then(|| format!("{}_environment.exr", lighting.name));
         if let Some(name) = &environment {
@@ -297,6 +308,23 @@ struct Beyond {
     part: LuminousPart,
     /// The same as a light without extent.
     light: PunctualLight,
+}
+
+/// Turns a lamp of the solution, whose surfaces lay in `before`, into what it is in a world: as
+/// bright as they are, where they are.
+fn as_it_stands(lamp: &mut Lamp, world: &EditableScene<'_>, before: &Mesh) {
+    let (mut own, mut now, mut path) = (Vec3::ZERO, Vec3::ZERO, Vec3::ZERO);
+    for t in lamp.triangles.iter().map(|t| *t as usize) {
+        let power = world.own_emission(t) * before.area(t);
+        own += power;
+        now += power * world.emission_factor(t);
+        let shift = world.mesh().position(t, 0.0, 0.0) - before.position(t, 0.0, 0.0);
+        path = if shift == Vec3::ZERO { path } else { shift };
+    }
+    let factor = now / own.max(Vec3::splat(f32::MIN_POSITIVE));
+    lamp.power = (Vec3::from_array(lamp.power) * factor).to_array();
+    lamp.radiance = (Vec3::from_array(lamp.radiance) * factor).to_array();
+    lamp.centre = (DVec3::from_array(lamp.centre) + path.as_dvec3()).to_array();
 }
 
 /// Luminous surfaces beyond the solution's, lamp by lamp.

@@ -3,13 +3,18 @@
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
+/// What makes a folder a scene.
+const SCENE: &str = "transforms.json";
+/// What makes a folder a result.
+const RESULT: &str = "albedo.exr";
+
 /// Refuses `out` if it is `scene`'s folder or any of `inputs` lies directly in it.
 ///
 /// Names do not count, only the folder: later versions write other names. Inputs in folders below
 /// are safe, since outputs there have folders of their own.
 ///
 /// # Errors
-/// An input lies in `out`; the message names it.
+/// An input lies in `out`, or another scene; the message names it.
 pub fn keep_inputs(out: &Path, scene: &Path, inputs: &[PathBuf]) -> Result<()> {
     // what does not exist yet holds nothing
     let Ok(out_really) = out.canonicalize() else {
@@ -18,6 +23,12 @@ pub fn keep_inputs(out: &Path, scene: &Path, inputs: &[PathBuf]) -> Result<()> {
     if scene.canonicalize().is_ok_and(|s| s == out_really) {
         return Err(Error::Usage(format!(
             "{}: is the scene itself; give another output folder",
+            out.display()
+        )));
+    }
+    if out.join(SCENE).is_file() {
+        return Err(Error::Usage(format!(
+            "{}: holds {SCENE}, which makes it a scene; give another output folder",
             out.display()
         )));
     }
@@ -34,6 +45,22 @@ pub fn keep_inputs(out: &Path, scene: &Path, inputs: &[PathBuf]) -> Result<()> {
             "{}: holds {}, which is read; give another output folder",
             out.display(),
             input.display()
+        ))),
+    }
+}
+
+/// Refuses `out` if a result of `solve` lies in it, for verbs that write something else: what they
+/// write has names of a result's files.
+///
+/// # Errors
+/// A result lies in `out`.
+pub fn keep_results(out: &Path) -> Result<()> {
+    // `scene.glb` alone may be an earlier export
+    match out.join(RESULT).is_file() {
+        false => Ok(()),
+        true => Err(Error::Usage(format!(
+            "{}: holds {RESULT}, which makes it a result of solve; give another output folder",
+            out.display()
         ))),
     }
 }
@@ -83,5 +110,24 @@ mod tests {
         let image = scene.join("a.exr");
         std::os::unix::fs::symlink(store.join("a.exr"), &image).expect("link");
         assert!(keep_inputs(&store, &scene, std::slice::from_ref(&image)).is_err());
+    }
+
+    #[test]
+    fn other_scenes_and_results_are_kept() {
+        let dir = tempfile::tempdir().expect("temp");
+        let folder = |name: &str, file: &str| {
+            let folder = dir.path().join(name);
+            std::fs::create_dir_all(&folder).expect("folder");
+            std::fs::write(folder.join(file), b"x").expect("file");
+            folder
+        };
+        let (scene, other) = (folder("s", SCENE), folder("t", SCENE));
+        let (result, export) = (folder("r", RESULT), folder("e", "scene.glb"));
+        assert!(keep_inputs(&other, &scene, &[]).is_err());
+        assert!(keep_results(&result).is_err());
+        for out in [&result, &export] {
+            assert!(keep_inputs(out, &scene, &[]).is_ok());
+        }
+        assert!(keep_results(&export).is_ok() && keep_results(&dir.path().join("new")).is_ok());
     }
 }

@@ -9,7 +9,7 @@ mod record;
 mod result;
 
 pub use check::{CheckedScene, check_scene};
-pub use guard::keep_inputs;
+pub use guard::{keep_inputs, keep_results};
 pub use job::{Job, SolvedJob, read_scene};
 pub use result::{RunResult, SolvedRun};
 

@@ -93,8 +93,7 @@ pub fn factors_of(
     groups: &[LightGroup],
 ) -> Option<Vec<Vec3>> {
     let other_panorama = world.environment_map().data != solution.environment.data;
-    let other_lamps = !(world.beyond_solution().is_empty() && world.points().is_empty());
-    if other_panorama || other_lamps {
+    if other_panorama || !world.has_own_lamps_alone() {
         return None;
     }
     let factor = |group: &LightGroup| {
