@@ -3,6 +3,7 @@
 
 use super::gltf_texture::{TextureInfo, UvSource};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 
 /// A factor and a texture that multiplies it.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,8 +45,8 @@ pub struct GltfMaterial {
     pub emissive: Textured<[f32; 3]>,
     /// How alpha is understood.
     pub alpha: Alpha,
-    /// Share of light that goes straight through (`KHR_materials_transmission`).
-    pub transmission: f32,
+    /// Share of light that goes straight through (`KHR_materials_transmission`; red channel).
+    pub transmission: Textured<f32>,
     /// Whether the back is a surface, too.
     pub double_sided: bool,
 }
@@ -89,6 +90,9 @@ struct Extensions {
     transmission: Option<Transmission>,
     #[serde(rename = "KHR_materials_pbrSpecularGlossiness")]
     specular_glossiness: Option<SpecularGlossiness>,
+    /// What is not read.
+    #[serde(flatten)]
+    others: BTreeMap<String, serde_json::Value>,
 }
 
 /// What of the extension is colour without gloss.
@@ -114,6 +118,8 @@ struct Strength {
 struct Transmission {
     #[serde(rename = "transmissionFactor", default)]
     factor: f32,
+    #[serde(rename = "transmissionTexture")]
+    texture: Option<TextureInfo>,
 }
 
 fn one() -> f32 {
@@ -180,6 +186,12 @@ impl MaterialJson {
         self.extensions.specular_glossiness.is_some()
     }
 
+    /// Extensions of it that change how it reflects and are not read.
+    pub(super) fn unread(&self) -> impl Iterator<Item = &str> {
+        let names = self.extensions.others.keys().map(String::as_str);
+        names.filter(|n| n.starts_with("KHR_materials_"))
+    }
+
     /// What of it is no number that a surface can have.
     pub(super) fn fault(&self) -> Option<&'static str> {
         let pbr = &self.pbr_metallic_roughness;
@@ -219,6 +231,7 @@ impl From<&MaterialJson> for GltfMaterial {
         let pbr = &m.pbr_metallic_roughness;
         let used = |info: &Option<TextureInfo>| TextureInfo::used(info.as_ref());
         let strength = m.extensions.strength.as_ref().map_or(1.0, |s| s.strength);
+        let through = m.extensions.transmission.as_ref();
         Self {
             base: Textured {
                 factor: pbr.base_color_factor,
@@ -237,11 +250,10 @@ impl From<&MaterialJson> for GltfMaterial {
                 "BLEND" => Alpha::Blend,
                 _ => Alpha::Opaque,
             },
-            transmission: m
-                .extensions
-                .transmission
-                .as_ref()
-                .map_or(0.0, |t| t.factor.clamp(0.0, 1.0)),
+            transmission: Textured {
+                factor: through.map_or(0.0, |t| t.factor.clamp(0.0, 1.0)),
+                texture: through.and_then(|t| used(&t.texture)),
+            },
             double_sided: m.double_sided,
         }
     }

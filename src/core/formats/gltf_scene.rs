@@ -298,6 +298,11 @@ impl GltfFile<'_> {
                         .into(),
                 );
             }
+            for name in material.unread() {
+                notes.insert(format!(
+                    "{name} is not read: its materials reflect as they would without it"
+                ));
+            }
             found.push(GltfMaterial::from(material));
         }
         Ok(found)

@@ -11,6 +11,7 @@ use serde::Deserialize;
 pub(super) struct Sampler {
     wrap_s: Option<u32>,
     wrap_t: Option<u32>,
+    mag_filter: Option<u32>,
 }
 
 /// A texture as a material names it.
@@ -114,13 +115,15 @@ pub enum Border {
     Clamp,
 }
 
-/// A texture: a picture and how it goes on.
+/// A texture: a picture, how it goes on, and what lies between its texels.
 #[derive(Clone, Debug)]
 pub struct GltfTexture {
     /// Number of the picture.
     pub image: usize,
     /// Beyond the sides, beyond top and bottom.
     pub border: [Border; 2],
+    /// Whether each texel is a square of one value; else values lie between texels, too.
+    pub nearest: bool,
 }
 
 impl GltfTexture {
@@ -135,7 +138,11 @@ impl GltfTexture {
             border(sampler.and_then(|s| s.wrap_s)),
             border(sampler.and_then(|s| s.wrap_t)),
         ];
-        Self { image, border }
+        Self {
+            image,
+            border,
+            nearest: sampler.and_then(|s| s.mag_filter) == Some(9728),
+        }
     }
 }
 

@@ -17,6 +17,14 @@ use std::path::Path;
 
 /// The folder.
 pub(super) const FOLDER: &str = "godot";
+/// What lies in it.
+pub(super) const FILES: [&str; 5] = [
+    "scene.glb",
+    "lightmap.exr",
+    "lightmap.exr.import",
+    "lightmap.tres",
+    "lit.tscn",
+];
 /// Ends of names, after `-` or `_`, by which Godot's importer makes other nodes of them.
 const HINTS: [&str; 11] = [
     "noimp",
@@ -57,15 +65,13 @@ pub(super) fn write_godot(
             users.skinned
         ));
     }
-    atomic_write(folder.join("scene.glb"), &glb_of(&root, &document.bytes)?)?;
+    let [scene, lightmap, text_files @ ..] = FILES;
+    atomic_write(folder.join(scene), &glb_of(&root, &document.bytes)?)?;
     let shown = irradiance.map(|e| *e * FRAC_1_PI);
-    write_rgb_float(folder.join("lightmap.exr"), &shown)?;
+    write_rgb_float(folder.join(lightmap), &shown)?;
     let texts = Texts::of(version, &users.paths);
-    for (name, text) in [
-        ("lightmap.exr.import", texts.import),
-        ("lightmap.tres", &*texts.lightmap),
-        ("lit.tscn", texts.scene),
-    ] {
+    let texts = [texts.import, &*texts.lightmap, texts.scene];
+    for (name, text) in text_files.into_iter().zip(texts) {
         atomic_write(folder.join(name), text.as_bytes())?;
     }
     Ok(())

@@ -1,8 +1,8 @@
 //! The materials of a glTF file as the path tracer meets them.
 //!
 //! Base colour (texture, factor, vertex colour), roughness and metal as glTF 2.0 defines them:
-//! metal has no diffuse part and mirrors its colour. Alpha is coverage: `MASK` cuts out, `BLEND`
-//! and `KHR_materials_transmission` stop a share of the rays.
+//! metal has no diffuse part and mirrors its colour, paint's lies below its gloss. Alpha is coverage: `MASK`
+//! cuts out, `BLEND` stops a share of the rays. `KHR_materials_transmission` makes panes.
 
 use crate::core::brdf::{BaseColour, Reflectance};
 use crate::core::formats::{
@@ -34,6 +34,7 @@ struct Corners {
     base: [Vec2; 3],
     metal_roughness: [Vec2; 3],
     emissive: [Vec2; 3],
+    transmission: [Vec2; 3],
     colour: [Vec4; 3],
 }
 
@@ -57,6 +58,7 @@ impl Looks {
                 &look.base.texture,
                 &look.metal_roughness.texture,
                 &look.emissive.texture,
+                &look.transmission.texture,
             ];
             for used in used.into_iter().flatten() {
                 let texture = file.texture(used.texture)?;
@@ -100,6 +102,7 @@ impl Looks {
             base: uv(&look.base.texture),
             metal_roughness: uv(&look.metal_roughness.texture),
             emissive: uv(&look.emissive.texture),
+            transmission: uv(&look.transmission.texture),
             colour: corners.map(|v| colours.map_or(Vec4::ONE, |c| c[v as usize])),
         };
         self.triangles.push(corners);
@@ -107,12 +110,28 @@ impl Looks {
         self.mean_emission.push(mean);
     }
 
-    /// Whether rays may pass any of the triangles.
+    /// Whether any of the triangles is not all there.
     pub(super) fn has_holes(&self) -> bool {
-        self.triangles.iter().any(|c| {
-            let look = &self.looks[c.look as usize];
-            look.alpha != Alpha::Opaque || look.transmission > 0.0
+        self.any(|look| look.alpha != Alpha::Opaque)
+    }
+
+    /// Whether panes have a colour, which dims what falls through them but does not colour it.
+    pub(super) fn has_tinted_panes(&self) -> bool {
+        self.any(|look| {
+            let [r, g, b, _] = look.base.factor;
+            let tinted = look.base.texture.is_some() || r != g || g != b;
+            tinted && look.transmission.factor > 0.0
         })
+    }
+
+    fn any(&self, is: impl Fn(&GltfMaterial) -> bool) -> bool {
+        let of = |c: &Corners| is(&self.looks[c.look as usize]);
+        self.triangles.iter().any(of)
+    }
+
+    /// As what is seen through by eye: panes are not there.
+    pub(super) fn without_panes(&self) -> WithoutPanes<'_> {
+        WithoutPanes(self)
     }
 
     /// Whether anything emits.
@@ -166,15 +185,14 @@ impl Looks {
         factor * sum / (n * n) as f32
     }
 
-    /// The texture at texture coordinates, bilinear.
+    /// The texture at texture coordinates, bilinear unless the file wants the nearest texel.
     fn texel(&self, used: &TextureUse, uv: Vec2, encoding: Encoding) -> Vec4 {
         let texture = &self.textures[&used.texture];
         let picture = &self.pictures[&texture.image];
         if !uv.is_finite() {
             return Vec4::ONE;
         }
-        let at = uv * Vec2::new(picture.width as f32, picture.height as f32) - 0.5;
-        let (low, part) = (at.floor(), at - at.floor());
+        let at = uv * Vec2::new(picture.width as f32, picture.height as f32);
         let value = |x: f32, y: f32| {
             let x = bordered(x as i64, picture.width, texture.border[0]);
             let y = bordered(y as i64, picture.height, texture.border[1]);
@@ -190,6 +208,10 @@ impl Looks {
                 f32::from(p[3]) / 255.0,
             )
         };
+        if texture.nearest {
+            return value(at.x.floor(), at.y.floor());
+        }
+        let (low, part) = ((at - 0.5).floor(), at - 0.5 - (at - 0.5).floor());
         let row = |y: f32| value(low.x, y).lerp(value(low.x + 1.0, y), part.x);
         row(low.y).lerp(row(low.y + 1.0), part.y)
     }
@@ -238,6 +260,13 @@ impl SurfaceModel for Looks {
         let uv = between(corners.metal_roughness, u, v);
         let texel = self.sampled(&mr.texture, uv, Encoding::Linear);
         let (metal, roughness) = (mr.factor[0] * texel.z, mr.factor[1] * texel.y);
+        let mut transmission = look.transmission.factor;
+        if transmission > 0.0 {
+            let uv = between(corners.transmission, u, v);
+            transmission *= self
+                .sampled(&look.transmission.texture, uv, Encoding::Linear)
+                .x;
+        }
         let mut emission = Vec3::from_array(look.emissive.factor);
         if emission != Vec3::ZERO {
             let uv = between(corners.emissive, u, v);
@@ -250,8 +279,7 @@ impl SurfaceModel for Looks {
                 colour: base,
                 metallic: metal,
             },
-            // of rays that its coverage stops
-            transmission: 0.0,
+            transmission,
             roughness,
             emission,
         }
@@ -269,6 +297,14 @@ impl SurfaceModel for Looks {
         Reflectance::Smith
     }
 
+    fn has_panes(&self) -> bool {
+        self.any(|look| look.transmission.factor > 0.0)
+    }
+
+    fn is_layered(&self) -> bool {
+        true
+    }
+
     fn emits_forward_only(&self, triangle: usize) -> bool {
         self.is_one_sided(triangle)
     }
@@ -277,20 +313,21 @@ impl SurfaceModel for Looks {
 impl Coverage for Looks {
     fn stops(&self, ray: &Ray, hit: &Hit) -> bool {
         let triangle = hit.triangle as usize;
-        let look = self.look(triangle);
-        if look.alpha == Alpha::Opaque && look.transmission == 0.0 {
-            return true;
-        }
         let alpha = || self.base(triangle, hit.u, hit.v).w;
-        let there = match look.alpha {
-            Alpha::Opaque => 1.0,
-            Alpha::Mask(cutoff) => f32::from(alpha() >= cutoff),
-            Alpha::Blend => alpha(),
-        };
-        let share = there * (1.0 - look.transmission);
-        if share >= 1.0 || share <= 0.0 {
-            return share >= 1.0;
+        match self.look(triangle).alpha {
+            Alpha::Opaque => true,
+            Alpha::Mask(cutoff) => alpha() >= cutoff,
+            // (the number's lower half: its upper decides on what passes panes)
+            Alpha::Blend => (4096.0 * number_of_ray(ray, hit)).fract() < alpha(),
         }
-        number_of_ray(ray, hit) < share
+    }
+}
+
+/// A scene whose panes are open.
+pub(super) struct WithoutPanes<'a>(&'a Looks);
+
+impl Coverage for WithoutPanes<'_> {
+    fn stops(&self, ray: &Ray, hit: &Hit) -> bool {
+        self.0.look(hit.triangle as usize).transmission.factor == 0.0 && self.0.stops(ray, hit)
     }
 }

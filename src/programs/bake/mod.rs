@@ -30,13 +30,14 @@ use crate::core::progress::Progress;
 use crate::core::trace::{CutOut, EmbreeTracer, Tracer};
 use crate::error::{Error, Result};
 use crate::render::{LightmapTexels, PathTracer, PathTracerOptions, buried, inside};
+use crate::solution::AsideFolder;
 use looks::Looks;
 use output::Lit;
 use scene::BakeScene;
 use seams::Seams;
 use sky::Sky;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Names of the maps: irradiance, and with directions its mean and slopes.
 const MAPS: [&str; 5] = [
@@ -76,16 +77,26 @@ pub fn bake_file(
     let mut notes = BTreeSet::new();
     let lit = light(job, &file, &mut notes, progress)?;
     let document = output::lit_document(&file, job.scene, &lit)?;
+    let aside = AsideFolder::new(out)?;
     let mut files = vec![SCENE];
-    std::fs::create_dir_all(out).map_err(|e| Error::io(out, e))?;
     for (name, map) in MAPS.iter().zip(&lit.baked.maps) {
-        write_rgb_float(out.join(name), map)?;
+        write_rgb_float(aside.path().join(name), map)?;
         files.push(name);
     }
-    atomic_write(out.join(SCENE), &glb_of(&document.root, &document.bytes)?)?;
-    if let Some(version) = job.options.godot {
-        godot::write_godot(out, version, &document, &lit.baked.maps[0], &mut notes)?;
-        files.push(godot::FOLDER);
+    let glb = glb_of(&document.root, &document.bytes)?;
+    atomic_write(aside.path().join(SCENE), &glb)?;
+    match job.options.godot {
+        Some(version) => {
+            let map = &lit.baked.maps[0];
+            godot::write_godot(aside.path(), version, &document, map, &mut notes)?;
+        }
+        None if out.join(godot::FOLDER).is_dir() => {
+            notes.insert(format!(
+                "the folder {} is of an earlier bake; give --godot to renew it",
+                godot::FOLDER
+            ));
+        }
+        None => {}
     }
     let record = BakeRecord {
         unbake: env!("CARGO_PKG_VERSION").into(),
@@ -105,9 +116,39 @@ pub fn bake_file(
         picture: document.shown,
         notes: notes.into_iter().collect(),
     };
-    record.write(out)?;
+    record.write(aside.path())?;
     files.push(BAKE);
+    publish(&aside, out, &files, job.options)?;
+    if job.options.godot.is_some() {
+        files.push(godot::FOLDER);
+    }
     Ok((record, files))
+}
+
+/// Puts a bake's files into place, and takes away the maps that an earlier one left and this one has
+/// not.
+fn publish(
+    aside: &AsideFolder,
+    out: &Path,
+    files: &[&'static str],
+    options: &BakeOptions,
+) -> Result<()> {
+    let mut names: Vec<PathBuf> = files.iter().map(PathBuf::from).collect();
+    if options.godot.is_some() {
+        let folder = out.join(godot::FOLDER);
+        std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
+        names.extend(godot::FILES.map(|name| Path::new(godot::FOLDER).join(name)));
+    }
+    aside.publish(out, &names)?;
+    for name in MAPS.iter().filter(|name| !files.contains(name)) {
+        match std::fs::remove_file(out.join(name)) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                return Err(Error::io(out.join(name), e));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 /// Reads, lays out and lights a file's scene.
@@ -149,7 +190,15 @@ fn light(
     };
     let renderer = PathTracer::new(&scene.mesh, tracer, &scene.looks, &sky, settings)
         .with_points(scene.lights.clone());
-    let texels = visible_texels(&scene.mesh, &layout, &scene.looks, tracer);
+    if scene.looks.has_tinted_panes() {
+        notes.insert(
+            "light that falls through tinted panes (KHR_materials_transmission) is dimmed, not coloured"
+                .into(),
+        );
+    }
+    let open = scene.looks.without_panes();
+    let seen = CutOut::new(&embree, &open);
+    let texels = visible_texels(&scene.mesh, &layout, &scene.looks, &seen);
     if texels.open().is_empty() {
         return Err(Error::input(
             job.scene,
@@ -157,6 +206,18 @@ fn light(
         ));
     }
     let mut baked = lightmap::bake(&texels, &renderer, options, progress);
+    if !(baked.error.is_finite()
+        && baked
+            .maps
+            .iter()
+            .flat_map(|m| &m.data)
+            .all(|e| e.is_finite()))
+    {
+        return Err(Error::input(
+            job.scene,
+            "its light is beyond what 32-bit numbers hold; lower the lamps' intensity, the emissive strength or --environment-scale",
+        ));
+    }
     let seams = progress.stage("joining seams", 1, |_| {
         let seams = Seams::new(&scene.mesh, layout.size);
         let before = seams.step(&baked.maps[0]);

@@ -1,6 +1,7 @@
 //! Baked light against closed forms, and files against what was put in.
 
 use super::*;
+use crate::core::brdf::Reflectance;
 use crate::core::formats::read_rgb;
 use crate::core::formats::{Picture8, decode_rgba8, encode_rgb8, glb_of};
 use crate::core::image::Wrap;
@@ -246,8 +247,24 @@ const INSIDE: [[f32; 2]; 5] = [
 /// at grazing angles, up to 0.025.
 const GLOSS: f32 = 0.019;
 
+/// Share of even light that the lobe over paint keeps from it: the mean of F(v·h) over viewers and
+/// lights, each by cosine.
+fn kept_from_paint() -> f32 {
+    const SIDE: usize = 48;
+    let middle = |i: usize| (i as f32 + 0.5) / SIDE as f32;
+    let mut sum = 0.0;
+    // squares of both cosines, which are even over [0, 1], and the angle between both sides
+    for i in 0..SIDE * SIDE * SIDE {
+        let (a, b) = (middle(i % SIDE), middle(i / SIDE % SIDE));
+        let turn = PI * middle(i / SIDE / SIDE);
+        let v_l = (a * b).sqrt() + ((1.0 - a) * (1.0 - b)).sqrt() * turn.cos();
+        sum += f64::from(Reflectance::Smith.fresnel((0.5 * (1.0 + v_l)).sqrt()));
+    }
+    (sum / (SIDE * SIDE * SIDE) as f64) as f32
+}
+
 /// In a closed room whose walls all shine alike, every texel receives π times what they send out:
-/// they emit L and reflect ρ of what arrives and the gloss, so that E = π L / (1 − ρ − gloss).
+/// they emit L and reflect what arrives by gloss and paint, so that E = π L / (1 − ρ (1 − kept) − gloss).
 /// Mirrored by a negative scale, the room is the same.
 #[test]
 fn white_furnace() {
@@ -260,7 +277,7 @@ fn white_furnace() {
         maker.node(json!({"mesh": mesh, "scale": [mirror, 1.0, 1.0]}));
         // (in corners, where texels have few neighbours, 64 paths are off by up to 7 %)
         let lit = maker.lit(&small(64, 512));
-        let expected = PI * 0.5 / (1.0 - albedo - GLOSS);
+        let expected = PI * 0.5 / (1.0 - albedo * (1.0 - kept_from_paint()) - GLOSS);
         let mut all = Vec::new();
         for t in 0..lit.scene.mesh.triangles.len() {
             all.extend(INSIDE.map(|[u, v]| lit.at(0, t, u, v).x / expected));
@@ -386,8 +403,9 @@ fn lights_without_extent_have_their_units() {
 fn alpha_lets_its_share_through() {
     let down = || json!({"rotation": [-(PI / 4.0).sin(), 0.0, 0.0, (PI / 4.0).cos()]});
     let pane = |mode: &str, alpha: f32, glass: f32| {
+        let tint = if glass > 0.0 { 1.0 } else { 0.0 };
         json!({
-            "pbrMetallicRoughness": {"baseColorFactor": [0, 0, 0, alpha], "metallicFactor": 0.0},
+            "pbrMetallicRoughness": {"baseColorFactor": [tint, tint, 0.5 * tint, alpha], "metallicFactor": 0.0},
             "alphaMode": mode, "alphaCutoff": 0.4, "doubleSided": true,
             "extensions": {"KHR_materials_transmission": {"transmissionFactor": glass}},
         })
@@ -397,7 +415,13 @@ fn alpha_lets_its_share_through() {
         (pane("MASK", 0.5, 0.0), 0.0),
         (pane("BLEND", 0.25, 0.0), 0.75),
         (pane("OPAQUE", 0.25, 0.0), 0.0),
-        (pane("OPAQUE", 1.0, 0.9), 0.9),
+        // its tint's mean, less what it reflects at normal incidence
+        (pane("OPAQUE", 1.0, 0.9), 0.9 * (2.5 / 3.0) * 0.96),
+        // what is not there stops nothing; of the rest the pane lets its share through
+        (
+            pane("BLEND", 0.5, 0.6),
+            0.5 + 0.5 * 0.6 * (2.5 / 3.0) * 0.96,
+        ),
     ] {
         let lit = floor_under(
             json!({"type": "directional", "intensity": 10.0}),
@@ -767,6 +791,72 @@ fn materials_are_what_the_file_says() {
     let metal = scene.looks.surface(2, 0.2, 0.3);
     assert_eq!(metal.material().albedo, Vec3::ZERO);
     assert!((metal.base.f0() - Vec3::new(0.9, 0.6, 0.3)).length() < 1e-6);
+}
+
+/// A texture of two texels, black and white: between them lies grey, unless the sampler wants the
+/// nearest one.
+#[test]
+fn a_sampler_may_want_the_nearest_texel() {
+    let seen = |sampler: Value| {
+        let mut maker = Maker::new();
+        let picture = encode_rgb8(2, 1, &[0, 0, 0, 255, 255, 255]).expect("encodes");
+        let texture = maker.texture(&picture);
+        maker.root["samplers"] = json!([sampler]);
+        maker.root["textures"][texture]["sampler"] = json!(0);
+        let paint = maker.material(json!({"pbrMetallicRoughness": {
+            "metallicFactor": 0.0, "baseColorTexture": {"index": texture},
+        }}));
+        let mesh = maker.place(&Shape::quad(Vec3::ZERO, Vec3::X, Vec3::Y), paint);
+        let corners = [0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0];
+        maker.attribute(mesh, "TEXCOORD_0", &corners, "VEC2", 4);
+        let bytes = maker.glb();
+        let file = GltfFile::open(&bytes, Path::new("m.glb")).expect("opens");
+        let scene = BakeScene::read(&file, Path::new("m.glb"), &mut BTreeSet::new());
+        let looks = scene.expect("reads").looks;
+        // along the quad's lower edge
+        [0.1, 0.45, 0.55, 0.9].map(|x| looks.surface(0, x, 0.0).base.colour.x)
+    };
+    assert_eq!(seen(json!({"magFilter": 9728})), [0.0, 0.0, 1.0, 1.0]);
+    // (two texels' middles lie at 1/4 and 3/4; beyond them the texture repeats)
+    let smooth = seen(json!({"magFilter": 9729}));
+    for (found, expected) in smooth.iter().zip([0.3, 0.4, 0.6, 0.7]) {
+        assert!((found - expected).abs() < 1e-5, "{smooth:?}");
+    }
+}
+
+/// Light beyond 32-bit numbers is refused, not written as darkness; extensions that are not read
+/// are named.
+#[test]
+fn light_that_no_number_holds_is_refused() {
+    let folder = tempfile::tempdir().expect("temp");
+    let scene = folder.path().join("s.glb");
+    let mut maker = Maker::new();
+    let paint = maker.material(json!({"extensions": {"KHR_materials_unlit": {}}}));
+    maker.place(&Shape::quad(Vec3::ZERO, Vec3::X, Vec3::Y), paint);
+    maker.light(
+        json!({"type": "point", "intensity": 1e38}),
+        json!({"translation": [0.5, 0.5, 0.01]}),
+    );
+    std::fs::write(&scene, maker.glb()).expect("writes");
+    let options = small(32, 8);
+    let job = BakeJob {
+        scene: &scene,
+        options: &options,
+        seed: 0,
+    };
+    let out = folder.path().join("out");
+    let refused = bake_file(&job, &out, &Progress::silent()).expect_err("refused");
+    assert!(refused.to_string().contains("32-bit"), "{refused}");
+    assert!(!out.join(SCENE).exists());
+    maker.root["extensions"]["KHR_lights_punctual"]["lights"][0]["intensity"] = json!(10.0);
+    std::fs::write(&scene, maker.glb()).expect("writes");
+    // an earlier bake's maps
+    std::fs::create_dir_all(&out).expect("folder");
+    std::fs::write(out.join(MAPS[1]), b"old").expect("writes");
+    let (record, _) = bake_file(&job, &out, &Progress::silent()).expect("bakes");
+    let unread = |n: &String| n.contains("KHR_materials_unlit is not read");
+    assert!(record.notes.iter().any(unread), "{:?}", record.notes);
+    assert!(out.join(SCENE).exists() && !out.join(MAPS[1]).exists());
 }
 
 /// What cannot be used is refused, with the way out.

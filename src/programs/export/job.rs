@@ -136,6 +136,7 @@ impl ExportOptions {
     /// # Errors
     /// One is out of range.
     pub(super) fn check(&self) -> Result<()> {
+        self.check_formats()?;
         if self.max_texture == 0 {
             return Err(Error::Usage("--max-texture must be at least 1".into()));
         }
@@ -163,6 +164,61 @@ impl ExportOptions {
             return Err(Error::Usage("--lightmap-paths must be at least 1".into()));
         }
         Ok(())
+    }
+
+    /// Refuses what is asked of files that are not written.
+    fn check_formats(&self) -> Result<()> {
+        let of = |format| self.format.contains(&format);
+        let (glb, usd, mitsuba) = (of(Format::Glb), of(Format::Usd), of(Format::Mitsuba));
+        let asked = [
+            (self.lightmap, "--lightmap", glb, "glb"),
+            (self.atlas == AtlasKind::PerObject, "--atlas", glb, "glb"),
+            (self.lods > 0, "--lods", glb, "glb"),
+            (self.tangents, "--tangents", glb, "glb"),
+            (self.textures, "--textures", glb, "glb"),
+            (self.webp, "--webp", glb, "glb"),
+            (self.ktx2, "--ktx2", glb, "glb"),
+            (self.lights, "--lights", glb || usd, "glb or usd"),
+            (self.hulls, "--hulls", glb || usd, "glb or usd"),
+            (
+                self.split != Split::None,
+                "--split",
+                glb || usd,
+                "glb or usd",
+            ),
+            (
+                self.mitsuba_diffuse,
+                "--mitsuba-diffuse",
+                mitsuba,
+                "mitsuba",
+            ),
+        ];
+        match asked
+            .iter()
+            .find(|(asked, _, written, _)| *asked && !written)
+        {
+            None => Ok(()),
+            Some((_, option, _, format)) => Err(Error::Usage(format!(
+                "{option} is of --format {format}, which is not among those to write; add it, or leave out {option}"
+            ))),
+        }
+    }
+
+    /// Refuses what lightings cannot have: each is a glTF file on the scene's atlas.
+    pub(super) fn check_with_lightings(&self) -> Result<()> {
+        self.check()?;
+        let asked = [
+            (!self.format.contains(&Format::Glb), "--format without glb"),
+            (self.atlas == AtlasKind::PerObject, "--atlas per-object"),
+            (self.hulls, "--hulls"),
+            (self.textures, "--textures"),
+        ];
+        match asked.iter().find(|(asked, _)| *asked) {
+            None => Ok(()),
+            Some((_, option)) => Err(Error::Usage(format!(
+                "--lightings writes a glTF file per lighting, with its lightmap on the scene's atlas; it does not go with {option}"
+            ))),
+        }
     }
 }
 

@@ -4,7 +4,6 @@
 use super::job::{ExportOptions, Exported, shown_parts};
 use super::light_mix::{LightMix, LightmapQuality, relit};
 use super::lightings::{Lightings, NamedLighting};
-use super::object_atlas::AtlasKind;
 use super::punctual::{point_light, punctual_lights, surface_light};
 use crate::core::geometry::{Mesh, clusters};
 use crate::core::image::{Plane, RgbPlane};
@@ -113,12 +112,7 @@ pub fn export_lightings(
     progress: &Progress,
 ) -> Result<Vec<String>> {
     let solution = exported.solution;
-    options.check()?;
-    if options.atlas == AtlasKind::PerObject {
-        let wrong =
-            "--lightings goes with --atlas shared only: its lightmaps are on the scene's atlas";
-        return Err(Error::Usage(wrong.into()));
-    }
+    options.check_with_lightings()?;
     let e = &solution.irradiance;
     let quality = LightmapQuality {
         side: match options.lightmap_size {

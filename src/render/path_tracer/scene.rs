@@ -66,6 +66,11 @@ pub trait SurfaceModel: Sync {
     fn reflectance(&self) -> Reflectance {
         Reflectance::Paper
     }
+    /// Whether the diffuse part lies below the dielectric lobe and has only what that lets through,
+    /// 1 − F(v·h) (Khronos Group 2021, glTF 2.0, appendix B.3.5); else it is beside it, as in the paper.
+    fn is_layered(&self) -> bool {
+        false
+    }
     /// Whether a triangle emits only towards the side its winding faces (false: towards both).
     fn emits_forward_only(&self, _triangle: usize) -> bool {
         false

@@ -19,6 +19,7 @@ pub struct PathTracer<'a> {
     pub(super) emitters: Emitters,
     pub(super) points: Vec<PointLight>,
     pub(super) reflectance: Reflectance,
+    pub(super) layered: bool,
     pub(super) has_panes: bool,
     pub(super) options: PathTracerOptions,
     /// Offset of ray origins relative to the largest coordinate involved.
@@ -58,6 +59,7 @@ impl<'a> PathTracer<'a> {
             emitters,
             points: Vec::new(),
             reflectance: surfaces.reflectance(),
+            layered: surfaces.is_layered(),
             has_panes: surfaces.has_panes(),
             options,
             offset_floor,

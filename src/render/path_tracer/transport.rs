@@ -52,6 +52,8 @@ struct Scattering<'a> {
     key: PathKey,
     bounce: u32,
     reflectance: Reflectance,
+    /// Whether the diffuse part lies below the lobe.
+    layered: bool,
     /// Probability with which the specular lobe draws the next direction.
     share: f32,
     /// Where rays start: off the surface by `offset`.
@@ -71,7 +73,7 @@ impl Scattering<'_> {
                 let beyond_lambert =
                     self.reflectance
                         .diffuse(n.dot(l), n.dot(v), v.dot(l), m.roughness);
-                m.albedo * (FRAC_1_PI * scale * beyond_lambert)
+                m.albedo * (FRAC_1_PI * scale * beyond_lambert * self.let_through(v, l))
             }
         };
         let specular = match (self.vertex.lobes, self.reflectance) {
@@ -83,6 +85,16 @@ impl Scattering<'_> {
             diffuse,
             specular: specular * self.vertex.metal_share(self.reflectance, v, l),
         }
+    }
+
+    /// What the lobe lets through to the diffuse part.
+    fn let_through(&self, v: Vec3, l: Vec3) -> f32 {
+        if !self.layered {
+            return 1.0;
+        }
+        // 2 cos² of the half angle = 1 + v·l
+        let v_h = (0.5 * (1.0 + v.dot(l))).clamp(0.0, 1.0).sqrt();
+        1.0 - self.reflectance.fresnel(v_h)
     }
 
     /// Whether `l` leaves the surface, by its shading normal and by its face.
@@ -371,6 +383,7 @@ impl PathTracer<'_> {
             key,
             bounce,
             reflectance: self.reflectance,
+            layered: self.layered,
             share,
             origin: vertex.position + vertex.face_normal * offset,
             offset,
