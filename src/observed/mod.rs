@@ -4,6 +4,7 @@
 mod camera_fixed;
 mod class_map;
 mod contradictions;
+mod find_panes;
 mod fusion;
 mod gains;
 mod labels;
@@ -16,6 +17,7 @@ mod surface;
 pub use camera_fixed::{CameraRig, find_camera_rigs};
 pub use class_map::ClassMap;
 pub use contradictions::{Contradictions, MissingGeometry};
+pub use find_panes::find_panes;
 pub(crate) use fusion::prefer_clean;
 pub use fusion::{Fusion, UNSEEN, fuse_radiance};
 pub use gains::{ViewGains, estimate_gains};

@@ -8,7 +8,7 @@ use crate::core::switch::Switch;
 use crate::core::trace::EmbreeTracer;
 use crate::gbuffer::{ObservedView, Observer};
 use crate::inverse::AlbedoEstimate;
-use crate::observed::{Panes, Surface};
+use crate::observed::{Panes, Surface, find_panes};
 use crate::scene::Scene;
 
 /// What photographs look through, and the rays for which it is not there.
@@ -29,7 +29,7 @@ pub(super) fn clear_panes(
     let mut panes = Panes::default();
     if options.panes != Switch::Off {
         panes = progress.stage("panes", 1, |_| {
-            Panes::find(&Observer { mesh, views }, &whole, classes)
+            find_panes(&Observer { mesh, views }, &whole, classes)
         });
         report_panes(scene, &panes, progress);
     }

@@ -50,6 +50,10 @@ const MAPS: [&str; 5] = [
 /// Name of the scene with its lightmap.
 const SCENE: &str = "scene.glb";
 
+/// What is said of panes with a colour.
+const TINTED: &str =
+    "light that falls through tinted panes (KHR_materials_transmission) is dimmed, not coloured";
+
 /// What is to be baked.
 pub struct BakeJob<'a> {
     /// A `.glb` or `.gltf` file.
@@ -170,6 +174,9 @@ fn light(
             "nothing shines: no emissive material, no light (KHR_lights_punctual); export the lamps with the scene, or give --environment FILE",
         ));
     }
+    if scene.looks.has_tinted_panes() {
+        notes.insert(TINTED.into());
+    }
     let layout = progress.stage("laying out", 1, |_| layout::lay_out(&mut scene, options))?;
     let largest = options.size.is_none() && layout.size == options::MOST_SIDE as usize;
     if largest && layout.texels_per_metre < 0.9 * options.texels_per_metre {
@@ -190,12 +197,6 @@ fn light(
     };
     let renderer = PathTracer::new(&scene.mesh, tracer, &scene.looks, &sky, settings)
         .with_points(scene.lights.clone());
-    if scene.looks.has_tinted_panes() {
-        notes.insert(
-            "light that falls through tinted panes (KHR_materials_transmission) is dimmed, not coloured"
-                .into(),
-        );
-    }
     let open = scene.looks.without_panes();
     let seen = CutOut::new(&embree, &open);
     let texels = visible_texels(&scene.mesh, &layout, &scene.looks, &seen);
