@@ -27,6 +27,7 @@ mod orient;
 mod plan;
 mod ply_out;
 mod polycam;
+mod realityscan;
 mod roomplan;
 mod scan;
 mod scanner_app;
@@ -71,6 +72,7 @@ pub fn importers() -> &'static [&'static dyn Importer] {
         &opensfm::OpenSfm,
         &alicevision::AliceVision,
         &metashape::Metashape,
+        &realityscan::RealityScan,
         &polycam::Polycam,
         &scanner_app::ScannerApp,
         &roomplan::RoomPlan,
