@@ -4,8 +4,10 @@
 //! the upper half of a shade shines like the lower one, the back of a panel does not. What such faces would light, the
 //! ceiling above all, is in the photographs. Under the right light, surface of one class has everywhere the
 //! same πL/E but for its texture; under that of faces that are dark it seems black beside them. So a class of lamps
-//! loses its hidden faces where the photographs are surely likelier without their light. Called by `light`.
+//! loses its hidden faces where the photographs are surely likelier without their light; what these held to it and
+//! is apart without them (the tip of what closes the space above a panel) is then asked about likewise. Called by `light`.
 
+use super::known_lights::owners;
 use super::light_basis::{Sources, light_of};
 use super::texel_radiance::texture_of;
 use crate::core::geometry::clusters;
@@ -19,7 +21,7 @@ use crate::observed::Surface;
 use crate::radiance::Environment;
 use crate::solution::lamp_gap;
 use glam::Vec3;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Share of the lamps' power below which hidden faces are not asked about. Derived: the irradiance is meant to be
 /// right within 2 %.
@@ -50,23 +52,39 @@ pub(super) fn dark_faces(
     first: FirstLight<'_>,
 ) -> Option<DarkFaces> {
     let hidden = Hidden::of(surface, lamps, first.sent);
-    if hidden.classes.is_empty() {
+    if hidden.parts.is_empty() {
         return None;
     }
     let rows = rows(surface, lamps, first, &hidden);
-    let mut dark = vec![false; hidden.classes.len()];
-    for k in 0..dark.len() {
-        dark[k] = denied(&rows, k, &dark);
-    }
+    let dark = dark_parts(&hidden.parts, |k, dark| denied(&rows, k, dark));
     if !dark.contains(&true) {
         return None;
     }
-    let of_triangle = |class: &Option<usize>| class.is_some_and(|k| dark[k]);
-    let classes = hidden.classes.iter().zip(&dark);
+    let of_triangle = |part: &Option<usize>| part.is_some_and(|k| dark[k]);
+    let parts = hidden.parts.iter().zip(&dark).filter(|(_, dark)| **dark);
+    let classes: BTreeSet<u16> = parts.map(|(part, _)| part.class).collect();
     Some(DarkFaces {
-        classes: classes.filter(|(_, d)| **d).map(|(c, _)| *c).collect(),
-        triangles: hidden.class.iter().map(of_triangle).collect(),
+        classes: classes.into_iter().collect(),
+        triangles: hidden.part.iter().map(of_triangle).collect(),
     })
+}
+
+/// Which parts are dark, one by one: `denied` says whether one is, the ones before it being as given.
+/// Remnants are asked about where they are apart.
+fn dark_parts(parts: &[Part], denied: impl Fn(usize, &[bool]) -> bool) -> Vec<bool> {
+    let mut dark = vec![false; parts.len()];
+    for (k, part) in parts.iter().enumerate() {
+        let is_apart = part.kind == Kind::Unseen || {
+            let unseen = Part {
+                kind: Kind::Unseen,
+                ..*part
+            };
+            let held_by = parts.iter().position(|p| *p == unseen);
+            held_by.is_some_and(|j| dark[j])
+        };
+        dark[k] = is_apart && denied(k, &dark);
+    }
+    dark
 }
 
 /// What [`dark_faces`] found.
@@ -77,12 +95,28 @@ pub(super) struct DarkFaces {
     pub(super) classes: Vec<u16>,
 }
 
-/// Hidden faces by the class of their lamp.
+/// Why it is asked whether faces of a lamp shine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Kind {
+    /// No view shows them clearly.
+    Unseen,
+    /// Such faces alone hold them to their lamp.
+    Remnant,
+}
+
+/// Faces of the lamps of one class that are asked about together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Part {
+    kind: Kind,
+    class: u16,
+}
+
+/// Faces that are asked about.
 struct Hidden {
-    /// Classes whose hidden faces send enough to ask about, those that send most first.
-    classes: Vec<u16>,
-    /// Index into `classes` of every hidden triangle of one.
-    class: Vec<Option<usize>>,
+    /// Those that send enough to ask about: unseen ones first, then those that send most.
+    parts: Vec<Part>,
+    /// Index into `parts` of every triangle of one.
+    part: Vec<Option<usize>>,
 }
 
 impl Hidden {
@@ -90,19 +124,23 @@ impl Hidden {
         let (mesh, texels) = (&surface.scene.mesh, &surface.texels);
         let mut clear = vec![0i32; lamps.len()];
         let mut labels = BTreeMap::<usize, Vec<u16>>::new();
+        let mut sent_by = BTreeMap::<usize, f32>::new();
         for (i, p) in texels.point.iter().enumerate() {
             let t = p.triangle as usize;
             clear[t] += if surface.fusion.clean[i] { 1 } else { -1 };
             if lamps[t] {
                 labels.entry(t).or_default().push(surface.labels[i]);
+                *sent_by.entry(t).or_default() += texels.area(mesh, i) * luminance(sent[i]);
             }
         }
-        // (of a face at a lamp's outline views that graze it show a rim)
-        let is_hidden = |t: usize| clear[t] < 0;
+        // (of a face at a lamp's outline views that graze it show a rim; one without a texel is as that whose it is)
+        let owner = owners(mesh, texels);
+        let is_hidden = |t: usize| clear[owner[t] as usize] < 0;
         let burning: Vec<u32> = (0..lamps.len() as u32)
             .filter(|&t| lamps[t as usize])
             .collect();
-        let mut class: Vec<Option<u16>> = vec![None; lamps.len()];
+        let mut part: Vec<Option<Part>> = vec![None; lamps.len()];
+        let sends = |t: usize| sent_by.get(&t).copied().unwrap_or(0.0);
         for lamp in clusters(mesh, &burning, lamp_gap(mesh)) {
             // hidden faces have the label of whatever lies nearest
             let of = |hidden: bool| {
@@ -114,40 +152,47 @@ impl Hidden {
                     .collect::<Vec<u16>>()
             };
             let own = most_frequent(of(false)).or_else(|| most_frequent(of(true)));
-            for t in lamp.iter().map(|&t| t as usize).filter(|&t| is_hidden(t)) {
-                class[t] = own;
+            let of = |kind: Kind| own.map(|class| Part { kind, class });
+            let (unseen, seen): (Vec<u32>, Vec<u32>) =
+                lamp.iter().partition(|&&t| is_hidden(t as usize));
+            unseen
+                .iter()
+                .for_each(|&t| part[t as usize] = of(Kind::Unseen));
+            if !unseen.is_empty() {
+                let mut pieces = clusters(mesh, &seen, lamp_gap(mesh));
+                let power = |piece: &[u32]| piece.iter().map(|&t| sends(t as usize)).sum::<f32>();
+                // the lamp itself
+                pieces.sort_by(|a, b| power(b).total_cmp(&power(a)));
+                let remnants = pieces.iter().skip(1).flatten();
+                remnants.for_each(|&t| part[t as usize] = of(Kind::Remnant));
             }
         }
-        let (mut power, mut all) = (BTreeMap::<u16, f32>::new(), 0.0);
-        for (i, p) in texels.point.iter().enumerate() {
-            let t = p.triangle as usize;
-            if lamps[t] {
-                let sent = texels.area(mesh, i) * luminance(sent[i]);
-                all += sent;
-                if let Some(class) = class[t] {
-                    *power.entry(class).or_default() += sent;
-                }
+        let all: f32 = sent_by.values().sum();
+        let mut power = BTreeMap::<Part, f32>::new();
+        for (t, part) in part.iter().enumerate() {
+            if let Some(part) = part {
+                *power.entry(*part).or_default() += sends(t);
             }
         }
-        let mut found: Vec<(u16, f32)> = power.into_iter().collect();
+        let mut found: Vec<(Part, f32)> = power.into_iter().collect();
         found.retain(|(_, p)| *p > LEAST_POWER * all);
-        found.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let classes: Vec<u16> = found.into_iter().map(|(c, _)| c).collect();
-        let index = |c: u16| classes.iter().position(|k| *k == c);
+        found.sort_by(|(a, p), (b, q)| a.kind.cmp(&b.kind).then(q.total_cmp(p)));
+        let parts: Vec<Part> = found.into_iter().map(|(part, _)| part).collect();
+        let index = |part: Part| parts.iter().position(|p| *p == part);
         Self {
-            class: class.into_iter().map(|c| c.and_then(index)).collect(),
-            classes,
+            part: part.into_iter().map(|p| p.and_then(index)).collect(),
+            parts,
         }
     }
 
-    /// Irradiance of each class's hidden faces alone.
+    /// Irradiance of each part alone.
     fn light(&self, surface: &Surface, first: FirstLight<'_>) -> Vec<RgbPlane> {
         let texels = &surface.texels;
         let three = |from: usize| {
             let sent = |(p, l): (&SurfacePoint, &Vec3)| {
                 let mut sent = Vec3::ZERO;
-                let class = self.class[p.triangle as usize];
-                if let Some(c) = class.filter(|k| (from..from + 3).contains(k)) {
+                let part = self.part[p.triangle as usize];
+                if let Some(c) = part.filter(|k| (from..from + 3).contains(k)) {
                     sent[c - from] = luminance(*l);
                 }
                 sent
@@ -159,7 +204,7 @@ impl Hidden {
             let light = light_of(surface, sources, first.texels, first.options);
             texture_of(first.texels, &light)
         };
-        (0..self.classes.len()).step_by(3).map(three).collect()
+        (0..self.parts.len()).step_by(3).map(three).collect()
     }
 }
 
@@ -182,7 +227,7 @@ struct Row {
     log_radiosity: f32,
     /// Luminance of its irradiance, every hidden face shining.
     light: f32,
-    /// What the hidden faces of each class add to that.
+    /// What each part of the hidden faces adds to that.
     hidden: Vec<f32>,
 }
 
@@ -191,7 +236,7 @@ struct Row {
 const LEAST_KEPT: f32 = 0.05;
 
 impl Row {
-    /// ln πL/E without the hidden faces of some classes.
+    /// ln πL/E without some parts of the hidden faces.
     fn log_albedo(&self, dark: &[bool]) -> f32 {
         let less: f32 = (self.hidden.iter().zip(dark))
             .map(|(h, dark)| if *dark { *h } else { 0.0 })
@@ -217,7 +262,7 @@ fn rows(
         position: texels.position(mesh, i),
         log_radiosity: (std::f32::consts::PI * luminance(fusion.radiance[i])).ln(),
         light: luminance(texels.lookup(mesh, first.irradiance, i)),
-        hidden: (0..hidden.classes.len())
+        hidden: (0..hidden.parts.len())
             .map(|k| texels.lookup(mesh, &light[k / 3], i)[k % 3])
             .collect(),
     };
@@ -238,7 +283,7 @@ fn by_class(rows: Vec<(u16, Row)>) -> BTreeMap<u16, Vec<Row>> {
     out
 }
 
-/// Whether the photographs are surely likelier if the hidden faces of class `k` are dark, those of others being
+/// Whether the photographs are surely likelier if part `k` of the hidden faces is dark, the others being
 /// as `dark` says: by deviations of Laplace's distribution, of as many independent places as the
 /// surface has.
 fn denied(rows: &BTreeMap<u16, Vec<Row>>, k: usize, dark: &[bool]) -> bool {
@@ -299,6 +344,24 @@ mod tests {
             })
             .collect();
         by_class(rows)
+    }
+
+    #[test]
+    fn remnants_are_asked_about_where_dark_faces_held_them() {
+        let part = |kind, class| Part { kind, class };
+        let parts = [
+            part(Kind::Unseen, 3),
+            part(Kind::Unseen, 4),
+            part(Kind::Remnant, 4),
+            part(Kind::Remnant, 3),
+            part(Kind::Remnant, 5),
+        ];
+        let all_but_class_3 = |k: usize, _: &[bool]| k != 0;
+        let dark = dark_parts(&parts, all_but_class_3);
+        assert_eq!(dark, [false, true, true, false, false]);
+        // each is judged with those before it out of the light
+        let after = |k: usize, dark: &[bool]| k != 2 || dark == [true, true, false, false, false];
+        assert_eq!(dark_parts(&parts, after), [true, true, true, true, false]);
     }
 
     #[test]

@@ -97,32 +97,39 @@ fn witnessed(mesh: &Mesh, votes: &[Votes], leaves: &dyn Fn(usize) -> bool) -> Ve
     known
 }
 
+/// Per triangle the one that has its place in the atlas: itself, but of those too small for a texel of
+/// their own that whose texel it is (itself where there is none).
+pub(super) fn owners(mesh: &Mesh, texels: &Texels) -> Vec<u32> {
+    let owner: Vec<u32> = texels.point.iter().map(|p| p.triangle).collect();
+    let mut has_texel = vec![false; mesh.triangles.len()];
+    owner.iter().for_each(|&t| has_texel[t as usize] = true);
+    let owner = texels.scatter(&owner, u32::MAX);
+    let size = Vec2::new(owner.width as f32, owner.height as f32);
+    let of = |t: usize| {
+        if has_texel[t] {
+            return t as u32;
+        }
+        let corners = mesh.corner_uvs(t);
+        let centre = corners.iter().sum::<Vec2>() / 3.0;
+        let near = std::iter::once(centre)
+            .chain(corners)
+            .map(|uv| *owner.nearest(uv * size))
+            .find(|&o| o != u32::MAX);
+        near.unwrap_or(t as u32)
+    };
+    (0..mesh.triangles.len()).into_par_iter().map(of).collect()
+}
+
 /// Adds to emitting triangles those too small for a texel of their own whose place in the atlas
 /// belongs to an emitting one: a lamp of many facets must not lose what falls between the texels.
 pub(super) fn adopt_subtexel_triangles(
     mesh: &Mesh,
     texels: &Texels,
-    mut emissive: Vec<bool>,
+    emissive: Vec<bool>,
 ) -> Vec<bool> {
-    let owner: Vec<u32> = texels.point.iter().map(|p| p.triangle).collect();
-    let mut has_texel = vec![false; emissive.len()];
-    owner.iter().for_each(|&t| has_texel[t as usize] = true);
-    let owner = texels.scatter(&owner, u32::MAX);
-    let size = Vec2::new(owner.width as f32, owner.height as f32);
-    let adopted: Vec<usize> = (0..emissive.len())
-        .into_par_iter()
-        .filter(|&t| {
-            let corners = mesh.corner_uvs(t);
-            let centre = corners.iter().sum::<Vec2>() / 3.0;
-            let near = std::iter::once(centre)
-                .chain(corners)
-                .map(|uv| *owner.nearest(uv * size))
-                .find(|&o| o != u32::MAX);
-            !has_texel[t] && near.is_some_and(|o| emissive[o as usize])
-        })
-        .collect();
-    adopted.into_iter().for_each(|t| emissive[t] = true);
-    emissive
+    let owners = owners(mesh, texels).into_iter().map(|o| o as usize);
+    let shines = |(t, owner): (usize, usize)| emissive[t] || emissive[owner];
+    owners.enumerate().map(shines).collect()
 }
 
 #[cfg(test)]
@@ -196,5 +203,16 @@ mod tests {
         let marked = |range: std::ops::Range<usize>| emissive[range].iter().filter(|e| **e).count();
         assert_eq!(marked(0..lamp), lamp, "every facet of the lamp");
         assert_eq!(marked(lamp..2 * lamp), 0, "none of the wall");
+
+        // each belongs to one with a texel, of the same square
+        let owners = owners(&mesh, &texels);
+        let with_texel = |o: u32| texels.point.iter().any(|p| p.triangle == o);
+        for (t, &o) in owners.iter().enumerate() {
+            assert!(
+                with_texel(o) && (t < lamp) == ((o as usize) < lamp),
+                "{t}: {o}"
+            );
+            assert!(!with_texel(t as u32) || o as usize == t);
+        }
     }
 }
