@@ -46,10 +46,13 @@ pub fn run(arguments: Vec<OsString>) -> ExitCode {
         Err(e) => {
             // help asked for is a result; anything else is wrong usage
             let _ = e.print();
+            if e.use_stderr() && wants_json(&command) {
+                print_error(&e.to_string(), 2);
+            }
             return ExitCode::from(if e.use_stderr() { 2 } else { 0 });
         }
     };
-    let wants_json = command.iter().any(|a| a == "--json");
+    let as_json = wants_json(&command);
     let outcome = Cli::from_arg_matches(&matches)
         .map_err(|e| Error::Usage(e.to_string()))
         .and_then(|cli| dispatch(&cli, &matches, command));
@@ -58,15 +61,22 @@ pub fn run(arguments: Vec<OsString>) -> ExitCode {
         Err(e) => {
             let said = printable_lines(&e.to_string());
             let _ = writeln!(std::io::stderr(), "error: {said}");
-            if wants_json {
-                let _ = print(&format!(
-                    "{:#}\n",
-                    serde_json::json!({"error": e.to_string(), "exit_code": e.exit_code()})
-                ));
+            if as_json {
+                print_error(&e.to_string(), e.exit_code());
             }
             ExitCode::from(e.exit_code())
         }
     }
+}
+
+fn wants_json(command: &[String]) -> bool {
+    command.iter().any(|a| a == "--json")
+}
+
+/// An error as the one JSON object on stdout.
+fn print_error(message: &str, exit_code: u8) {
+    let object = serde_json::json!({"error": message, "exit_code": exit_code});
+    let _ = print(&format!("{object:#}\n"));
 }
 
 fn dispatch(cli: &Cli, matches: &clap::ArgMatches, command: Vec<String>) -> Result<u8> {

@@ -17,7 +17,7 @@ use crate::observed::{
     Contradictions, Fusion, Panes, Surface, balance_views, complete_labels, find_camera_rigs,
     fuse_radiance, leave_out_clipped_sky,
 };
-use crate::scene::{EIGHT_BIT, MeshClasses, Scene, Shortfall, View, all_black};
+use crate::scene::{EIGHT_BIT, MeshClasses, Scene, Shortfall, View, all_black, all_masked};
 use glam::Vec3;
 use std::time::Instant;
 
@@ -148,6 +148,10 @@ fn read_views(
     let dark = |v: &ObservedView| v.radiance.data.iter().all(|p| *p == Vec3::ZERO);
     if views.iter().all(dark) {
         return Err(all_black(scene));
+    }
+    let masked = |v: &ObservedView| v.valid.as_ref().is_some_and(|m| !m.data.contains(&true));
+    if views.iter().all(masked) {
+        return Err(all_masked(scene));
     }
     Ok(ReadViews {
         views,

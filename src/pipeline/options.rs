@@ -148,6 +148,17 @@ impl SolveOptions {
                 return wrong(format!("--{flag} {samples}: must be at most 1048576"));
             }
         }
+        let seconds = self.budget.as_ref().map(Budget::seconds);
+        if let Some(s) = seconds.filter(|s| !(s.is_finite() && *s > 0.0)) {
+            return wrong(format!(
+                "--budget {s}: must be a time above 0, in a file as seconds"
+            ));
+        }
+        if self.irradiance_rays + self.emitter_samples == 0 {
+            return wrong(
+                "--irradiance-rays and --emitter-samples are both 0: nothing would be lit".into(),
+            );
+        }
         if let Some(epochs) = self.nirf.filter(|e| !(1..=1_000_000).contains(e)) {
             return wrong(format!(
                 "--nirf {epochs}: must be from 1 to 1000000 epochs (the paper: 2000)"

@@ -126,7 +126,7 @@ pub struct SolveRequest {
     /// Preset of samples, resolutions and refinement; every other option overrides it.
     #[arg(long, value_enum, default_value = "standard")]
     pub quality: Quality,
-    /// Time for the whole run, such as 60s or 2min: texture sizes and samples are chosen to take
+    /// Time for the whole run, such as 60s or 2min (in a file: seconds): texture sizes and samples are chosen to take
     /// it, up to the preset's sizes.
     #[arg(long, value_name = "TIME", value_parser = parse_seconds,
           conflicts_with_all = ["irradiance_rays", "emitter_samples", "evidence_points", "specular_rays", "target_error"])]

@@ -16,6 +16,10 @@ use glam::{DMat3, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+/// Height of a mesh above which its unit is doubted, metres. Derived: a room of 2.5 m is 98 high in inches
+/// and 250 in centimetres; few halls are higher than this.
+const HIGHEST: f32 = 60.0;
+
 /// Where a scene is described, and what its relative paths are relative to.
 struct SceneFile {
     file: PathBuf,
@@ -221,6 +225,13 @@ impl Scene {
             ));
         }
         let (lo, hi) = self.mesh.bounds();
+        let height = hi.y - lo.y;
+        if height > HIGHEST {
+            notes.push(format!(
+                "{name} is {height:.0} m high: one unit is one metre. If it is in centimetres, inches or millimetres, write mesh and poses in metres \
+                 (`unbake prepare nerfstudio SCENE -o NEW --scale METRES_PER_UNIT` does)"
+            ));
+        }
         let outside: Vec<&str> = self
             .views
             .iter()

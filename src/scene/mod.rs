@@ -31,7 +31,7 @@ pub use clipping::clipped_channels;
 pub use frame_account::{EIGHT_BIT, FrameAccount, Shortfall};
 pub use mesh_classes::{ClassesByName, MeshClasses};
 pub use mesh_prep::{MeshStats, PreparedMesh, atlas_overlap, prepare_mesh};
-pub use pixels::{PixelStats, all_black};
+pub use pixels::{PixelStats, all_black, all_masked};
 pub use recorded_light::RecordedLight;
 pub(crate) use rigid::rigid;
 pub use rooms::{find_rooms, floor_plan, read_rooms};

@@ -325,6 +325,17 @@ pub fn all_black(scene: &Scene) -> Error {
     )
 }
 
+/// Every pixel of every training view is masked: named by the first one's image.
+#[must_use]
+pub fn all_masked(scene: &Scene) -> Error {
+    let first = scene.train_views().next();
+    let path = first.map_or(&scene.folder, |v| &v.image_path);
+    Error::input(
+        path,
+        "every pixel of every training image is masked: nothing to reconstruct from; masks are 0 where pixels are to be ignored, turn them round or leave them out",
+    )
+}
+
 /// [`PixelStats::at_one`] of an image as stored.
 fn at_one(image: &RgbPlane) -> usize {
     if image.data.iter().any(|p| p.max_element() > 1.0) {

@@ -85,15 +85,21 @@ impl Scan {
     /// # Errors
     /// If the mesh cannot be used, has no colours, or its pictures are missing or black.
     pub fn load(path: &Path, options: &ScanOptions, load: &LoadOptions) -> Result<Self> {
-        let raw = formats::read_mesh(path)?;
+        let mut raw = formats::read_mesh(path)?;
+        let mut notes = raw.oddities.look_notes.clone();
+        notes.extend(only_light(&mut raw.colours, "vertices"));
         let z_up = options.up.as_deref() == Some("z");
         let (mut looks, source) = read_looks(path, &raw, options)?;
-        let pictures = looks.iter().filter_map(|l| l.picture.as_ref());
-        let bright = |p: &Picture| p.colours.base().data.iter().any(|c| luminance(*c) > 0.0);
-        if pictures.clone().count() > 0 && !pictures.clone().any(bright) {
+        notes.extend(source.notes.iter().cloned());
+        let lit = |colours: &[Vec3]| colours.iter().any(|c| luminance(*c) > 0.0);
+        let shows = |l: &ReadLook| match &l.picture {
+            Some(p) => lit(&p.colours.base().data),
+            None => raw.colours.is_empty() || lit(&raw.colours),
+        };
+        if !looks.iter().any(|l| lit(&[l.factor]) && shows(l)) {
             return Err(Error::input(
                 path,
-                "its pictures are black: no light to take out",
+                "its colours are black: no light to take out; export it with its texture or vertex colours, or give the picture with --texture",
             ));
         }
         let load = LoadOptions {
@@ -103,7 +109,6 @@ impl Scan {
         let (triangles, uvs) = (raw.triangles.clone(), raw.picture_uvs().to_vec());
         let (vertices, names) = (raw.colours.clone(), raw.names.clone());
         let encoded = are_encoded(&source, &vertices);
-        let mut notes = raw.oddities.look_notes.clone();
         let look_of = look_of_triangles(&raw, &mut looks, &mut notes);
         check_placed(&raw, &looks, &look_of).map_err(|m| Error::input(path, m))?;
         let prepared = prepare_mesh(raw, path, z_up, &load)?;
@@ -123,6 +128,22 @@ impl Scan {
         scene.warnings.extend(notes.into_iter().map(named));
         Ok(Self { scene, colours })
     }
+}
+
+/// Makes light of colours: what is below 0 is 0, what is no number is black. Says how many were neither.
+fn only_light(colours: &mut [Vec3], of: &str) -> Option<String> {
+    let mut count = 0usize;
+    for c in colours {
+        let light = match c.is_finite() {
+            true => c.max(Vec3::ZERO),
+            false => Vec3::ZERO,
+        };
+        count += usize::from(*c != light);
+        *c = light;
+    }
+    (count > 0).then(|| {
+        format!("{count} {of} have colours that are no light (below 0, or no numbers): taken as black there")
+    })
 }
 
 /// Index into `looks` per triangle: its material's, or the only one. Where that is a picture, parts
@@ -220,6 +241,8 @@ struct Source {
     pictures: usize,
     /// The pictures' files.
     files: Vec<PathBuf>,
+    /// What of the pictures is odd.
+    notes: Vec<String>,
 }
 
 /// Whether the colours are of a display: those of an 8-bit picture, or of vertices none of which
@@ -271,18 +294,20 @@ fn read_looks(
             "no texture coordinates, so that its picture cannot be laid on; export the mesh with them",
         ));
     }
-    let mut read: BTreeMap<TextureSource, Texture> = BTreeMap::new();
+    let (mut read, mut notes) = (BTreeMap::<TextureSource, Texture>::new(), Vec::new());
     for source in looks.iter().filter_map(|l| l.texture.clone()) {
         if let std::collections::btree_map::Entry::Vacant(entry) = read.entry(source.clone()) {
             let texture = formats::read_texture(path, &source);
-            entry.insert(texture.map_err(|e| {
+            let mut texture = texture.map_err(|e| {
                 e.advise(match source {
                     TextureSource::File(_) => {
                         "it is a picture of the mesh: keep it beside the mesh, or give it with --texture"
                     }
                     _ => "or give the picture of the surface with --texture",
                 })
-            })?);
+            })?;
+            notes.extend(only_light(&mut texture.pixels.data, "pixels of a picture"));
+            entry.insert(texture);
         }
     }
     let source = Source {
@@ -295,6 +320,7 @@ fn read_looks(
             })
             .collect(),
         text: described(&looks, &read),
+        notes,
     };
     let prepared = looks.iter().enumerate().map(|(k, look)| ReadLook {
         factor: look.factor,
@@ -545,5 +571,42 @@ mod tests {
             e.exit_code() == 2 && e.to_string().contains("--texture"),
             "{e}"
         );
+    }
+
+    /// A PLY of one triangle with colours of numbers.
+    fn coloured(folder: &Path, colours: [&str; 3]) -> PathBuf {
+        let path = folder.join("c.ply");
+        let head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+            property float red\nproperty float green\nproperty float blue\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n";
+        let [a, b, c] = colours;
+        let text = format!("{head}0 0 0 {a}\n1 0 0 {b}\n0 1 0 {c}\n3 0 1 2\n");
+        std::fs::write(&path, text).expect("mesh");
+        path
+    }
+
+    #[test]
+    fn colours_that_are_no_light_are_black_and_a_black_scan_is_refused() {
+        let dir = tempfile::tempdir().expect("folder");
+        let mesh = coloured(dir.path(), ["-1 0.5 0.5", "nan 1 1", "0.5 0.5 0.5"]);
+        let scan = load(&mesh).expect("usable");
+        let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)];
+        for (u, v) in corners {
+            let c = scan.colours.at(0, u, v, 1.0).expect("known").radiance;
+            assert!(c.is_finite() && c.min_element() >= 0.0, "{c}");
+        }
+        let told = |w: &String| w.contains("2 vertices have colours that are no light");
+        assert!(
+            scan.scene.warnings.iter().any(told),
+            "{:?}",
+            scan.scene.warnings
+        );
+        for black in [["0 0 0"; 3], ["-1 0 -2"; 3]] {
+            let mesh = coloured(dir.path(), black);
+            let refused = load(&mesh).map(|_| ()).expect_err("black").to_string();
+            assert!(
+                refused.contains("black") && refused.contains("--texture"),
+                "{refused}"
+            );
+        }
     }
 }

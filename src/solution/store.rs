@@ -33,6 +33,9 @@ pub const FILES: [&str; 11] = [
     "scene.glb",
 ];
 
+/// The scores that `eval` leaves beside a solution.
+const SCORES: &str = "eval/metrics.json";
+
 /// A file that only solutions with a stated error of their irradiance have.
 const IRRADIANCE_ERROR: &str = "irradiance_error.exr";
 
@@ -60,6 +63,7 @@ impl Solution {
         self.check_finite()?;
         let generation = self.generation();
         let marked = Marked(&generation);
+        let before = generation_mark(&folder.join(FILES[0])).ok().flatten();
         let aside = AsideFolder::new(folder)?;
         let at = |name: &str| aside.path().join(name);
         let glb = || {
@@ -100,6 +104,10 @@ impl Solution {
         }
         replace_camera_masks(&aside, folder)?;
         aside.publish(folder, &FILES)?;
+        if before.is_some_and(|before| before != generation) {
+            // they are of the solution that lay here
+            remove_if_there(&folder.join(SCORES))?;
+        }
         Ok(generation)
     }
 
@@ -331,6 +339,25 @@ mod tests {
     use super::*;
     use crate::solution::tests::small_solution;
     use glam::{Vec2, Vec3};
+
+    #[test]
+    fn scores_of_another_solution_are_taken_away() {
+        let folder = tempfile::tempdir().expect("temp");
+        let save = |solution: &Solution| {
+            let saved = solution.save(folder.path(), &SaveOptions::default());
+            saved.expect("saves")
+        };
+        let mut solution = small_solution();
+        save(&solution);
+        let scores = folder.path().join(SCORES);
+        std::fs::create_dir_all(scores.parent().expect("folder")).expect("folder");
+        std::fs::write(&scores, b"{}").expect("writes");
+        save(&solution);
+        assert!(scores.is_file(), "they are of this solution");
+        solution.albedo.data[0] += Vec3::splat(0.01);
+        save(&solution);
+        assert!(!scores.is_file());
+    }
 
     #[test]
     fn a_solution_survives_the_disk() {

@@ -5,6 +5,7 @@ use crate::cli::inputs::read_scene;
 use crate::core::lock::OutputLock;
 use crate::error::{Error, Result};
 use crate::programs::edit::{EDITED, EDITS, EditList, apply_to_folder};
+use crate::programs::report::RunRecord;
 use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
@@ -50,7 +51,11 @@ pub(crate) fn edit(
             list.display()
         )));
     }
-    let done = apply_list(out, &list, scene, context);
+    let done = apply_list(out, &list, scene, context).map_err(|e| match (e, edits) {
+        // the copy is taken away again: what is wrong stands in the file given
+        (Error::Input { path, message }, Some(file)) if path == list => Error::input(file, message),
+        (e, _) => e,
+    });
     if done.is_err() && edits.is_some() {
         // a list that cannot be applied must not stand in the way of the next `render`
         match before {
@@ -68,7 +73,10 @@ fn apply_list(out: &Path, list: &Path, scene: Option<&Path>, context: &Context) 
             .into_iter()
             .map(|c| (c.id, c.name))
             .collect(),
-        None => Vec::new(),
+        None => RunRecord::of_result(out)?.map_or_else(Vec::new, |run| {
+            let names = run.scene.class_names.into_iter();
+            names.map(|c| (c.id, c.name)).collect()
+        }),
     };
     // names are turned into ids once, so that the list can be applied where the scene is not at
     // hand

@@ -355,9 +355,8 @@ fn changed_light(groups: &[Lamp], lights: Option<&Path>, context: &Context) -> R
 }
 
 fn list_lamps(groups: &[Lamp], context: &Context) -> Result<()> {
-    let mut text = String::from(
-        "lamp     x       y       z  metres   area m²      power   radiance (r g b)\n",
-    );
+    let mut text =
+        String::from("lamp     x m     y m     z m   area m²      power   radiance (r g b)\n");
     for g in groups {
         let [x, y, z] = g.centre;
         let [r, gr, b] = g.radiance;

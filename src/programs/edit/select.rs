@@ -7,7 +7,7 @@ use crate::core::image::RgbPlane;
 use crate::error::{Error, Result};
 use crate::solution::Solution;
 use glam::{DVec3, Vec2, Vec3};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// A picked surface ends where neighbouring triangles meet at more than this angle (cosine): 35°.
@@ -51,11 +51,10 @@ impl<'a> Selector<'a> {
         let wrong = |m: String| Error::input(&list, format!("edit[{index}].{m}"));
         let class = match &edit.class {
             None => None,
-            Some(name) => Some(self.class_id(name).map_err(wrong)?),
+            Some(name) => Some(self.class_of(name).map_err(wrong)?),
         };
         if let Some(room) = edit.room {
-            let rooms: std::collections::BTreeSet<u16> =
-                self.solution.rooms.data.iter().copied().collect();
+            let rooms: BTreeSet<u16> = self.solution.rooms.data.iter().copied().collect();
             if !rooms.contains(&room) {
                 return Err(wrong(format!(
                     "room: there is no room {room}; the solution has {rooms:?}"
@@ -85,6 +84,18 @@ impl<'a> Selector<'a> {
             triangles,
             mask,
         })
+    }
+
+    /// A class that the solution has, by name or id.
+    fn class_of(&self, name: &str) -> std::result::Result<u16, String> {
+        let id = self.class_id(name)?;
+        if self.solution.labels.data.contains(&id) {
+            return Ok(id);
+        }
+        let known: BTreeSet<u16> = self.solution.labels.data.iter().copied().collect();
+        Err(format!(
+            "class: no surface is of class {id} ({name}); the solution has {known:?}"
+        ))
     }
 
     fn class_id(&self, name: &str) -> std::result::Result<u16, String> {

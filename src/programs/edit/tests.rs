@@ -146,6 +146,7 @@ fn selections_mean_what_they_say() {
     }
     for (text, expected) in [
         ("class = \"sofa\"", "there is no \"sofa\""),
+        ("class = \"999\"", "no surface is of class 999"),
         ("room = 7", "no room 7"),
         ("point = [5, 5, 5]", "no surface near"),
     ] {

@@ -28,6 +28,7 @@ pub use panes::PaneScores;
 pub use scores::{ClassScores, Evaluation, MaterialScores, Protocols, SplitScores, ViewScores};
 pub use table::terminal_table;
 pub use truth::GroundTruth;
+use truth::has_true_materials;
 pub(crate) use truth::true_materials;
 
 use crate::core::formats::{write_plane_half, write_rgb_half};
@@ -79,7 +80,9 @@ pub fn evaluate(
     progress: &Progress,
     each: &mut dyn FnMut(&ViewOutcome<'_>),
 ) -> Result<Evaluation> {
+    options.validate()?;
     let views = scored_views(scene, options, progress)?;
+    note_missing_truth(scene, &views, progress);
     let mut scoring = Scoring {
         scene,
         renderer,
@@ -150,6 +153,29 @@ fn scored_views<'a>(
         ));
     }
     Ok(views)
+}
+
+/// Says which views are left out of the materials' scores, where others have a truth.
+fn note_missing_truth(scene: &Scene, views: &[&View], progress: &Progress) {
+    let truth = scene.folder.join("gt");
+    if !["albedo", "roughness"]
+        .iter()
+        .any(|k| truth.join(k).is_dir())
+    {
+        return;
+    }
+    let missing: Vec<&str> = views
+        .iter()
+        .filter(|v| !has_true_materials(scene, v))
+        .map(|v| v.stem.as_str())
+        .collect();
+    if let Some(first) = missing.first() {
+        progress.note(format!(
+            "{} of {} views are not scored by their materials: gt/albedo/{first}.exr or gt/roughness/{first}.exr is missing",
+            missing.len(),
+            views.len()
+        ));
+    }
 }
 
 /// An evaluation under way.

@@ -1,5 +1,6 @@
 //! What `unbake eval` can be told.
 
+use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 
 /// What `unbake eval` can be told.
@@ -20,4 +21,21 @@ pub struct EvalOptions {
         allow_negative_numbers = true
     )]
     pub exposure: f32,
+}
+
+/// Stops beyond which any photograph is black or white.
+const MOST_STOPS: f32 = 32.0;
+
+impl EvalOptions {
+    /// # Errors
+    /// The exposure is no number or out of range.
+    pub(super) fn validate(&self) -> Result<()> {
+        match self.exposure.abs() <= MOST_STOPS {
+            true => Ok(()),
+            false => Err(Error::Usage(format!(
+                "--exposure {}: expected stops from -{MOST_STOPS} to {MOST_STOPS}",
+                self.exposure
+            ))),
+        }
+    }
 }

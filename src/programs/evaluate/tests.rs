@@ -374,15 +374,20 @@ fn ground_truth_of_another_size_is_refused() {
         albedo: 0.5,
         roughness: 0.125,
     };
-    let error = evaluate(
-        &scene,
-        &renderer,
-        &EvalOptions::default(),
-        None,
-        &Progress::silent(),
-        &mut |_| {},
-    )
-    .expect_err("refuses");
-    assert_eq!(error.exit_code(), 2);
-    assert!(error.to_string().contains("8×4"), "{error}");
+    let refused = |options: &EvalOptions| {
+        let silent = Progress::silent();
+        let error = evaluate(&scene, &renderer, options, None, &silent, &mut |_| {});
+        let error = error.expect_err("refuses");
+        assert_eq!(error.exit_code(), 2);
+        error.to_string()
+    };
+    let error = refused(&EvalOptions::default());
+    assert!(error.contains("8×4"), "{error}");
+    for exposure in [f32::NAN, f32::INFINITY, -200.0] {
+        let error = refused(&EvalOptions {
+            exposure,
+            ..EvalOptions::default()
+        });
+        assert!(error.contains("--exposure"), "{error}");
+    }
 }

@@ -35,15 +35,22 @@ pub(super) fn check_size(path: &Path, width: usize, height: usize, camera: &Came
     ))
 }
 
+/// Where the truth of a view lies.
+fn file_of(scene: &Scene, view: &View, kind: &str) -> PathBuf {
+    let folder = scene.folder.join("gt").join(kind);
+    folder.join(format!("{}.exr", view.stem))
+}
+
+/// Whether the scene has the true materials of a view.
+pub(super) fn has_true_materials(scene: &Scene, view: &View) -> bool {
+    ["albedo", "roughness"]
+        .iter()
+        .all(|kind| file_of(scene, view, kind).is_file())
+}
+
 /// The true materials of a view, if the scene has them.
 pub(crate) fn true_materials(scene: &Scene, view: &View) -> Result<Option<GroundTruth>> {
-    let file = |kind: &str| -> PathBuf {
-        scene
-            .folder
-            .join("gt")
-            .join(kind)
-            .join(format!("{}.exr", view.stem))
-    };
+    let file = |kind: &str| file_of(scene, view, kind);
     let (albedo, roughness) = (file("albedo"), file("roughness"));
     let share = |path: &Path| -> Result<Option<Plane<f32>>> {
         let plane = path.is_file().then(|| read_plane(path)).transpose()?;
@@ -52,7 +59,7 @@ pub(crate) fn true_materials(scene: &Scene, view: &View) -> Result<Option<Ground
         }
         Ok(plane)
     };
-    if !albedo.is_file() || !roughness.is_file() {
+    if !has_true_materials(scene, view) {
         return Ok(None);
     }
     let truth = GroundTruth {
