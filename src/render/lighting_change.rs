@@ -8,6 +8,7 @@ use crate::error::{Error, Result};
 use crate::solution::Lamp;
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::f32::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
@@ -158,7 +159,7 @@ impl Lighting {
     /// # Errors
     /// A lamp is named that does not exist; the panorama cannot be read.
     pub fn apply(&self, world: &mut EditableScene<'_>, groups: &[Lamp]) -> Result<()> {
-        let mut moves = Vec::new();
+        let mut moves = BTreeMap::<usize, LampMove>::new();
         for change in &self.lamps {
             let chosen: Vec<&Lamp> = match (change.group, change.near) {
                 (Some(id), _) => match groups.iter().find(|g| g.id == id) {
@@ -190,14 +191,15 @@ impl Lighting {
             for g in chosen {
                 world.scale_emission(&g.triangles, factor);
                 if let Some(by) = change.shift {
-                    moves.push(LampMove {
+                    let new = || LampMove {
                         triangles: g.triangles.clone(),
-                        by: Vec3::from_array(by),
-                    });
+                        by: Vec3::ZERO,
+                    };
+                    moves.entry(g.id).or_insert_with(new).by += Vec3::from_array(by);
                 }
             }
         }
-        world.move_lamps(&moves);
+        world.move_lamps(&moves.into_values().collect::<Vec<_>>());
         for lamp in &self.add {
             world.add(lamp)?;
         }
@@ -354,6 +356,15 @@ mod tests {
                 "{e}"
             );
         }
+        // twice the way of one step, not two lamps
+        std::fs::write(&path, "[[lamp]]\nmove = [0, 1, 0]\n".repeat(2)).expect("writes");
+        let mut moved = EditableScene::new(&solution);
+        let twice = Lighting::read(&path).expect("valid");
+        twice.apply(&mut moved, &groups).expect("applies");
+        assert!(moved.beyond_solution().is_empty());
+        let [from, to] = [&solution.mesh, moved.mesh()].map(|m| m.position(0, 0.3, 0.3));
+        assert!((to - from - 2.0 * Vec3::Y).length() < 1e-6);
+
         let none = Lighting {
             lamps: vec![LampChange {
                 group: Some(7),
