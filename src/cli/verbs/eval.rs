@@ -8,6 +8,7 @@ use crate::programs::evaluate::{evaluate, terminal_table};
 use crate::programs::report::{self, Photographer, Reported, RunRecord, hash_inputs, write_report};
 use crate::programs::run::keep_inputs;
 use crate::render::{HybridOptions, HybridRenderer};
+use crate::scene::Scene;
 use crate::solution::Solution;
 use std::path::Path;
 
@@ -25,6 +26,15 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
             scene.origin
         );
         return Err(Error::input(out, message));
+    }
+    if let Some(record) = RunRecord::of_result(out)?
+        && let Some(mesh) = other_mesh(&scene, &record)
+    {
+        context.progress.note(format!(
+            "{} was solved with another {mesh} than lies in {}: the scores may compare it with what is not its truth",
+            out.display(),
+            scene_path.display()
+        ));
     }
     keep_inputs(out, &scene.folder, &scene.input_files())?;
     let _lock = OutputLock::acquire(out, &["eval"])?;
@@ -75,4 +85,16 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
     let json =
         serde_json::to_value(&evaluation).map_err(|e| Error::Failed(format!("scores: {e}")))?;
     context.result(&terminal_table(&evaluation), &json)
+}
+
+/// The mesh that a run read, if the scene's file of that name is not the same.
+fn other_mesh(scene: &Scene, record: &RunRecord) -> Option<String> {
+    let is_mesh = |name: &str| {
+        let ending = Path::new(name).extension().and_then(|e| e.to_str());
+        ending.is_some_and(|e| ["glb", "gltf", "obj", "ply"].contains(&e))
+    };
+    let mesh = record.inputs.iter().find(|f| is_mesh(&f.path))?;
+    let bytes = std::fs::read(scene.folder.join(&mesh.path)).unwrap_or_default();
+    let same = blake3::hash(&bytes).to_hex().as_str() == mesh.blake3;
+    (!same).then(|| mesh.path.clone())
 }

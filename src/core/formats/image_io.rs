@@ -415,7 +415,11 @@ fn write(path: &Path, layout: &Layout<'_>, values: &[f32], samples: Samples) -> 
     }
     let aside = Aside::new(path)?;
     let size = (width, height);
-    oiio::write(aside.path(), size, names, samples, mark)
-        .map_err(|e| Error::Failed(format!("{}: could not be written: {e}", path.display())))?;
+    oiio::write(aside.path(), size, names, samples, mark).map_err(|e| {
+        Error::Failed(format!(
+            "{}: could not be written (is the disk full?): {e}",
+            path.display()
+        ))
+    })?;
     aside.finish()
 }
