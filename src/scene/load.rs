@@ -225,13 +225,7 @@ impl Scene {
             ));
         }
         let (lo, hi) = self.mesh.bounds();
-        let height = hi.y - lo.y;
-        if height > HIGHEST {
-            notes.push(format!(
-                "{name} is {height:.0} m high: one unit is one metre. If it is in centimetres, inches or millimetres, write mesh and poses in metres \
-                 (`unbake prepare nerfstudio SCENE -o NEW --scale METRES_PER_UNIT` does)"
-            ));
-        }
+        notes.extend(unit_note(&name, hi.y - lo.y));
         let outside: Vec<&str> = self
             .views
             .iter()
@@ -249,6 +243,16 @@ impl Scene {
         self.warnings.extend(notes);
         self
     }
+}
+
+/// Doubts the unit of a mesh that is higher than halls are, metres.
+fn unit_note(name: impl std::fmt::Display, height: f32) -> Option<String> {
+    (height > HIGHEST).then(|| {
+        format!(
+            "{name} is {height:.0} m high: one unit is one metre. If it is in centimetres, inches or millimetres, write mesh and poses in metres \
+             (`unbake prepare nerfstudio SCENE -o NEW --scale METRES_PER_UNIT` does)"
+        )
+    })
 }
 
 /// A path of the file, relative to the scene's folder. Windows writes `\` between folders: read as

@@ -1,7 +1,6 @@
 //! What a reconstruction is: the textures that `solve` makes and that evaluation, rendering and
 //! export read.
 
-mod aside;
 mod camera_masks;
 mod generation;
 mod glb;
@@ -12,7 +11,6 @@ mod lamps;
 mod mesh_part;
 mod store;
 
-pub use aside::AsideFolder;
 pub use generation::check_generation;
 pub use glb::{GlbOptions, objects_glb, scene_glb};
 pub use glb_lights::{LuminousPart, PunctualLight, SpotCone};

@@ -5,11 +5,11 @@
 //! old solution or the new one, and a full disk leaves the old one untouched.
 
 use super::Solution;
-use super::aside::AsideFolder;
 use super::camera_masks::{read_camera_masks, replace_camera_masks, write_camera_masks};
 use super::generation::other_run;
 use super::glb::{GlbOptions, marked_glb, read_glb};
 use super::lamps::{self, LIGHTS};
+use crate::core::formats::AsideFolder;
 use crate::core::formats::{
     Marked, generation_mark, read_labels, read_plane, read_rgb, read_two_channels,
 };

@@ -2,12 +2,12 @@
 
 use super::solve::say;
 use crate::cli::context::Context;
+use crate::core::formats::AsideFolder;
 use crate::core::lock::OutputLock;
 use crate::error::{Error, Result};
 use crate::programs::report::hash_inputs;
 use crate::programs::run::{RunResult, keep_inputs};
 use crate::scene::Scan;
-use crate::solution::AsideFolder;
 use std::path::Path;
 
 pub(super) fn delight(mesh: &Path, out: &Path, context: &Context) -> Result<()> {

@@ -4,6 +4,7 @@
 //! Readers return what is in the file, NaN included: the scene judges. Writers refuse values that
 //! are not finite.
 
+mod aside_folder;
 mod curve;
 mod depth;
 mod eight_bit;
@@ -48,6 +49,7 @@ mod display_tests;
 #[cfg(test)]
 mod tests;
 
+pub use aside_folder::AsideFolder;
 pub use depth::read_depth;
 pub use exif_exposure::exif_exposure;
 pub use glb::{GlbWriter, glb_of};

@@ -22,6 +22,7 @@ pub use layout::Layout;
 pub use options::{BakeOptions, GodotVersion};
 pub use record::{BAKE, BakeRecord};
 
+use crate::core::formats::AsideFolder;
 use crate::core::formats::{
     GltfFile, MOST_DATA, atomic_write, glb_of, read_input, read_panorama, write_rgb_float,
 };
@@ -30,7 +31,6 @@ use crate::core::progress::Progress;
 use crate::core::trace::{CutOut, EmbreeTracer, Tracer};
 use crate::error::{Error, Result};
 use crate::render::{LightmapTexels, PathTracer, PathTracerOptions, buried, inside};
-use crate::solution::AsideFolder;
 use looks::Looks;
 use output::Lit;
 use scene::BakeScene;

@@ -31,6 +31,7 @@ pub use truth::GroundTruth;
 use truth::has_true_materials;
 pub(crate) use truth::true_materials;
 
+use crate::core::formats::AsideFolder;
 use crate::core::formats::{write_plane_half, write_rgb_half};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::metrics::{masked_mse, masked_ssim, psnr};
@@ -38,7 +39,6 @@ use crate::core::progress::Progress;
 use crate::error::{Error, Result};
 use crate::render::{RenderedView, ViewRenderer};
 use crate::scene::{Scene, Split, View};
-use crate::solution::AsideFolder;
 use emission::EmissionTruth;
 use gains::GainFit;
 use protocol::{

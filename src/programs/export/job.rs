@@ -5,13 +5,13 @@ use super::levels::{MOST_LEVELS, levels};
 use super::object_atlas::{AtlasKind, check_sizes, cut_out};
 use super::objects::{ClassName, Split, objects, unlike};
 use super::{UsdOptions, punctual_lights, write_mitsuba, write_usd};
+use crate::core::formats::AsideFolder;
 use crate::core::geometry::{Camera, Projection};
 use crate::core::parallel::map_chunks;
 use crate::error::{Error, Result};
 use crate::render::NamedCamera;
 use crate::solution::{
-    AsideFolder, GlbOptions, MeshPart, Solution, TextureFormat, objects_glb, png_textures,
-    scene_glb,
+    GlbOptions, MeshPart, Solution, TextureFormat, objects_glb, png_textures, scene_glb,
 };
 use glam::DVec3;
 use serde::{Deserialize, Serialize};

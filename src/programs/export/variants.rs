@@ -5,6 +5,7 @@ use super::job::{ExportOptions, Exported, shown_parts};
 use super::light_mix::{LightMix, LightmapQuality, relit};
 use super::lightings::{Lightings, NamedLighting};
 use super::punctual::{point_light, punctual_lights, surface_light};
+use crate::core::formats::AsideFolder;
 use crate::core::geometry::{Mesh, clusters};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::progress::Progress;
@@ -12,8 +13,8 @@ use crate::core::texture::{Texels, fill_uncovered};
 use crate::error::{Error, Result};
 use crate::render::{EditableScene, Lighting, SurfaceModel};
 use crate::solution::{
-    AsideFolder, GlbOptions, Lamp, LuminousPart, MeshPart, NamedImage, PunctualLight, Solution,
-    lamp_gap, material_textures, scene_glb,
+    GlbOptions, Lamp, LuminousPart, MeshPart, NamedImage, PunctualLight, Solution, lamp_gap,
+    material_textures, scene_glb,
 };
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};

@@ -6,13 +6,14 @@ use super::record::run_key;
 use super::result::{RunResult, SolvedRun};
 use super::{Run, RunRequest};
 use crate::alignment::{Alignment, align};
+use crate::core::formats::AsideFolder;
 use crate::core::lock::OutputLock;
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
 use crate::pipeline::{Checkpoints, SolveOptions, reconstruct};
 use crate::programs::report::{InputFile, hash_inputs};
 use crate::scene::{LoadOptions, Scene};
-use crate::solution::{AsideFolder, Solution};
+use crate::solution::Solution;
 use crate::verdict::{AlignmentVerdict, Findings};
 use std::path::Path;
 

@@ -1,6 +1,6 @@
 //! Files of one result, written aside and renamed into place together.
 
-use crate::core::formats::sync;
+use super::whole::sync;
 use crate::error::{Error, Result};
 use std::path::Path;
 
