@@ -10,7 +10,7 @@
 //! that is none of the colours keeps its value, and so does every class with texture.
 
 use super::class_prior::{ENOUGH_NEAR, LEAST_SHARE, LEAST_SPREAD, NEAR};
-use super::flat_surface::{ENOUGH_FLAT, FLAT_AROUND, FlatSurface, LAG};
+use super::flat_surface::{ENOUGH_FLAT, FlatSurface, LAG};
 use super::mixed_pixels::COVERAGE_ERROR;
 use super::palette_detail::kept_details;
 use super::palette_look::Look;
@@ -32,8 +32,6 @@ const MOST_TEXTURE: f32 = 0.03;
 /// Share of the clean texels that the colours of a class explain together, each at least [`LEAST_SHARE`].
 /// Measured: ×½ same bits, ×2 albedo −1.0 dB (docs/constants.md).
 const COVERED: f32 = 0.9;
-/// Density of albedos that are no paint, per unit of (ln albedo)³. Derived: even from 0.02 to 1, 1 / (ln 50)³.
-const ANYTHING: f32 = 1.0 / 60.0;
 /// Share of the error that all texels of a colour have in common.
 /// Measured: ×½ albedo within two errors −2 %, ×2 little (docs/constants.md).
 const COMMON: f32 = 0.5;
@@ -268,8 +266,8 @@ impl PaletteFit<'_> {
         };
         let found: Vec<(u16, bool, f32)> = (0..self.texels.len())
             .into_par_iter()
-            .filter(|&i| flat.reaches(i, FLAT_AROUND / 2))
-            .map(|i| (self.labels[i], flat.reaches(i, FLAT_AROUND), contrast(i)))
+            .filter(|&i| flat.is_flat(i))
+            .map(|i| (self.labels[i], flat.is_far_from_edges(i), contrast(i)))
             .collect();
         let mut classes: BTreeMap<u16, [Vec<f32>; 2]> = BTreeMap::new();
         for (class, wide, contrast) in found {
@@ -467,7 +465,9 @@ fn posterior(
         .map(|(k, l)| share(k) * look.density(look.distance2(*l)))
         .collect();
     let known: f32 = paint.colours.iter().map(|c| c.1).sum();
-    let other = (1.0 - known).max(LEAST_SHARE) * ANYTHING + mislabelled;
+    // albedos that are no paint lie evenly between black and white, per unit of (ln albedo)³
+    let anything = BLACK.recip().ln().powi(3).recip();
+    let other = (1.0 - known).max(LEAST_SHARE) * anything + mislabelled;
     let total: f32 = weight.iter().sum();
     if total <= f32::MIN_POSITIVE || !(total + other).is_finite() {
         return None;

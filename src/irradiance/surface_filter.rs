@@ -51,8 +51,6 @@ const CHANCE: f32 = 2.0 * SQRT_2 / SUB_ESTIMATES as f32;
 const SAMPLED_ONE_IN: u64 = 2;
 /// Derived: as above.
 const COMPANY: usize = 5;
-/// How many other parts a part is compared with (derived).
-const OTHERS: f32 = (SUB_ESTIMATES - 1) as f32;
 
 /// The neighbourhoods of a set of texels.
 pub struct SurfaceFilter {
@@ -94,9 +92,10 @@ impl Noise {
     /// In place of every part the mean of the others.
     fn others(&self) -> Self {
         let sum = self.part.iter().sum::<f32>();
+        let others = (SUB_ESTIMATES - 1) as f32;
         Self {
-            part: self.part.map(|p| (sum - p) / OTHERS),
-            variance: self.variance / OTHERS,
+            part: self.part.map(|p| (sum - p) / others),
+            variance: self.variance / others,
             samples: self.samples,
         }
     }
@@ -459,6 +458,7 @@ impl Kernel for Guide<'_> {
             per_different,
         } = self;
         let alike = Alike::new(own, per_different);
+        let others = (SUB_ESTIMATES - 1) as f32;
         let (mut weights, mut sum, mut spread) = (
             [0.0; SUB_ESTIMATES],
             [0.0; SUB_ESTIMATES],
@@ -468,7 +468,7 @@ impl Kernel for Guide<'_> {
             let t = &told[*id as usize];
             let weight = alike.weights(
                 &t.others,
-                t.variance / OTHERS,
+                t.variance / others,
                 (1.0 - 0.8 * distance2) * t.root_samples,
             );
             add(&mut weights, &weight);
