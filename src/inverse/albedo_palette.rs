@@ -26,15 +26,9 @@ use glam::Vec3;
 use std::collections::BTreeMap;
 
 /// Relative contrast of flat surface up to which a class is painted: estimates of paint vary by 0.6
-/// to 2.5 %, wood by 4 to 15 %.
+/// to 2.5 %, wood by 4 to 15 %. What is painted may err by as much as a whole, and spread as much about its model.
 /// Measured: ×½ albedo −0.9 dB, ×2 albedo within two errors −1 % (docs/constants.md).
-const MOST_TEXTURE: f32 = 0.03;
-/// Share of the clean texels that the colours of a class explain together, each at least [`LEAST_SHARE`].
-/// Measured: ×½ same bits, ×2 albedo −1.0 dB (docs/constants.md).
-const COVERED: f32 = 0.9;
-/// Share of the error that all texels of a colour have in common.
-/// Measured: ×½ albedo within two errors −2 %, ×2 little (docs/constants.md).
-const COMMON: f32 = 0.5;
+pub(super) const MOST_TEXTURE: f32 = 0.03;
 
 /// The paint of one class.
 #[derive(Clone, Debug, PartialEq)]
@@ -340,8 +334,8 @@ fn nearest(look: &Look, logs: &[Vec3]) -> Option<usize> {
         .filter(|&k| distance[k] < SURELY * SURELY)
 }
 
-/// The modes of the looks, the largest first, if few of them explain nearly all looks; and how
-/// surely they do.
+/// The modes of the looks, the largest first, if few of them, of [`LEAST_SHARE`] each at least, explain all but gross
+/// errors; and how surely they do.
 fn colours(looks: &[Look]) -> Option<(Vec<(Vec3, f32)>, f32)> {
     let mut cells: BTreeMap<[i32; 3], (u32, Vec3)> = BTreeMap::new();
     for l in looks {
@@ -389,7 +383,7 @@ fn colours(looks: &[Look]) -> Option<(Vec<(Vec3, f32)>, f32)> {
     let of = assign(&modes);
     let share = shares(&of, modes.len());
     let other = f64::from(1.0 - share.iter().sum::<f32>());
-    let explained = 1.0 - passing_weight(other, f64::from(1.0 - COVERED)) as f32;
+    let explained = 1.0 - passing_weight(other, GROSS_ERRORS) as f32;
     if modes.is_empty() || explained <= 0.0 {
         return None;
     }
@@ -485,7 +479,8 @@ fn posterior(
         .zip(&weight)
         .map(|(l, w)| ((*l - log).element_sum() / 3.0).powi(2) * w / total)
         .sum();
-    let variance = keep * (own2 - texture2) + (COMMON * LEAST_SPREAD).powi(2) + spread;
+    // (as much as estimates of paint vary, all texels of a colour may err together)
+    let variance = keep * (own2 - texture2) + MOST_TEXTURE * MOST_TEXTURE + spread;
     Some(Posterior {
         paint: paint.surely * total / (total + other),
         log,

@@ -10,9 +10,9 @@ use glam::Vec3;
 /// Distance of the texels compared: nearer ones share their noise.
 /// Measured: ×½ albedo within two errors −3 %, ×2 albedo −0.9 dB (docs/constants.md).
 pub(super) const LAG: i64 = 2;
-/// Such texels from which texture and noise of a class are known. Derived: what differs between a texel and the four
-/// around it is theirs too; about one in four is independent.
-pub(super) const ENOUGH_FLAT: usize = 4 * ENOUGH;
+/// Flat texels from which texture and noise of a class are known: of those that share their noise with others one in
+/// [`LAG`]² is independent.
+pub(super) const ENOUGH_FLAT: usize = ENOUGH * (LAG * LAG) as usize;
 
 /// The atlas, asked for neighbours.
 pub(super) struct FlatSurface<'a> {

@@ -8,20 +8,16 @@
 //! the room shows none, the nearest anywhere. Called by the pipeline once the seen texels are settled.
 
 use super::AlbedoEstimate;
-use super::class_prior::{LEAST_SPREAD, NEAR};
+use super::class_prior::LEAST_SPREAD;
 use super::mixed_pixels::COVERAGE_ERROR;
 use crate::core::geometry::Mesh;
-use crate::core::stats::{median, step_over_many};
+use crate::core::stats::{ENOUGH, median, step_over_many};
 use crate::core::texture::Texels;
 use glam::Vec3;
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
-
-/// Side of a cell in texels of the usual size. Derived: a quarter of what counts as near, so that a
-/// cell spans no wall but averages noise.
-const CELL: f32 = NEAR / 4.0;
 
 /// A cell of one class in one room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -93,13 +89,13 @@ impl Unseen<'_> {
         filled
     }
 
-    /// The median side of a texel, times [`CELL`].
+    /// The side of a square of [`ENOUGH`] texels of the usual size: a cell averages noise, but spans no wall.
     fn cell_side(&self) -> f32 {
         let stride = step_over_many(self.texels.len());
         let side = |i| self.texels.area(self.mesh, i).sqrt();
         let sides = (0..self.texels.len()).step_by(stride).map(side);
         let side = median(sides.collect()).unwrap_or(1.0);
-        CELL * side.max(f32::MIN_POSITIVE)
+        (ENOUGH as f32).sqrt() * side.max(f32::MIN_POSITIVE)
     }
 }
 

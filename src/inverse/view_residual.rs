@@ -6,7 +6,7 @@
 //! diffuse radiance of the others and the specular part fall short of them (censored observations,
 //! Tobin 1958).
 
-use super::class_prior::LEAST_SPREAD;
+use super::class_prior::{ANYTHING, LEAST_SPREAD};
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
@@ -16,9 +16,6 @@ use glam::Vec3;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// Relative disagreement beyond which a view counts as an outlier (moving object, misregistration).
-/// Measured: ×½ roughness −0.1 dB, ×2 little (docs/constants.md).
-const OUTLIER: f32 = 0.25;
 /// Relative disagreement from which the loss grows linearly.
 /// Measured: ×½ roughness −0.1 dB, ×2 roughness +0.2 dB (docs/constants.md).
 pub(super) const KNEE: f32 = 0.02;
@@ -236,10 +233,11 @@ impl<'a> Looks<'a> {
     }
 }
 
-/// Root of a robust loss with the residual's sign: the loss is square where residuals are small and
-/// linear beyond, up to [`OUTLIER`].
+/// Root of a robust loss with the residual's sign: the loss is square where residuals are small and linear beyond, up
+/// to [`ANYTHING`]: views that disagree by more tell nothing (a moving object, misregistration).
 fn damped(residual: Vec3) -> Vec3 {
-    residual.map(|r| (r / (r.abs() + KNEE).sqrt()).clamp(-OUTLIER.sqrt(), OUTLIER.sqrt()))
+    let most = ANYTHING.sqrt();
+    residual.map(|r| (r / (r.abs() + KNEE).sqrt()).clamp(-most, most))
 }
 
 /// The product of the residuals of two estimates that are `noise` above and below their mean, which

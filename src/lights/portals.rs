@@ -5,6 +5,7 @@
 //! that is missed costs noise; neither changes what is rendered on average.
 
 use super::PortalGrid;
+use super::grouping::MAX_LAMPS;
 use crate::core::geometry::Mesh;
 use crate::core::math::Frame;
 use crate::core::parallel::map_chunks;
@@ -22,8 +23,6 @@ const RAYS: u32 = 32;
 /// Cells along a rectangle's side beyond which it is cut, so that from everywhere only the visible
 /// parts need be sampled. Measured: pieces of half the side take noise from 4.46 to 4.34 % (docs/lab/irradiance.md).
 const LONGEST: u32 = 32;
-/// At most this many rectangles: every ray that escapes is tested against all of them. Measured: as [`LONGEST`].
-const MOST: usize = 32;
 
 /// A face of the box and ranges of its cells.
 #[derive(Clone, Debug)]
@@ -188,8 +187,8 @@ fn patches(cells: &BTreeSet<u32>) -> Vec<Patch> {
 /// Cuts patches that are mostly holes until there are as many as may be.
 fn rectangles(mut patches: Vec<Patch>) -> Vec<Patch> {
     patches.sort_by_key(|p| std::cmp::Reverse(p.cells.len()));
-    patches.truncate(MOST);
-    while patches.len() < MOST {
+    patches.truncate(MAX_LAMPS);
+    while patches.len() < MAX_LAMPS {
         let unfit = |p: &Patch| p.cells.len() > 1 && (!p.is_mostly_open() || p.too_long());
         // the largest first: there the cut gains most
         let worst = (0..patches.len())
