@@ -10,7 +10,7 @@
 //! that is none of the colours keeps its value, and so does every class with texture.
 
 use super::class_prior::{ENOUGH_NEAR, LEAST_SHARE, LEAST_SPREAD, NEAR};
-use super::flat_surface::{ENOUGH_FLAT, FLAT_AROUND, FlatSurface, LAG};
+use super::flat_surface::{ENOUGH_FLAT, FlatSurface, LAG};
 use super::mixed_pixels::COVERAGE_ERROR;
 use super::palette_detail::kept_details;
 use super::palette_look::Look;
@@ -26,17 +26,9 @@ use glam::Vec3;
 use std::collections::BTreeMap;
 
 /// Relative contrast of flat surface up to which a class is painted: estimates of paint vary by 0.6
-/// to 2.5 %, wood by 4 to 15 %.
+/// to 2.5 %, wood by 4 to 15 %. What is painted may err by as much as a whole, and spread as much about its model.
 /// Measured: ×½ albedo −0.9 dB, ×2 albedo within two errors −1 % (docs/constants.md).
-const MOST_TEXTURE: f32 = 0.03;
-/// Share of the clean texels that the colours of a class explain together, each at least [`LEAST_SHARE`].
-/// Measured: ×½ same bits, ×2 albedo −1.0 dB (docs/constants.md).
-const COVERED: f32 = 0.9;
-/// Density of albedos that are no paint, per unit of (ln albedo)³. Derived: even from 0.02 to 1, 1 / (ln 50)³.
-const ANYTHING: f32 = 1.0 / 60.0;
-/// Share of the error that all texels of a colour have in common.
-/// Measured: ×½ albedo within two errors −2 %, ×2 little (docs/constants.md).
-const COMMON: f32 = 0.5;
+pub(super) const MOST_TEXTURE: f32 = 0.03;
 
 /// The paint of one class.
 #[derive(Clone, Debug, PartialEq)]
@@ -268,8 +260,8 @@ impl PaletteFit<'_> {
         };
         let found: Vec<(u16, bool, f32)> = (0..self.texels.len())
             .into_par_iter()
-            .filter(|&i| flat.reaches(i, FLAT_AROUND / 2))
-            .map(|i| (self.labels[i], flat.reaches(i, FLAT_AROUND), contrast(i)))
+            .filter(|&i| flat.is_flat(i))
+            .map(|i| (self.labels[i], flat.is_far_from_edges(i), contrast(i)))
             .collect();
         let mut classes: BTreeMap<u16, [Vec<f32>; 2]> = BTreeMap::new();
         for (class, wide, contrast) in found {
@@ -342,8 +334,8 @@ fn nearest(look: &Look, logs: &[Vec3]) -> Option<usize> {
         .filter(|&k| distance[k] < SURELY * SURELY)
 }
 
-/// The modes of the looks, the largest first, if few of them explain nearly all looks; and how
-/// surely they do.
+/// The modes of the looks, the largest first, if few of them, of [`LEAST_SHARE`] each at least, explain all but gross
+/// errors; and how surely they do.
 fn colours(looks: &[Look]) -> Option<(Vec<(Vec3, f32)>, f32)> {
     let mut cells: BTreeMap<[i32; 3], (u32, Vec3)> = BTreeMap::new();
     for l in looks {
@@ -391,7 +383,7 @@ fn colours(looks: &[Look]) -> Option<(Vec<(Vec3, f32)>, f32)> {
     let of = assign(&modes);
     let share = shares(&of, modes.len());
     let other = f64::from(1.0 - share.iter().sum::<f32>());
-    let explained = 1.0 - passing_weight(other, f64::from(1.0 - COVERED)) as f32;
+    let explained = 1.0 - passing_weight(other, GROSS_ERRORS) as f32;
     if modes.is_empty() || explained <= 0.0 {
         return None;
     }
@@ -467,7 +459,9 @@ fn posterior(
         .map(|(k, l)| share(k) * look.density(look.distance2(*l)))
         .collect();
     let known: f32 = paint.colours.iter().map(|c| c.1).sum();
-    let other = (1.0 - known).max(LEAST_SHARE) * ANYTHING + mislabelled;
+    // albedos that are no paint lie evenly between black and white, per unit of (ln albedo)³
+    let anything = BLACK.recip().ln().powi(3).recip();
+    let other = (1.0 - known).max(LEAST_SHARE) * anything + mislabelled;
     let total: f32 = weight.iter().sum();
     if total <= f32::MIN_POSITIVE || !(total + other).is_finite() {
         return None;
@@ -485,7 +479,8 @@ fn posterior(
         .zip(&weight)
         .map(|(l, w)| ((*l - log).element_sum() / 3.0).powi(2) * w / total)
         .sum();
-    let variance = keep * (own2 - texture2) + (COMMON * LEAST_SPREAD).powi(2) + spread;
+    // (as much as estimates of paint vary, all texels of a colour may err together)
+    let variance = keep * (own2 - texture2) + MOST_TEXTURE * MOST_TEXTURE + spread;
     Some(Posterior {
         paint: paint.surely * total / (total + other),
         log,

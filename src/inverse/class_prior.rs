@@ -13,11 +13,8 @@ use std::collections::BTreeMap;
 /// camera err by as much. What lies nearer together is one colour.
 /// Measured: ×½ albedo within two errors −4 %, ×2 views +0.2 dB (docs/constants.md).
 pub(super) const LEAST_SPREAD: f32 = 0.05;
-/// Variance of the prior relative to that of the clean texels: surfaces at edges are often others
-/// than those between them.
-/// Measured: ×½ views −0.2 dB, ×2 views +0.2 dB (docs/constants.md).
-const PRIOR_DOUBT: f32 = 2.0;
-/// Standard deviation of the prior where there is no class, or nothing of it is seen clean: no albedo is less certain.
+/// Standard deviation of the prior where there is no class, or nothing of it is seen clean: no albedo is less certain,
+/// and views that disagree by more tell nothing of a surface.
 /// Measured: ×½ albedo −0.1 dB, ×2 albedo +0.2 dB (docs/constants.md).
 pub(super) const ANYTHING: f32 = 0.3;
 
@@ -107,11 +104,7 @@ pub(super) fn class_prior(
             };
             let share = nearby(i);
             let any_body = cubes.sums_around(&near, i).beside(usual, share);
-            let expected = own_cubes.sums_around(&own, i).beside(&any_body, share);
-            Expected {
-                variance: expected.variance * PRIOR_DOUBT,
-                ..expected
-            }
+            own_cubes.sums_around(&own, i).beside(&any_body, share)
         })
         .collect()
 }

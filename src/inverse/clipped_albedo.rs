@@ -14,7 +14,6 @@
 //! texels are known.
 
 use super::class_prior::{Ground, class_prior};
-use super::confidence::PRIOR_LOOKS;
 use super::{AlbedoEstimate, BLACK};
 use crate::core::math::luminance;
 use crate::core::stats::inverse_mills;
@@ -57,7 +56,7 @@ pub fn settle_clipped(
         let above = Truncated::above(spread, least.ln(), bound.error);
         albedo.value[i] = mean * above.mean.exp();
         albedo.error[i] = above.deviation * luminance(albedo.value[i]);
-        albedo.looks[i] = PRIOR_LOOKS;
+        albedo.looks[i] = 1.0;
         albedo.specular_share[i] = 0.0;
         albedo.clean[i] = false;
         albedo.footprint[i] = bound.footprint;

@@ -12,7 +12,7 @@
 //! & Pereyra 1973), the residuals are weighted by Geman & McClure's function, and Gauss-Newton
 //! steps follow. A clipped reflecting surface is a row too, of which only the side counts on which
 //! L would fall below its bound. Where the shape says nothing, weak priors speak: lights of a kind
-//! are alike, as far as they prove to be ([`Spread`]), no large class reflects more than nearly all,
+//! are alike, as far as they prove to be ([`Spread`]), no large class reflects more than all,
 //! the brightest is white paint.
 //!
 //! Neighbouring pieces err together (gloss, texture, the bake), so that they tell less than their
@@ -21,18 +21,16 @@
 //!
 //! Called by the pipeline's stage `clipped_light`.
 
-use super::class_prior::LEAST_SHARE;
+use super::albedo_palette::MOST_TEXTURE;
+use super::class_prior::{LEAST_SHARE, LEAST_SPREAD};
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{USUALLY, design_effect, median};
+use crate::core::stats::{MAD_SCALE, USUALLY, design_effect, median};
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 use std::f32::consts::PI;
 use std::f64::consts::LN_2;
 
-/// Least spread of ln L of a class about its model: bakes of few samples and unmodelled gloss leave
-/// as much on perfect paint (measured: 1.6 to 2.3 % on grey-white-room, 6 % on aws-house).
-const LEAST_SPREAD: f32 = 0.03;
 /// Iterations of a fit at most.
 /// Measured: ×½ albedo within two errors +16 %, ×2 albedo within two errors +1 % (docs/constants.md).
 const ITERATIONS: usize = 40;
@@ -41,13 +39,6 @@ const ITERATIONS: usize = 40;
 const PASSES: usize = 3;
 /// Largest step of ln t per iteration: a doubling.
 const MOST_STEP: f64 = LN_2;
-/// First guesses of excess over ceiling, and the one to begin with.
-/// Measured: ×½ roughness within two errors −19 %, ×2 albedo within two errors +5 % (docs/constants.md).
-const STEPS: [f64; 12] = [
-    0.03, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0, 8.0, 16.0, 40.0, 120.0, 500.0,
-];
-/// Measured: ×½ roughness within two errors −19 %, ×2 roughness within two errors −18 % (docs/constants.md).
-const MIDDLE: usize = 4;
 /// ln of radiance over ceiling, at least and at most. Derived: by a step of 8-bit sRGB at white, 0.9 %, and by as much as a
 /// half float holds, 65 504.
 const RANGE: (f64, f64) = (0.01, 11.0);
@@ -68,9 +59,6 @@ const USUAL: Spread = Spread {
 /// Colour of a kind's mean against neutral: ln of one channel over the next. Derived: of a black body of 4000 K, between
 /// incandescent light and daylight, 0.42 and 0.55.
 const NEUTRAL: f64 = 0.5;
-/// No class of more than [`LEAST_SHARE`] of the surface reflects more than this. The bound is as soft as it is far from 1.
-/// Measured: ×½ albedo −0.4 dB, ×2 little (docs/constants.md).
-const MOST_ALBEDO: f64 = 0.95;
 /// White paint: ln albedo of the brightest large class, and its spread.
 /// Measured: ×½ roughness within two errors −19 %, ×2 roughness within two errors −19 % (docs/constants.md).
 const WHITE: (f64, f64) = (0.82, 0.35);
@@ -130,7 +118,7 @@ pub fn fit_clipped(rows: &[ShadingRow], groups: &[LightGroup], classes: usize) -
         spread: Vec::new(),
     };
     problem.spread = vec![UNLIKE; problem.kinds()];
-    let middle = problem.guess(&vec![MIDDLE; problem.kinds()]);
+    let middle = problem.guess(&vec![KIND.0; problem.kinds()]);
     problem.worth = problem.worths(&problem.state(&middle));
     let mut phi = problem.first_guess();
     if phi.is_empty() {
@@ -312,16 +300,16 @@ impl Problem<'_> {
         f64::from(self.groups[k].ceiling[c].max(1e-9))
     }
 
-    /// Every kind at a step of [`STEPS`].
-    fn guess(&self, choice: &[usize]) -> Vec<f64> {
+    /// Every kind at a ln of radiance over ceiling.
+    fn guess(&self, above: &[f64]) -> Vec<f64> {
         let mut phi: Vec<f64> = (0..self.groups.len())
             .flat_map(|k| {
-                let step = STEPS[choice[self.groups[k].kind]];
-                (0..3).map(move |c| (k, c, step))
+                let above = above[self.groups[k].kind];
+                (0..3).map(move |c| (k, c, above))
             })
-            .map(|(k, c, step)| ((1.0 + step) * self.ceiling(k, c)).ln())
+            .map(|(k, c, above)| self.ceiling(k, c).ln() + above)
             .collect();
-        let means: Vec<f64> = (0..choice.len())
+        let means: Vec<f64> = (0..above.len())
             .flat_map(|kind| {
                 let first = self.groups.iter().position(|g| g.kind == kind).unwrap_or(0);
                 [0, 1, 2].map(|c| phi[Self::at(first, c)])
@@ -331,22 +319,24 @@ impl Problem<'_> {
         phi
     }
 
-    /// The best of a grid of excess over ceiling, one factor for each kind.
+    /// The best of a grid of excess over ceiling, one factor for each kind: all of [`RANGE`], doubled from step to step.
     fn first_guess(&self) -> Vec<f64> {
         let kinds = self.kinds();
-        let mut choice = vec![MIDDLE; kinds];
+        let excess = std::iter::successors(Some(RANGE.0.exp_m1()), |e| Some(e + e));
+        let grid: Vec<f64> = excess
+            .map(f64::ln_1p)
+            .take_while(|above| *above < RANGE.1)
+            .collect();
+        let mut choice = vec![KIND.0; kinds];
         // coordinate by coordinate, twice: kinds are few and the score is nearly convex
         for kind in (0..kinds).chain(0..kinds) {
-            let scores: Vec<f64> = (0..STEPS.len())
-                .map(|s| {
-                    let mut trial = choice.clone();
-                    trial[kind] = s;
-                    self.score(&self.guess(&trial))
-                })
-                .collect();
-            choice[kind] = (0..STEPS.len())
-                .min_by(|a, b| scores[*a].total_cmp(&scores[*b]))
-                .unwrap_or(0);
+            let score = |above: &f64| {
+                let mut trial = choice.clone();
+                trial[kind] = *above;
+                (self.score(&self.guess(&trial)), *above)
+            };
+            let best = grid.iter().map(score).min_by(|a, b| a.0.total_cmp(&b.0));
+            choice[kind] = best.map_or(KIND.0, |(_, above)| above);
         }
         self.guess(&choice)
     }
@@ -359,9 +349,9 @@ impl Problem<'_> {
             .map(|c| {
                 let told = f64::from(self.share[c] * total * self.worth[c]);
                 let fit = told * f64::from(state.spread[c]).ln();
-                let over = f64::from(state.log_albedo[c].max_element()) - MOST_ALBEDO.ln();
+                let over = f64::from(state.log_albedo[c].max_element());
                 let bound = if self.share[c] > LEAST_SHARE {
-                    0.5 * (over.max(0.0) / (1.0 - MOST_ALBEDO)).powi(2)
+                    0.5 * (over.max(0.0) / f64::from(LEAST_SPREAD)).powi(2)
                 } else {
                     0.0
                 };
@@ -415,8 +405,8 @@ impl Problem<'_> {
             weighted_middle(&mut values)
         };
         let centre = Vec3::new(of(&|r| r.x), of(&|r| r.y), of(&|r| r.z));
-        let spread = 1.48 * of(&|r| (r - centre).abs().element_sum() / 3.0);
-        let spread = spread.max(LEAST_SPREAD);
+        let spread = MAD_SCALE * of(&|r| (r - centre).abs().element_sum() / 3.0);
+        let spread = spread.max(MOST_TEXTURE);
         // one step of the robust mean from the median
         let (mut sum, mut total) = (Vec3::ZERO, 0.0);
         for &i in members {
@@ -548,8 +538,9 @@ impl Problem<'_> {
                     }
                 }
             };
-            if log > MOST_ALBEDO.ln() {
-                pull(log - MOST_ALBEDO.ln(), 1.0 - MOST_ALBEDO);
+            // nothing reflects more than all, as surely as an albedo is known
+            if log > 0.0 {
+                pull(log, f64::from(LEAST_SPREAD));
             }
             if Some(class) == brightest {
                 pull(log - WHITE.0.ln(), WHITE.1);

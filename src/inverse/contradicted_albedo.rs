@@ -12,7 +12,6 @@
 
 use super::AlbedoEstimate;
 use super::class_prior::{Ground, class_prior};
-use super::confidence::PRIOR_LOOKS;
 
 /// Gives the texels `ids`, whose looks contradict each other, the mean of what they show and of what
 /// their class is like, each by its certainty. They are no evidence for classes any more. `nearby` is
@@ -40,7 +39,7 @@ pub fn settle_contradicted(
         let share = looks / (looks + prior.variance).max(f32::MIN_POSITIVE);
         albedo.value[i] = albedo.value[i].lerp(prior.mean, share);
         albedo.error[i] = (prior.variance * share).sqrt();
-        albedo.looks[i] = PRIOR_LOOKS;
+        albedo.looks[i] = 1.0;
     }
 }
 

@@ -2,23 +2,17 @@
 //! class and in one plane, and no edge is near. What varies there from texel to texel is texture or
 //! noise: errors of the light are smooth. Called by the albedo palette.
 
-use crate::core::geometry::Mesh;
+use crate::core::geometry::{Mesh, SMOOTH};
 use crate::core::stats::ENOUGH;
 use crate::core::texture::Texels;
 use glam::Vec3;
 
-/// Texels around one that must be flat and clean for it to tell of texture and noise.
-/// Measured: ×½ albedo −0.1 dB, ×2 albedo +0.1 dB (docs/constants.md).
-pub(super) const FLAT_AROUND: i64 = 4;
 /// Distance of the texels compared: nearer ones share their noise.
 /// Measured: ×½ albedo within two errors −3 %, ×2 albedo −0.9 dB (docs/constants.md).
 pub(super) const LAG: i64 = 2;
-/// Such texels from which texture and noise of a class are known. Derived: what differs between a texel and the four
-/// around it is theirs too; about one in four is independent.
-pub(super) const ENOUGH_FLAT: usize = 4 * ENOUGH;
-/// Cosine between normals of one plane, whichever way its triangles are wound.
-/// Measured: ×½ same bits, ×2 (no two planes are alike) albedo −0.9 dB (docs/constants.md).
-const COPLANAR: f32 = 0.999;
+/// Flat texels from which texture and noise of a class are known: of those that share their noise with others one in
+/// [`LAG`]² is independent.
+pub(super) const ENOUGH_FLAT: usize = ENOUGH * (LAG * LAG) as usize;
 
 /// The atlas, asked for neighbours.
 pub(super) struct FlatSurface<'a> {
@@ -72,15 +66,25 @@ impl<'a> FlatSurface<'a> {
         (found != u32::MAX).then_some(found as usize)
     }
 
-    /// As [`Self::at`], if that texel is of the class and in the plane of texel `i`.
+    /// As [`Self::at`], if that texel is of the class and in the plane of texel `i`, whichever way triangles are wound.
     pub(super) fn alike(&self, i: usize, dx: i64, dy: i64) -> Option<usize> {
         self.at(i, dx, dy).filter(|&j| {
-            self.labels[j] == self.labels[i] && self.normal(j).dot(self.normal(i)).abs() > COPLANAR
+            self.labels[j] == self.labels[i] && self.normal(j).dot(self.normal(i)).abs() > SMOOTH
         })
     }
 
+    /// Whether texel `i` is clean and like all that it is compared with, [`LAG`] away.
+    pub(super) fn is_flat(&self, i: usize) -> bool {
+        self.reaches(i, LAG)
+    }
+
+    /// Whether what texel `i` is compared with lies on flat surface too: no edge is near.
+    pub(super) fn is_far_from_edges(&self, i: usize) -> bool {
+        self.reaches(i, LAG + LAG)
+    }
+
     /// Whether texel `i` is clean and all around it, this many cells far, is like it.
-    pub(super) fn reaches(&self, i: usize, reach: i64) -> bool {
+    fn reaches(&self, i: usize, reach: i64) -> bool {
         self.at(i, 0, 0).is_some()
             && (1..=reach).all(|r| {
                 [

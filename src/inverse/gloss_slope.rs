@@ -10,7 +10,7 @@
 //! gloss, and the slope says nothing. Products of the two halves of a response have no noise bias.
 //! Called by [`super::roughness`] for every class.
 
-use super::confidence::SPECULAR_DOUBT;
+use super::confidence::LIGHT_ERROR;
 use super::group_fit::GroupFit;
 use super::view_residual::COMMON_SHARE;
 use crate::core::brdf::Reflectance;
@@ -19,9 +19,9 @@ use crate::core::stats::{ENOUGH, GROSS_ERRORS, Mean, passing_weight};
 use crate::highlight::Evidence;
 use glam::Vec3;
 
-/// Roughness below which highlights can be seen, and above which a fit counts as matte. Measured:
-/// .55 to .6 change no scene's roughness by more than half a decibel (docs/lab/roughness.md).
-const GLOSSY: f32 = 0.55;
+/// Roughness below which highlights can be seen, and above which a fit counts as matte; as wide a range of values that
+/// explain the views equally well says nothing. Derived: half of all there are, [0, 1]: less than one bit is known.
+pub(super) const MIDDLE: f32 = 0.5;
 /// Least slope of gloss. Derived: a prediction of signal s and error e has the slope s² / (s² + e²) (regression
 /// dilution), and s ≥ e.
 const DILUTED: f64 = 0.5;
@@ -39,7 +39,7 @@ pub(super) fn reconsider(
     points: &[usize],
     found: &mut GroupFit,
 ) {
-    let matte = passing_weight(f64::from(found.roughness), f64::from(GLOSSY));
+    let matte = passing_weight(f64::from(found.roughness), f64::from(MIDDLE));
     let enough = passing_weight(points.len() as f64, ENOUGH as f64);
     if matte * enough <= 0.0 {
         return;
@@ -74,7 +74,7 @@ impl Slopes {
     /// How likely the slope of level `k` is, which errors common to all points make uncertain, or corrupt.
     fn likelihood(&self, k: usize) -> f64 {
         let (a, error) = self.0[k];
-        let z = (a - a.clamp(DILUTED, 1.0)) / error.hypot(SPECULAR_DOUBT);
+        let z = (a - a.clamp(DILUTED, 1.0)) / error.hypot(f64::from(LIGHT_ERROR));
         (1.0 - GROSS_ERRORS) * (-0.5 * z * z).exp() + GROSS_ERRORS
     }
 
@@ -95,7 +95,7 @@ impl Slopes {
                 * (-(found.objective[k] / least - 1.0) / common).exp()
                 * self.likelihood(k);
             all += weight;
-            if *level < GLOSSY {
+            if *level < MIDDLE {
                 let r = f64::from(*level);
                 glossy += weight;
                 first += weight * r;

@@ -33,9 +33,6 @@ const APART: f32 = 4.1;
 /// Share of the held-out views' disagreement that a division must explain: tiles and grout explain
 /// 9 %, surfaces of one roughness whose colour merely follows their place up to 4 %.
 pub const SPLIT_GAIN: f64 = COMMON_SHARE;
-/// The same for roughness that follows the place. Measured: on surfaces of one roughness it explains
-/// up to 8 %; twice that.
-const PLACE_GAIN: f64 = 0.15;
 /// Share of the way from one colour to the other on which points tell of the first, and of the
 /// second. Derived: they are nearer to it than to an even mixture.
 const PURE: f32 = 0.25;
@@ -141,10 +138,12 @@ impl Materials {
                 let by_room = by_room(whole.class, &table, &rooms);
                 let mut divisions = weighed(by_colour, by_room, least);
                 let rest = 1.0 - divisions.iter().map(|d| f64::from(d.0)).sum::<f64>();
-                if rest > LEAST_WEIGHT {
+                if rest > 0.0 {
                     let halves =
                         [0, 1].map(|half| Disagreement::of_half(evidence, model, points, half));
-                    let least = least + PLACE_GAIN - SPLIT_GAIN;
+                    // what errors common to all points amount to is a spread: where it is light that errs,
+                    // one roughness seems to follow the place (it explains up to 8 % of the disagreement)
+                    let least = least + f64::from(SURELY) * COMMON_SHARE - SPLIT_GAIN;
                     let field = spatial_roughness::by_place(&whole, &table, &halves, least);
                     divisions.extend(field.map(|(field, gain)| {
                         let weight = rest * passing_weight(gain, least);
@@ -260,10 +259,6 @@ impl Materials {
     }
 }
 
-/// Weight below which an answer does not matter: roughness lies in [0, 1]. Derived: two steps of a half float below 1,
-/// which is what files hold.
-const LEAST_WEIGHT: f64 = 1e-3;
-
 /// What two ways to divide a class count for: as much as their gains pass `least` and their sides
 /// differ; of both, mostly the one that explains more.
 fn weighed(
@@ -286,7 +281,7 @@ fn weighed(
     [by_colour, by_room]
         .into_iter()
         .zip(weights)
-        .filter(|(_, w)| *w > LEAST_WEIGHT)
+        .filter(|(_, w)| *w > 0.0)
         .filter_map(|(c, w)| Some((w as f32, c?.division)))
         .collect()
 }

@@ -8,7 +8,7 @@
 //! Laird and Rubin 1977). What is kept of d is its posterior share of pattern: nothing of ordinary
 //! noise, all of what stands out far, in hue above all, in which light errs least.
 
-use super::flat_surface::{ENOUGH_FLAT, FLAT_AROUND, FlatSurface, LAG};
+use super::flat_surface::{ENOUGH_FLAT, FlatSurface, LAG};
 use super::palette_look::Look;
 use crate::core::parallel::prelude::*;
 use crate::core::stats::{ROUNDS, median, passing_weight};
@@ -32,7 +32,7 @@ const MEDIAN_OF_THREE: f32 = 1.538;
 /// What texel `i` differs by from the level of flat surface around it, ln albedo; `None` where the
 /// surface is not flat.
 fn deviation(flat: &FlatSurface, looks: &[Look], i: usize) -> Option<Vec3> {
-    if !flat.reaches(i, FLAT_AROUND) {
+    if !flat.is_far_from_edges(i) {
         return None;
     }
     let step = ((flat.width() / AROUND) as i64 / SAMPLES).max(LAG);

@@ -7,21 +7,16 @@
 //! round takes anything, so that no narrow expectation keeps the pixels out. Pixels that are lower bounds count where the unknowns fall short of them.
 
 use super::class_prior::{ANYTHING, Expected, LEAST_SHARE};
+use super::confidence::LIGHT_ERROR;
 use crate::core::math::luminance;
 use crate::core::parallel;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{MAD_SCALE, USUALLY};
+use crate::core::stats::{self, MAD_SCALE, USUALLY};
 use glam::Vec3;
 
 /// Reweightings.
 /// Measured: ×½ albedo −0.2 dB, views +0.4 dB, ×2 little (docs/constants.md).
 const ROUNDS: usize = 4;
-/// Steps of conjugate gradients within each. Measured: they leave 0.01 to 0.7 % of the remainder they begin with
-/// (docs/lab/albedo.md).
-const STEPS: usize = 12;
-/// Relative error of an albedo that all of its pixels share: its irradiance, above all.
-/// Measured: ×½ views +0.3 dB, ×2 views −0.5 dB (docs/constants.md).
-const SHARED_ERROR: f32 = 0.15;
 
 /// One pixel: what it shows beyond the unknowns, and its noise.
 #[derive(Clone, Copy)]
@@ -166,7 +161,7 @@ fn pull(prior: &[Expected], x: &[Vec3], data: &[f32], before: &[f32]) -> Vec<f32
             }
             let anything = (ANYTHING * ANYTHING).max(variance);
             // many pixels do not average out an error that they share
-            let shared = (SHARED_ERROR * luminance(x[u])).powi(2);
+            let shared = (LIGHT_ERROR * luminance(x[u])).powi(2);
             let own = data[u].recip() + shared;
             // where pixels alone would have it
             let off = (luminance(x[u] - mean) * (1.0 + before[u] / data[u])).clamp(-1.0, 1.0);
@@ -243,7 +238,7 @@ impl NormalEquations<'_> {
         let mut z = self.conditioned(&r);
         let mut p = z.clone();
         let mut rz = dot(&r, &z);
-        for _ in 0..STEPS {
+        for _ in 0..stats::ROUNDS {
             let ap = self.apply(&p);
             let alpha = divide(rz, dot(&p, &ap));
             x.par_iter_mut().zip(&p).for_each(|(x, p)| *x += alpha * *p);

@@ -4,16 +4,13 @@
 //! tabulated at all levels; its global minimum is the answer and its depth the confidence (method
 //! §12.3 point 7).
 
-use super::gloss_slope;
+use super::gloss_slope::{self, MIDDLE};
 use super::group_fit::GroupFit;
 use super::view_residual::{COMMON_SHARE, Disagreement, points_by_class};
 use crate::core::brdf::Reflectance;
 use crate::core::stats::{Mean, SURELY, passing_weight};
 use crate::highlight::Evidence;
 
-/// Width of the range of values that explain the views equally well from which a roughness counts
-/// as unknown. Derived: half of all there are, [0, 1]: less than one bit is known.
-const UNKNOWN: f32 = 0.5;
 /// Error that all points of a class have in common: lobes between tabulated levels, highlights
 /// blurred by pixels, light baked at finite resolution. Measured: the root mean square of the errors below 0.05 of 25
 /// classes of the four shared scenes (docs/lab/roughness.md).
@@ -137,7 +134,7 @@ pub(super) fn fit(class: u16, table: &Disagreement) -> GroupFit {
     let [low, high] = within(MODEL_GAIN, levels, &objective);
     // where nearly any roughness would do, the least disagreement is chance: the mean of all that
     // would do errs least
-    let any = passing_weight(f64::from(high - low), f64::from(UNKNOWN)) as f32;
+    let any = passing_weight(f64::from(high - low), f64::from(MIDDLE)) as f32;
     let roughness = roughness + any * (0.5 * (low + high) - roughness);
     let error_over = |range| noise.hypot(distance_within(range, roughness));
     let common = within(COMMON_SHARE, levels, &objective);

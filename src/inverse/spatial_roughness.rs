@@ -17,8 +17,6 @@ use glam::Vec3;
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
-/// Points that decide about a place. Derived: [`ENOUGH`] to either side of a border that runs through it.
-const AROUND: usize = 2 * ENOUGH;
 /// What the class counts for beside them: what explains most is taken. Derived: as much as a place, whose difference
 /// from the class is halved then; a quarter of it gives places twice the standard deviation, a sixteenth four times.
 const STRENGTHS: [f64; 3] = [1.0, 0.25, 0.0625];
@@ -74,7 +72,7 @@ pub(super) fn by_place(
     let judges = [0, 1].map(|half: usize| halves[half].of_points(told));
     let judged = &judges[0].places;
     // two places at least
-    if judged.len() < 2 * AROUND {
+    if judged.len() < 2 * ENOUGH {
         return None;
     }
     let around = neighbours(judged);
@@ -130,7 +128,7 @@ pub(super) fn by_place(
     ))
 }
 
-/// The [`AROUND`] positions that are nearest to each of them, itself included, in order of their
+/// The [`ENOUGH`] positions that are nearest to each of them, itself included, in order of their
 /// index.
 fn neighbours(positions: &[Vec3]) -> Vec<Vec<u32>> {
     let numbered = positions
@@ -141,7 +139,7 @@ fn neighbours(positions: &[Vec3]) -> Vec<Vec<u32>> {
     let nearest = |p: &Vec3| {
         let mut near: Vec<u32> = tree
             .nearest_neighbor_iter(&p.to_array())
-            .take(AROUND)
+            .take(ENOUGH)
             .map(|g| g.data)
             .collect();
         near.sort_unstable();
@@ -270,7 +268,7 @@ mod tests {
         let (_, gain) = by_place(&fit(1, &table), &table, &[one, other], f64::NEG_INFINITY)
             .expect("points enough");
         assert!(gain < 0.0, "{gain}");
-        let few = |t: &Disagreement<'static>| t.of_points(|k| k < 150);
+        let few = |t: &Disagreement<'static>| t.of_points(|k| k < 2 * ENOUGH - 1);
         let (table, halves) = strip(0.0, |_| 0.5);
         let few_halves = [few(&halves[0]), few(&halves[1])];
         assert!(

@@ -8,22 +8,16 @@
 //! the room shows none, the nearest anywhere. Called by the pipeline once the seen texels are settled.
 
 use super::AlbedoEstimate;
-use super::class_prior::{LEAST_SPREAD, NEAR};
+use super::class_prior::LEAST_SPREAD;
 use super::mixed_pixels::COVERAGE_ERROR;
 use crate::core::geometry::Mesh;
-use crate::core::stats::{median, step_over_many};
+use crate::core::stats::{ENOUGH, median, step_over_many};
 use crate::core::texture::Texels;
 use glam::Vec3;
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
-
-/// Side of a cell in texels of the usual size. Derived: a quarter of what counts as near, so that a
-/// cell spans no wall but averages noise.
-const CELL: f32 = NEAR / 4.0;
-/// Lengths of the steps to a cell that shares a face, an edge or a corner. Derived: 1000 √k.
-const STEP: [u32; 4] = [0, 1000, 1414, 1732];
 
 /// A cell of one class in one room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -95,13 +89,13 @@ impl Unseen<'_> {
         filled
     }
 
-    /// The median side of a texel, times [`CELL`].
+    /// The side of a square of [`ENOUGH`] texels of the usual size: a cell averages noise, but spans no wall.
     fn cell_side(&self) -> f32 {
         let stride = step_over_many(self.texels.len());
         let side = |i| self.texels.area(self.mesh, i).sqrt();
         let sides = (0..self.texels.len()).step_by(stride).map(side);
         let side = median(sides.collect()).unwrap_or(1.0);
-        CELL * side.max(f32::MIN_POSITIVE)
+        (ENOUGH as f32).sqrt() * side.max(f32::MIN_POSITIVE)
     }
 }
 
@@ -109,6 +103,7 @@ impl Unseen<'_> {
 /// class that is seen anywhere.
 fn nearest(cells: &BTreeMap<Cell, Sum>) -> BTreeMap<Cell, Vec3> {
     let mut found: BTreeMap<Cell, Vec3> = BTreeMap::new();
+    // (ways by their bits, which are in order where none is negative)
     let mut queue: BinaryHeap<Reverse<(u32, Cell, Cell)>> = cells
         .iter()
         .filter(|(_, sum)| sum.weight > 0.0)
@@ -125,7 +120,8 @@ fn nearest(cells: &BTreeMap<Cell, Sum>) -> BTreeMap<Cell, Vec3> {
         found.insert(cell, seen(&from));
         for next in around(&cell) {
             if cells.contains_key(&next.1) && !found.contains_key(&next.1) {
-                queue.push(Reverse((way.saturating_add(next.0), next.1, from)));
+                let way = f32::from_bits(way) + next.0;
+                queue.push(Reverse((way.to_bits(), next.1, from)));
             }
         }
     }
@@ -171,13 +167,13 @@ fn trees<K: Ord>(lists: BTreeMap<K, Vec<Spot>>) -> BTreeMap<K, RTree<Spot>> {
 }
 
 /// The 26 cells around one, each with the length of the way there.
-fn around(cell: &Cell) -> impl Iterator<Item = (u32, Cell)> {
+fn around(cell: &Cell) -> impl Iterator<Item = (f32, Cell)> {
     let Cell { class, room, place } = *cell;
     (0..27i32).filter(|k| *k != 13).map(move |k| {
         let step = [k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1];
         let axes = step.iter().filter(|s| **s != 0).count();
         let place = [0, 1, 2].map(|a| place[a].saturating_add(step[a]));
-        (STEP[axes], Cell { class, room, place })
+        ((axes as f32).sqrt(), Cell { class, room, place })
     })
 }
 

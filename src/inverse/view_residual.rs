@@ -6,6 +6,7 @@
 //! diffuse radiance of the others and the specular part fall short of them (censored observations,
 //! Tobin 1958).
 
+use super::class_prior::{ANYTHING, LEAST_SPREAD};
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
@@ -15,17 +16,9 @@ use glam::Vec3;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// Relative disagreement beyond which a view counts as an outlier (moving object, misregistration).
-/// Measured: ×½ roughness −0.1 dB, ×2 little (docs/constants.md).
-const OUTLIER: f32 = 0.25;
 /// Relative disagreement from which the loss grows linearly.
 /// Measured: ×½ roughness −0.1 dB, ×2 roughness +0.2 dB (docs/constants.md).
 pub(super) const KNEE: f32 = 0.02;
-/// Relative noise of a response that can be taken out. Beyond, halves that both miss a highlight
-/// would agree on there being none.
-/// Measured: ×½ roughness +0.8 dB, ×2 little (docs/constants.md).
-const KNOWN_NOISE: f32 = 0.05;
-
 /// Share of the views' disagreement that errors common to all points amount to: what explains less is no finding.
 /// Measured on four scenes, of which dining-room decides: .03 costs it 1.8 dB (docs/lab/roughness.md).
 pub(super) const COMMON_SHARE: f64 = 0.05;
@@ -240,10 +233,11 @@ impl<'a> Looks<'a> {
     }
 }
 
-/// Root of a robust loss with the residual's sign: the loss is square where residuals are small and
-/// linear beyond, up to [`OUTLIER`].
+/// Root of a robust loss with the residual's sign: the loss is square where residuals are small and linear beyond, up
+/// to [`ANYTHING`]: views that disagree by more tell nothing (a moving object, misregistration).
 fn damped(residual: Vec3) -> Vec3 {
-    residual.map(|r| (r / (r.abs() + KNEE).sqrt()).clamp(-OUTLIER.sqrt(), OUTLIER.sqrt()))
+    let most = ANYTHING.sqrt();
+    residual.map(|r| (r / (r.abs() + KNEE).sqrt()).clamp(-most, most))
 }
 
 /// The product of the residuals of two estimates that are `noise` above and below their mean, which
@@ -259,9 +253,10 @@ fn damped_shortfall(residual: Vec3, noise: f32) -> f32 {
     (damped(a) * damped(b)).element_sum()
 }
 
-/// The residuals of two estimates that are `noise` above and below their mean.
+/// The residuals of two estimates that are `noise` above and below their mean. Of noise as much can be taken out as
+/// pixels err by at least: beyond, halves that both miss a highlight would agree on there being none.
 fn estimates(residual: Vec3, noise: f32) -> [Vec3; 2] {
-    let noise = Vec3::splat(noise.clamp(-KNOWN_NOISE, KNOWN_NOISE));
+    let noise = Vec3::splat(noise.clamp(-LEAST_SPREAD, LEAST_SPREAD));
     [residual + noise, residual - noise]
 }
 

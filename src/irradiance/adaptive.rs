@@ -24,11 +24,9 @@ use glam::Vec3;
 const FIRST: u32 = 2;
 /// Doublings between the first round's samples where texels do not matter and where they do. Derived: twice the error.
 const SPARED: u8 = 2;
-/// Doublings of a texel in one round, and in all.
+/// Doublings of a texel in one round.
 /// Measured: ×½ albedo within two errors +8 %, ×2 albedo within two errors +6 % (docs/constants.md).
 const MAX_STEPS: u8 = 4;
-/// Measured: ×½ albedo within two errors +10 %, ×2 little (docs/constants.md).
-const MAX_LEVEL: u8 = 9 + SPARED;
 /// Share of the budget that is kept back: of the samples of doubled texels, fewer may go untraced
 /// than of the others'. Measured: 0.15 % more is traced without it (`samples_go_where_they_matter`).
 const KEPT_BACK: f64 = 0.005;
@@ -144,6 +142,11 @@ impl Levels {
         sampled.par_iter().enumerate().map(level).collect()
     }
 
+    /// The highest level: its samples still have numbers of 32 bits.
+    fn most(&self) -> u8 {
+        1 + self.base[0].max(self.base[1]).leading_zeros() as u8
+    }
+
     /// What takes a texel from a level to a higher one.
     fn options(&self, from: u8, to: u8) -> IrradianceOptions {
         let drawn = self.base.map(|s| s * samples(from));
@@ -217,7 +220,8 @@ pub fn bake_surface(
         };
         let left = (total - baked.rays as f64).max(0.0) / f64::from(budget.rounds - round);
         let cost = left * spending.drawn as f64 / spending.rays.max(1) as f64;
-        let wanted = most_promising(&light, &promising, level, cost as u64);
+        let most = spending.levels.most();
+        let wanted = most_promising(&light, &promising, level, cost as u64, most);
         if wanted == *level {
             break;
         }
@@ -255,7 +259,8 @@ impl<R: Fn(usize) -> Receiver + Sync + Send> Spending<'_, R> {
 
     /// Doubles the samples of texels below the levels wanted, from the lowest level up.
     fn double(&mut self, wanted: &[u8]) {
-        for l in 1..MAX_LEVEL {
+        let most = wanted.iter().copied().max().unwrap_or(0);
+        for l in 1..most {
             let ids = at(&self.level, l, |i| wanted[i] > l);
             let more = self.draw(&ids, &self.levels.options(l, l + 1));
             self.baked.double(&ids, &more);
@@ -281,12 +286,13 @@ fn at(level: &[u8], l: u8, keep: impl Fn(usize) -> bool + Sync + Send) -> Vec<u3
 
 /// The level that each texel should reach. Those with a relative `error` are doubled in the order
 /// in which their squared error falls most per sample, taking it to halve each time; `cost` is what
-/// may be spent, in samples of a texel of level 1.
+/// may be spent, in samples of a texel of level 1, and `most` the highest level.
 fn most_promising(
     light: &[f32],
     error: &(impl Fn(usize) -> f32 + Sync),
     level: &[u8],
     cost: u64,
+    most: u8,
 ) -> Vec<u8> {
     let mean = (crate::core::parallel::sum_f64(light.len(), |i| f64::from(light[i]))
         / light.len().max(1) as f64) as f32;
@@ -299,7 +305,7 @@ fn most_promising(
             let share = light[i] / mean.max(f32::MIN_POSITIVE);
             let weight = share * share * share / (share * share + 1.0);
             let gain = weight * error(i).powi(2) / samples(level[i]) as f32;
-            (0..MAX_STEPS.min(MAX_LEVEL - level[i]))
+            (0..MAX_STEPS.min(most - level[i]))
                 .map(move |s| (gain / f32::from(1u16 << (2 * s)), i as u32))
         })
         .filter(|(gain, _)| *gain > 0.0)

@@ -57,17 +57,7 @@ impl OccludedPairs {
     pub(crate) fn part<T>(&self, i: usize, near: &mut Vec<T>, id: impl Fn(&T) -> u32) {
         let hidden = self.of(i);
         if !hidden.is_empty() {
-            // most are told apart by a few bits of their numbers (derived: two cache lines of bits)
-            const WORDS: usize = 16;
-            let mut some = [0u64; WORDS];
-            let bit = |id: u32| ((id >> 6) as usize % WORDS, 1u64 << (id % 64));
-            for (word, bit) in hidden.iter().map(|id| bit(*id)) {
-                some[word] |= bit;
-            }
-            near.retain(|n| {
-                let (word, bit) = bit(id(n));
-                some[word] & bit == 0 || hidden.binary_search(&id(n)).is_err()
-            });
+            near.retain(|n| hidden.binary_search(&id(n)).is_err());
         }
     }
 

@@ -33,26 +33,17 @@ const DISC: f32 = 2.35;
 /// (docs/lab/irradiance.md).
 /// Measured: ×½ albedo −0.2 dB, ×2 little (docs/constants.md).
 const DIFFERENT: f32 = 16.0;
-/// Ridge on the slopes relative to the weights' sum: decides only where the neighbours do not. Derived: as
-/// far below 1 as above the rounding of its sums, 1e-8 or less.
-const RIDGE: f32 = 1e-4;
 /// How far irradiance departs from the regression, relative: as much of a texel's own estimate is
 /// mixed in as its noise, beside this, deserves. The parts of a net complement each other: their mean has 0.4 of the
 /// variance that their scatter tells, for which this is larger by √(1 / 0.4). Measured over texels of few and of many
 /// samples alike (docs/lab/irradiance.md).
 const UNEVEN: f32 = 0.0126;
-/// Standard deviation of the mean of squares by which parts and filtered parts differ, in one
-/// part's variance. Derived: their means differ by twice the variance of one at most, and the square of a Gaussian
-/// deviates by √2 of its variance.
-const CHANCE: f32 = 2.0 * SQRT_2 / SUB_ESTIMATES as f32;
 /// Of the texels that may be left without samples one in so many has some, and so have those in
 /// whose disc fewer than `COMPANY` have. Derived: a doubling in place of one that samples are too few for; the unknowns
 /// of the regression, a value, two slopes in place and two in turn.
 const SAMPLED_ONE_IN: u64 = 2;
 /// Derived: as above.
 const COMPANY: usize = 5;
-/// How many other parts a part is compared with (derived).
-const OTHERS: f32 = (SUB_ESTIMATES - 1) as f32;
 
 /// The neighbourhoods of a set of texels.
 pub struct SurfaceFilter {
@@ -94,9 +85,10 @@ impl Noise {
     /// In place of every part the mean of the others.
     fn others(&self) -> Self {
         let sum = self.part.iter().sum::<f32>();
+        let others = (SUB_ESTIMATES - 1) as f32;
         Self {
-            part: self.part.map(|p| (sum - p) / OTHERS),
-            variance: self.variance / OTHERS,
+            part: self.part.map(|p| (sum - p) / others),
+            variance: self.variance / others,
             samples: self.samples,
         }
     }
@@ -389,7 +381,10 @@ impl SurfaceFilter {
         let of = |i: usize| {
             let [missed, differ, square, variance, weights, squares] = sums(self.discs.of(i), &own);
             let count = weights * weights / squares.max(f32::MIN_POSITIVE);
-            let chance = standard_errors * CHANCE * variance / count.max(1.0).sqrt();
+            // parts and filtered parts differ by twice the variance of one at most, and the square of a Gaussian
+            // deviates by √2 of its variance
+            let deviation = 2.0 * SQRT_2 / SUB_ESTIMATES as f32;
+            let chance = standard_errors * deviation * variance / count.max(1.0).sqrt();
             if square > 0.0 {
                 ((missed - chance).max(differ) / square).sqrt()
             } else {
@@ -459,6 +454,7 @@ impl Kernel for Guide<'_> {
             per_different,
         } = self;
         let alike = Alike::new(own, per_different);
+        let others = (SUB_ESTIMATES - 1) as f32;
         let (mut weights, mut sum, mut spread) = (
             [0.0; SUB_ESTIMATES],
             [0.0; SUB_ESTIMATES],
@@ -468,7 +464,7 @@ impl Kernel for Guide<'_> {
             let t = &told[*id as usize];
             let weight = alike.weights(
                 &t.others,
-                t.variance / OTHERS,
+                t.variance / others,
                 (1.0 - 0.8 * distance2) * t.root_samples,
             );
             add(&mut weights, &weight);
@@ -643,6 +639,13 @@ impl Kernel for Regression<'_> {
     }
 }
 
+/// Ridge on the slopes relative to the weights' sum: decides only where the neighbours do not, being as far below 1
+/// as above what is lost in rounding.
+#[inline(always)]
+fn ridge() -> f32 {
+    f32::EPSILON.sqrt()
+}
+
 /// Whether the surface turns so little over the neighbours that the ridge outweighs the slopes of
 /// the normal a hundred times.
 #[inline(always)]
@@ -650,7 +653,7 @@ fn is_flat(near: &[Near]) -> bool {
     let steepest = near.iter().fold(0.0f32, |most, n| {
         most.max(n.along[2].abs()).max(n.along[3].abs())
     });
-    steepest.powi(2) < 0.01 * RIDGE
+    steepest.powi(2) < 0.01 * ridge()
 }
 
 /// A neighbour's terms of the slopes of position.
@@ -766,7 +769,7 @@ fn intercepts<const TERMS: usize, const MOMENTS: usize>(
     mut right: [[Lanes; 3]; TERMS],
 ) -> [Lanes; 3] {
     let at = |row: usize, column: usize| row * (row + 1) / 2 + column;
-    let ridge = times(&matrix[0], RIDGE);
+    let ridge = times(&matrix[0], ridge());
     for r in (1..TERMS).rev() {
         let mut per_pivot = [0.0; SUB_ESTIMATES];
         for l in 0..SUB_ESTIMATES {

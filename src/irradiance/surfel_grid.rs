@@ -20,9 +20,6 @@ use std::ops::Range;
 /// fewer look-ups.
 /// Measured: ×½ albedo within two errors +2 %, ×2 little (docs/constants.md).
 const CELL: f32 = 4.5;
-/// Height over the tangent plane, as a share of the distance, within which a texel belongs to the
-/// same surface. Derived: with normals θ apart, cos θ = [`SMOOTH`], an even bend rises by sin(θ/2), 0.158.
-const FLAT: f32 = 0.15;
 
 /// A texel as a piece of surface.
 #[derive(Clone, Copy, Debug)]
@@ -61,13 +58,14 @@ impl Reach {
     }
 
     /// Squared length of a step between two texels with these normals as a share of the square; 1
-    /// if the second does not lie within it on the first's smooth surface.
+    /// if the second does not lie within it on the first's smooth surface: with normals θ apart, an even bend
+    /// rises over the tangent plane by sin(θ/2) of the distance.
     #[inline(always)]
     fn share(self, step: Vec3, [normal, other]: [Vec3; 2]) -> f32 {
         let d2 = step.length_squared();
         let smooth = normal.dot(other) > SMOOTH;
         let height = normal.dot(step);
-        let flat = height * height <= FLAT * FLAT * d2;
+        let flat = height * height <= 0.5 * (1.0 - SMOOTH) * d2;
         if (d2 < self.limit) & smooth & flat {
             d2 * self.per_limit
         } else {
@@ -624,7 +622,7 @@ mod tests {
                     counts(j as usize)
                         && step.length_squared() < (reach * p.size).powi(2)
                         && q.normal.dot(p.normal) > SMOOTH
-                        && p.normal.dot(step).abs() <= FLAT * step.length()
+                        && p.normal.dot(step).abs() <= (0.5 * SMOOTH.acos()).sin() * step.length()
                 })
                 .collect();
             assert!(plain.len() > 10, "texel {i} has company");

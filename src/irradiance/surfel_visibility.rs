@@ -12,7 +12,7 @@ use crate::core::math::Frame;
 use crate::core::parallel::map_chunks;
 use crate::core::trace::{BATCH, Hit, Ray, Tracer};
 use glam::Vec3;
-use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
+use std::f32::consts::{FRAC_1_SQRT_2, PI, SQRT_2};
 use std::ops::Range;
 
 /// Height over the surface, in texels, at which texels look at each other. Derived: between neighbours a
@@ -21,9 +21,6 @@ use std::ops::Range;
 const HEIGHT: f32 = 0.5;
 /// Rays of a fan. Derived: both ways along both axes of the tangent plane, and between them.
 const SPOKES: usize = 8;
-/// Their length in reaches. Derived: a little more than 1 / cos(π / 8): one of them meets any straight wall
-/// within reach.
-const LENGTH: f32 = 1.083;
 /// Their directions along those axes, anticlockwise.
 const SPOKE: [[f32; 2]; SPOKES] = {
     const D: f32 = FRAC_1_SQRT_2;
@@ -48,6 +45,8 @@ struct Looks<'a> {
     /// The places from which they do.
     eyes: Vec<Vec3>,
     reach: f32,
+    /// Length of a fan's rays in reaches: one of them meets any straight wall within reach.
+    spoke: f32,
 }
 
 impl Looks<'_> {
@@ -63,6 +62,28 @@ impl Looks<'_> {
             self.patches[j].position - position,
         );
         [t, b].map(|axis| step.dot(axis) / (self.reach * size))
+    }
+
+    /// Whether a neighbour at (x, y) on the plane, in reaches, may lie behind what the rays to its left
+    /// and right met: behind the line from the one to the other, or nearly.
+    fn may_hide(&self, [x, y]: [f32; 2], fan: &[f32; SPOKES]) -> bool {
+        let axis = match x.abs() > y.abs() {
+            true => 4 * usize::from(x < 0.0),
+            false => 2 + 4 * usize::from(y < 0.0),
+        };
+        let diagonal = match (x < 0.0, y < 0.0) {
+            (false, false) => 1,
+            (true, false) => 3,
+            (true, true) => 5,
+            (false, true) => 7,
+        };
+        // the place is a sum of steps along the two rays
+        let (long, short) = (x.abs().max(y.abs()), x.abs().min(y.abs()));
+        let (along_axis, along_diagonal) = (long - short, SQRT_2 * short);
+        let (to_axis, to_diagonal) = (fan[axis], fan[diagonal]);
+        let met = to_axis.min(to_diagonal) <= self.spoke;
+        met && along_axis / to_axis.min(self.spoke) + along_diagonal / to_diagonal.min(self.spoke)
+            > BEFORE
     }
 }
 
@@ -81,6 +102,7 @@ pub(crate) fn find_occluded(around: &SurfelGrid, reach: f32, tracer: &dyn Tracer
         patches,
         eyes: eyes(patches, tracer),
         reach,
+        spoke: (PI / SPOKES as f32).cos().recip(),
     };
     let fans = fans(&looks, tracer);
     let obstructed = |i: usize| fans[i].iter().any(|d| d.is_finite());
@@ -88,7 +110,7 @@ pub(crate) fn find_occluded(around: &SurfelGrid, reach: f32, tracer: &dyn Tracer
     let asks_itself = |j: usize, i: usize| {
         let asks = || {
             let [x, y] = looks.toward(j, i);
-            may_hide(x, y, &fans[j]) && patches[j].reaches(&patches[i], reach)
+            looks.may_hide([x, y], &fans[j]) && patches[j].reaches(&patches[i], reach)
         };
         j < i && asks()
     };
@@ -99,7 +121,7 @@ pub(crate) fn find_occluded(around: &SurfelGrid, reach: f32, tracer: &dyn Tracer
         |i, near, sight: &mut Sight| {
             let unsure = near
                 .iter()
-                .filter(|n| may_hide(n.along[0], n.along[1], &fans[i]));
+                .filter(|n| looks.may_hide([n.along[0], n.along[1]], &fans[i]));
             sight.ids.clear();
             sight.ids.extend(
                 unsure
@@ -151,7 +173,7 @@ fn fans(looks: &Looks, tracer: &dyn Tracer) -> Vec<[f32; SPOKES]> {
     let chunk = |range: Range<usize>| {
         let spokes = |i: usize| {
             let Frame { t, b, .. } = Frame::from_normal(looks.patches[i].normal);
-            SPOKE.map(|[x, y]| Ray::new(looks.eyes[i], x * t + y * b, LENGTH * reach(i)))
+            SPOKE.map(|[x, y]| Ray::new(looks.eyes[i], x * t + y * b, looks.spoke * reach(i)))
         };
         let rays: Vec<Ray> = range.clone().flat_map(spokes).collect();
         let mut hits = vec![Hit::miss(); rays.len()];
@@ -163,27 +185,6 @@ fn fans(looks: &Looks, tracer: &dyn Tracer) -> Vec<[f32; SPOKES]> {
             .collect::<Vec<_>>()
     };
     map_chunks(looks.patches.len(), BATCH / SPOKES, chunk).concat()
-}
-
-/// Whether a neighbour at (x, y) on the plane, in reaches, may lie behind what the rays to its left
-/// and right met: behind the line from the one to the other, or nearly.
-fn may_hide(x: f32, y: f32, fan: &[f32; SPOKES]) -> bool {
-    let axis = match x.abs() > y.abs() {
-        true => 4 * usize::from(x < 0.0),
-        false => 2 + 4 * usize::from(y < 0.0),
-    };
-    let diagonal = match (x < 0.0, y < 0.0) {
-        (false, false) => 1,
-        (true, false) => 3,
-        (true, true) => 5,
-        (false, true) => 7,
-    };
-    // the place is a sum of steps along the two rays
-    let (long, short) = (x.abs().max(y.abs()), x.abs().min(y.abs()));
-    let (along_axis, along_diagonal) = (long - short, SQRT_2 * short);
-    let (to_axis, to_diagonal) = (fan[axis], fan[diagonal]);
-    let met = to_axis.min(to_diagonal) <= LENGTH;
-    met && along_axis / to_axis.min(LENGTH) + along_diagonal / to_diagonal.min(LENGTH) > BEFORE
 }
 
 fn between(a: Vec3, b: Vec3) -> Ray {

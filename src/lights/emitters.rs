@@ -9,7 +9,7 @@
 //! times what rays found of their visibility from the point's cell, so that lamps in other rooms
 //! and behind the surface cost no samples.
 
-use super::grouping::{bright_sets, split_into_lamps, uncovered};
+use super::grouping::{MAX_LAMPS, bright_sets, split_into_lamps, uncovered};
 use super::light_model::LightModel;
 use super::light_sampler::{LightSampler, LightShapes, Piece};
 use super::portal_grid::PortalGrid;
@@ -27,9 +27,6 @@ use crate::radiance::LightField;
 use glam::Vec3;
 use std::collections::BTreeMap;
 
-/// At most this many lamps, and portals; more are merged with their neighbours in space.
-/// Measured: ×½ little, ×2 roughness +2.7 dB (docs/constants.md).
-const MAX_LAMPS: usize = 128;
 /// Cells along the longest side of the scene: about one metre in a flat.
 /// Measured: ×½ roughness +0.8 dB, ×2 albedo +0.2 dB (docs/constants.md).
 const CELLS_LONGEST: f32 = 20.0;
@@ -189,7 +186,7 @@ impl Emitters {
             .push(&items.iter().map(|i| i.0).collect::<Vec<_>>());
         let (lamp, base) = (self.lamps.len() as u32, self.sources.len() as u32);
         if matches!(kind, LampKind::Portal(_)) {
-            self.portal_slot.resize(PortalGrid::NUMBERS, (0, 0.0));
+            self.portal_slot.resize(PortalGrid::numbers(), (0, 0.0));
         }
         for (i, item) in items.iter().enumerate() {
             let density = table.pmf(i) / item.1;

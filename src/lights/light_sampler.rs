@@ -5,7 +5,7 @@
 use crate::core::stats::ROUNDS;
 use crate::ffi::simd::{Kernel, LANES, run_widest};
 use glam::Vec3;
-use std::f32::consts::FRAC_1_PI;
+use std::f32::consts::{FRAC_1_PI, PI};
 
 /// Lamps as their light is judged from afar, a column per property.
 #[derive(Default)]
@@ -42,10 +42,6 @@ pub(crate) struct Piece {
 /// what steers samples may err (defensive sampling, after Hesterberg).
 /// Measured: ×½ albedo +0.2 dB, ×2 albedo within two errors +1 % (docs/constants.md).
 pub(super) const DEFENSIVE: f32 = 0.03;
-
-/// Flat pieces of a lamp seen under a grazing angle still shine as much as this share of its
-/// angular size. Derived: 1 / √(6π), for pieces that lie normally distributed about the centre.
-const SLACK: f32 = 0.230;
 
 impl LightShapes {
     /// Adds a lamp.
@@ -139,6 +135,9 @@ impl Kernel for Expected<'_> {
         let n = out.len();
         let [x, y, z, radius, power, round] =
             [&l.x, &l.y, &l.z, &l.radius, &l.power, &l.round].map(|c| &c[..n]);
+        // flat pieces that lie normally distributed about the centre, seen under a grazing angle, still shine as much
+        // as this share of their angular size
+        let slack = (6.0 * PI).sqrt().recip();
         let ([ax, ay, az], reach) = (l.axis.each_ref().map(|c| &c[..n]), &reach[..n]);
         for k in 0..n {
             let d = Vec3::new(x[k], y[k], z[k]) - p;
@@ -148,7 +147,7 @@ impl Kernel for Expected<'_> {
             let cosine = ((normal.dot(d) * inverse + size) / (1.0 + size)).max(0.0);
             let facing = (-(ax[k] * d.x + ay[k] * d.y + az[k] * d.z) * inverse).max(0.0)
                 + round[k]
-                + SLACK * size;
+                + slack * size;
             out[k] = power[k] * reach[k] * cosine * facing * (inverse * inverse);
         }
     }

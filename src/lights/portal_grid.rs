@@ -85,11 +85,14 @@ impl PortalGrid {
         p.cmpge(self.lo).all() && p.cmple(self.hi).all()
     }
 
-    /// Every cell's number is below this. Derived: six faces of [`SIDE`] by [`SIDE`].
-    pub const NUMBERS: usize = (6 * SIDE * SIDE) as usize;
+    /// Every cell's number is below this: that of the first cell of a seventh face.
+    #[must_use]
+    pub const fn numbers() -> usize {
+        Self::number(6, 0, 0) as usize
+    }
 
     /// The number of the cell in row `i` and column `j` of a face.
-    pub(super) fn number(face: u32, i: u32, j: u32) -> u32 {
+    pub(super) const fn number(face: u32, i: u32, j: u32) -> u32 {
         (face * SIDE + i) * SIDE + j
     }
 

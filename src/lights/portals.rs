@@ -5,6 +5,7 @@
 //! that is missed costs noise; neither changes what is rendered on average.
 
 use super::PortalGrid;
+use super::grouping::MAX_LAMPS;
 use crate::core::geometry::Mesh;
 use crate::core::math::Frame;
 use crate::core::parallel::map_chunks;
@@ -19,13 +20,9 @@ pub(super) const PROBES: usize = 16_384;
 /// Rays from each.
 /// Measured: ×½ little, ×2 albedo +0.2 dB (docs/constants.md).
 const RAYS: u32 = 32;
-/// Share of a rectangle's cells that must be open, else it is cut in two. Measured: ×½ same bits (dining-room).
-const FILLED: f32 = 0.6;
 /// Cells along a rectangle's side beyond which it is cut, so that from everywhere only the visible
 /// parts need be sampled. Measured: pieces of half the side take noise from 4.46 to 4.34 % (docs/lab/irradiance.md).
 const LONGEST: u32 = 32;
-/// At most this many rectangles: every ray that escapes is tested against all of them. Measured: as [`LONGEST`].
-const MOST: usize = 32;
 
 /// A face of the box and ranges of its cells.
 #[derive(Clone, Debug)]
@@ -44,9 +41,11 @@ impl Patch {
         })
     }
 
-    fn filled(&self) -> f32 {
+    /// Whether at least as many of the cells of its rectangle are open as not.
+    fn is_mostly_open(&self) -> bool {
         let [lo, hi] = self.bounds();
-        self.cells.len() as f32 / ((hi[0] - lo[0] + 1) * (hi[1] - lo[1] + 1)) as f32
+        let all = ((hi[0] - lo[0] + 1) * (hi[1] - lo[1] + 1)) as usize;
+        2 * self.cells.len() >= all
     }
 
     fn too_long(&self) -> bool {
@@ -188,9 +187,9 @@ fn patches(cells: &BTreeSet<u32>) -> Vec<Patch> {
 /// Cuts patches that are mostly holes until there are as many as may be.
 fn rectangles(mut patches: Vec<Patch>) -> Vec<Patch> {
     patches.sort_by_key(|p| std::cmp::Reverse(p.cells.len()));
-    patches.truncate(MOST);
-    while patches.len() < MOST {
-        let unfit = |p: &Patch| p.cells.len() > 1 && (p.filled() < FILLED || p.too_long());
+    patches.truncate(MAX_LAMPS);
+    while patches.len() < MAX_LAMPS {
+        let unfit = |p: &Patch| p.cells.len() > 1 && (!p.is_mostly_open() || p.too_long());
         // the largest first: there the cut gains most
         let worst = (0..patches.len())
             .filter(|&i| unfit(&patches[i]))

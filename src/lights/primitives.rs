@@ -14,8 +14,8 @@ use glam::{Vec2, Vec3};
 /// rounding of positions and no more, for what lies between would be overlooked.
 pub(crate) const SHORT: f32 = 1e-4;
 
-/// Below this cosine at the source it counts as seen from behind. Derived: ten times the rounding of a cosine.
-pub(crate) const GRAZING: f32 = 1e-6;
+/// Below this cosine at the source it counts as seen from behind: it is nothing but rounding.
+pub(crate) const GRAZING: f32 = f32::EPSILON;
 
 /// A flat piece of a lamp, one cache line: a triangle or a parallelogram, turned so that edge 1 ×
 /// edge 2 points to where its light goes.
@@ -33,9 +33,8 @@ struct Source {
     uv_edge2: Vec2,
 }
 
-/// Numbers of a [`Source`]. Derived: those of one cache line.
-const NUMBERS: usize = 16;
-const _: () = assert!(size_of::<Source>() == NUMBERS * size_of::<f32>());
+/// Numbers of a [`Source`].
+const NUMBERS: usize = size_of::<Source>() / size_of::<f32>();
 
 impl Source {
     /// `density` is per m² within its lamp; light goes where `normal` points.

@@ -3,9 +3,6 @@
 use super::light_sampler::DEFENSIVE;
 use std::collections::BTreeMap;
 
-/// What a neighbouring cell's findings count beside a cell's own. Derived: all 26 together as much as it.
-const NEIGHBOURS: f32 = 1.0 / 26.0;
-
 /// Per cell of space and lamp: how much of the expected irradiance arrives; in a dense grid around
 /// the cells that hold receivers.
 #[derive(Default)]
@@ -50,10 +47,12 @@ impl ReachTable {
         };
         let learned = probed.iter().map(|(cell, own)| {
             let mut sum = own.clone();
+            // (all of them count as much as the cell itself)
+            let each = (neighbours(*cell).count() as f32).recip();
             for near in neighbours(*cell).filter_map(|c| probed.get(&c)) {
                 for (s, n) in sum.iter_mut().zip(near) {
-                    s.arrives += NEIGHBOURS * n.arrives;
-                    s.expected += NEIGHBOURS * n.expected;
+                    s.arrives += each * n.arrives;
+                    s.expected += each * n.expected;
                 }
             }
             (*cell, sum.iter().map(reach).collect())
