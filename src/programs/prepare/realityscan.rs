@@ -110,8 +110,7 @@ fn header(text: &str) -> Option<(usize, Vec<String>)> {
             .map(|c| c.trim_start_matches('#').to_ascii_lowercase())
             .collect();
         let has = |name: &&str| names.iter().any(|n| n == *name);
-        (names.first().is_some_and(|n| n == "name") && POSE.iter().all(|p| has(&p)))
-            .then_some((n, names))
+        (names.first().is_some_and(|n| n == "name") && POSE.iter().all(has)).then_some((n, names))
     })
 }
 
