@@ -317,23 +317,25 @@ fn joined(mask: Option<Plane<bool>>, other: Option<Plane<bool>>) -> Option<Plane
 /// The refusal of a scene whose training images are black throughout.
 #[must_use]
 pub fn all_black(scene: &Scene) -> Error {
-    let first = scene.train_views().next();
-    let path = first.map_or(&scene.folder, |v| &v.image_path);
-    Error::input(
-        path,
+    of_every_view(
+        scene,
         "every training image is black: no light to reconstruct from; look at exposure_ev, or render the images again",
     )
 }
 
-/// Every pixel of every training view is masked: named by the first one's image.
+/// The refusal of a scene whose training images are masked throughout.
 #[must_use]
 pub fn all_masked(scene: &Scene) -> Error {
-    let first = scene.train_views().next();
-    let path = first.map_or(&scene.folder, |v| &v.image_path);
-    Error::input(
-        path,
+    of_every_view(
+        scene,
         "every pixel of every training image is masked: nothing to reconstruct from; masks are 0 where pixels are to be ignored, turn them round or leave them out",
     )
+}
+
+/// What is wrong with every training image, named by the first one.
+fn of_every_view(scene: &Scene, message: &str) -> Error {
+    let first = scene.train_views().next();
+    Error::input(first.map_or(&scene.folder, |v| &v.image_path), message)
 }
 
 /// [`PixelStats::at_one`] of an image as stored.

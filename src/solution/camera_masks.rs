@@ -1,8 +1,7 @@
 //! `camera_mask_*.png` of an output folder: 0 where a photograph shows what its camera carries
 //! along, 255 where it shows the scene, as `mask_path` of a scene.
 
-use crate::core::formats::AsideFolder;
-use crate::core::formats::{read_labels, write_png8};
+use crate::core::formats::{AsideFolder, read_labels, write_png8};
 use crate::core::image::CameraMask;
 use crate::error::{Error, Result};
 use std::path::Path;

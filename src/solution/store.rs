@@ -9,9 +9,9 @@ use super::camera_masks::{read_camera_masks, replace_camera_masks, write_camera_
 use super::generation::other_run;
 use super::glb::{GlbOptions, marked_glb, read_glb};
 use super::lamps::{self, LIGHTS};
-use crate::core::formats::AsideFolder;
 use crate::core::formats::{
-    Marked, generation_mark, read_labels, read_plane, read_rgb, read_two_channels,
+    AsideFolder, Marked, generation_mark, read_labels, read_plane, read_rgb, read_two_channels,
+    remove_if_there,
 };
 use crate::core::image::{Plane, RgbPlane};
 use crate::error::{Error, Result};
@@ -324,14 +324,6 @@ fn one_generation(folder: &Path, of_glb: Option<&str>) -> Result<()> {
         }
     }
     Ok(())
-}
-
-/// Removes a file that an earlier solution may have left.
-fn remove_if_there(path: &Path) -> Result<()> {
-    match std::fs::remove_file(path) {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(path, e)),
-        _ => Ok(()),
-    }
 }
 
 #[cfg(test)]

@@ -73,10 +73,10 @@ fn apply_list(out: &Path, list: &Path, scene: Option<&Path>, context: &Context) 
             .into_iter()
             .map(|c| (c.id, c.name))
             .collect(),
-        None => RunRecord::of_result(out)?.map_or_else(Vec::new, |run| {
-            let names = run.scene.class_names.into_iter();
+        None => {
+            let names = RunRecord::class_names_of(out)?.into_iter();
             names.map(|c| (c.id, c.name)).collect()
-        }),
+        }
     };
     // names are turned into ids once, so that the list can be applied where the scene is not at
     // hand

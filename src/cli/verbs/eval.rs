@@ -27,9 +27,8 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
         );
         return Err(Error::input(out, message));
     }
-    if let Some(record) = RunRecord::of_result(out)?
-        && let Some(mesh) = other_mesh(&scene, &record)
-    {
+    let run = RunRecord::of_result(out)?;
+    if let Some(mesh) = run.as_ref().and_then(|run| other_mesh(&scene, run)) {
         context.progress.note(format!(
             "{} was solved with another {mesh} than lies in {}: the scores may compare it with what is not its truth",
             out.display(),
@@ -69,7 +68,7 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
     )?;
     failed.map_or(Ok(()), Err)?;
     // the report tells of the run that made the solution; without its manifest, of this one
-    let record = match RunRecord::of_result(out)? {
+    let record = match run {
         Some(record) => record,
         None => context.run.record(&scene, hash_inputs(&scene)?)?,
     };
@@ -88,12 +87,12 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
 }
 
 /// The mesh that a run read, if the scene's file of that name is not the same.
-fn other_mesh(scene: &Scene, record: &RunRecord) -> Option<String> {
+fn other_mesh(scene: &Scene, run: &RunRecord) -> Option<String> {
     let is_mesh = |name: &str| {
         let ending = Path::new(name).extension().and_then(|e| e.to_str());
         ending.is_some_and(|e| ["glb", "gltf", "obj", "ply"].contains(&e))
     };
-    let mesh = record.inputs.iter().find(|f| is_mesh(&f.path))?;
+    let mesh = run.inputs.iter().find(|f| is_mesh(&f.path))?;
     let bytes = std::fs::read(scene.folder.join(&mesh.path)).unwrap_or_default();
     let same = blake3::hash(&bytes).to_hex().as_str() == mesh.blake3;
     (!same).then(|| mesh.path.clone())

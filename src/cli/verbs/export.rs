@@ -68,7 +68,7 @@ fn read_lightings(
 /// The names of the classes as the run wrote them down; of older results, those of the scene that
 /// is given.
 fn names_of_classes(out: &Path, places: &FrameSource, context: &Context) -> Result<Vec<ClassName>> {
-    let written = RunRecord::of_result(out)?.map_or_else(Vec::new, |m| m.scene.class_names);
+    let written = RunRecord::class_names_of(out)?;
     match &places.scene {
         Some(scene) if written.is_empty() => Ok(class_names(&read_scene(scene, context)?)),
         None if written.is_empty() => {

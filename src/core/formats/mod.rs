@@ -78,7 +78,7 @@ pub use read_mesh::read_mesh;
 pub use read_texture::{Texture, read_texture};
 pub use surface_look::{Look, TextureSource};
 pub use text::grouped;
-pub use whole::{Aside, atomic_write, sync};
+pub use whole::{Aside, atomic_write, remove_if_there, sync};
 
 use crate::{Error, Result};
 use std::path::Path;

@@ -22,9 +22,9 @@ pub use layout::Layout;
 pub use options::{BakeOptions, GodotVersion};
 pub use record::{BAKE, BakeRecord};
 
-use crate::core::formats::AsideFolder;
 use crate::core::formats::{
-    GltfFile, MOST_DATA, atomic_write, glb_of, read_input, read_panorama, write_rgb_float,
+    AsideFolder, GltfFile, MOST_DATA, atomic_write, glb_of, read_input, read_panorama,
+    remove_if_there, write_rgb_float,
 };
 use crate::core::geometry::Mesh;
 use crate::core::progress::Progress;
@@ -144,15 +144,8 @@ fn publish(
         names.extend(godot::FILES.map(|name| Path::new(godot::FOLDER).join(name)));
     }
     aside.publish(out, &names)?;
-    for name in MAPS.iter().filter(|name| !files.contains(name)) {
-        match std::fs::remove_file(out.join(name)) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                return Err(Error::io(out.join(name), e));
-            }
-            _ => {}
-        }
-    }
-    Ok(())
+    let mut stale = MAPS.iter().filter(|name| !files.contains(name));
+    stale.try_for_each(|name| remove_if_there(&out.join(name)))
 }
 
 /// Reads, lays out and lights a file's scene.

@@ -31,8 +31,7 @@ pub use truth::GroundTruth;
 use truth::has_true_materials;
 pub(crate) use truth::true_materials;
 
-use crate::core::formats::AsideFolder;
-use crate::core::formats::{write_plane_half, write_rgb_half};
+use crate::core::formats::{AsideFolder, write_plane_half, write_rgb_half};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::metrics::{masked_mse, masked_ssim, psnr};
 use crate::core::progress::Progress;

@@ -213,6 +213,20 @@ pub(super) fn of_kind(path: &Path, is: impl Fn(&Path) -> bool) -> Vec<PathBuf> {
     files_in(path, is)
 }
 
+/// The file itself if it is of a kind, or the only one in a folder that is.
+pub(super) fn only_of_kind(path: &Path, is: impl Fn(&Path) -> bool) -> Option<PathBuf> {
+    match of_kind(path, is).as_slice() {
+        [only] => Some(only.clone()),
+        _ => None,
+    }
+}
+
+/// Numbers that stand in words; `None` where a word is none, or not finite.
+pub(super) fn finite_numbers(text: &str) -> Option<Vec<f64>> {
+    let each = |w: &str| w.parse().ok().filter(|n: &f64| n.is_finite());
+    text.split_ascii_whitespace().map(each).collect()
+}
+
 /// What lies in a folder and is of a kind, in the order of the names.
 pub(super) fn files_in(folder: &Path, is: impl Fn(&Path) -> bool) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();

@@ -7,7 +7,10 @@
 
 use super::account::Account;
 use super::capture::{Capture, Shot, Surface, Up};
-use super::importer::{Importer, Located, PrepareOptions, mesh_beside, photograph_named, stem_of};
+use super::importer::{
+    Importer, Located, PrepareOptions, finite_numbers, mesh_beside, only_of_kind, photograph_named,
+    stem_of,
+};
 use super::lens::{Distortion, Lens, Optics};
 use crate::core::formats::read_input_text;
 use crate::error::{Error, Result};
@@ -171,15 +174,7 @@ fn file_in(path: &Path) -> Option<PathBuf> {
             read.is_ok() && head.contains("<document") && head.contains("<chunk")
         })
     };
-    if path.is_file() {
-        return ours(path).then(|| path.to_path_buf());
-    }
-    let entries = std::fs::read_dir(path).ok()?.flatten().map(|e| e.path());
-    let found: Vec<PathBuf> = entries.filter(|p| ours(p)).collect();
-    match found.as_slice() {
-        [only] => Some(only.clone()),
-        _ => None,
-    }
+    only_of_kind(path, ours)
 }
 
 fn child<'a>(node: Node<'a, 'a>, name: &str) -> Option<Node<'a, 'a>> {
@@ -194,9 +189,7 @@ fn by_id<'a>(chunk: Node<'a, 'a>, list: &str, name: &str) -> BTreeMap<String, No
 }
 
 fn numbers(node: Node<'_, '_>) -> Reading<Vec<f64>> {
-    let words = node.text().unwrap_or("").split_ascii_whitespace();
-    let each = |w: &str| w.parse().ok().filter(|n: &f64| n.is_finite());
-    let all: Option<Vec<f64>> = words.map(each).collect();
+    let all = finite_numbers(node.text().unwrap_or(""));
     all.ok_or_else(|| format!("{}: expected finite numbers", node.tag_name().name()))
 }
 

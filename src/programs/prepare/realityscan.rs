@@ -10,8 +10,8 @@
 use super::account::Account;
 use super::capture::{Capture, Shot, Surface, Up};
 use super::importer::{
-    Importer, Located, PrepareOptions, files_in, is_rotation, mesh_beside, photograph_named,
-    stem_of,
+    Importer, Located, PrepareOptions, files_in, finite_numbers, is_rotation, mesh_beside,
+    only_of_kind, photograph_named, stem_of,
 };
 use super::lens::{Distortion, Lens, Optics, Perspective};
 use crate::core::formats::{image_info, read_input_text};
@@ -92,14 +92,7 @@ fn table_in(path: &Path) -> Option<PathBuf> {
         let csv = p.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv"));
         csv && read_input_text(p).is_ok_and(|t| header(&t).is_some())
     };
-    if path.is_file() {
-        return ours(path).then(|| path.to_path_buf());
-    }
-    let found = files_in(path, ours);
-    match found.as_slice() {
-        [only] => Some(only.clone()),
-        _ => None,
-    }
+    only_of_kind(path, ours)
 }
 
 /// The number of the line of a table that names its columns, and their names.
@@ -266,9 +259,7 @@ fn camera_of_sidecar(document: &Document<'_>) -> Reading<Camera> {
     };
     let numbers = |key: &str| -> Reading<Vec<f64>> {
         let text = text(key).unwrap_or_default();
-        let each = |w: &str| w.parse().ok().filter(|n: &f64| n.is_finite());
-        let all: Option<Vec<f64>> = text.split_ascii_whitespace().map(each).collect();
-        all.ok_or_else(|| format!("xcr:{key}: {text:?}; expected finite numbers"))
+        finite_numbers(&text).ok_or_else(|| format!("xcr:{key}: {text:?}; expected finite numbers"))
     };
     let number =
         |key: &str, usual: f64| Ok::<f64, String>(numbers(key)?.first().copied().unwrap_or(usual));

@@ -207,6 +207,14 @@ impl RunRecord {
         Ok(manifest)
     }
 
+    /// The names of the classes that the result in `out` was solved with; empty if it does not say.
+    ///
+    /// # Errors
+    /// As [`Self::of_result`].
+    pub fn class_names_of(out: &Path) -> Result<Vec<ClassName>> {
+        Ok(Self::of_result(out)?.map_or_else(Vec::new, |m| m.scene.class_names))
+    }
+
     /// Reads the `manifest.json` of an output folder; `None` where there is none that this version
     /// understands.
     #[must_use]

@@ -1,12 +1,13 @@
 //! No verb may overwrite what it reads: an output folder in which an input lies is refused.
 
 use crate::error::{Error, Result};
+use crate::solution::FILES;
 use std::path::{Path, PathBuf};
 
 /// What makes a folder a scene.
 const SCENE: &str = "transforms.json";
 /// What makes a folder a result.
-const RESULT: &str = "albedo.exr";
+const RESULT: &str = FILES[0];
 
 /// Refuses `out` if it is `scene`'s folder or any of `inputs` lies directly in it.
 ///
