@@ -5,7 +5,9 @@ use super::Solution;
 use crate::core::formats::{
     Rgb8, Transfer, encode_grey16, encode_ktx2, encode_rgb8, encode_webp8, srgb8_from_linear,
 };
+use crate::core::geometry::Mesh;
 use crate::core::image::{Plane, RgbPlane};
+use crate::core::texture::AtlasReduction;
 use crate::error::Result;
 use glam::Vec2;
 use std::ops::{Add, Mul};
@@ -46,7 +48,7 @@ impl TextureFormat {
 /// How a plane becomes the bytes of a texture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TexturePacking {
-    /// Largest side, texels; larger planes are halved until they fit.
+    /// Largest side, texels; larger planes are halved until they fit, chart by chart.
     pub largest: usize,
     /// How it is stored.
     pub format: TextureFormat,
@@ -89,7 +91,7 @@ pub(super) struct Pictures {
 pub fn material_textures(solution: &Solution, packing: TexturePacking) -> Result<Vec<NamedImage>> {
     let named = |name: &'static str, bytes: Vec<u8>| NamedImage { name, bytes };
     Ok(vec![
-        named("BaseColor", base_colour(&solution.albedo, packing)?),
+        named("BaseColor", base_colour(solution, packing)?),
         named("ORM", occlusion_roughness_metallic(solution, packing)?),
     ])
 }
@@ -110,7 +112,7 @@ pub fn png_textures(solution: &Solution, max_texture: usize) -> Result<Vec<Named
         encoded: &[],
     };
     let mut images = encode_pictures(solution, &wanted)?.images;
-    let roughness = fitted(&solution.roughness, max_texture);
+    let roughness = fitted(&solution.mesh, &solution.roughness, max_texture);
     if has_bands(&roughness) {
         let word = |r: &f32| (r.clamp(0.0, 1.0) * 65_535.0 + 0.5) as u16;
         let words: Vec<u16> = roughness.data.iter().map(word).collect();
@@ -128,9 +130,10 @@ pub(super) fn encode_pictures(
     wanted: &WantedTextures<'_>,
 ) -> Result<Pictures> {
     let packing = wanted.packing;
+    let atlas = Atlas::of(&solution.mesh, packing);
     let strength = peak(&solution.emission);
     let (base, (orm, emissive)) = crate::core::parallel::join(
-        || known("BaseColor", wanted).unwrap_or_else(|| base_colour(&solution.albedo, packing)),
+        || known("BaseColor", wanted).unwrap_or_else(|| base_colour(solution, packing)),
         || {
             crate::core::parallel::join(
                 || {
@@ -139,7 +142,7 @@ pub(super) fn encode_pictures(
                 },
                 || {
                     strength
-                        .map(|s| light_map(&solution.emission, s, packing))
+                        .map(|s| atlas.light(&solution.emission, s))
                         .transpose()
                 },
             )
@@ -151,12 +154,12 @@ pub(super) fn encode_pictures(
     let mut transmission = None;
     if let Some(share) = &solution.transmission {
         transmission = Some(images.len());
-        let bytes = picture(share, packing, Transfer::Linear, |t| [byte(*t); 3])?;
+        let bytes = atlas.picture(share, Transfer::Linear, |t| [byte(*t); 3])?;
         images.push(named("Transmission", bytes));
     }
     let lightmap = peak(&solution.irradiance).filter(|_| wanted.lightmap);
     if let Some(peak) = lightmap {
-        let bytes = light_map(&solution.irradiance, peak, packing)?;
+        let bytes = atlas.light(&solution.irradiance, peak)?;
         images.push(named("Lightmap", bytes));
     }
     Ok(Pictures {
@@ -186,8 +189,8 @@ fn known(name: &str, wanted: &WantedTextures<'_>) -> Option<Result<Vec<u8>>> {
     image.map(|i| Ok(i.bytes.clone()))
 }
 
-fn base_colour(albedo: &RgbPlane, packing: TexturePacking) -> Result<Vec<u8>> {
-    picture(albedo, packing, Transfer::Srgb, |v| {
+fn base_colour(solution: &Solution, packing: TexturePacking) -> Result<Vec<u8>> {
+    Atlas::of(&solution.mesh, packing).picture(&solution.albedo, Transfer::Srgb, |v| {
         v.to_array().map(srgb8_from_linear)
     })
 }
@@ -199,8 +202,9 @@ fn byte(x: f32) -> u8 {
 
 fn occlusion_roughness_metallic(solution: &Solution, packing: TexturePacking) -> Result<Vec<u8>> {
     let roughness = &solution.roughness;
+    let atlas = Atlas::of(&solution.mesh, packing);
     let Some(metallic) = &solution.metallic else {
-        return picture(roughness, packing, Transfer::Linear, |r| [255, byte(*r), 0]);
+        return atlas.picture(roughness, Transfer::Linear, |r| [255, byte(*r), 0]);
     };
     // the finer of the two decides the size
     let (width, height) = (
@@ -215,71 +219,76 @@ fn occlusion_roughness_metallic(solution: &Solution, packing: TexturePacking) ->
             .map(|(r, m)| Vec2::new(*r, *m))
             .collect(),
     };
-    picture(&both, packing, Transfer::Linear, |v| {
-        [255, byte(v.x), byte(v.y)]
-    })
+    atlas.picture(&both, Transfer::Linear, |v| [255, byte(v.x), byte(v.y)])
 }
 
-/// Light as a share of its peak.
-fn light_map(light: &RgbPlane, peak: f32, packing: TexturePacking) -> Result<Vec<u8>> {
-    picture(light, packing, Transfer::Srgb, |v| {
-        (*v / peak).to_array().map(srgb8_from_linear)
-    })
-}
-
-/// A plane as a texture; `bytes` are a texel's, on the curve that `transfer` names.
-fn picture<T>(
-    plane: &Plane<T>,
+/// The textures of a mesh on their way into a file.
+struct Atlas<'a> {
+    mesh: &'a Mesh,
     packing: TexturePacking,
-    transfer: Transfer,
-    bytes: impl Fn(&T) -> [u8; 3],
-) -> Result<Vec<u8>>
-where
-    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
-{
-    let plane = fitted(plane, packing.largest);
-    let rgb = |p: &Plane<T>| p.data.iter().flat_map(&bytes).collect::<Vec<u8>>();
-    match packing.format {
-        TextureFormat::Png => encode_rgb8(plane.width, plane.height, &rgb(&plane)),
-        TextureFormat::WebP => encode_webp8(plane.width, plane.height, &rgb(&plane)),
-        TextureFormat::Ktx2 => {
-            let levels = halves(&in_blocks(&plane)).into_iter().map(|level| Rgb8 {
-                rgb: rgb(&level),
-                width: level.width,
-                height: level.height,
-            });
-            encode_ktx2(&levels.collect::<Vec<_>>(), transfer)
+}
+
+impl<'a> Atlas<'a> {
+    fn of(mesh: &'a Mesh, packing: TexturePacking) -> Self {
+        Self { mesh, packing }
+    }
+
+    /// Light as a share of its peak.
+    fn light(&self, light: &RgbPlane, peak: f32) -> Result<Vec<u8>> {
+        self.picture(light, Transfer::Srgb, |v| {
+            (*v / peak).to_array().map(srgb8_from_linear)
+        })
+    }
+
+    /// A plane as a texture; `bytes` are a texel's, on the curve that `transfer` names.
+    fn picture<T: Texel>(
+        &self,
+        plane: &Plane<T>,
+        transfer: Transfer,
+        bytes: impl Fn(&T) -> [u8; 3],
+    ) -> Result<Vec<u8>> {
+        let plane = fitted(self.mesh, plane, self.packing.largest);
+        let rgb = |p: &Plane<T>| p.data.iter().flat_map(&bytes).collect::<Vec<u8>>();
+        match self.packing.format {
+            TextureFormat::Png => encode_rgb8(plane.width, plane.height, &rgb(&plane)),
+            TextureFormat::WebP => encode_webp8(plane.width, plane.height, &rgb(&plane)),
+            TextureFormat::Ktx2 => {
+                let levels = self.levels(&in_blocks(&plane)).into_iter();
+                let levels = levels.map(|level| Rgb8 {
+                    rgb: rgb(&level),
+                    width: level.width,
+                    height: level.height,
+                });
+                encode_ktx2(&levels.collect::<Vec<_>>(), transfer)
+            }
         }
+    }
+
+    /// The plane and its halves, down to a single texel.
+    fn levels<T: Texel>(&self, plane: &Plane<T>) -> Vec<Plane<T>> {
+        let reduction = AtlasReduction::new(self.mesh);
+        let mut out = vec![plane.clone()];
+        while let Some(next) = out.last().filter(|p| p.width.max(p.height) > 1) {
+            let [width, height] = [next.width, next.height].map(|n| (n / 2).max(1));
+            out.push(reduction.reduced(next, width, height));
+        }
+        out
     }
 }
 
+/// What textures are made of.
+trait Texel: Copy + Default + Mul<f32, Output = Self> + Add<Output = Self> + Send + Sync {}
+
+impl<T: Copy + Default + Mul<f32, Output = T> + Add<Output = T> + Send + Sync> Texel for T {}
+
 /// The plane with sides that are multiples of four, as `KHR_texture_basisu` wants them: itself, or a
 /// little finer.
-fn in_blocks<T>(plane: &Plane<T>) -> Plane<T>
-where
-    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
-{
+fn in_blocks<T: Texel>(plane: &Plane<T>) -> Plane<T> {
     let size = [plane.width, plane.height].map(|n| n.next_multiple_of(4));
     if size == [plane.width, plane.height] {
         return plane.clone();
     }
     plane.resampled(size[0], size[1])
-}
-
-/// The plane and its halves, down to a single texel.
-fn halves<T>(plane: &Plane<T>) -> Vec<Plane<T>>
-where
-    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
-{
-    let mut out = vec![plane.clone()];
-    while let Some(half) = out
-        .last()
-        .filter(|p| p.width.max(p.height) > 1)
-        .map(Plane::half)
-    {
-        out.push(half);
-    }
-    out
 }
 
 /// The largest finite channel of the emission, if anything emits.
@@ -293,16 +302,20 @@ fn peak(emission: &RgbPlane) -> Option<f32> {
     (max > 0.0).then_some(max)
 }
 
-/// The plane itself, or halved until both sides are at most `max`.
-fn fitted<T>(plane: &Plane<T>, max: usize) -> std::borrow::Cow<'_, Plane<T>>
-where
-    T: Copy + Mul<f32, Output = T> + Add<Output = T>,
-{
-    let mut out = std::borrow::Cow::Borrowed(plane);
-    while out.width.max(out.height) > max.max(1) {
-        out = std::borrow::Cow::Owned(out.half());
+/// The plane itself, or halved until both sides are at most `max`, the charts of `mesh` kept apart.
+fn fitted<'a, T: Texel>(
+    mesh: &Mesh,
+    plane: &'a Plane<T>,
+    max: usize,
+) -> std::borrow::Cow<'a, Plane<T>> {
+    let (mut width, mut height) = (plane.width, plane.height);
+    while width.max(height) > max.max(1) {
+        (width, height) = ((width / 2).max(1), (height / 2).max(1));
     }
-    out
+    if (width, height) == (plane.width, plane.height) {
+        return std::borrow::Cow::Borrowed(plane);
+    }
+    std::borrow::Cow::Owned(AtlasReduction::new(mesh).reduced(plane, width, height))
 }
 
 #[cfg(test)]
@@ -408,7 +421,9 @@ mod tests {
             largest: 8,
             format: TextureFormat::Ktx2,
         };
-        let bytes = base_colour(&plane, packing).expect("encodes");
+        let mut solution = small_solution();
+        solution.albedo = plane;
+        let bytes = base_colour(&solution, packing).expect("encodes");
         let file = ktx2::Reader::new(bytes.as_slice()).expect("valid");
         let level = file.levels().nth(1).expect("a second level");
         let grey = srgb8_from_linear(0.5);

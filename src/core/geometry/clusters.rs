@@ -1,7 +1,7 @@
 //! Triangles that belong together because they touch or nearly so: the pieces of one lamp.
 
 use super::Mesh;
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use std::collections::{BTreeMap, HashMap};
 
 /// Vertices closer than this share of the gap are one.
@@ -100,6 +100,25 @@ pub fn bodies(mesh: &Mesh) -> Vec<u32> {
     for (v, p) in mesh.positions.iter().enumerate() {
         // 0 and -0 are one place
         let key = (*p + Vec3::ZERO).to_array().map(f32::to_bits);
+        of_vertex.join(v, *at.entry(key).or_insert(v));
+    }
+    for [a, b, c] in &mesh.triangles {
+        of_vertex.join(*a as usize, *b as usize);
+        of_vertex.join(*a as usize, *c as usize);
+    }
+    let roots = mesh.triangles.iter().map(|t| of_vertex.root(t[0] as usize));
+    numbered(roots)
+}
+
+/// For every triangle the number of its chart: what corners at one place of the atlas hold together.
+/// Charts are numbered from 0 in the order of their first triangles.
+#[must_use]
+pub fn charts(mesh: &Mesh) -> Vec<u32> {
+    let mut of_vertex = Sets::new(mesh.uvs.len());
+    let mut at: HashMap<[u32; 2], usize> = HashMap::with_capacity(mesh.uvs.len());
+    for (v, uv) in mesh.uvs.iter().enumerate() {
+        // 0 and -0 are one place
+        let key = (*uv + Vec2::ZERO).to_array().map(f32::to_bits);
         of_vertex.join(v, *at.entry(key).or_insert(v));
     }
     for [a, b, c] in &mesh.triangles {

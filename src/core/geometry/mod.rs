@@ -8,7 +8,7 @@ mod shells;
 mod tangents;
 
 pub use camera::{Camera, DirectionGrid, Lens, Projection};
-pub use clusters::{bodies, clusters, numbered, pieces, smooth_patches, touching};
+pub use clusters::{bodies, charts, clusters, numbered, pieces, smooth_patches, touching};
 pub use distance::SurfaceDistance;
 #[cfg(test)]
 pub(crate) use mesh::tests::add_box;

@@ -3,10 +3,12 @@
 
 mod fill;
 mod mips;
+mod reduce;
 mod shelves;
 mod texels;
 
 pub use fill::fill_uncovered;
 pub use mips::MipChain;
+pub use reduce::AtlasReduction;
 pub use shelves::{Shelves, shelves};
 pub use texels::{SurfacePoint, Texels};

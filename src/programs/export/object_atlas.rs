@@ -5,7 +5,7 @@
 //! and take a cell around them along: texels are copied, not resampled, and a look-up near a chart's
 //! edge meets the neighbours it had.
 
-use crate::core::geometry::Mesh;
+use crate::core::geometry::{Mesh, charts};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::texture::{Shelves, fill_uncovered, shelves};
 use crate::error::{Error, Result};
@@ -144,7 +144,7 @@ struct Cutout {
 
 /// The rectangles around the charts of a mesh; those that are smaller together than apart are one.
 fn cutouts(mesh: &Mesh, grid: Grid) -> Vec<Cutout> {
-    let mut single: Vec<Cutout> = charts(mesh)
+    let mut single: Vec<Cutout> = triangles_of_charts(mesh)
         .into_iter()
         .map(|triangles| Cutout {
             cells: grid.cells(mesh, &triangles),
@@ -226,30 +226,15 @@ fn divisor(mut a: usize, mut b: usize) -> usize {
     a
 }
 
-/// The triangles of each chart: those that corners of one place in the atlas hold together.
-fn charts(mesh: &Mesh) -> Vec<Vec<usize>> {
-    let mut vertex: BTreeMap<[u32; 2], u32> = BTreeMap::new();
-    let mut place = |i: u32| {
-        let key = (mesh.uvs[i as usize] + Vec2::ZERO)
-            .to_array()
-            .map(f32::to_bits);
-        *vertex.entry(key).or_insert(i)
-    };
-    let joined = Mesh {
-        positions: mesh.positions.clone(),
-        triangles: mesh.triangles.iter().map(|t| t.map(&mut place)).collect(),
-        ..Mesh::default()
-    };
+/// The triangles of each chart.
+fn triangles_of_charts(mesh: &Mesh) -> Vec<Vec<usize>> {
     let mut out: Vec<Vec<usize>> = Vec::new();
-    for (t, piece) in crate::core::geometry::pieces(&joined)
-        .into_iter()
-        .enumerate()
-    {
-        let piece = piece as usize;
-        if piece == out.len() {
+    for (t, chart) in charts(mesh).into_iter().enumerate() {
+        let chart = chart as usize;
+        if chart == out.len() {
             out.push(Vec::new());
         }
-        out[piece].push(t);
+        out[chart].push(t);
     }
     out
 }
