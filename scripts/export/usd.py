@@ -3,6 +3,7 @@ as many triangles as scene.glb; its convex bodies, closed, convex, and as many a
 import json, math, struct, sys
 from pathlib import Path
 from pxr import Gf, Usd, UsdGeom, UsdLux, UsdPhysics
+from usd_valid import complaints
 
 out, folder = Path(sys.argv[1]), Path(sys.argv[2])
 failed = []
@@ -20,6 +21,7 @@ def triangles_of_glb(path):
     return sum(root["accessors"][i]["count"] // 3 for i in uses)
 
 
+failed += complaints(folder / "scene.usda")
 stage = Usd.Stage.Open(str(folder / "scene.usda"))
 meshes = [UsdGeom.Mesh(p) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh)]
 bodies = [m for m in meshes if m.GetPrim().HasAPI(UsdPhysics.CollisionAPI)]

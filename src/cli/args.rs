@@ -271,7 +271,7 @@ pub enum Verb {
         /// Cameras and destination.
         #[command(flatten)]
         places: FrameSource,
-        /// Write a glTF file per lighting of a TOML file instead, each with a baked lightmap, one
+        /// Write a glTF and a USD file per lighting of a TOML file instead, each with baked light, one
         /// without light, and manifest.json with what was changed in each.
         #[arg(long, value_name = "FILE", conflicts_with = "cameras")]
         lightings: Option<PathBuf>,

@@ -86,6 +86,8 @@ pub(super) struct GlbContent {
 const LINEAR: u32 = 9729;
 const LINEAR_MIPMAP_LINEAR: u32 = 9987;
 const CLAMP_TO_EDGE: u32 = 33071;
+/// The extension that names a material's lightmap (Hubs).
+const LIGHTMAP: &str = "MOZ_lightmap";
 
 /// The bytes of `scene.glb`.
 ///
@@ -384,19 +386,18 @@ fn material(set: &TextureSet<'_>) -> Value {
         "occlusionTexture": {"index": first + 1},
     });
     if let Some(peak) = pictures.lightmap {
-        // glTF has no lightmap of its own: irradiance = linear texel · intensity
-        material["extras"] = json!({"lightmapTexture": {
+        // irradiance = linear texel · intensity, as `bake` writes it
+        material["extensions"][LIGHTMAP] = json!({
             "index": first + pictures.images.len() - 1,
             "texCoord": 1,
             "intensity": peak,
-            "quantity": "irradiance",
-        }});
+        });
     }
     if let Some(strength) = pictures.strength {
         material["emissiveTexture"] = json!({"index": first + 2});
         material["emissiveFactor"] = json!([1.0, 1.0, 1.0]);
-        material["extensions"] =
-            json!({"KHR_materials_emissive_strength": {"emissiveStrength": f64::from(strength)}});
+        material["extensions"]["KHR_materials_emissive_strength"] =
+            json!({"emissiveStrength": f64::from(strength)});
     }
     material
 }
@@ -408,6 +409,7 @@ fn name_extensions(root: &mut Value, sets: &[TextureSet<'_>], options: &GlbOptio
             any(|p| p.strength.is_some()) || !options.luminous.is_empty(),
             "KHR_materials_emissive_strength",
         ),
+        (any(|p| p.lightmap.is_some()), LIGHTMAP),
         (!options.lights.is_empty(), "KHR_lights_punctual"),
         (
             any(|p| p.transmission.is_some()),

@@ -47,8 +47,7 @@ pub struct ExportOptions {
     #[arg(long, alias = "punctual-lights")]
     #[serde(alias = "punctual-lights")]
     pub lights: bool,
-    /// Add the irradiance to the glTF file as a lightmap on the second texture set (named in the
-    /// material's extras).
+    /// Add the irradiance to the glTF file as a lightmap on the second texture set (MOZ_lightmap).
     #[arg(long)]
     pub lightmap: bool,
     /// Divide the surfaces of the glTF and USD files into objects that stand for themselves, named
@@ -204,11 +203,14 @@ impl ExportOptions {
         }
     }
 
-    /// Refuses what lightings cannot have: each is a glTF file on the scene's atlas.
+    /// Refuses what lightings cannot have: each is a glTF or USD file on the scene's atlas.
     pub(super) fn check_with_lightings(&self) -> Result<()> {
         self.check()?;
         let asked = [
-            (!self.format.contains(&Format::Glb), "--format without glb"),
+            (
+                !self.format.iter().any(|f| *f != Format::Mitsuba),
+                "--format mitsuba",
+            ),
             (self.atlas == AtlasKind::PerObject, "--atlas per-object"),
             (self.hulls, "--hulls"),
             (self.textures, "--textures"),
@@ -216,7 +218,7 @@ impl ExportOptions {
         match asked.iter().find(|(asked, _)| *asked) {
             None => Ok(()),
             Some((_, option)) => Err(Error::Usage(format!(
-                "--lightings writes a glTF file per lighting, with its lightmap on the scene's atlas; it does not go with {option}"
+                "--lightings writes a glTF and a USD file per lighting, with its light on the scene's atlas; it does not go with {option}"
             ))),
         }
     }

@@ -166,7 +166,7 @@ impl LightingsFile {
 
 /// Every name must do as a file's and be there once.
 fn check_names(list: &[NamedLighting]) -> Checked<()> {
-    let mut seen = BTreeSet::from(["unlit".to_owned()]);
+    let mut seen = BTreeSet::from(["unlit", "scene"].map(str::to_owned));
     for (i, l) in list.iter().enumerate() {
         let plain = |c: char| c.is_alphanumeric() || "-_ .".contains(c);
         if l.name.is_empty() || l.name.starts_with('.') || !l.name.chars().all(plain) {
@@ -180,7 +180,7 @@ fn check_names(list: &[NamedLighting]) -> Checked<()> {
         // file systems may not tell capitals
         if !seen.insert(l.name.to_lowercase()) {
             return Err(format!(
-                "{:?} names two lightings (\"unlit\" is taken); give each a name of its own",
+                "{:?} names two lightings (\"unlit\" and \"scene\" are taken); give each a name of its own",
                 l.name
             ));
         }

@@ -15,6 +15,7 @@ mod usd;
 mod usd_collision;
 mod usd_lights;
 mod usd_text;
+mod usd_variants;
 mod variants;
 
 pub use area_light::{AreaLight, LightShape, area_lights};

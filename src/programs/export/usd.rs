@@ -9,7 +9,7 @@ use super::usd_lights::{dome_prim, lamp_prim};
 use super::usd_text::{identifier, list, quoted};
 use crate::core::formats::{encode_grey8, encode_rgb8, srgb8_from_linear, write_rgb_float};
 use crate::core::geometry::Mesh;
-use crate::core::image::Plane;
+use crate::core::image::{Plane, RgbPlane};
 use crate::error::{Error, Result};
 use crate::solution::{MeshPart, Solution};
 use glam::Vec3;
@@ -41,25 +41,22 @@ pub fn write_usd(
     solution: &Solution,
     options: UsdOptions<'_>,
 ) -> Result<Vec<String>> {
-    let peak = solution
-        .emission
-        .data
-        .iter()
-        .map(|v| v.max_element())
-        .fold(0.0f32, f32::max);
-    let mut files = vec!["scene.usda", "usd_albedo.png", "usd_roughness.png"];
+    write_usd_as("scene.usda", folder, solution, options)
+}
+
+/// [`write_usd`] under another name than `scene.usda`.
+pub(super) fn write_usd_as(
+    file: &str,
+    folder: &Path,
+    solution: &Solution,
+    options: UsdOptions<'_>,
+) -> Result<Vec<String>> {
+    let peak = peak(&solution.emission);
+    let mut files = vec![file, "usd_albedo.png", "usd_roughness.png"];
     let save = |name: &str, bytes: &[u8]| {
         std::fs::write(folder.join(name), bytes).map_err(|e| Error::io(folder.join(name), e))
     };
-    let rgb = |p: &Plane<Vec3>, scale: f32| {
-        let bytes: Vec<u8> = p
-            .data
-            .iter()
-            .flat_map(|v| (*v * scale).to_array().map(srgb8_from_linear))
-            .collect();
-        encode_rgb8(p.width, p.height, &bytes)
-    };
-    save("usd_albedo.png", &rgb(&solution.albedo, 1.0)?)?;
+    save("usd_albedo.png", &encode_light(&solution.albedo, 1.0)?)?;
     let grey = |p: &Plane<f32>| {
         let byte = |x: &f32| (x.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
         let bytes: Vec<u8> = p.data.iter().map(byte).collect();
@@ -75,27 +72,38 @@ pub fn write_usd(
         files.push("usd_opacity.png");
     }
     if peak > 0.0 {
-        save("usd_emission.png", &rgb(&solution.emission, 1.0 / peak)?)?;
+        save("usd_emission.png", &encode_light(&solution.emission, peak)?)?;
         files.push("usd_emission.png");
     }
     if is_lit_from_outside(solution) {
         write_rgb_float(folder.join(ENVIRONMENT), &solution.environment)?;
         files.push(ENVIRONMENT);
     }
-    save("scene.usda", text(solution, peak, options).as_bytes())?;
+    save(file, text(solution, peak, options).as_bytes())?;
     Ok(files.into_iter().map(str::to_owned).collect())
 }
 
-fn is_lit_from_outside(solution: &Solution) -> bool {
+/// The largest channel of a plane.
+pub(super) fn peak(light: &RgbPlane) -> f32 {
+    let largest = light.data.iter().map(|v| v.max_element());
+    largest.fold(0.0f32, f32::max)
+}
+
+/// A plane as a PNG picture in sRGB whose 255 is `white`.
+pub(super) fn encode_light(plane: &RgbPlane, white: f32) -> Result<Vec<u8>> {
+    let shares = plane.data.iter().map(|v| (*v / white).to_array());
+    let bytes: Vec<u8> = shares.flat_map(|v| v.map(srgb8_from_linear)).collect();
+    encode_rgb8(plane.width, plane.height, &bytes)
+}
+
+pub(super) fn is_lit_from_outside(solution: &Solution) -> bool {
     solution.environment.data.iter().any(|c| *c != Vec3::ZERO)
 }
 
 /// The text of the file: meshes, lights and the material.
 fn text(solution: &Solution, peak: f32, options: UsdOptions<'_>) -> String {
     let o = solution.origin;
-    let mut s = String::from(
-        "#usda 1.0\n(\n    defaultPrim = \"scene\"\n    metersPerUnit = 1\n    upAxis = \"Y\"\n)\n\ndef Xform \"scene\"\n{\n",
-    );
+    let mut s = format!("{HEADER}def Xform \"scene\"\n{{\n");
     let _ = writeln!(
         s,
         "    double3 xformOp:translate = ({}, {}, {})",
@@ -107,23 +115,12 @@ fn text(solution: &Solution, peak: f32, options: UsdOptions<'_>) -> String {
     } else {
         Vec::new()
     };
-    let mut taken: BTreeSet<String> = lights.iter().map(|l| identifier(&l.name)).collect();
-    taken.extend(["material", "environment"].map(str::to_owned));
-    let whole = [MeshPart::whole("surfaces", &solution.mesh)];
-    let parts = match options.parts {
-        [] => whole.as_slice(),
-        parts => parts,
-    };
-    for part in parts {
-        let prim = unlike(&identifier(&part.name), '_', &mut taken);
-        // all surfaces as one keep their vertices' order
-        let mesh = match options.parts {
-            [] => Cow::Borrowed(&solution.mesh),
-            _ => Cow::Owned(part.mesh(&solution.mesh)),
-        };
-        mesh_prim(&mut s, part, &mesh, &prim);
-        if let Some(object) = options.hulls.iter().find(|h| h.name == part.name) {
-            hull_prims(&mut s, object, &prim, &mut taken);
+    let mut taken = taken_names();
+    taken.extend(lights.iter().map(|l| identifier(&l.name)));
+    for mesh in mesh_prims(&solution.mesh, options.parts, &mut taken) {
+        mesh.write(&mut s, "def");
+        if let Some(object) = options.hulls.iter().find(|h| h.name == mesh.name) {
+            hull_prims(&mut s, object, &mesh.prim, &mut taken);
         }
     }
     lights.iter().for_each(|light| lamp_prim(&mut s, light));
@@ -137,21 +134,85 @@ fn text(solution: &Solution, peak: f32, options: UsdOptions<'_>) -> String {
     s
 }
 
-/// The mesh of a part, relative to its pivot, bound to the material.
-fn mesh_prim(s: &mut String, part: &MeshPart, mesh: &Mesh, prim: &str) {
-    let _ = writeln!(
-        s,
-        "    def Mesh \"{prim}\" (\n        customData = {{\n            string name = {}\n        }}\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n    )\n    {{",
-        quoted(&part.name)
-    );
-    if part.pivot != Vec3::ZERO {
-        let p = part.pivot;
+/// What every file begins with.
+pub(super) const HEADER: &str =
+    "#usda 1.0\n(\n    defaultPrim = \"scene\"\n    metersPerUnit = 1\n    upAxis = \"Y\"\n)\n\n";
+/// The material of the reconstructed surfaces.
+const MATERIAL: &str = "material";
+
+/// Names that no mesh may have.
+pub(super) fn taken_names() -> BTreeSet<String> {
+    [MATERIAL, "environment"].map(str::to_owned).into()
+}
+
+/// A mesh of the file.
+pub(super) struct MeshPrim<'a> {
+    /// Its name in the file.
+    pub prim: String,
+    /// The object's name.
+    pub name: &'a str,
+    /// Where it stands; its vertices are relative to that.
+    pub pivot: Vec3,
+    pub mesh: Cow<'a, Mesh>,
+    /// The name of its material.
+    pub material: &'a str,
+}
+
+/// The meshes of all surfaces: those of the parts, or one.
+pub(super) fn mesh_prims<'a>(
+    mesh: &'a Mesh,
+    parts: &'a [MeshPart],
+    taken: &mut BTreeSet<String>,
+) -> Vec<MeshPrim<'a>> {
+    let mut prim = |name: &str| unlike(&identifier(name), '_', taken);
+    if parts.is_empty() {
+        // all surfaces as one keep their vertices' order
+        return vec![MeshPrim {
+            prim: prim("surfaces"),
+            name: "surfaces",
+            pivot: Vec3::ZERO,
+            mesh: Cow::Borrowed(mesh),
+            material: MATERIAL,
+        }];
+    }
+    let of = |part: &'a MeshPart| MeshPrim {
+        prim: prim(&part.name),
+        name: &part.name,
+        pivot: part.pivot,
+        mesh: Cow::Owned(part.mesh(mesh)),
+        material: MATERIAL,
+    };
+    parts.iter().map(of).collect()
+}
+
+impl MeshPrim<'_> {
+    /// Appends it, bound to its material; `specifier` is `def`, or `over` where a file below has it.
+    pub(super) fn write(&self, s: &mut String, specifier: &str) {
         let _ = writeln!(
             s,
-            "        double3 xformOp:translate = ({}, {}, {})\n        uniform token[] xformOpOrder = [\"xformOp:translate\"]",
-            p.x, p.y, p.z
+            "    {specifier} Mesh \"{}\" (\n        customData = {{\n            string name = {}\n        }}\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n    )\n    {{",
+            self.prim,
+            quoted(self.name)
+        );
+        let p = self.pivot;
+        if p != Vec3::ZERO {
+            let _ = writeln!(
+                s,
+                "        double3 xformOp:translate = ({}, {}, {})\n        uniform token[] xformOpOrder = [\"xformOp:translate\"]",
+                p.x, p.y, p.z
+            );
+        }
+        geometry(s, &self.mesh);
+        let _ = writeln!(
+            s,
+            "        rel material:binding = </scene/{}>\n    }}\n",
+            self.material
         );
     }
+}
+
+/// Appends what a mesh consists of.
+fn geometry(s: &mut String, mesh: &Mesh) {
     s.push_str("        uniform bool doubleSided = 1\n        uniform token subdivisionScheme = \"none\"\n");
     let (lo, hi) = mesh.bounds();
     let _ = writeln!(
@@ -190,7 +251,6 @@ fn mesh_prim(s: &mut String, part: &MeshPart, mesh: &Mesh, prim: &str) {
         uv,
         " (\n            interpolation = \"vertex\"\n        )",
     );
-    s.push_str("        rel material:binding = </scene/material>\n    }\n\n");
 }
 
 /// The material with its textures, of metal and opacity where there are such files; emissive if
@@ -225,14 +285,7 @@ fn material_prim(s: &mut String, peak: f32, metallic: Option<&str>, opacity: Opt
     );
     s.push_str("\n        def Shader \"st\"\n        {\n            uniform token info:id = \"UsdPrimvarReader_float2\"\n");
     s.push_str("            string inputs:varname = \"st\"\n            float2 outputs:result\n        }\n");
-    texture(
-        s,
-        "albedo",
-        "usd_albedo.png",
-        "sRGB",
-        "float3 outputs:rgb",
-        1.0,
-    );
+    colour_texture(s, "albedo", "usd_albedo.png", 1.0);
     let roughness = ("roughness", "usd_roughness.png");
     let metallic = metallic.map(|file| ("metallic", file));
     let opacity = opacity.map(|file| ("opacity", file));
@@ -240,16 +293,19 @@ fn material_prim(s: &mut String, peak: f32, metallic: Option<&str>, opacity: Opt
         texture(s, name, file, "raw", "float outputs:r", 1.0);
     }
     if peak > 0.0 {
-        texture(
-            s,
-            "emission",
-            "usd_emission.png",
-            "sRGB",
-            "float3 outputs:rgb",
-            peak,
-        );
+        colour_texture(s, "emission", "usd_emission.png", peak);
     }
     s.push_str("    }\n");
+}
+
+/// Appends a picture in sRGB, or an EXR file, of colours; 1 is `scale`.
+pub(super) fn colour_texture(s: &mut String, name: &str, file: &str, scale: f32) {
+    let space = if file.ends_with(".exr") {
+        "raw"
+    } else {
+        "sRGB"
+    };
+    texture(s, name, file, space, "float3 outputs:rgb", scale);
 }
 
 fn texture(s: &mut String, name: &str, file: &str, space: &str, output: &str, scale: f32) {

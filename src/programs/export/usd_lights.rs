@@ -6,6 +6,9 @@
 //! that of OpenEXR, whose middle is +z; the middle of ours is −z: the dome is turned by half.
 
 use super::area_light::{AreaLight, LightShape};
+use crate::solution::PunctualLight;
+use glam::{DVec3, Quat, Vec3};
+use std::f64::consts::PI;
 use std::fmt::Write;
 
 /// Appends a lamp.
@@ -51,6 +54,53 @@ pub(super) fn lamp_prim(s: &mut String, light: &AreaLight) {
     );
 }
 
+/// Radius of a light without extent, metres: renderers that know surfaces alone show it as this.
+const POINT: f64 = 0.01;
+
+/// Appends a light without extent as the prim `name`; `origin` is what its file's places are relative to.
+/// A small sphere of radiance L sends out the intensity π r² · L.
+pub(super) fn point_prim(s: &mut String, name: &str, light: &PunctualLight, origin: DVec3) {
+    let schemas = match light.cone {
+        Some(_) => " (\n        prepend apiSchemas = [\"ShapingAPI\"]\n    )",
+        None => "",
+    };
+    let c = light.colour;
+    let _ = writeln!(
+        s,
+        "    def SphereLight \"{name}\"{schemas}\n    {{\n        bool treatAsPoint = 1\n        float inputs:radius = {POINT}\n        \
+         float inputs:intensity = {}\n        color3f inputs:color = ({}, {}, {})\n        bool inputs:normalize = 0",
+        light.intensity / (PI * POINT * POINT),
+        c[0],
+        c[1],
+        c[2]
+    );
+    let p = DVec3::from_array(light.position) - origin;
+    let _ = writeln!(
+        s,
+        "        double3 xformOp:translate = ({}, {}, {})",
+        p.x, p.y, p.z
+    );
+    let Some(cone) = light.cone else {
+        s.push_str("        uniform token[] xformOpOrder = [\"xformOp:translate\"]\n    }\n\n");
+        return;
+    };
+    // it shines along −z; its light falls within the share `softness` of the cone
+    let [inner, outer] = cone.angles;
+    let turn = Quat::from_rotation_arc(Vec3::NEG_Z, DVec3::from_array(cone.direction).as_vec3());
+    let _ = writeln!(
+        s,
+        "        float inputs:shaping:cone:angle = {}\n        float inputs:shaping:cone:softness = {}\n        \
+         quatf xformOp:orient = ({}, {}, {}, {})\n        \
+         uniform token[] xformOpOrder = [\"xformOp:translate\", \"xformOp:orient\"]\n    }}\n",
+        outer.to_degrees(),
+        1.0 - inner / outer.max(f64::MIN_POSITIVE),
+        turn.w,
+        turn.x,
+        turn.y,
+        turn.z
+    );
+}
+
 /// Appends the light from outside: the panorama `file`.
 pub(super) fn dome_prim(s: &mut String, file: &str) {
     let _ = writeln!(
@@ -67,6 +117,7 @@ mod tests {
     use crate::core::math::luminance;
     use crate::programs::export::area_light::{area_lights, tests::fan};
     use crate::solution::Solution;
+    use crate::solution::SpotCone;
     use glam::{Mat3, Vec3};
     use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
@@ -160,5 +211,35 @@ mod tests {
             let found = ours.radiance(direction);
             assert!((found - *value).length() < 1e-3, "{i}: {found} {value}");
         }
+    }
+
+    /// A spot's intensity is π r² times its sphere's radiance, it stands relative to the origin, and −z of
+    /// its rotation is where it shines.
+    #[test]
+    fn a_spot_keeps_its_intensity_place_and_cone() {
+        let light = PunctualLight {
+            name: "spot".into(),
+            colour: [1.0, 0.5, 0.25],
+            intensity: 3.0,
+            position: [11.0, 2.0, 5.0],
+            cone: Some(SpotCone {
+                direction: [0.0, -0.6, 0.8],
+                angles: [15.0f64.to_radians(), 30.0f64.to_radians()],
+            }),
+        };
+        let mut text = String::new();
+        point_prim(&mut text, "spot", &light, DVec3::new(10.0, 0.0, 5.0));
+        let radius = numbers(&text, "inputs:radius")[0];
+        let intensity = numbers(&text, "inputs:intensity")[0] * PI * radius * radius;
+        assert!((intensity - 3.0).abs() < 1e-4, "{intensity}");
+        assert_eq!(numbers(&text, "xformOp:translate"), [1.0, 2.0, 0.0]);
+        assert!((numbers(&text, "cone:angle")[0] - 30.0).abs() < 1e-4);
+        assert!((numbers(&text, "cone:softness")[0] - 0.5).abs() < 1e-6);
+        let q = numbers(&text, "xformOp:orient");
+        let shines = Quat::from_xyzw(q[1], q[2], q[3], q[0]) * Vec3::NEG_Z;
+        assert!(
+            (shines - Vec3::new(0.0, -0.6, 0.8)).length() < 1e-6,
+            "{shines}"
+        );
     }
 }

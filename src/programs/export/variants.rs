@@ -1,10 +1,12 @@
-//! `export --lightings`: one reconstruction under many lightings, a glTF file with a baked lightmap
+//! `export --lightings`: one reconstruction under many lightings, a glTF and a USD file with baked light
 //! each; one without any light; and `manifest.json`, which says what was changed in each.
 
-use super::job::{ExportOptions, Exported, shown_parts};
+use super::area_light::area_lights;
+use super::job::{ExportOptions, Exported, Format, shown_parts};
 use super::light_mix::{LightMix, LightmapQuality, relit};
 use super::lightings::{Lightings, NamedLighting};
 use super::punctual::{point_light, punctual_lights, surface_light};
+use super::usd_variants::{self, LitScene};
 use crate::core::formats::AsideFolder;
 use crate::core::geometry::{Mesh, clusters};
 use crate::core::image::{Plane, RgbPlane};
@@ -38,8 +40,10 @@ pub struct VariantList {
     pub seed: u64,
     /// Texels along each side of a lightmap, and paths per texel of a bake.
     pub lightmap: LightmapRecord,
-    /// The file with materials alone.
+    /// The file with materials alone: glTF, or USD where no glTF is written.
     pub unlit: String,
+    /// The USD file that has all lightings as variants, where USD is written.
+    pub usd: Option<String>,
     /// The lightings, in the order of their file.
     pub variants: Vec<Variant>,
 }
@@ -62,8 +66,10 @@ pub struct LightmapRecord {
 pub struct Variant {
     /// Name.
     pub name: String,
-    /// The glTF file.
+    /// The glTF file, or the USD file where no glTF is written.
     pub file: String,
+    /// The USD file, where USD is written.
+    pub usd: Option<String>,
     /// The panorama around it; `None` where no light comes from outside.
     pub environment: Option<String>,
     /// Whether it was drawn at random.
@@ -87,6 +93,21 @@ pub struct VariantLamp {
     pub factor: [f32; 3],
     /// Its power then, RGB.
     pub power: [f32; 3],
+}
+
+/// Intensity up to which a light is none: of a lamp whose radiance is 0 in single precision.
+const DARK: f64 = f32::MIN_POSITIVE as f64;
+
+/// The scene under a lighting.
+struct Shown {
+    solution: Solution,
+    parts: Vec<MeshPart>,
+    /// Whether surfaces stand elsewhere than in the solution.
+    moved: bool,
+    /// Lights without extent that the solution does not have.
+    points: Vec<PunctualLight>,
+    /// Luminous surfaces that it does not have.
+    luminous: Vec<LuminousPart>,
 }
 
 /// What all variants share.
@@ -134,15 +155,20 @@ pub fn export_lightings(
         mix,
     };
     let aside = AsideFolder::new(folder)?;
-    let mut files = vec![UNLIT.to_owned()];
-    shop.write_unlit(aside.path())?;
+    let mut files = shop.write_unlit(aside.path())?;
+    let unlit = files[0].clone();
     let mut variants = Vec::new();
     for (k, lighting) in lightings.list.iter().enumerate() {
-        let variant = shop.write(aside.path(), k, lighting, progress)?;
-        files.push(variant.file.clone());
-        files.extend(variant.environment.clone());
+        let (variant, written) = shop.write(aside.path(), k, lighting, progress)?;
+        files.extend(written);
         variants.push(variant);
     }
+    let usd = shop.writes(Format::Usd).then(|| {
+        let names: Vec<&str> = variants.iter().map(|v| v.name.as_str()).collect();
+        usd_variants::write_all(aside.path(), &names)
+    });
+    let usd = usd.transpose()?;
+    files.extend(usd.clone());
     let list = VariantList {
         generation: solution.generation(),
         seed: lightings.seed,
@@ -152,7 +178,8 @@ pub fn export_lightings(
             shared_bakes: shop.mix.shared_bakes(),
             quantity: "irradiance".into(),
         },
-        unlit: UNLIT.into(),
+        unlit,
+        usd,
         variants,
     };
     let text =
@@ -191,94 +218,166 @@ impl Workshop<'_> {
         scene_glb(solution, &options)
     }
 
-    /// Materials alone: nothing shines, nothing is baked.
-    fn write_unlit(&self, folder: &Path) -> Result<()> {
-        let mut solution = self.exported.solution.clone();
-        solution.emission.data.fill(Vec3::ZERO);
-        save(
-            folder,
-            UNLIT,
-            &self.glb(&solution, self.parts.clone(), GlbOptions::default())?,
-        )
+    fn writes(&self, format: Format) -> bool {
+        self.options.format.contains(&format)
     }
 
-    /// Writes lighting `k`.
+    /// Materials alone: nothing shines, nothing is baked. Returns the files, the first of which has the
+    /// scene.
+    fn write_unlit(&self, folder: &Path) -> Result<Vec<String>> {
+        let mut solution = self.exported.solution.clone();
+        solution.emission.data.fill(Vec3::ZERO);
+        let mut files = Vec::new();
+        if self.writes(Format::Glb) {
+            let glb = self.glb(&solution, self.parts.clone(), GlbOptions::default())?;
+            save(folder, UNLIT, &glb)?;
+            files.push(UNLIT.to_owned());
+        }
+        if self.writes(Format::Usd) {
+            let usd = usd_variants::write_unlit(folder, &solution, &self.parts)?;
+            files.extend(usd);
+        }
+        Ok(files)
+    }
+
+    /// Writes lighting `k`; returns the names of the files, too.
     fn write(
         &self,
         folder: &Path,
         k: usize,
         lighting: &NamedLighting,
         progress: &Progress,
-    ) -> Result<Variant> {
-        let origin = self.exported.solution.origin;
+    ) -> Result<(Variant, Vec<String>)> {
         let world = relit(lighting, self.exported.solution)?;
-        let factors = &self.mix.factors[k].lamps;
+        let shown = self.shown(k, &world, progress)?;
+        let lit = &shown.solution;
+        let mut files = Vec::new();
+        let bright = lit.environment.data.iter().any(|c| *c != Vec3::ZERO);
+        let environment = bright.then(|| format!("{}_environment.exr", lighting.name));
+        if let Some(name) = &environment {
+            crate::core::formats::write_rgb_float(folder.join(name), &lit.environment)?;
+            files.push(name.clone());
+        }
+        let mut scenes = Vec::new();
+        if self.writes(Format::Glb) {
+            let name = format!("{}.glb", lighting.name);
+            save(folder, &name, &self.lit_glb(&shown)?)?;
+            scenes.push(name);
+        }
+        let mut usd = None;
+        if self.writes(Format::Usd) {
+            let scene = LitScene {
+                name: &lighting.name,
+                lit,
+                parts: &shown.parts,
+                moved: shown.moved,
+                lamps: match self.options.lights {
+                    true => area_lights(lit),
+                    false => Vec::new(),
+                },
+                points: shown.points,
+                luminous: &shown.luminous,
+                environment: environment.as_deref(),
+                largest: self.options.max_texture,
+            };
+            let written = scene.write(folder)?;
+            usd = written.first().cloned();
+            scenes.extend(written);
+        }
+        let variant = Variant {
+            name: lighting.name.clone(),
+            file: scenes[0].clone(),
+            usd,
+            environment,
+            random: lighting.random,
+            mixed: self.mix.is_mixed(k),
+            lighting: lighting.lighting.clone(),
+            lamps: self.lamps(k),
+            mean_irradiance: self.mean(&lit.irradiance).to_array(),
+        };
+        files.extend(scenes);
+        Ok((variant, files))
+    }
+
+    /// The glTF file of a lighting.
+    fn lit_glb(&self, shown: &Shown) -> Result<Vec<u8>> {
+        let lamps = match self.options.lights {
+            true => punctual_lights(&shown.solution),
+            false => Vec::new(),
+        };
+        let shining = lamps.into_iter().filter(|l| l.intensity > DARK);
+        let glb = GlbOptions {
+            lightmap: true,
+            lights: shining.chain(shown.points.clone()).collect(),
+            luminous: shown.luminous.clone(),
+            ..GlbOptions::default()
+        };
+        self.glb(&shown.solution, shown.parts.clone(), glb)
+    }
+
+    /// What is shown under lighting `k`.
+    fn shown(&self, k: usize, world: &EditableScene<'_>, progress: &Progress) -> Result<Shown> {
+        let solution = self.lit(k, world, progress)?;
+        let exported = Exported {
+            solution: &solution,
+            ..*self.exported
+        };
+        // (levels of detail hold places of their own)
+        let moved = solution.mesh.positions != self.exported.solution.mesh.positions;
+        let parts = match moved {
+            false => self.parts.clone(),
+            true => shown_parts(&exported, self.options),
+        };
+        let beyond = beyond_solution(world, solution.origin);
+        Ok(Shown {
+            points: self.points(&beyond, world, solution.origin),
+            luminous: beyond.into_iter().map(|b| b.part).collect(),
+            solution,
+            parts,
+            moved,
+        })
+    }
+
+    /// The solution under lighting `k`.
+    fn lit(&self, k: usize, world: &EditableScene<'_>, progress: &Progress) -> Result<Solution> {
         let mut lit = self.exported.solution.clone();
-        lit.emission = self.emission.changed(&lit.emission, &world);
+        lit.emission = self.emission.changed(&lit.emission, world);
         lit.irradiance = self.mix.lightmap(k, progress)?;
         lit.environment = world
             .environment_map()
             .map(|c| *c * world.environment_factor());
         lit.mesh = world.own_mesh();
-        let lamps = lit.lamps.iter().zip(factors);
-        let lamps: Vec<VariantLamp> = lamps
+        lit.lamps
+            .iter_mut()
+            .for_each(|lamp| as_it_stands(lamp, world, &self.exported.solution.mesh));
+        Ok(lit)
+    }
+
+    /// What lighting `k` does to the solution's lamps.
+    fn lamps(&self, k: usize) -> Vec<VariantLamp> {
+        let factors = &self.mix.factors[k].lamps;
+        let lamps = self.exported.solution.lamps.iter().zip(factors);
+        lamps
             .map(|(lamp, factor)| VariantLamp {
                 id: lamp.id,
                 factor: factor.to_array(),
                 power: (Vec3::from_array(lamp.power) * *factor).to_array(),
             })
-            .collect();
-        lit.lamps
-            .iter_mut()
-            .for_each(|lamp| as_it_stands(lamp, &world, &self.exported.solution.mesh));
-        let beyond = beyond_solution(&world, origin);
-        let file = format!("{}.glb", lighting.name);
-        let glb = GlbOptions {
-            lightmap: true,
-            lights: self.lights(&lit, &beyond, &world, origin),
-            luminous: beyond.into_iter().map(|b| b.part).collect(),
-            ..GlbOptions::default()
-        };
-        let exported = Exported {
-            solution: &lit,
-            ..*self.exported
-        };
-        // (levels of detail hold places of their own)
-        let parts = match lit.mesh.positions == self.exported.solution.mesh.positions {
-            true => self.parts.clone(),
-            false => shown_parts(&exported, self.options),
-        };
-        save(folder, &file, &self.glb(&lit, parts, glb)?)?;
-        let bright = lit.environment.data.iter().any(|c| *c != Vec3::ZERO);
-        let environment = bright.then(|| format!("{}_environment.exr", lighting.name));
-        if let Some(name) = &environment {
-            crate::core::formats::write_rgb_float(folder.join(name), &lit.environment)?;
-        }
-        Ok(Variant {
-            name: lighting.name.clone(),
-            file,
-            environment,
-            random: lighting.random,
-            mixed: self.mix.is_mixed(k),
-            lighting: lighting.lighting.clone(),
-            lamps,
-            mean_irradiance: self.mean(&lit.irradiance).to_array(),
-        })
+            .collect()
     }
 
-    /// Lights without extent: added ones in any case, for surfaces where they are wanted.
-    fn lights(
+    /// Lights without extent that the solution does not have: added ones in any case, for added surfaces
+    /// where they are wanted.
+    fn points(
         &self,
-        lit: &Solution,
         beyond: &[Beyond],
         world: &EditableScene<'_>,
         origin: DVec3,
     ) -> Vec<PunctualLight> {
         let mut lights = Vec::new();
         if self.options.lights {
-            lights = punctual_lights(lit);
             lights.extend(beyond.iter().map(|b| b.light.clone()));
-            lights.retain(|l| l.intensity > f64::from(f32::MIN_POSITIVE));
+            lights.retain(|l| l.intensity > DARK);
         }
         let added = (1..).zip(world.points());
         lights.extend(added.map(|(n, p)| point_light(&format!("added light {n}"), p, origin)));
@@ -479,12 +578,12 @@ mod tests {
             let m = &root(folder.path(), file)["materials"][0];
             (
                 m.get("emissiveTexture").is_some(),
-                m["extras"][key]["intensity"].as_f64(),
+                m["extensions"][key]["intensity"].as_f64(),
             )
         };
-        assert_eq!(texture(UNLIT, "lightmapTexture"), (false, None));
-        assert_eq!(texture("dark.glb", "lightmapTexture"), (false, None));
-        let (shines, intensity) = texture("as it is.glb", "lightmapTexture");
+        assert_eq!(texture(UNLIT, "MOZ_lightmap"), (false, None));
+        assert_eq!(texture("dark.glb", "MOZ_lightmap"), (false, None));
+        let (shines, intensity) = texture("as it is.glb", "MOZ_lightmap");
         assert!(shines && intensity.is_some_and(|i| i > f64::from(own.mean_irradiance[0])));
     }
 
