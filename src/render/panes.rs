@@ -7,7 +7,7 @@ use crate::core::trace::{Coverage, Hit, Ray, passes_by_chance};
 use crate::solution::Solution;
 use glam::{Vec2, Vec3};
 
-/// The probability with which a ray passes: a tint dims what is met by chance, and does not colour it.
+/// The probability with which a ray passes by chance.
 pub(super) fn grey(transmittance: Vec3) -> f32 {
     transmittance.element_sum() / 3.0
 }

@@ -115,15 +115,6 @@ impl Looks {
         self.any(|look| look.alpha != Alpha::Opaque)
     }
 
-    /// Whether panes have a colour, which dims what falls through them but does not colour it.
-    pub(super) fn has_tinted_panes(&self) -> bool {
-        self.any(|look| {
-            let [r, g, b, _] = look.base.factor;
-            let tinted = look.base.texture.is_some() || r != g || g != b;
-            tinted && look.transmission.factor > 0.0
-        })
-    }
-
     fn any(&self, is: impl Fn(&GltfMaterial) -> bool) -> bool {
         let of = |c: &Corners| is(&self.looks[c.look as usize]);
         self.triangles.iter().any(of)

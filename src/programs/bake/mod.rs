@@ -50,10 +50,6 @@ const MAPS: [&str; 5] = [
 /// Name of the scene with its lightmap.
 const SCENE: &str = "scene.glb";
 
-/// What is said of panes with a colour.
-const TINTED: &str =
-    "light that falls through tinted panes (KHR_materials_transmission) is dimmed, not coloured";
-
 /// What is to be baked.
 pub struct BakeJob<'a> {
     /// A `.glb` or `.gltf` file.
@@ -166,9 +162,6 @@ fn light(
             job.scene,
             "nothing shines: no emissive material, no light (KHR_lights_punctual); export the lamps with the scene, or give --environment FILE",
         ));
-    }
-    if scene.looks.has_tinted_panes() {
-        notes.insert(TINTED.into());
     }
     let layout = progress.stage("laying out", 1, |_| layout::lay_out(&mut scene, options))?;
     let largest = options.size.is_none() && layout.size == options::MOST_SIDE as usize;

@@ -3,9 +3,8 @@
 //!
 //! What a camera sees through a pane is followed beside what the pane reflects, weighed by its
 //! transmittance T(θ): no noise where the light behind has none. Rays of later bounces and shadow
-//! rays meet a pane by chance: it lets them pass with the probability mean(T), a grey one, and
-//! what stops a path counts 1/(1 − mean(T)), so that the mean is right. A tint therefore colours
-//! what is seen through a pane, and dims, but does not colour, the light that falls through it.
+//! rays meet a pane by chance: it lets them pass with the probability mean(T), they count T/mean(T)
+//! then, and what stops a path counts 1/(1 − mean(T)), so that the mean is right in every channel.
 
 use super::scene::{Surface, SurfaceModel};
 use crate::core::geometry::Mesh;
@@ -36,5 +35,11 @@ impl Coverage for Panes<'_> {
         let direction = Vec3::from_array(ray.direction);
         let passing = grey(self.transmittance(direction, hit, &self.surface(hit)));
         !passes_by_chance(ray, hit, passing)
+    }
+
+    fn passed(&self, ray: &Ray, hit: &Hit) -> Vec3 {
+        let direction = Vec3::from_array(ray.direction);
+        let through = self.transmittance(direction, hit, &self.surface(hit));
+        through / grey(through)
     }
 }

@@ -4,7 +4,7 @@ use super::panes::Panes;
 use super::scene::Surface;
 use super::tracer::PathTracer;
 use super::wave::Wave;
-use crate::core::trace::{CutOut, Hit, MOST_LAYERS, Ray, Tracer, beyond};
+use crate::core::trace::{CutOut, Hit, MOST_LAYERS, beyond};
 use crate::render::panes::grey;
 use glam::Vec3;
 
@@ -24,7 +24,14 @@ impl<'a> PathTracer<'a> {
             return self.tracer.closest(&wave.rays, &mut wave.hits);
         };
         if bounce > 0 {
-            return CutOut::new(self.tracer, &panes).closest(&wave.rays, &mut wave.hits);
+            wave.passed.clear();
+            wave.passed.resize(wave.rays.len(), Vec3::ONE);
+            let seen = CutOut::new(self.tracer, &panes);
+            seen.closest_and_passed(&wave.rays, &mut wave.hits, &mut wave.passed);
+            for (path, passed) in wave.paths.iter_mut().zip(&wave.passed) {
+                path.beta *= *passed;
+            }
+            return;
         }
         let mut first = 0;
         for _ in 0..MOST_LAYERS {
@@ -56,11 +63,20 @@ impl<'a> PathTracer<'a> {
         })
     }
 
-    /// Whether anything stops shadow rays.
-    pub(super) fn find_occluded(&self, rays: &[Ray], occluded: &mut [u8]) {
+    /// Whether anything stops a wave's shadow rays, and what the light of the others counts.
+    pub(super) fn find_occluded(&self, wave: &mut Wave) {
+        let rays = &wave.shadow_rays;
+        wave.occluded.clear();
+        wave.occluded.resize(rays.len(), 0);
+        wave.passed.clear();
+        wave.passed.resize(rays.len(), Vec3::ONE);
         match self.panes() {
-            Some(panes) => CutOut::new(self.tracer, &panes).occluded(rays, occluded),
-            None => self.tracer.occluded(rays, occluded),
+            Some(panes) => CutOut::new(self.tracer, &panes).occluded_and_passed(
+                rays,
+                &mut wave.occluded,
+                &mut wave.passed,
+            ),
+            None => self.tracer.occluded(rays, &mut wave.occluded),
         }
     }
 }

@@ -549,17 +549,11 @@ impl PathTracer<'_> {
     }
 
     pub(super) fn resolve_shadows(&self, wave: &mut Wave, sums: &mut [Sums]) {
-        wave.occluded.clear();
-        wave.occluded.resize(wave.shadow_rays.len(), 0);
-        self.find_occluded(&wave.shadow_rays, &mut wave.occluded);
-        for (s, _) in wave
-            .shadow
-            .iter()
-            .zip(&wave.occluded)
-            .filter(|(_, o)| **o == 0)
-        {
-            sums[s.slot as usize].diffuse += s.diffuse;
-            sums[s.slot as usize].specular += s.specular;
+        self.find_occluded(wave);
+        let found = wave.occluded.iter().zip(&wave.passed);
+        for (s, (_, passed)) in wave.shadow.iter().zip(found).filter(|(_, (o, _))| **o == 0) {
+            sums[s.slot as usize].diffuse += s.diffuse * *passed;
+            sums[s.slot as usize].specular += s.specular * *passed;
         }
         wave.shadow.clear();
         wave.shadow_rays.clear();

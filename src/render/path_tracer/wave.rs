@@ -111,6 +111,8 @@ pub(super) struct Wave {
     pub(super) shadow: Vec<ShadowRay>,
     pub(super) shadow_rays: Vec<Ray>,
     pub(super) occluded: Vec<u8>,
+    /// What the light along rays counts for the panes they passed.
+    pub(super) passed: Vec<Vec3>,
     /// The lights as the vertex at hand chooses among them.
     pub(super) choice: LightSampler,
 }
