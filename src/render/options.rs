@@ -26,16 +26,26 @@ pub enum Show {
     Albedo,
     /// The surfaces' roughness, as grey.
     Roughness,
+    /// The surfaces' share of metal, as grey.
+    Metal,
+    /// The share of light that panes let through, as grey.
+    Transmission,
+    /// What the surfaces emit.
+    Emission,
 }
 
 impl Show {
     /// The wanted picture of a view.
     #[must_use]
     pub fn of(self, view: super::RenderedView) -> crate::core::image::RgbPlane {
+        let grey = |p: &crate::core::image::Plane<f32>| p.map(|v| glam::Vec3::splat(*v));
         match self {
             Self::Light => view.radiance,
             Self::Albedo => view.albedo,
-            Self::Roughness => view.roughness.map(|r| glam::Vec3::splat(*r)),
+            Self::Roughness => grey(&view.roughness),
+            Self::Metal => grey(&view.metallic),
+            Self::Transmission => grey(&view.transmission),
+            Self::Emission => view.emission,
         }
     }
 }
@@ -194,7 +204,8 @@ pub struct RenderOptions {
     /// How light is computed.
     #[arg(long, value_enum, default_value = "hybrid")]
     pub renderer: Renderer,
-    /// What the frames show (hybrid renderer).
+    /// What the frames show (hybrid renderer); of materials each pixel has those of the class that most of
+    /// it shows.
     #[arg(long, value_enum, default_value = "light")]
     pub show: Show,
     /// Primary rays per pixel along each axis, and four times as many specular rays (hybrid
