@@ -5,7 +5,8 @@
 //! normalised by its maximum, which `KHR_materials_emissive_strength` carries. Geometry is stored bit-exactly; the
 //! scene's origin is the node's translation and, in f64, its extras, so that a solution can be
 //! loaded back from this file without loss. An export may divide the mesh into objects: they are
-//! nodes below the scene's, share its material, and are stored relative to where they stand.
+//! nodes below the scene's, share its material, and are stored relative to where they stand; copies of an
+//! object share its vertices and triangles and have their own places in the atlas.
 //! Triangles that let light through are a primitive of their own, whose material has
 //! `KHR_materials_transmission`; its extras say where they stand among all triangles.
 
@@ -14,13 +15,14 @@ use super::glb_lights::{LuminousPart, PunctualLight, add_lights};
 use super::glb_textures::{
     NamedImage, Pictures, TextureFormat, TexturePacking, WantedTextures, encode_pictures,
 };
-use super::{MeshPart, Solution};
+use super::{MeshPart, Solution, copies_among};
 use crate::core::brdf::Reflectance;
 use crate::core::formats::{GlbWriter, MOST_DATA, read_input};
-use crate::core::geometry::Mesh;
+use crate::core::geometry::{Mesh, Similarity};
 use crate::error::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
 use serde_json::{Value, json};
+use std::borrow::Cow;
 use std::path::Path;
 
 /// Choices of the glTF export.
@@ -171,7 +173,7 @@ impl<'a> Content<'a> {
         let options = self.options;
         let sets = self.texture_sets()?;
         let mut glb = GlbWriter::default();
-        let meshes = self.meshes(&mut glb, &sets);
+        let Meshes { entries, placed } = self.meshes(&mut glb, &sets);
         let mime = options.textures.mime();
         let mut images: Vec<Value> = Vec::new();
         for set in &sets {
@@ -194,8 +196,8 @@ impl<'a> Content<'a> {
             "asset": {"version": "2.0", "generator": concat!("unbake ", env!("CARGO_PKG_VERSION"))},
             "scene": 0,
             "scenes": [{"nodes": [0]}],
-            "nodes": nodes(self.solution, options, self.generation),
-            "meshes": meshes,
+            "nodes": nodes(self.solution, options, &placed, self.generation),
+            "meshes": entries,
             "images": images,
             "textures": textures,
             "samplers": [{
@@ -245,7 +247,7 @@ impl<'a> Content<'a> {
     }
 
     /// Stores the geometry: the parts', then of what only shines, then of the parts' levels.
-    fn meshes(&self, glb: &mut GlbWriter, sets: &[TextureSet<'a>]) -> Vec<Value> {
+    fn meshes(&self, glb: &mut GlbWriter, sets: &[TextureSet<'a>]) -> Meshes {
         let options = self.options;
         let whole = [MeshPart::whole("scene", &self.solution.mesh)];
         let parts = match options.parts.as_slice() {
@@ -268,11 +270,27 @@ impl<'a> Content<'a> {
         let geometries: Vec<PartGeometry<'_>> = sets.iter().enumerate().map(geometry).collect();
         // all parts have one set, or each its own
         let geometry = |k: usize| &geometries[k.min(geometries.len() - 1)];
-        let mut meshes: Vec<Value> = parts
-            .iter()
-            .enumerate()
-            .map(|(k, part)| geometry(k).mesh_entry(glb, part))
+        let own: Vec<Cow<'_, Mesh>> = (parts.iter().enumerate())
+            .map(|(k, part)| geometry(k).of_part(part))
             .collect();
+        // tangents follow the atlas, in which copies lie at different places
+        let copies = match options.tangents {
+            true => vec![None; parts.len()],
+            false => copies_among(&own, &self.solution.mesh),
+        };
+        let mut meshes: Vec<Value> = Vec::new();
+        let mut placed = Vec::new();
+        for (k, ((part, mesh), copy)) in parts.iter().zip(&own).zip(copies).enumerate() {
+            let as_copy = copy.and_then(|c| {
+                let entry = geometry(k).copy_entry(glb, part, mesh, &meshes[c.of])?;
+                Some((entry, c.placed))
+            });
+            placed.push(as_copy.as_ref().map(|(_, placed)| *placed));
+            meshes.push(match as_copy {
+                Some((entry, _)) => entry,
+                None => geometry(k).mesh_entry(glb, part, mesh),
+            });
+        }
         for (material, part) in (sets.len()..).zip(&options.luminous) {
             meshes.push(luminous_entry(glb, part, material));
         }
@@ -281,18 +299,41 @@ impl<'a> Content<'a> {
                 meshes.push(geometry(i).level_entry(glb, &level_name(part, k), level));
             }
         }
-        meshes
+        Meshes {
+            entries: meshes,
+            placed,
+        }
     }
+}
+
+/// The meshes of a file.
+struct Meshes {
+    /// In the order of their numbers.
+    entries: Vec<Value>,
+    /// Of each part that is stored as a copy of another: what takes that one's vertices to its own.
+    placed: Vec<Option<Similarity>>,
 }
 
 /// The scene's node, which has the mesh or, of several objects, a node for each below it; surfaces
 /// that only shine follow there.
-fn nodes(solution: &Solution, options: &GlbOptions, generation: &str) -> Value {
+fn nodes(
+    solution: &Solution,
+    options: &GlbOptions,
+    placed: &[Option<Similarity>],
+    generation: &str,
+) -> Value {
     let mut scene = node(solution.origin, solution.reflectance, generation);
     let mut below: Vec<Value> = Vec::new();
-    for part in &options.parts {
-        let at = part.pivot.as_dvec3().to_array();
-        below.push(json!({"name": part.name, "mesh": below.len(), "translation": at}));
+    for (part, placed) in options.parts.iter().zip(placed) {
+        let place = part.pivot.as_dvec3();
+        let at = placed.map_or(place, |p| place + p.translation.as_dvec3());
+        let mut node =
+            json!({"name": part.name, "mesh": below.len(), "translation": at.to_array()});
+        if let Some(placed) = placed {
+            node["rotation"] = json!(placed.rotation.to_array());
+            node["scale"] = json!(Vec3::splat(placed.scale).to_array());
+        }
+        below.push(node);
     }
     let mut mesh = below.len();
     if options.parts.is_empty() {
@@ -740,6 +781,61 @@ mod tests {
             (Vec3::from(position.min), Vec3::from(position.max)),
             (low, high)
         );
+    }
+
+    /// A copy has the node's place, turn and size, the first one's vertices and triangles, and its own
+    /// places in the atlas; with tangents, which follow the atlas, everything is its own.
+    #[test]
+    fn copies_share_their_geometry_and_keep_their_texture() {
+        let mut solution = small_solution();
+        let mesh = &mut solution.mesh;
+        let turned = |p: Vec3| Vec3::new(4.0 - 2.0 * p.z, p.y, 2.0 * p.x);
+        let quad = mesh.positions.clone();
+        mesh.positions.extend(quad.into_iter().map(turned));
+        mesh.normals.extend(vec![Vec3::Y; 4]);
+        mesh.uvs
+            .extend(mesh.uvs.clone().into_iter().map(|uv| 0.25 * uv));
+        mesh.triangles.extend([[4, 6, 5], [4, 7, 6]]);
+        let part = |name: &str, t| MeshPart::standing(name.into(), &solution.mesh, t);
+        let mut options = GlbOptions {
+            parts: vec![part("a", vec![0, 1]), part("b", vec![2, 3])],
+            ..GlbOptions::default()
+        };
+        let read = |options: &GlbOptions| -> Value {
+            let bytes = scene_glb(&solution, options).expect("writes");
+            gltf::Gltf::from_slice(&bytes).expect("valid");
+            let glb = gltf::binary::Glb::from_slice(&bytes).expect("container");
+            serde_json::from_slice(&glb.json).expect("JSON")
+        };
+        let root = read(&options);
+        let primitive = |root: &Value, k: usize| root["meshes"][k]["primitives"][0].clone();
+        let [a, b] = [0, 1].map(|k| primitive(&root, k));
+        assert_eq!(a["indices"], b["indices"]);
+        for key in ["POSITION", "NORMAL"] {
+            assert_eq!(a["attributes"][key], b["attributes"][key]);
+        }
+        assert_ne!(a["attributes"]["TEXCOORD_0"], b["attributes"]["TEXCOORD_0"]);
+        let numbers = |v: &Value| -> Vec<f32> {
+            let list = v.as_array().expect("a list").iter();
+            list.filter_map(Value::as_f64).map(|x| x as f32).collect()
+        };
+        let node = |k: usize| root["nodes"][k + 1].clone();
+        let of_b = node(1);
+        let rotation = glam::Quat::from_slice(&numbers(&of_b["rotation"]));
+        let scale = Vec3::from_slice(&numbers(&of_b["scale"]));
+        let at = Vec3::from_slice(&numbers(&of_b["translation"]));
+        let first = Vec3::from_slice(&numbers(&node(0)["translation"]));
+        for p in &solution.mesh.positions[..4] {
+            let placed = rotation * (scale * (*p - first)) + at;
+            assert!((placed - turned(*p)).length() < 1e-4, "{placed}");
+        }
+        options.tangents = true;
+        let root = read(&options);
+        assert_ne!(
+            primitive(&root, 0)["indices"],
+            primitive(&root, 1)["indices"]
+        );
+        assert!(root["nodes"][2].get("rotation").is_none());
     }
 
     #[test]

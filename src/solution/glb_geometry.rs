@@ -6,6 +6,7 @@ use crate::core::formats::GlbWriter;
 use crate::core::geometry::{Mesh, tangent_mesh};
 use glam::Vec3;
 use serde_json::{Value, json};
+use std::borrow::Cow;
 
 /// Which triangles let light through, and the number of their material.
 pub(super) struct Panes {
@@ -75,19 +76,50 @@ pub(super) struct PartGeometry<'a> {
 }
 
 impl PartGeometry<'_> {
-    /// Stores the geometry of a part; returns its mesh, of one primitive or, with panes, two.
-    pub fn mesh_entry(&self, glb: &mut GlbWriter, part: &MeshPart) -> Value {
-        // a part that is all there is keeps its vertices' order, unused ones included
-        let own;
-        let whole = self.whole;
-        let mesh = if part.pivot == Vec3::ZERO && part.triangles.len() == whole.triangles.len() {
-            whole
-        } else {
-            own = part.mesh(whole);
-            &own
-        };
+    /// The geometry of a part; one that is all there is keeps its vertices' order, unused ones included.
+    pub fn of_part(&self, part: &MeshPart) -> Cow<'_, Mesh> {
+        let all = part.pivot == Vec3::ZERO && part.triangles.len() == self.whole.triangles.len();
+        match all {
+            true => Cow::Borrowed(self.whole),
+            false => Cow::Owned(part.mesh(self.whole)),
+        }
+    }
+
+    /// Stores the geometry `mesh` of a part; returns its mesh, of one primitive or, with panes, two.
+    pub fn mesh_entry(&self, glb: &mut GlbWriter, part: &MeshPart, mesh: &Mesh) -> Value {
         let primitives = divided(part, self.material, self.panes.as_ref());
         json!({"name": part.name, "primitives": self.stored(glb, mesh, &primitives)})
+    }
+
+    /// The mesh of a part that is a copy of another, whose entry is `original`: it has the other's vertices and
+    /// triangles, but its own places in the atlas, and so its own texture and light. `None` where panes
+    /// divide it otherwise.
+    pub fn copy_entry(
+        &self,
+        glb: &mut GlbWriter,
+        part: &MeshPart,
+        mesh: &Mesh,
+        original: &Value,
+    ) -> Option<Value> {
+        let primitives = divided(part, self.material, self.panes.as_ref());
+        let stored = original["primitives"].as_array()?;
+        let alike = primitives.len() == 1 && stored.len() == 1;
+        let is_pane = |material: &Value| {
+            let panes = self.panes.as_ref().map(|p| json!(p.material));
+            panes.as_ref() == Some(material)
+        };
+        let material = json!(primitives.first()?.material);
+        if !alike || is_pane(&material) || is_pane(&stored[0]["material"]) {
+            return None;
+        }
+        let mut primitive = stored[0].clone();
+        let uv = glb.uvs(&mesh.uvs);
+        primitive["material"] = material;
+        primitive["attributes"]["TEXCOORD_0"] = json!(uv);
+        if self.lightmap {
+            primitive["attributes"]["TEXCOORD_1"] = json!(uv);
+        }
+        Some(json!({"name": part.name, "primitives": [primitive]}))
     }
 
     /// Stores the geometry of a level of detail; returns its mesh.

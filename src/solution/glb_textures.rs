@@ -266,11 +266,12 @@ impl<'a> Atlas<'a> {
 
     /// The plane and its halves, down to a single texel.
     fn levels<T: Texel>(&self, plane: &Plane<T>) -> Vec<Plane<T>> {
-        let reduction = AtlasReduction::new(self.mesh);
+        let reduction = AtlasReduction::new(self.mesh, plane.width, plane.height);
         let mut out = vec![plane.clone()];
-        while let Some(next) = out.last().filter(|p| p.width.max(p.height) > 1) {
-            let [width, height] = [next.width, next.height].map(|n| (n / 2).max(1));
-            out.push(reduction.reduced(next, width, height));
+        let (mut width, mut height) = (plane.width, plane.height);
+        while width.max(height) > 1 {
+            (width, height) = ((width / 2).max(1), (height / 2).max(1));
+            out.push(reduction.reduced(plane, width, height));
         }
         out
     }
@@ -315,7 +316,9 @@ fn fitted<'a, T: Texel>(
     if (width, height) == (plane.width, plane.height) {
         return std::borrow::Cow::Borrowed(plane);
     }
-    std::borrow::Cow::Owned(AtlasReduction::new(mesh).reduced(plane, width, height))
+    std::borrow::Cow::Owned(
+        AtlasReduction::new(mesh, plane.width, plane.height).reduced(plane, width, height),
+    )
 }
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
 //! A part of a solution's mesh that a file of another program keeps as an object of its own: a node
 //! of `scene.glb`, a prim of `scene.usda`. `programs/export/objects.rs` decides which there are.
 
-use crate::core::geometry::Mesh;
+use crate::core::geometry::{Mesh, MeshCopy, copies};
 use glam::Vec3;
+use std::borrow::Cow;
 
 /// Triangles that move together.
 #[derive(Clone, Debug, PartialEq)]
@@ -69,4 +70,14 @@ impl MeshPart {
         }
         mesh
     }
+}
+
+/// Which of some parts' meshes, each relative to its pivot, are copies of others; `whole` is the mesh
+/// that they are parts of, whose size says to what places are rounded.
+#[must_use]
+pub fn copies_among(meshes: &[Cow<'_, Mesh>], whole: &Mesh) -> Vec<Option<MeshCopy>> {
+    let (low, high) = whole.bounds();
+    let rounding = 4.0 * f32::EPSILON * low.abs().max(high.abs()).max_element();
+    let meshes: Vec<&Mesh> = meshes.iter().map(Cow::as_ref).collect();
+    copies(&meshes, rounding)
 }

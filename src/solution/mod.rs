@@ -18,7 +18,7 @@ pub use glb_textures::{
     NamedImage, TextureFormat, TexturePacking, material_textures, png_textures,
 };
 pub use lamps::{LIGHTS, Lamp, LampKind, find_lamps, lamp_gap, triangle_emission};
-pub use mesh_part::{DetailLevel, MeshPart};
+pub use mesh_part::{DetailLevel, MeshPart, copies_among};
 pub use store::{FILES, SaveOptions};
 
 use crate::core::brdf::Reflectance;

@@ -2,6 +2,7 @@
 
 mod camera;
 mod clusters;
+mod copies;
 mod distance;
 mod mesh;
 mod shells;
@@ -9,6 +10,7 @@ mod tangents;
 
 pub use camera::{Camera, DirectionGrid, Lens, Projection};
 pub use clusters::{bodies, charts, clusters, numbered, pieces, smooth_patches, touching};
+pub use copies::{MeshCopy, Similarity, copies};
 pub use distance::SurfaceDistance;
 #[cfg(test)]
 pub(crate) use mesh::tests::add_box;

@@ -13,40 +13,43 @@ const CHUNK: usize = 4096;
 /// Chart of a texel that no chart covers.
 const NONE: u32 = u32::MAX;
 
-/// Makes smaller copies of the textures of a mesh.
+/// Makes smaller copies of a mesh's textures of one size.
 pub struct AtlasReduction<'a> {
     mesh: &'a Mesh,
     /// The chart of each triangle.
     charts: Vec<u32>,
+    /// The chart in which each texel's centre lies.
+    chart_at: Plane<u32>,
 }
 
 impl<'a> AtlasReduction<'a> {
-    /// Of the atlas of `mesh`.
+    /// Of textures of `width × height` on the atlas of `mesh`.
     #[must_use]
-    pub fn new(mesh: &'a Mesh) -> Self {
+    pub fn new(mesh: &'a Mesh, width: usize, height: usize) -> Self {
+        let charts = charts(mesh);
+        let texels = Texels::rasterize(mesh, width, height);
+        let chart_of: Vec<u32> = (texels.point.iter().zip(&texels.interior))
+            .map(|(p, inside)| match inside {
+                true => charts[p.triangle as usize],
+                false => NONE,
+            })
+            .collect();
         Self {
             mesh,
-            charts: charts(mesh),
+            charts,
+            chart_at: texels.scatter(&chart_of, NONE),
         }
     }
 
-    /// `plane` at `width × height`, neither of them larger than its own: every texel that a look-up on a
-    /// chart can meet is the mean of those of the chart's texels that lie in it, or, where none does,
-    /// what the chart has nearest to it; texels between charts are filled.
+    /// `plane`, which is of the size given to [`Self::new`], at `width × height`, neither of them larger than
+    /// its own: every texel that a look-up on a chart can meet is the mean of those of the chart's texels
+    /// that lie in it, or, where none does, what the chart has nearest to it; texels between charts are
+    /// filled.
     #[must_use]
     pub fn reduced<T>(&self, plane: &Plane<T>, width: usize, height: usize) -> Plane<T>
     where
         T: Copy + Default + Add<Output = T> + Mul<f32, Output = T> + Send + Sync,
     {
-        let fine = Texels::rasterize(self.mesh, plane.width, plane.height);
-        let inside = fine.point.iter().zip(&fine.interior);
-        let chart_of: Vec<u32> = inside
-            .map(|(p, inside)| match inside {
-                true => self.charts[p.triangle as usize],
-                false => NONE,
-            })
-            .collect();
-        let chart_at = fine.scatter(&chart_of, NONE);
         let coarse = Texels::rasterize(self.mesh, width, height);
         let size = Vec2::new(plane.width as f32, plane.height as f32);
         let value = |i: usize| {
@@ -56,7 +59,7 @@ impl<'a> AtlasReduction<'a> {
             let rows = under(cell / width, height, plane.height);
             let (mut sum, mut count) = (T::default(), 0u32);
             for (x, y) in rows.flat_map(|y| columns.clone().map(move |x| (x, y))) {
-                if chart_at[(x, y)] == chart {
+                if self.chart_at[(x, y)] == chart {
                     sum = sum + plane[(x, y)];
                     count += 1;
                 }
@@ -111,7 +114,7 @@ mod tests {
                 .map(|i| if i % 64 < 32 { 0.0f32 } else { 1.0 })
                 .collect(),
         };
-        let reduction = AtlasReduction::new(&mesh);
+        let reduction = AtlasReduction::new(&mesh, 64, 64);
         for side in [32usize, 16, 8, 4] {
             let small = reduction.reduced(&plane, side, side);
             assert_eq!((small.width, small.height), (side, side));
@@ -131,7 +134,7 @@ mod tests {
             height: 64,
             data: (0..64 * 64).map(|i| (i % 64 + i / 64) as f32).collect(),
         };
-        let small = AtlasReduction::new(&mesh).reduced(&plane, 16, 16);
+        let small = AtlasReduction::new(&mesh, 64, 64).reduced(&plane, 16, 16);
         let expected = plane.half().half();
         for (x, y) in [(0, 0), (3, 5), (6, 15), (9, 1), (15, 15)] {
             assert!((small[(x, y)] - expected[(x, y)]).abs() < 1e-4, "{x} {y}");
@@ -144,7 +147,7 @@ mod tests {
         let mesh = two_charts();
         let plane = Plane::filled(65, 33, 2.5f32);
         for (w, h) in [(32, 16), (7, 3), (1, 1)] {
-            let small = AtlasReduction::new(&mesh).reduced(&plane, w, h);
+            let small = AtlasReduction::new(&mesh, 65, 33).reduced(&plane, w, h);
             assert!(small.data.iter().all(|v| (v - 2.5).abs() < 1e-6));
         }
     }

@@ -8,10 +8,10 @@ use super::usd_collision::hull_prims;
 use super::usd_lights::{dome_prim, lamp_prim};
 use super::usd_text::{identifier, list, quoted};
 use crate::core::formats::{encode_grey8, encode_rgb8, srgb8_from_linear, write_rgb_float};
-use crate::core::geometry::Mesh;
+use crate::core::geometry::{Mesh, MeshCopy, Similarity};
 use crate::core::image::{Plane, RgbPlane};
 use crate::error::{Error, Result};
-use crate::solution::{MeshPart, Solution};
+use crate::solution::{MeshPart, Solution, copies_among};
 use glam::Vec3;
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -118,7 +118,7 @@ fn text(solution: &Solution, peak: f32, options: UsdOptions<'_>) -> String {
     let mut taken = taken_names();
     taken.extend(lights.iter().map(|l| identifier(&l.name)));
     for mesh in mesh_prims(&solution.mesh, options.parts, &mut taken) {
-        mesh.write(&mut s, "def");
+        mesh.write(&mut s);
         if let Some(object) = options.hulls.iter().find(|h| h.name == mesh.name) {
             hull_prims(&mut s, object, &mesh.prim, &mut taken);
         }
@@ -156,6 +156,16 @@ pub(super) struct MeshPrim<'a> {
     pub mesh: Cow<'a, Mesh>,
     /// The name of its material.
     pub material: &'a str,
+    /// Of a copy, whose copy it is.
+    pub copy: Option<UsdCopy>,
+}
+
+/// What a mesh is a copy of.
+pub(super) struct UsdCopy {
+    /// The other's name in the file.
+    of: String,
+    /// What takes the other's vertices to its own.
+    placed: Similarity,
 }
 
 /// The meshes of all surfaces: those of the parts, or one.
@@ -173,21 +183,64 @@ pub(super) fn mesh_prims<'a>(
             pivot: Vec3::ZERO,
             mesh: Cow::Borrowed(mesh),
             material: MATERIAL,
+            copy: None,
         }];
     }
-    let of = |part: &'a MeshPart| MeshPrim {
-        prim: prim(&part.name),
-        name: &part.name,
-        pivot: part.pivot,
-        mesh: Cow::Owned(part.mesh(mesh)),
-        material: MATERIAL,
-    };
-    parts.iter().map(of).collect()
+    let prims: Vec<String> = parts.iter().map(|part| prim(&part.name)).collect();
+    let meshes: Vec<Cow<'_, Mesh>> = (parts.iter())
+        .map(|part| Cow::Owned(part.mesh(mesh)))
+        .collect();
+    let copies = copies_among(&meshes, mesh);
+    let of =
+        |(((part, mesh), copy), prim): (((&'a MeshPart, _), Option<MeshCopy>), &String)| MeshPrim {
+            prim: prim.clone(),
+            name: &part.name,
+            pivot: part.pivot,
+            mesh,
+            material: MATERIAL,
+            copy: copy.map(|c| UsdCopy {
+                of: prims[c.of].clone(),
+                placed: c.placed,
+            }),
+        };
+    let all = parts.iter().zip(meshes).zip(copies).zip(&prims);
+    all.map(of).collect()
 }
 
 impl MeshPrim<'_> {
-    /// Appends it, bound to its material; `specifier` is `def`, or `over` where a file below has it.
-    pub(super) fn write(&self, s: &mut String, specifier: &str) {
+    /// Appends it, bound to its material; a copy refers to what it is a copy of and has its own places in the
+    /// atlas.
+    pub(super) fn write(&self, s: &mut String) {
+        match &self.copy {
+            Some(copy) => self.write_copy(s, copy),
+            None => self.write_whole(s, "def"),
+        }
+    }
+
+    fn write_copy(&self, s: &mut String, UsdCopy { of, placed }: &UsdCopy) {
+        let (p, q) = (self.pivot + placed.translation, placed.rotation);
+        let _ = writeln!(
+            s,
+            "    def Mesh \"{}\" (\n        customData = {{\n            string name = {}\n        }}\n        prepend references = </scene/{of}>\n    )\n    {{\n        \
+             double3 xformOp:translate = ({}, {}, {})\n        quatf xformOp:orient = ({}, {}, {}, {})\n        float3 xformOp:scale = ({scale}, {scale}, {scale})\n        \
+             uniform token[] xformOpOrder = [\"xformOp:translate\", \"xformOp:orient\", \"xformOp:scale\"]",
+            self.prim,
+            quoted(self.name),
+            p.x,
+            p.y,
+            p.z,
+            q.w,
+            q.x,
+            q.y,
+            q.z,
+            scale = placed.scale,
+        );
+        texture_coordinates(s, &self.mesh);
+        s.push_str("    }\n\n");
+    }
+
+    /// Appends all of it; `specifier` is `def`, or `over` where a file below has it.
+    pub(super) fn write_whole(&self, s: &mut String, specifier: &str) {
         let _ = writeln!(
             s,
             "    {specifier} Mesh \"{}\" (\n        customData = {{\n            string name = {}\n        }}\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n    )\n    {{",
@@ -195,7 +248,7 @@ impl MeshPrim<'_> {
             quoted(self.name)
         );
         let p = self.pivot;
-        if p != Vec3::ZERO {
+        if p != Vec3::ZERO || specifier == "over" {
             let _ = writeln!(
                 s,
                 "        double3 xformOp:translate = ({}, {}, {})\n        uniform token[] xformOpOrder = [\"xformOp:translate\"]",
@@ -240,6 +293,10 @@ fn geometry(s: &mut String, mesh: &Mesh) {
         mesh.normals.iter().map(vector),
         " (\n            interpolation = \"vertex\"\n        )",
     );
+    texture_coordinates(s, mesh);
+}
+
+fn texture_coordinates(s: &mut String, mesh: &Mesh) {
     // USD counts texture rows from below
     let uv = mesh
         .uvs
@@ -353,6 +410,33 @@ mod tests {
             assert_eq!(points.matches('(').count(), 3);
             assert!(extent.contains("[(-1, 0, "), "{extent}");
         }
+    }
+
+    /// A copy refers to what it is a copy of, where it stands, and has its own places in the atlas alone.
+    #[test]
+    fn a_copy_refers_to_its_original() {
+        let solution = small_solution();
+        let part = |name: &str| MeshPart::standing(name.to_owned(), &solution.mesh, vec![0, 1]);
+        let mut parts = [part("chair"), part("chair 2")];
+        parts[1].pivot.y -= 0.5;
+        let options = UsdOptions {
+            parts: &parts,
+            ..UsdOptions::default()
+        };
+        let text = text(&solution, 0.0, options);
+        assert_eq!(text.matches('{').count(), text.matches('}').count());
+        assert_eq!(text.matches("point3f[] points").count(), 1);
+        assert_eq!(text.matches("primvars:st = ").count(), 2);
+        let (_, copy) = text.split_once("def Mesh \"chair_2\"").expect("a copy");
+        assert!(copy.contains("prepend references = </scene/chair>"));
+        assert!(copy.contains("xformOp:scale = (1, 1, 1)"));
+        // its vertices were half a metre above its pivot, and are not moved by the reference
+        let (_, place) = copy.split_once("xformOp:translate = (").expect("a place");
+        let numbers = place
+            .split(&[',', ')'][..])
+            .map_while(|n| n.trim().parse().ok());
+        let at = Vec3::from_slice(&numbers.collect::<Vec<f32>>());
+        assert!((at - parts[0].pivot).length() < 1e-6, "{at}");
     }
 
     #[test]

@@ -132,7 +132,7 @@ impl LitScene<'_> {
         let mut taken = taken_names();
         let meshes = mesh_prims(&self.lit.mesh, self.parts, &mut taken);
         for mesh in meshes.iter().filter(|_| self.moved) {
-            mesh.write(&mut s, "over");
+            mesh.write_whole(&mut s, "over");
         }
         self.added_surfaces(&mut s, &mut taken);
         s.push_str("    variantSet \"shown\" = {\n        \"traced\" {\n");
@@ -182,8 +182,9 @@ impl LitScene<'_> {
                 pivot: glam::Vec3::ZERO,
                 mesh: Cow::Borrowed(&part.mesh),
                 material: &material,
+                copy: None,
             };
-            mesh.write(s, "def");
+            mesh.write_whole(s, "def");
             let l = part.radiance;
             let _ = writeln!(
                 s,
@@ -232,7 +233,13 @@ fn sent_out(lit: &Solution, largest: usize) -> RgbPlane {
     }
     let albedo = match (width, height) == (lit.albedo.width, lit.albedo.height) {
         true => Cow::Borrowed(&lit.albedo),
-        false => Cow::Owned(AtlasReduction::new(&lit.mesh).reduced(&lit.albedo, width, height)),
+        false => Cow::Owned(
+            AtlasReduction::new(&lit.mesh, lit.albedo.width, lit.albedo.height).reduced(
+                &lit.albedo,
+                width,
+                height,
+            ),
+        ),
     };
     let at = |plane: &RgbPlane, uv: Vec2| {
         let size = Vec2::new(plane.width as f32, plane.height as f32);
