@@ -1,6 +1,7 @@
 //! No verb may overwrite what it reads: an output folder in which an input lies is refused.
 
 use crate::error::{Error, Result};
+use crate::programs::report::{InputFile, RunRecord};
 use crate::solution::FILES;
 use std::path::{Path, PathBuf};
 
@@ -62,6 +63,25 @@ pub fn keep_results(out: &Path) -> Result<()> {
         true => Err(Error::Usage(format!(
             "{}: holds {RESULT}, which makes it a result of solve; give another output folder",
             out.display()
+        ))),
+    }
+}
+
+/// Refuses `out` if the result of another scene lies in it: one that shares no file with `inputs`.
+///
+/// # Errors
+/// Another scene's result lies in `out`; the message names it.
+pub fn keep_other_results(out: &Path, inputs: &[InputFile]) -> Result<()> {
+    let Some(record) = RunRecord::read_manifest(out).filter(|_| out.join(RESULT).is_file()) else {
+        return Ok(());
+    };
+    let shared = |file: &InputFile| inputs.iter().any(|i| i.blake3 == file.blake3);
+    match record.inputs.is_empty() || record.inputs.iter().any(shared) {
+        true => Ok(()),
+        false => Err(Error::Usage(format!(
+            "{}: holds the result of another scene ({:?}: none of its files is among those given); give another output folder, or remove this one",
+            out.display(),
+            record.scene.name
         ))),
     }
 }
@@ -130,5 +150,27 @@ mod tests {
             assert!(keep_inputs(out, &scene, &[]).is_ok());
         }
         assert!(keep_results(&export).is_ok() && keep_results(&dir.path().join("new")).is_ok());
+    }
+
+    /// A run may be repeated into its folder, with some files changed, too; a run of another scene may not.
+    #[test]
+    fn the_result_of_another_scene_is_kept() {
+        let dir = tempfile::tempdir().expect("temp");
+        let file = |hash: &str| InputFile {
+            blake3: hash.into(),
+            ..InputFile::default()
+        };
+        let out = dir.path();
+        assert!(keep_other_results(out, &[file("a")]).is_ok());
+        let record = RunRecord {
+            inputs: vec![file("a"), file("b")],
+            ..RunRecord::default()
+        };
+        let text = serde_json::to_vec(&record).expect("a record");
+        std::fs::write(out.join("manifest.json"), text).expect("writes");
+        std::fs::write(out.join(RESULT), b"x").expect("writes");
+        assert!(keep_other_results(out, &[file("b"), file("c")]).is_ok());
+        let e = keep_other_results(out, &[file("c")]).expect_err("another scene");
+        assert!(e.exit_code() == 2 && e.to_string().contains("another scene"));
     }
 }

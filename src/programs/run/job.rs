@@ -1,7 +1,7 @@
 //! A scene to solve, from its folder to the written result. The parts are apart because processes
 //! that share a scene put other things between them (`solve --shard`, `merge`).
 
-use super::guard::keep_inputs;
+use super::guard::{keep_inputs, keep_other_results};
 use super::record::run_key;
 use super::result::{RunResult, SolvedRun};
 use super::{Run, RunRequest};
@@ -72,9 +72,11 @@ impl Job {
         let (scene, alignment) = aligned_scene(scene_path, &run.request, &run.progress)?;
         keep_inputs(out, &scene.folder, &scene.input_files())?;
         let started = run.recorder.started();
+        let inputs = hash_inputs(&scene)?;
+        keep_other_results(out, &inputs)?;
         Ok(Self {
             options: run.request.solve.options(run.request.seed, started),
-            inputs: hash_inputs(&scene)?,
+            inputs,
             scene,
             alignment,
         })
