@@ -148,6 +148,40 @@ fn a_scene_without_any_light_is_refused() {
     assert_eq!(report.exit_code(), 2);
 }
 
+/// Photographs that show one value, and one that two frames have, are told of by name.
+#[test]
+fn photographs_that_tell_nothing_new_are_named() {
+    let scene = SceneDir::box_room();
+    let said = || {
+        check(scene.folder(), &LoadOptions::default())
+            .warnings
+            .join("\n")
+    };
+    for stem in ["a", "b"] {
+        assert!(said().contains(&format!("{stem}: the image has one value everywhere")));
+    }
+    let ramp = |scale: f32| Plane {
+        width: WIDTH,
+        height: HEIGHT,
+        data: (0..WIDTH * HEIGHT)
+            .map(|i| Vec3::splat(scale * (i + 1) as f32))
+            .collect(),
+    };
+    let write = |stem: &str, scale: f32| {
+        formats::write_rgb_float(scene.path(&format!("{stem}.exr")), &ramp(scale)).expect("image");
+    };
+    write("a", 0.01);
+    write("b", 0.01);
+    let twice = said();
+    assert!(
+        twice.contains("views a and b have the same photograph"),
+        "{twice}"
+    );
+    assert!(!twice.contains("one value everywhere"), "{twice}");
+    write("b", 0.02);
+    assert!(!said().contains("same photograph"));
+}
+
 /// Values that end at exactly 1 are clipped or made for a screen, and `color_space` says which.
 #[test]
 fn images_that_end_at_one_are_named() {

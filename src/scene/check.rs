@@ -649,15 +649,6 @@ fn room_summaries(scene: &Scene, grid: &RoomGrid) -> Vec<RoomSummary> {
 
 fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Vec<String>) {
     warnings.extend(frame_account::warnings(&s.frames));
-    for f in findings
-        .iter()
-        .filter(|f| f.luminances.iter().all(|&l| l <= 0.0))
-    {
-        warnings.push(format!(
-            "{}: the image is black; its exposure or its file is wrong",
-            f.stem
-        ));
-    }
     if s.radiance.negative > 0 {
         warnings.push(format!(
             "{} pixels have negative values, which count as 0",
@@ -670,6 +661,7 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
             s.radiance.not_finite
         ));
     }
+    warn_of_photographs(findings, warnings);
     warn_of_views(scene, warnings);
     if s.train_views < 3 {
         warnings.push(format!(
@@ -710,24 +702,66 @@ fn warn(scene: &Scene, s: &Summary, findings: &[ViewFindings], warnings: &mut Ve
     }
 }
 
-/// Panoramas that stand at one place.
+/// Photographs that show nothing, and those that several frames have.
+fn warn_of_photographs(findings: &[ViewFindings], warnings: &mut Vec<String>) {
+    let mut same: BTreeMap<Vec<u32>, Vec<&str>> = BTreeMap::new();
+    for f in findings {
+        let stem = &f.stem;
+        if f.luminances.iter().all(|&l| l <= 0.0) {
+            warnings.push(format!(
+                "{stem}: the image is black; its exposure or its file is wrong"
+            ));
+        } else if f.luminances.iter().all(|l| *l == f.luminances[0]) {
+            warnings.push(format!(
+                "{stem}: the image has one value everywhere; its file is wrong, or all of it is clipped"
+            ));
+        } else {
+            let bits = f.luminances.iter().map(|l| l.to_bits()).collect();
+            same.entry(bits).or_default().push(stem);
+        }
+    }
+    for stems in same.values().filter(|stems| stems.len() > 1) {
+        warnings.push(format!(
+            "views {} have the same photograph; all of their poses but one are wrong, or it is there twice",
+            enumerated(stems)
+        ));
+    }
+}
+
+/// Panoramas that stand at one place, a line for all that do.
 fn warn_of_views(scene: &Scene, warnings: &mut Vec<String>) {
     let (lo, hi) = scene.mesh.bounds();
     let near = 1e-3 * (hi - lo).length();
-    let panoramas: Vec<&View> = scene
-        .views
-        .iter()
+    let mut open: Vec<&View> = (scene.views.iter())
         .filter(|v| v.camera.projection == Projection::Equirectangular)
         .collect();
-    for (i, a) in panoramas.iter().enumerate() {
-        for b in &panoramas[i + 1..] {
-            if a.camera.position.distance(b.camera.position) < near {
-                warnings.push(format!(
-                    "views {} and {} stand at the same place and add little to one another",
-                    a.stem, b.stem
-                ));
-            }
+    while !open.is_empty() {
+        let place = open[0].camera.position;
+        let here = |v: &&View| v.camera.position.distance(place) < near;
+        let (together, others): (Vec<&View>, Vec<&View>) = open.into_iter().partition(here);
+        open = others;
+        if together.len() > 1 {
+            let stems: Vec<&str> = together.iter().map(|v| v.stem.as_str()).collect();
+            warnings.push(format!(
+                "views {} stand at the same place and add little to one another",
+                enumerated(&stems)
+            ));
         }
+    }
+}
+
+/// Names as a sentence has them, the first few of many.
+fn enumerated(names: &[&str]) -> String {
+    const SHOWN: usize = 6;
+    match names {
+        [] => String::new(),
+        [one] => (*one).to_owned(),
+        [few @ .., last] if names.len() <= SHOWN => format!("{} and {last}", few.join(", ")),
+        many => format!(
+            "{} and {} more",
+            many[..SHOWN - 1].join(", "),
+            many.len() + 1 - SHOWN
+        ),
     }
 }
 
