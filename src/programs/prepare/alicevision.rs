@@ -7,6 +7,7 @@
 //! reading lies nearer the middle is meant (AliceVision, sfmDataIO/jsonIO).
 
 use super::account::Account;
+use super::camera_axes::HALF_TURN;
 use super::capture::{Capture, Shot, Surface, Up};
 use super::folder::extension;
 use super::importer::{
@@ -29,9 +30,6 @@ const MESHES: [&str; 4] = [
 ];
 /// Folders of the photographs, from the file's folder, where their stated path is gone.
 const IMAGES: [&str; 3] = [".", "images", "../images"];
-
-/// From axes with y down and z forward to such with y up and z backward, and back.
-const FLIP: DVec3 = DVec3::new(1.0, -1.0, -1.0);
 
 type Reading<T> = std::result::Result<T, String>;
 
@@ -132,7 +130,7 @@ fn surface_beside(folder: &Path, root: &Value, account: &mut Account) -> Option<
         account.converted(
             "the mesh from axes with y up, in which Meshroom writes it since 2021, to those of the poses",
         );
-        DMat4::from_scale(FLIP)
+        DMat4::from_scale(HALF_TURN)
     } else {
         DMat4::IDENTITY
     };
@@ -200,7 +198,7 @@ fn by_id<'a>(root: &'a Value, key: &str, name: &str) -> BTreeMap<String, &'a Val
 
 /// A view's pose: its own, or its place on a rig that has one.
 fn pose_of(view: &Value, pose: &Value, rigs: &BTreeMap<String, &Value>) -> Reading<DMat4> {
-    let to_gl = DMat4::from_scale(FLIP);
+    let to_gl = DMat4::from_scale(HALF_TURN);
     let of_pose = world_from_camera(pose.pointer("/pose/transform"))?;
     // (4294967295 stands for none)
     let rig = id(view, "rigId").and_then(|r| rigs.get(&r));
@@ -444,8 +442,8 @@ mod tests {
             }
         };
         assert_eq!(surface(r#"["1", "2", "2"]"#), DMat4::IDENTITY);
-        assert_eq!(surface(r#"["1", "2", "3"]"#), DMat4::from_scale(FLIP));
-        assert_eq!(surface(r#"["1", "10", "0"]"#), DMat4::from_scale(FLIP));
+        assert_eq!(surface(r#"["1", "2", "3"]"#), DMat4::from_scale(HALF_TURN));
+        assert_eq!(surface(r#"["1", "10", "0"]"#), DMat4::from_scale(HALF_TURN));
     }
 
     #[test]

@@ -5,13 +5,13 @@
 //! has neither a unit nor an up of its own.
 
 use super::account::Account;
+use super::camera_axes::gl_from_cv;
 use super::capture::{Capture, Shot, Surface, Up};
 use super::colmap_files::{CameraEntry, ImageEntry, MODEL_NAMES, Model, sparse_points};
 use super::importer::{Importer, Located, PrepareOptions, photograph_named, stem_of};
 use super::lens::{Distortion, Lens};
 use super::lens::{Optics, Perspective};
 use crate::error::{Error, Result};
-use glam::{DMat4, DVec3};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -93,7 +93,7 @@ impl Importer for Colmap {
             let mut shot = Shot::new(
                 stem_of(&image.name),
                 file,
-                gl_world_from_camera(image.camera_from_world),
+                gl_from_cv(image.camera_from_world.inverse()),
                 optics,
             );
             shot.size = Some(camera.size);
@@ -197,11 +197,6 @@ fn find_image(root: &Path, model: &Path, name: &str) -> Result<PathBuf> {
     })
 }
 
-/// OpenGL camera-to-world of an OpenCV camera-from-world.
-pub fn gl_world_from_camera(camera_from_world: DMat4) -> DMat4 {
-    camera_from_world.inverse() * DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0))
-}
-
 /// The optics of a camera entry, or why there are none.
 fn optics(camera: &CameraEntry) -> std::result::Result<Optics, String> {
     let p = &camera.parameters;
@@ -286,6 +281,7 @@ fn add_points(folder: &Path, images: &[ImageEntry], shots: &mut [Shot]) -> Resul
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::{DMat4, DVec3};
 
     #[test]
     fn other_models_of_a_reconstruction_are_named() {
@@ -312,7 +308,7 @@ mod tests {
     #[test]
     fn a_level_camera_of_a_y_down_world_stands_upright() {
         // COLMAP's first camera: at the origin, looking along +z, its up along −y
-        let world_from_camera = gl_world_from_camera(DMat4::IDENTITY);
+        let world_from_camera = gl_from_cv(DMat4::IDENTITY);
         assert_eq!(world_from_camera.transform_vector3(DVec3::NEG_Z), DVec3::Z);
         assert_eq!(world_from_camera.transform_vector3(DVec3::Y), DVec3::NEG_Y);
     }

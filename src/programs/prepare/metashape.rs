@@ -6,6 +6,7 @@
 //! p2 are OpenCV's p2 and p1. A fisheye is equidistant with the same polynomials of the angle.
 
 use super::account::Account;
+use super::camera_axes::gl_from_cv;
 use super::capture::{Capture, Shot, Surface, Up};
 use super::importer::{
     Importer, Located, PrepareOptions, finite_numbers, mesh_beside, only_of_kind, photograph_named,
@@ -217,9 +218,8 @@ fn similarity(of: Node<'_, '_>) -> Reading<Option<DMat4>> {
 
 /// Camera-to-world without scale, from axes with y down to axes with y up.
 fn rigid(pose: DMat4) -> DMat4 {
-    let axis =
-        |i: usize, sign: f64| (pose.col(i).truncate().normalize_or_zero() * sign).extend(0.0);
-    DMat4::from_cols(axis(0, 1.0), axis(1, -1.0), axis(2, -1.0), pose.w_axis)
+    let axis = |i: usize| pose.col(i).truncate().normalize_or_zero().extend(0.0);
+    gl_from_cv(DMat4::from_cols(axis(0), axis(1), axis(2), pose.w_axis))
 }
 
 /// Projection and size of a sensor.

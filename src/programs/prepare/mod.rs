@@ -9,6 +9,7 @@
 mod account;
 mod alicevision;
 mod brackets;
+mod camera_axes;
 mod capture;
 mod colmap;
 mod colmap_files;

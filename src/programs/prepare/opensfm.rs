@@ -6,8 +6,8 @@
 //! side, from its middle. The world is z-up where positions or alignment said so, else open.
 
 use super::account::Account;
+use super::camera_axes::gl_from_cv;
 use super::capture::{Capture, Shot, Surface, Up};
-use super::colmap::gl_world_from_camera;
 use super::importer::{Importer, Located, PrepareOptions, mesh_beside, photograph_named, stem_of};
 use super::lens::{Distortion, Lens, Optics, Perspective};
 use crate::core::formats::read_input_text;
@@ -166,7 +166,7 @@ impl ShotEntry {
         let rotation = DQuat::from_scaled_axis(axis);
         let camera_from_world = DMat4::from_rotation_translation(rotation, translation);
         (axis.is_finite() && translation.is_finite())
-            .then(|| gl_world_from_camera(camera_from_world))
+            .then(|| gl_from_cv(camera_from_world.inverse()))
     }
 }
 

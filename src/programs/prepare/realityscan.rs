@@ -8,6 +8,7 @@
 //! t1 and t2 as OpenCV's p1 and p2 (RealityScan's "Camera Geometry" reference).
 
 use super::account::Account;
+use super::camera_axes::HALF_TURN;
 use super::capture::{Capture, Shot, Surface, Up};
 use super::importer::{
     Importer, Located, PrepareOptions, files_in, finite_numbers, is_rotation, mesh_beside,
@@ -275,7 +276,7 @@ fn camera_of_sidecar(document: &Document<'_>) -> Reading<Camera> {
     }
     // rows of world-to-camera are columns of its inverse; y and z turn round
     let camera_from_world = DMat3::from_cols_array(&rotation);
-    let axes = camera_from_world * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+    let axes = camera_from_world * DMat3::from_diagonal(HALF_TURN);
     let mut pose = DMat4::from_mat3(axes);
     pose.w_axis = DVec3::from_array(position).extend(1.0);
     let mut terms = numbers("DistortionCoeficients")?;

@@ -6,6 +6,7 @@
 //! 1 and 7); alpha of `panoImage_orig.jpg` (a PNG by content) is a mask.
 
 use super::account::Account;
+use super::camera_axes::gl_from_cv;
 use super::capture::RoomIds;
 use super::capture::{Capture, Mask, Shot, Surface, Up};
 use super::importer::{Importer, Located, PrepareOptions};
@@ -13,7 +14,7 @@ use super::lens::Optics;
 use crate::core::formats;
 use crate::error::{Error, Result};
 use crate::scene::Class;
-use glam::{DMat4, DVec2, DVec3};
+use glam::{DMat4, DVec2};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -153,11 +154,10 @@ fn read_poses(path: &Path, count: usize) -> Result<Vec<DMat4>> {
     if numbers.len() != 16 * count {
         return Err(fail(format!("{} numbers for {count} views", numbers.len())));
     }
-    let flip = DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
     let pose = |rows: &[f64]| {
         let mut m = [0.0; 16];
         m.copy_from_slice(rows);
-        DMat4::from_cols_array(&m).transpose() * flip
+        gl_from_cv(DMat4::from_cols_array(&m).transpose())
     };
     Ok(numbers.chunks_exact(16).map(pose).collect())
 }
