@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 /// What `unbake bench tables` can be told.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct TablesBench {
-    /// Smaller textures and cubes, 256 hemisphere rays, 10 to 20 epochs, two sizes of wrong labels, four
+    /// Smaller textures and cubes, 256 hemisphere rays, 10 to 20 epochs, two sizes of wrong labels, three
     /// held-out views of single rays: a look at the order of things in a quarter of an hour.
     #[arg(long)]
     pub quick: bool,
@@ -70,11 +70,11 @@ impl Method {
         match self {
             Self::Unbake => &[],
             Self::Paper => &["--epochs", "10"],
-            Self::Invrender => &["--epochs", "20", "--visit-pixels", "512"],
-            Self::Nvdiffrec => &["--epochs", "20", "--visit-pixels", "2048"],
+            Self::Invrender => &["--epochs", "20", "--visit-pixels", "256"],
+            Self::Nvdiffrec => &["--epochs", "20", "--visit-pixels", "1024"],
             Self::Neilf => &["--epochs", "10", "--visit-pixels", "256"],
-            Self::NeilfStar => &["--epochs", "10", "--visit-pixels", "96"],
-            Self::Tsdr => &["--epochs", "20", "--visit-pixels", "2048"],
+            Self::NeilfStar => &["--epochs", "10", "--visit-pixels", "64"],
+            Self::Tsdr => &["--epochs", "20", "--visit-pixels", "1024"],
         }
     }
 }
@@ -169,7 +169,7 @@ struct QuickEval {
 }
 
 const QUICK_EVAL: QuickEval = QuickEval {
-    views: 4,
+    views: 3,
     supersampling: 1,
 };
 
