@@ -144,7 +144,7 @@ impl Strategy for Neilf {
                     }
                     // R never exceeds 1, so that |R − 1| falls as R grows
                     by_own[(channel, c)] += ROUGHNESS[1] * slopes[i].by_roughness - prior;
-                    if c % THINNING == 0 {
+                    if c.is_multiple_of(THINNING) {
                         let next = c / THINNING;
                         let off = own.output[(channel, c)] - moved.output[(channel, next)];
                         let rough = smoothness(&points[i]) * ROUGHNESS[1] / n * sign(off);
@@ -187,7 +187,7 @@ mod tests {
                 let moved = peer.materials(&neighbours);
                 let value = |i: usize| {
                     let (m, s) = (materials[i], slopes[i]);
-                    let rough = if i % THINNING == 0 {
+                    let rough = if i.is_multiple_of(THINNING) {
                         (m.roughness - moved[i].roughness).abs()
                     } else {
                         0.0
@@ -212,8 +212,7 @@ mod tests {
     }
 
     /// The plain check that a network learns: told the albedo and roughness of every point, it comes
-    /// near them. With the sines of SIREN itself (ω = 30 behind weights as much smaller) a step of
-    /// Adam throws every layer about, and it ends where a constant would.
+    /// near them within few steps.
     #[test]
     fn a_known_texture_is_learned() {
         let (points, _) = test_points(256, 1.0);
