@@ -103,6 +103,7 @@ impl Nirf {
             last: Activation::Linear,
             join: None,
             biased: true,
+            start: None,
         };
         Self {
             network: Mlp::new(&shape, seed),

@@ -263,6 +263,13 @@ pub struct SolveRequest {
     /// Pixels that a compared system looks at in each visit of a view [default: 8192].
     #[arg(long, value_name = "N")]
     pub visit_pixels: Option<usize>,
+    /// Pixels along a side of the cubes' faces that `--quality paper` trains on [default: 128].
+    #[arg(long, value_name = "N")]
+    pub face_pixels: Option<usize>,
+    /// Take a pixel's irradiance in each step of `--quality paper` from so many uniform rays to the
+    /// light texture, in place of the irradiance texture: its lighting ablation.
+    #[arg(long, value_name = "N")]
+    pub light_samples: Option<u32>,
     /// Epochs of each stage of `--quality paper` [default: 40; of compared systems 101 or 51].
     #[arg(long, value_name = "N")]
     pub epochs: Option<u32>,
@@ -272,6 +279,9 @@ pub struct SolveRequest {
     /// Stages that `--quality paper` runs [default: i,ii,iii].
     #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',')]
     pub stages: Vec<PublishedStage>,
+    /// Write no report.html and report.json.
+    #[arg(long)]
+    pub no_report: bool,
     /// Reflection model: the paper's, or one of the common alternatives; chosen from the evidence
     /// if not given.
     #[arg(long, value_enum, value_name = "MODEL")]
@@ -288,6 +298,8 @@ impl SolveRequest {
             handicapped: self.handicapped,
             post_process: self.post_process,
             visit_pixels: self.visit_pixels.unwrap_or(values.visit_pixels),
+            face_pixels: self.face_pixels.unwrap_or(values.face_pixels),
+            light_samples: self.light_samples.unwrap_or(values.light_samples),
             epochs: self.epochs.unwrap_or(values.epochs),
             corrections: self.correct.clone(),
             stages: match self.stages.as_slice() {

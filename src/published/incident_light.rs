@@ -2,7 +2,7 @@
 //! direction, learned with the materials. A pixel is (2π/N) Σ f(x, ω_i, v) L(x, ω_i) (n·ω_i) over
 //! Fibonacci directions of the hemisphere, turned at random; no ray is traced.
 
-use super::neilf::{OMEGA, rate};
+use super::neilf::{JOIN, rate, widths};
 use super::pixels::Pixel;
 use super::place::Place;
 use super::strategy::{Lighting, Loss, MaterialSlope, Moment};
@@ -15,10 +15,10 @@ use nalgebra::DMatrix;
 use std::f32::consts::{FRAC_1_PI, TAU};
 use std::ops::Range;
 
-/// Octaves of the direction's encoding, and the layer before which the position enters (cited:
-/// method §7.2).
+/// Octaves of the direction's encoding (cited: method §7.2).
 const OCTAVES: usize = 6;
-const JOIN: usize = 4;
+/// Radiance before the first step, of every direction (cited: the release).
+const START: f32 = 1.5;
 /// Directions of a pixel: the authors', and the comparison's (cited: method §7.2).
 const DIRECTIONS: [usize; 2] = [128, 32];
 /// Directions that run through the network together.
@@ -50,15 +50,16 @@ impl IncidentLight {
         let inputs = encoded_size(OCTAVES);
         let shape = Shape {
             inputs,
-            hidden: vec![128; 8],
+            hidden: widths(128, inputs + 3),
             outputs: 3,
-            activation: Activation::Sine(OMEGA),
+            activation: Activation::Sine,
             last: Activation::Exponential,
             join: Some(Join {
                 layer: JOIN,
-                rows: inputs..inputs + 3,
+                rows: 0..inputs + 3,
             }),
             biased: true,
+            start: Some(START.ln()),
         };
         Self {
             place,

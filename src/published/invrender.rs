@@ -56,6 +56,7 @@ impl InvRender {
             last: Activation::Sigmoid,
             join: None,
             biased: true,
+            start: None,
         };
         let inputs = encoded_size(OCTAVES);
         Self {

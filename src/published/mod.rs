@@ -163,7 +163,7 @@ fn learn_unprocessed(
         return learn_by_paths(input, options, [median, exposure], sides, progress);
     }
     let mut views = progress.stage("training pixels", 1, |_| {
-        training_pixels(surface, input.rooms)
+        training_pixels(surface, input.rooms, options.face_pixels)
     });
     let texir = options.strategy == PublishedStrategy::Texir;
     let highlights = texir.then(|| all_highlights(input, &views, median, progress));
@@ -184,6 +184,7 @@ fn learn_unprocessed(
         },
         exposure,
         independent: options.corrects(Correction::W2),
+        light_samples: options.light_samples,
         loss: Loss::Absolute,
     };
     let Some(highlights) = highlights else {
@@ -245,7 +246,10 @@ fn learn_compared(
         strategy: strategy.as_mut(),
         light,
         visit: visit(options),
-        now: Moment::default(),
+        now: Moment {
+            epochs: options.epochs,
+            ..Moment::default()
+        },
         rays: 0,
     };
     let steps = u64::from(options.epochs) * views.len() as u64;

@@ -69,6 +69,7 @@ impl NvDiffRec {
             last: Activation::Sigmoid,
             join: None,
             biased: false,
+            start: None,
         };
         let size = grid.parameters().len();
         Self {
@@ -228,8 +229,8 @@ mod tests {
             *f *= 1e3;
         }
         let now = Moment {
-            epoch: 0,
             step: 250,
+            ..Moment::default()
         };
         let jitter = Jitter {
             key: 4,
@@ -283,6 +284,7 @@ mod tests {
         let at = |step| Moment {
             epoch: step / 24,
             step,
+            ..Moment::default()
         };
         assert_eq!(own.rate(at(0)), 0.0);
         assert_eq!(own.rate(at(100)), RATE);

@@ -131,6 +131,11 @@ pub struct PublishedOptions {
     pub epochs: u32,
     /// Pixels that a compared system looks at in each visit of a view.
     pub visit_pixels: usize,
+    /// Pixels along a side of the cubes' faces that panoramas become.
+    pub face_pixels: usize,
+    /// Uniform rays to the light texture that give a pixel's irradiance anew in each step: the
+    /// paper's lighting ablation. 0: the irradiance texture does.
+    pub light_samples: u32,
     /// Weaknesses taken out.
     pub corrections: Vec<Correction>,
     /// Stages that are run: fewer are the paper's stage ablation.
@@ -139,8 +144,13 @@ pub struct PublishedOptions {
 
 /// Pixels of a visit. Derived: 8,192 are a step of NeILF's authors (method §7.2).
 const VISIT_PIXELS: usize = 8192;
+/// Pixels along a face (cited: supplement, Sec. C.1).
+const FACE_PIXELS: usize = 128;
 /// Most epochs of a stage that may be asked for.
 const MOST_EPOCHS: u32 = 10_000;
+/// Most pixels along a face, and rays of a pixel's irradiance, that may be asked for.
+const MOST_FACE_PIXELS: usize = 4096;
+const MOST_LIGHT_SAMPLES: u32 = 65_536;
 
 impl PublishedOptions {
     /// The numbers of text or code.
@@ -153,6 +163,8 @@ impl PublishedOptions {
             post_process: false,
             epochs: strategy.epochs(values),
             visit_pixels: VISIT_PIXELS,
+            face_pixels: FACE_PIXELS,
+            light_samples: 0,
             corrections: Vec::new(),
             stages: PublishedStage::ALL.to_vec(),
         }
@@ -175,6 +187,22 @@ impl PublishedOptions {
         }
         if self.visit_pixels == 0 {
             return Some("--visit-pixels 0: must be at least 1".to_owned());
+        }
+        if !(1..=MOST_FACE_PIXELS).contains(&self.face_pixels) {
+            return Some(format!(
+                "--face-pixels {}: must be from 1 to {MOST_FACE_PIXELS} (the paper: {FACE_PIXELS})",
+                self.face_pixels
+            ));
+        }
+        let own_light = [PublishedStrategy::NeilfStar, PublishedStrategy::Tsdr];
+        if self.light_samples > MOST_LIGHT_SAMPLES
+            || (self.light_samples > 0 && own_light.contains(&self.strategy))
+        {
+            return Some(format!(
+                "--light-samples {}: must be at most {MOST_LIGHT_SAMPLES}, and 0 for strategies with a light of \
+                 their own (neilf-star, tsdr)",
+                self.light_samples
+            ));
         }
         let texir = self.strategy == PublishedStrategy::Texir;
         if (texir || self.strategy == PublishedStrategy::Tsdr) && self.handicapped {
@@ -250,6 +278,21 @@ mod tests {
         };
         assert_eq!(corrected(&neilf, Correction::W1).fault(), None);
         assert!(corrected(&neilf, Correction::W3).fault().is_some());
+        let no_faces = PublishedOptions {
+            face_pixels: 0,
+            ..texir.clone()
+        };
+        assert!(
+            no_faces
+                .fault()
+                .is_some_and(|f| f.contains("--face-pixels"))
+        );
+        let sampled = |strategy| PublishedOptions {
+            light_samples: 16,
+            ..of(strategy)
+        };
+        assert_eq!(sampled(PublishedStrategy::Neilf).fault(), None);
+        assert!(sampled(PublishedStrategy::NeilfStar).fault().is_some());
         let staged = PublishedOptions {
             stages: vec![PublishedStage::Joint],
             ..neilf

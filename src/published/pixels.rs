@@ -8,9 +8,6 @@ use crate::gbuffer::{ObservedView, ViewBuffer};
 use crate::observed::Surface;
 use glam::{Mat3, Vec2, Vec3};
 
-/// Pixels along a side of a cube's face (cited: supplement, Sec. C.1).
-pub const FACE: usize = 128;
-
 /// A pixel that sees the mesh.
 #[derive(Clone, Copy, Debug)]
 pub struct Pixel {
@@ -98,31 +95,32 @@ fn faces() -> [Mat3; 6] {
 }
 
 /// The cameras that stand for a view at the training resolution: six faces of 90°, or the view's
-/// own frame reduced to as many pixels.
-fn cameras(camera: &Camera) -> Vec<Camera> {
+/// own frame reduced to as many pixels; `side` pixels along a face.
+fn cameras(camera: &Camera, side: usize) -> Vec<Camera> {
     match camera.projection {
         Projection::Equirectangular => faces()
             .into_iter()
             .map(|face| Camera {
-                projection: Projection::Pinhole(Lens::centred(FACE, FACE, 90.0)),
-                width: FACE,
-                height: FACE,
+                projection: Projection::Pinhole(Lens::centred(side, side, 90.0)),
+                width: side,
+                height: side,
                 world_from_camera: camera.world_from_camera * face,
                 position: camera.position,
             })
             .collect(),
         Projection::Pinhole(_) => {
             let pixels = (camera.width * camera.height) as f32;
-            let scale = ((6 * FACE * FACE) as f32 / pixels).sqrt().min(1.0);
-            let side = |n: usize| ((n as f32 * scale).round() as usize).max(1);
-            vec![camera.resized(side(camera.width), side(camera.height))]
+            let scale = ((6 * side * side) as f32 / pixels).sqrt().min(1.0);
+            let reduced = |n: usize| ((n as f32 * scale).round() as usize).max(1);
+            vec![camera.resized(reduced(camera.width), reduced(camera.height))]
         }
     }
 }
 
-/// The training pixels of every view. `rooms` are ids on the atlas.
+/// The training pixels of every view, of cubes with `side` pixels along a face. `rooms` are ids on
+/// the atlas.
 #[must_use]
-pub fn training_pixels(surface: &Surface, rooms: &Plane<u16>) -> Vec<PixelGrid> {
+pub fn training_pixels(surface: &Surface, rooms: &Plane<u16>, side: usize) -> Vec<PixelGrid> {
     let labels = surface.texels.scatter(&surface.labels, 0);
     let reader = PixelReader {
         surface,
@@ -132,7 +130,7 @@ pub fn training_pixels(surface: &Surface, rooms: &Plane<u16>) -> Vec<PixelGrid> 
     surface
         .views
         .par_iter()
-        .map(|view| reader.grid(view))
+        .map(|view| reader.grid(view, side))
         .collect()
 }
 
@@ -144,8 +142,8 @@ struct PixelReader<'a> {
 }
 
 impl PixelReader<'_> {
-    fn grid(&self, view: &ObservedView) -> PixelGrid {
-        let cameras = cameras(&view.buffer.camera);
+    fn grid(&self, view: &ObservedView, side: usize) -> PixelGrid {
+        let cameras = cameras(&view.buffer.camera, side);
         let (width, height) = (cameras[0].width, cameras[0].height);
         let mut grid = PixelGrid {
             width,

@@ -5,7 +5,7 @@ use super::lobe::{LobeSample, half_vector_sample};
 use super::pixels::{Pixel, PixelGrid};
 use crate::core::math::Frame;
 use crate::core::parallel::prelude::*;
-use crate::core::sampling::{KeyedRng, hammersley, hash_u64};
+use crate::core::sampling::{KeyedRng, hammersley, hash_u64, square_to_uniform_hemisphere};
 use crate::core::trace::{Hit, Ray, Tracer};
 use crate::radiance::LightField;
 use glam::Vec3;
@@ -48,6 +48,40 @@ impl Reflector<'_> {
             .zip(pixels.par_chunks(CHUNK).zip(roughness.par_chunks(CHUNK)))
             .for_each(|(out, (pixels, roughness))| self.chunk(pixels, roughness, key, out));
         out
+    }
+
+    /// E/π at each of `pixels` by uniform rays over its hemisphere, a shifted Hammersley set each
+    /// (method §3.1): (2/N) Σ L cosθ. `key` decides the shifts.
+    #[must_use]
+    pub fn gather(&self, pixels: &[Pixel], samples: u32, key: u64) -> Vec<Vec3> {
+        let one = |pixel: &Pixel| {
+            let frame = Frame::from_normal(pixel.normal);
+            let mut rng = KeyedRng::new(key, u64::from(pixel.cell));
+            let shift = [rng.next_f32(), rng.next_f32()];
+            let from = pixel.position + LIFT * pixel.normal;
+            let mut cosines = Vec::with_capacity(samples as usize);
+            let rays: Vec<Ray> = (0..samples)
+                .map(|j| {
+                    let h = hammersley(j, samples);
+                    let u = [0, 1].map(|k| (h[k] + shift[k]).fract());
+                    let direction = square_to_uniform_hemisphere(u);
+                    cosines.push(direction.z);
+                    Ray::new(from, frame.world_from_local(direction), f32::INFINITY)
+                })
+                .collect();
+            let mut hits = vec![Hit::miss(); rays.len()];
+            self.tracer.closest(&rays, &mut hits);
+            let light = rays
+                .iter()
+                .zip(&hits)
+                .zip(&cosines)
+                .map(|((ray, hit), cos)| {
+                    let along = Vec3::from_array(ray.direction);
+                    self.field.arriving(hit, along, 0.0) * *cos
+                });
+            light.sum::<Vec3>() * (2.0 / samples as f32)
+        };
+        pixels.par_iter().map(one).collect()
     }
 
     fn chunk(&self, pixels: &[Pixel], roughness: &[f32], key: u64, out: &mut [Specular]) {

@@ -89,8 +89,6 @@ pub struct Sides {
 struct Shaded {
     albedo_taps: Taps,
     albedo: Vec3,
-    /// E/π.
-    diffuse: Vec3,
 }
 
 /// Means and counts of a value by group.
@@ -162,7 +160,7 @@ impl Training<'_> {
         }
     }
 
-    /// Albedo and irradiance of each of `pixels`.
+    /// Albedo of each of `pixels`.
     fn shade(&self, pixels: &[Pixel], learned: &Learned) -> Vec<Shaded> {
         let albedo = learned.albedo.texture();
         let shaded = |p: &Pixel| {
@@ -170,16 +168,23 @@ impl Training<'_> {
             Shaded {
                 albedo: albedo.fetch(&albedo_taps).into(),
                 albedo_taps,
-                diffuse: self.hybrid.diffuse(p),
             }
         };
         pixels.par_iter().map(shaded).collect()
     }
 
     /// Stage I: I = E A/π, and every class near its mean.
-    fn albedo_step(&self, view: usize, pooled: Option<&GroupMeans>, learned: &mut Learned) {
+    fn albedo_step(
+        &self,
+        view: usize,
+        key: u64,
+        pooled: Option<&GroupMeans>,
+        learned: &mut Learned,
+    ) {
         let grid = &self.views[view];
         let shaded = self.shade(&grid.pixels, learned);
+        let diffuse = self.hybrid.diffuse(&grid.pixels, key);
+        learned.rays += u64::from(self.hybrid.light_samples) * grid.pixels.len() as u64;
         let all = grid.size() as f64;
         let photometric = (1.0 / (3.0 * all)) as f32;
         let prior = (self.weights().albedo_smoothness / (CLASSES * 3.0 * all)) as f32;
@@ -190,8 +195,10 @@ impl Training<'_> {
         for (i, (pixel, s)) in grid.pixels.iter().zip(&shaded).enumerate() {
             let fits = !(without_highlights && self.highlights[view][i]);
             let slope = if fits {
-                self.hybrid.loss.slope(s.diffuse * s.albedo, pixel.radiance)
-                    * s.diffuse
+                self.hybrid
+                    .loss
+                    .slope(diffuse[i] * s.albedo, pixel.radiance)
+                    * diffuse[i]
                     * photometric
             } else {
                 Vec3::ZERO
@@ -402,7 +409,7 @@ impl Descent for StageDescent<'_, '_> {
     fn visit(&mut self, view: usize, key: u64) {
         let (training, pooled) = (self.training, self.pooled.as_ref());
         match self.stage {
-            Stage::Albedo => training.albedo_step(view, pooled, self.learned),
+            Stage::Albedo => training.albedo_step(view, key, pooled, self.learned),
             Stage::Roughness => training.roughness_step(view, key, pooled, self.learned),
             Stage::Joint => training.joint_step(view, key, pooled, self.learned),
         }

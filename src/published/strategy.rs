@@ -24,8 +24,18 @@ pub struct MaterialSlope {
 pub struct Moment {
     /// Epochs before.
     pub epoch: u32,
+    /// Epochs of the whole run.
+    pub epochs: u32,
     /// Steps before.
     pub step: u32,
+}
+
+impl Moment {
+    /// The share of the run that is over when its epoch begins.
+    #[must_use]
+    pub fn share(&self) -> f32 {
+        self.epoch as f32 / self.epochs.max(1) as f32
+    }
 }
 
 /// A representation of materials with its own regularisers and steps.

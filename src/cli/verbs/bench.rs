@@ -6,7 +6,7 @@ use crate::cli::inputs::read_scene;
 use crate::cli::verb_args::{BenchVerb, Outputs, Work};
 use crate::core::formats::{Aside, atomic_write};
 use crate::error::{Error, Result};
-use crate::pipeline::SolveOptions;
+use crate::pipeline::{SolveOptions, SolveRequest};
 use crate::programs::bench::{
     AlignmentBench, IrtBench, LightBench, RobustnessBench, ScalingBench, TablesBench, TablesReport,
     TradeoffBench, TsdrBench, Workplace, bench_alignment, bench_irt, bench_kernel, bench_light,
@@ -19,13 +19,18 @@ use std::path::{Path, PathBuf};
 
 impl Work {
     fn workplace(&self, context: &Context) -> Result<Workplace> {
+        self.workplace_of(&context.config)
+    }
+
+    /// Whose processes are configured so, but quiet.
+    fn workplace_of(&self, config: &Config) -> Result<Workplace> {
         let folder = self.keep.clone().unwrap_or_else(|| {
             std::env::temp_dir().join(format!("unbake-bench-{}", std::process::id()))
         });
         let config = Config {
             quiet: true,
             json: false,
-            ..context.config.clone()
+            ..config.clone()
         };
         let config =
             toml::to_string(&config).map_err(|e| Error::Failed(format!("options: {e}")))?;
@@ -206,7 +211,14 @@ fn tables(
     context: &Context,
 ) -> Result<()> {
     outputs.check()?;
-    let workplace = work.workplace(context)?;
+    let workplace = work.workplace_of(&Config {
+        eval: bench.evaluation(&context.config.eval),
+        solve: SolveRequest {
+            no_report: bench.quick || context.config.solve.no_report,
+            ..context.config.solve.clone()
+        },
+        ..context.config.clone()
+    })?;
     let found = match &outputs.json_file {
         Some(path) if path.metadata().is_ok_and(|m| m.len() > 0) => TablesReport::read(path)?,
         _ => TablesReport::default(),

@@ -41,6 +41,8 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
         &solution,
         HybridOptions {
             seed: context.seed(),
+            supersampling: (context.config.eval.supersampling)
+                .unwrap_or(HybridOptions::default().supersampling),
             ..HybridOptions::default()
         },
     )?;
@@ -58,7 +60,7 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
         Some(out),
         &context.progress,
         &mut |seen| {
-            if shown.contains(&seen.view.stem.as_str()) {
+            if !context.config.eval.no_report && shown.contains(&seen.view.stem.as_str()) {
                 match photographer.view(seen.view, seen.rendered, seen.truth) {
                     Ok(view) => pictures.push(view),
                     Err(e) => failed = Some(e),
@@ -67,20 +69,22 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
         },
     )?;
     failed.map_or(Ok(()), Err)?;
-    // the report tells of the run that made the solution; without its manifest, of this one
-    let record = match run {
-        Some(record) => record,
-        None => context.run.record(&scene, hash_inputs(&scene)?)?,
-    };
-    context.progress.stage("report", 1, |_| {
-        let reported = Reported {
-            scene: &scene,
-            solution: &solution,
-            record: &record,
-            evaluation: Some(&evaluation),
+    if !context.config.eval.no_report {
+        // the report tells of the run that made the solution; without its manifest, of this one
+        let record = match run {
+            Some(record) => record,
+            None => context.run.record(&scene, hash_inputs(&scene)?)?,
         };
-        write_report(out, reported, &renderer, pictures)
-    })?;
+        context.progress.stage("report", 1, |_| {
+            let reported = Reported {
+                scene: &scene,
+                solution: &solution,
+                record: &record,
+                evaluation: Some(&evaluation),
+            };
+            write_report(out, reported, &renderer, pictures)
+        })?;
+    }
     let json =
         serde_json::to_value(&evaluation).map_err(|e| Error::Failed(format!("scores: {e}")))?;
     context.result(&terminal_table(&evaluation), &json)

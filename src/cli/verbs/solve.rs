@@ -23,8 +23,13 @@ pub(super) fn say(run: &SolvedRun, out: &Path, context: &Context) -> Result<()> 
 /// Sizes, time and verdict for people.
 pub(super) fn summary(run: &SolvedRun, out: &Path) -> String {
     let (s, record) = (&run.solution, &run.record);
+    let page = out.join("report.html");
+    let report = match page.exists() {
+        true => format!("report: {}\n", page.display()),
+        false => String::new(),
+    };
     format!(
-        "albedo {}x{}, roughness {}x{}, irradiance {}x{} in {} ({:.2} GiB at most, {} threads)\n{} lights in lights.json\nreport: {}\n{}\n",
+        "albedo {}x{}, roughness {}x{}, irradiance {}x{} in {} ({:.2} GiB at most, {} threads)\n{} lights in lights.json\n{}{}\n",
         s.albedo.width,
         s.albedo.height,
         s.roughness.width,
@@ -35,7 +40,7 @@ pub(super) fn summary(run: &SolvedRun, out: &Path) -> String {
         record.peak_bytes as f64 / (1u64 << 30) as f64,
         record.machine.threads,
         s.lamps.len(),
-        out.join("report.html").display(),
+        report,
         run.verdict
     )
 }

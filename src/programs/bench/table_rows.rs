@@ -55,6 +55,9 @@ pub struct TableRow {
     pub condition: String,
     /// Flags of `solve`.
     pub flags: String,
+    /// Flags of `eval`.
+    #[serde(default)]
+    pub eval_flags: String,
     /// Albedo PSNR of held-out views, no alignment, dB.
     pub albedo_psnr: Option<f64>,
     /// Roughness PSNR of held-out views, FIPT's protocol, dB.
@@ -76,9 +79,21 @@ impl TableRow {
     pub(super) fn is_of_the_run_of(&self, other: &Self) -> bool {
         self.method == other.method
             && self.table == other.table
-            && self.scene == other.scene
             && self.condition == other.condition
+            && self.is_as(other)
+    }
+
+    /// Whether both are of the same scene, under the same damage, by the same flags: then one run
+    /// tells of both, whatever tables they are in.
+    pub(super) fn is_as(&self, other: &Self) -> bool {
+        let damaged = |row: &Self| {
+            let damaged = row.table == "labels" && row.condition != "clean";
+            damaged.then(|| row.condition.clone())
+        };
+        self.scene == other.scene
             && self.flags == other.flags
+            && self.eval_flags == other.eval_flags
+            && damaged(self) == damaged(other)
     }
 }
 
@@ -181,6 +196,30 @@ pub(super) fn scene_name(scene: &Scene) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn one_run_tells_of_all_rows_that_ask_for_the_same() {
+        let of = |table: &str, condition: &str, flags: &str| TableRow {
+            table: table.into(),
+            condition: condition.into(),
+            flags: flags.into(),
+            ..TableRow::default()
+        };
+        let clean = of("methods", "", "--a");
+        assert!(
+            clean.is_as(&of("lighting", "IrT", "--a"))
+                && clean.is_as(&of("labels", "clean", "--a"))
+        );
+        assert!(!clean.is_as(&of("methods", "", "--b")));
+        assert!(!clean.is_as(&of("labels", "labels-64", "--a")));
+        assert!(!of("labels", "labels-16", "--a").is_as(&of("labels", "labels-64", "--a")));
+        let elsewhere = TableRow {
+            scene: "other".into(),
+            ..clean.clone()
+        };
+        assert!(!clean.is_as(&elsewhere));
+        assert!(!clean.is_of_the_run_of(&of("lighting", "IrT", "--a")));
+    }
 
     #[test]
     fn rows_come_back_from_their_file() {

@@ -101,6 +101,9 @@ pub fn bench_tsdr(
         views,
         resolutions,
         caveats: vec![
+            "the time that the optimisation which TSDR stands for takes on this machine until it is as good: \
+             scripts/mitsuba_inverse.py UNBAKE SCENE OUT FOLDER (docs/lab/published.md)"
+                .to_owned(),
             "TSDR's 43,200 s is a reported constant: its processor or graphics card, image count, image size and stopping rule are not \
              published, and it has not been run here"
                 .to_owned(),

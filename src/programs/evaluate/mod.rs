@@ -140,10 +140,21 @@ fn scored_views<'a>(
     if !holds_out {
         progress.note("the scene holds out no view: the training views are scored, which says nothing about novel views");
     }
+    let is_test = |v: &&View| v.split == Split::Test;
+    let held_out = scene.views.iter().filter(is_test).count();
+    let most = options.views.unwrap_or(held_out).min(held_out);
+    let mut passed = 0;
     let views: Vec<&View> = scene
         .views
         .iter()
-        .filter(|v| options.train || !holds_out || v.split == Split::Test)
+        .filter(|v| {
+            if !is_test(v) {
+                return options.train || !holds_out;
+            }
+            passed += 1;
+            // where i·most/n passes a whole number, the first view included
+            (passed - 1) * most % held_out < most
+        })
         .collect();
     if views.is_empty() {
         return Err(Error::input(

@@ -390,4 +390,34 @@ fn ground_truth_of_another_size_is_refused() {
         });
         assert!(error.contains("--exposure"), "{error}");
     }
+    let error = refused(&EvalOptions {
+        views: Some(0),
+        ..EvalOptions::default()
+    });
+    assert!(error.contains("--views"), "{error}");
+    let error = refused(&EvalOptions {
+        supersampling: Some(0),
+        ..EvalOptions::default()
+    });
+    assert!(error.contains("--supersampling"), "{error}");
+}
+
+#[test]
+fn fewer_views_are_spread_evenly_over_the_held_out_ones() {
+    let folder = tempfile::tempdir().expect("temp");
+    let all = ["a", "b", "c", "d", "e", "f", "g"];
+    let mut named: Vec<(&str, Split)> = all.iter().map(|n| (*n, Split::Test)).collect();
+    named.insert(2, ("x", Split::Train));
+    let scene = scene(folder.path(), &named);
+    let of = |views| {
+        let options = EvalOptions {
+            views: Some(views),
+            ..EvalOptions::default()
+        };
+        let scored = scored_views(&scene, &options, &Progress::silent()).expect("has views");
+        scored.iter().map(|v| v.stem.clone()).collect::<Vec<_>>()
+    };
+    assert_eq!(of(1), ["a"]);
+    assert_eq!(of(3), ["a", "d", "f"]);
+    assert_eq!(of(9), all);
 }

@@ -3,6 +3,7 @@
 
 use super::Run;
 use crate::alignment::Alignment;
+use crate::core::progress::Progress;
 use crate::error::Result;
 use crate::programs::report::{InputFile, Reported, RunRecord, write_report};
 use crate::render::{HybridOptions, HybridRenderer};
@@ -49,7 +50,7 @@ impl RunResult {
         record.generation = generation;
         record.findings = Some(self.findings);
         record.alignment = self.alignment;
-        progress.stage("report", 1, |_| {
+        let report = |_: &Progress| {
             // one sample per pixel is enough for pictures of this size; `unbake eval` renders at
             // full quality
             let renderer = HybridRenderer::new(
@@ -66,7 +67,10 @@ impl RunResult {
                 evaluation: None,
             };
             write_report(out, reported, &renderer, Vec::new())
-        })?;
+        };
+        if !run.request.solve.no_report {
+            progress.stage("report", 1, report)?;
+        }
         record.measure(&run.recorder);
         record.write_manifest(out)?;
         Ok(SolvedRun {
