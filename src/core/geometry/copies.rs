@@ -68,7 +68,7 @@ fn similarity(a: &Mesh, b: &Mesh, rounding: f32) -> Option<Similarity> {
     let scale = b1.length() / a1.length();
     let allowed = SHARE * b1.length() + rounding;
     let alike = ((b2.length() - scale * a2.length()).abs()) <= 2.0 * allowed;
-    if !alike || !(scale.is_finite() && scale > 0.0) {
+    if !(alike && scale.is_finite() && scale > 0.0) {
         return None;
     }
     let rotation = Quat::from_mat3(&(frame(b1, b2)? * frame(a1, a2)?.transpose())).normalize();
