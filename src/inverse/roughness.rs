@@ -26,6 +26,9 @@ pub fn fit_groups(evidence: &Evidence, model: Reflectance) -> Vec<GroupFit> {
         .into_iter()
         .map(|(class, points)| {
             let mut found = fit(class, &Disagreement::of(evidence, model, &points));
+            if model == Reflectance::Burley {
+                without_highlights_nobody_sees(&mut found, &evidence.levels);
+            }
             gloss_slope::reconsider(evidence, model, &points, &mut found);
             found
         })
@@ -117,8 +120,7 @@ pub(super) fn fit(class: u16, table: &Disagreement) -> GroupFit {
     let n = rows.len().max(1) as f64;
     let objective: Vec<f64> = table.sum(|_| true).into_iter().map(|sum| sum / n).collect();
     let best = lowest(&objective);
-    let (vertex, curvature) = parabola_minimum(levels, best, &objective);
-    let roughness = no_narrower_than_asked_for(vertex, levels, &objective);
+    let (roughness, curvature) = parabola_minimum(levels, best, &objective);
     // spread of the points' slopes around the minimum: sandwich estimate; neighbours, under one
     // highlight and one error of the light, err together
     let (lo, hi) = (best.saturating_sub(1), (best + 1).min(levels.len() - 1));
@@ -149,18 +151,20 @@ pub(super) fn fit(class: u16, table: &Disagreement) -> GroupFit {
     }
 }
 
-/// The roughness of the least disagreement as far as a lobe narrower than the widest explains more than
-/// errors common to all points amount to ([`COMMON_SHARE`]); the widest one's as far as it does not: no
-/// surface gets a highlight that the views do not ask for.
-fn no_narrower_than_asked_for(roughness: f32, levels: &[f32], objective: &[f64]) -> f32 {
-    let [.., widest] = levels else {
-        return roughness;
+/// Takes back as much of a fit's roughness below the widest lobe's as the views do not ask a highlight
+/// for: where the widest explains them but for [`COMMON_SHARE`] as well as any, there is none. For Burley's
+/// model, whose diffuse part changes with roughness, too, so that surfaces without any highlight prefer some R
+/// below 1 (by 0.04 to 0.1; docs/lab/roughness.md). What is moved adds to the error.
+fn without_highlights_nobody_sees(found: &mut GroupFit, levels: &[f32]) {
+    let (Some(widest), Some(at_widest)) = (levels.last(), found.objective.last()) else {
+        return;
     };
-    let least = objective[lowest(objective)];
+    let least = found.disagreement();
     // (products of residuals may be negative on average)
-    let explained = (objective[levels.len() - 1] - least) / least.abs();
-    let asked_for = passing_weight(explained, COMMON_SHARE) as f32;
-    widest + asked_for * (roughness - widest)
+    let explained = (at_widest - least) / least.abs();
+    let moved = (1.0 - passing_weight(explained, COMMON_SHARE) as f32) * (widest - found.roughness);
+    found.roughness += moved;
+    found.error = found.error.hypot(moved).min(1.0);
 }
 
 /// The roughness values around the best whose disagreement exceeds the least by at most a `share`
@@ -289,29 +293,28 @@ mod tests {
             (found.roughness - 0.515).abs() < 0.01 && found.error > 0.25,
             "{found:?}"
         );
-        let known = fit(1, &table(bowl(0.7, 1.0)));
-        assert!((known.roughness - 0.7).abs() < 0.02, "{known:?}");
+        let known = fit(1, &table(bowl(0.9, 1.0)));
+        assert!((known.roughness - 0.9).abs() < 0.02, "{known:?}");
     }
 
-    /// The widest lobe explains a bowl around 0.9 of depth 1 but for 1 %, which is what errors common to all
-    /// points may do; of depth 10 but for 10 %, which they may not.
+    /// The widest lobe explains a bowl around 0.9 but for 1 % or 4 % of the least disagreement, which errors common
+    /// to all points may do, or but for 10 %, which they may not.
     #[test]
     fn what_the_widest_lobe_explains_as_well_has_no_highlight() {
         for (depth, expected) in [(1.0, 1.0), (4.0, 1.0), (10.0, 0.9)] {
-            let found = fit(
-                1,
-                &Disagreement {
-                    levels: &LEVELS,
-                    rows: vec![bowl(0.9, depth); 50],
-                    places: (0..50).map(|i| Vec3::X * i as f32).collect(),
-                },
-            );
+            let table = Disagreement {
+                levels: &LEVELS,
+                rows: vec![bowl(0.9, depth); 50],
+                places: (0..50).map(|i| Vec3::X * i as f32).collect(),
+            };
+            let mut found = fit(1, &table);
+            without_highlights_nobody_sees(&mut found, &LEVELS);
             assert!(
                 (found.roughness - expected).abs() < 0.01,
                 "{depth}: {found:?}"
             );
             assert!(
-                (found.roughness - 0.9).abs() < 2.0 * found.error,
+                (found.roughness - 0.9).abs() < 1.1 * found.error,
                 "{found:?}"
             );
         }
