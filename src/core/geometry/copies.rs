@@ -39,7 +39,7 @@ const SHARE: f32 = 1e-5;
 const SAME_NORMAL: f32 = 0.999_96;
 
 /// For each mesh of which it is a copy, if it is one of an earlier one: vertices and triangles in the same
-/// order, every vertex within [`SHARE`] of the extent and `rounding` metres (what places are rounded
+/// order, every vertex within `SHARE` of the extent and `rounding` metres (what places are rounded
 /// to), normals turned alike. Texture coordinates may differ.
 #[must_use]
 pub fn copies(meshes: &[&Mesh], rounding: f32) -> Vec<Option<MeshCopy>> {
