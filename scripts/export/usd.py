@@ -1,9 +1,9 @@
 """Opens scene.usda with Pixar's library and compares it with lights.json: every lamp once, with its power by the definitions of UsdLux;
 as many triangles as scene.glb; its convex bodies, closed, convex, and as many as in scene_collision.glb; the dome where light comes from outside. Usage: usd.py OUT FOLDER"""
-import json, math, struct, sys
+import json, struct, sys
 from pathlib import Path
 from pxr import Gf, Usd, UsdGeom, UsdLux, UsdPhysics
-from usd_valid import complaints
+from usd_checks import area, complaints, power
 
 out, folder = Path(sys.argv[1]), Path(sys.argv[2])
 failed = []
@@ -64,24 +64,15 @@ seen = set()
 for prim in stage.Traverse():
     if not prim.HasAPI(UsdLux.LightAPI) or prim.IsA(UsdLux.DomeLight):
         continue
-    light = UsdLux.LightAPI(prim)
     lamp = lamps[int(prim.GetName().split("_")[-1])]
     seen.add(lamp["id"])
-    if prim.IsA(UsdLux.RectLight):
-        r = UsdLux.RectLight(prim)
-        area = r.GetWidthAttr().Get() * r.GetHeightAttr().Get()
-    elif prim.IsA(UsdLux.DiskLight):
-        area = math.pi * UsdLux.DiskLight(prim).GetRadiusAttr().Get() ** 2
-    else:
-        area = 4 * math.pi * UsdLux.SphereLight(prim).GetRadiusAttr().Get() ** 2
-    assert not light.GetNormalizeAttr().Get() and light.GetExposureAttr().Get() == 0
-    power = [math.pi * area * light.GetIntensityAttr().Get() * c for c in light.GetColorAttr().Get()]
-    wrong = max(abs(a - b) / max(b, 1e-20) for a, b in zip(power, lamp["power"]) if b > 0)
+    watts = power(prim)
+    wrong = max(abs(a - b) / max(b, 1e-20) for a, b in zip(watts, lamp["power"]) if b > 0)
     to_world = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
     off = (to_world.ExtractTranslation() - Gf.Vec3d(*lamp["centre"])).GetLength()
-    print(f"{prim.GetName():12} {prim.GetTypeName():12} area {area:8.4f} m2, power off by {wrong:.1e}, {off:.3f} m from its lamp's centre")
+    print(f"{prim.GetName():12} {prim.GetTypeName():12} area {area(prim):8.4f} m2, power off by {wrong:.1e}, {off:.3f} m from its lamp's centre")
     if wrong > 1e-4:
-        failed.append(f"{prim.GetName()}: power {power}, lights.json has {lamp['power']}")
+        failed.append(f"{prim.GetName()}: power {watts}, lights.json has {lamp['power']}")
 dark = {i for i, l in lamps.items() if max(l["power"]) <= 0}
 if seen | dark != set(lamps):
     failed.append(f"lamps without a light: {sorted(set(lamps) - seen - dark)}")

@@ -1,10 +1,10 @@
 """Opens the scene.usda of `export --lightings` with Pixar's library: every lighting of manifest.json is a variant, `traced` and `baked`; all
 files that they refer to are there; the material has a surface; lamps have the power that the manifest states and are in `traced` alone.
 Usage: usd_lightings.py FOLDER"""
-import json, math, sys
+import json, sys
 from pathlib import Path
 from pxr import Usd, UsdLux, UsdShade
-from usd_valid import complaints
+from usd_checks import complaints, power
 
 folder = Path(sys.argv[1])
 manifest = json.loads((folder / "manifest.json").read_text())
@@ -12,15 +12,6 @@ stage = Usd.Stage.Open(str(folder / manifest["usd"]))
 scene = stage.GetDefaultPrim()
 lightings = scene.GetVariantSets().GetVariantSet("lighting")
 failed = []
-
-
-def power(prim):
-    light = UsdLux.LightAPI(prim)
-    if prim.IsA(UsdLux.RectLight):
-        area = prim.GetAttribute("inputs:width").Get() * prim.GetAttribute("inputs:height").Get()
-    else:
-        area = math.pi * prim.GetAttribute("inputs:radius").Get() ** 2 * (4 if prim.IsA(UsdLux.SphereLight) else 1)
-    return [math.pi * area * light.GetIntensityAttr().Get() * c for c in light.GetColorAttr().Get()]
 
 
 found = {}

@@ -17,7 +17,7 @@ use super::glb_textures::{
 };
 use super::{MeshPart, Solution, copies_among};
 use crate::core::brdf::Reflectance;
-use crate::core::formats::{GlbWriter, MOST_DATA, read_input};
+use crate::core::formats::{GlbWriter, LIGHTMAP, MOST_DATA, read_input};
 use crate::core::geometry::{Mesh, Similarity};
 use crate::error::{Error, Result};
 use glam::{DVec3, Vec2, Vec3};
@@ -88,8 +88,6 @@ pub(super) struct GlbContent {
 const LINEAR: u32 = 9729;
 const LINEAR_MIPMAP_LINEAR: u32 = 9987;
 const CLAMP_TO_EDGE: u32 = 33071;
-/// The extension that names a material's lightmap (Hubs).
-const LIGHTMAP: &str = "MOZ_lightmap";
 
 /// The bytes of `scene.glb`.
 ///

@@ -7,10 +7,9 @@ use crate::core::formats::{
 };
 use crate::core::geometry::Mesh;
 use crate::core::image::{Plane, RgbPlane};
-use crate::core::texture::AtlasReduction;
+use crate::core::texture::{AtlasReduction, Texel, fitted};
 use crate::error::Result;
 use glam::Vec2;
-use std::ops::{Add, Mul};
 
 /// How textures are stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -277,11 +276,6 @@ impl<'a> Atlas<'a> {
     }
 }
 
-/// What textures are made of.
-trait Texel: Copy + Default + Mul<f32, Output = Self> + Add<Output = Self> + Send + Sync {}
-
-impl<T: Copy + Default + Mul<f32, Output = T> + Add<Output = T> + Send + Sync> Texel for T {}
-
 /// The plane with sides that are multiples of four, as `KHR_texture_basisu` wants them: itself, or a
 /// little finer.
 fn in_blocks<T: Texel>(plane: &Plane<T>) -> Plane<T> {
@@ -301,24 +295,6 @@ fn peak(emission: &RgbPlane) -> Option<f32> {
         .filter(|v| v.is_finite())
         .fold(0.0, f32::max);
     (max > 0.0).then_some(max)
-}
-
-/// The plane itself, or halved until both sides are at most `max`, the charts of `mesh` kept apart.
-fn fitted<'a, T: Texel>(
-    mesh: &Mesh,
-    plane: &'a Plane<T>,
-    max: usize,
-) -> std::borrow::Cow<'a, Plane<T>> {
-    let (mut width, mut height) = (plane.width, plane.height);
-    while width.max(height) > max.max(1) {
-        (width, height) = ((width / 2).max(1), (height / 2).max(1));
-    }
-    if (width, height) == (plane.width, plane.height) {
-        return std::borrow::Cow::Borrowed(plane);
-    }
-    std::borrow::Cow::Owned(
-        AtlasReduction::new(mesh, plane.width, plane.height).reduced(plane, width, height),
-    )
 }
 
 #[cfg(test)]

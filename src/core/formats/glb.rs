@@ -13,6 +13,9 @@ use gltf::json::validation::{Checked, USize64};
 use gltf::json::{Accessor, Index};
 use serde_json::{Value, json};
 
+/// The extension that names a material's lightmap (Hubs).
+pub const LIGHTMAP: &str = "MOZ_lightmap";
+
 /// A GLB file in the making.
 #[derive(Debug, Default)]
 pub struct GlbWriter {

@@ -52,7 +52,7 @@ mod tests;
 pub use aside_folder::AsideFolder;
 pub use depth::read_depth;
 pub use exif_exposure::exif_exposure;
-pub use glb::{GlbWriter, glb_of};
+pub use glb::{GlbWriter, LIGHTMAP, glb_of};
 pub use gltf_material::{Alpha, GltfMaterial, TextureUse, Textured};
 pub use gltf_scene::{GltfFile, GltfLight, GltfLightKind, Piece, RawAttribute};
 pub use gltf_texture::{Border, GltfTexture, UvSource};

@@ -82,45 +82,28 @@ fn welded(mesh: &Mesh, triangles: &[u32], weld: f32) -> Vec<Vec<usize>> {
 /// edges apart. Pieces are numbered from 0.
 #[must_use]
 pub fn pieces(mesh: &Mesh) -> Vec<u32> {
-    let mut of_vertex = Sets::new(mesh.positions.len());
-    for [a, b, c] in &mesh.triangles {
-        of_vertex.join(*a as usize, *b as usize);
-        of_vertex.join(*a as usize, *c as usize);
-    }
-    let roots = mesh.triangles.iter().map(|t| of_vertex.root(t[0] as usize));
-    numbered(roots)
+    held_together(mesh, Sets::new(mesh.positions.len()))
 }
 
 /// For every triangle the number of its body: what vertices at one place hold together. Bodies are
 /// numbered from 0.
 #[must_use]
 pub fn bodies(mesh: &Mesh) -> Vec<u32> {
-    let mut of_vertex = Sets::new(mesh.positions.len());
-    let mut at: HashMap<[u32; 3], usize> = HashMap::with_capacity(mesh.positions.len());
-    for (v, p) in mesh.positions.iter().enumerate() {
-        // 0 and -0 are one place
-        let key = (*p + Vec3::ZERO).to_array().map(f32::to_bits);
-        of_vertex.join(v, *at.entry(key).or_insert(v));
-    }
-    for [a, b, c] in &mesh.triangles {
-        of_vertex.join(*a as usize, *b as usize);
-        of_vertex.join(*a as usize, *c as usize);
-    }
-    let roots = mesh.triangles.iter().map(|t| of_vertex.root(t[0] as usize));
-    numbered(roots)
+    let places = mesh.positions.iter().map(|p| (*p + Vec3::ZERO).to_array());
+    held_together(mesh, Sets::of_places(places))
 }
 
 /// For every triangle the number of its chart: what corners at one place of the atlas hold together.
 /// Charts are numbered from 0 in the order of their first triangles.
 #[must_use]
 pub fn charts(mesh: &Mesh) -> Vec<u32> {
-    let mut of_vertex = Sets::new(mesh.uvs.len());
-    let mut at: HashMap<[u32; 2], usize> = HashMap::with_capacity(mesh.uvs.len());
-    for (v, uv) in mesh.uvs.iter().enumerate() {
-        // 0 and -0 are one place
-        let key = (*uv + Vec2::ZERO).to_array().map(f32::to_bits);
-        of_vertex.join(v, *at.entry(key).or_insert(v));
-    }
+    let places = mesh.uvs.iter().map(|uv| (*uv + Vec2::ZERO).to_array());
+    held_together(mesh, Sets::of_places(places))
+}
+
+/// For every triangle the number of what its corners hold together, beside the sets that vertices
+/// form already.
+fn held_together(mesh: &Mesh, mut of_vertex: Sets) -> Vec<u32> {
     for [a, b, c] in &mesh.triangles {
         of_vertex.join(*a as usize, *b as usize);
         of_vertex.join(*a as usize, *c as usize);
@@ -164,6 +147,16 @@ struct Sets(Vec<usize>);
 impl Sets {
     fn new(n: usize) -> Self {
         Self((0..n).collect())
+    }
+
+    /// Those that are at one place to the bit; 0 must not be −0.
+    fn of_places<const N: usize>(places: impl ExactSizeIterator<Item = [f32; N]>) -> Self {
+        let mut sets = Self::new(places.len());
+        let mut at: HashMap<[u32; N], usize> = HashMap::with_capacity(places.len());
+        for (i, place) in places.enumerate() {
+            sets.join(i, *at.entry(place.map(f32::to_bits)).or_insert(i));
+        }
+        sets
     }
 
     fn root(&mut self, mut i: usize) -> usize {

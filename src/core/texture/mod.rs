@@ -9,6 +9,6 @@ mod texels;
 
 pub use fill::fill_uncovered;
 pub use mips::MipChain;
-pub use reduce::AtlasReduction;
+pub use reduce::{AtlasReduction, Texel, fitted};
 pub use shelves::{Shelves, shelves};
 pub use texels::{SurfacePoint, Texels};

@@ -6,12 +6,35 @@ use crate::core::geometry::{Mesh, charts};
 use crate::core::image::{Plane, Wrap};
 use crate::core::parallel::map_chunks;
 use glam::Vec2;
+use std::borrow::Cow;
 use std::ops::{Add, Mul, Range};
 
 /// Texels per piece of parallel work.
 const CHUNK: usize = 4096;
 /// Chart of a texel that no chart covers.
 const NONE: u32 = u32::MAX;
+
+/// What textures are made of.
+pub trait Texel:
+    Copy + Default + Mul<f32, Output = Self> + Add<Output = Self> + Send + Sync
+{
+}
+
+impl<T: Copy + Default + Mul<f32, Output = T> + Add<Output = T> + Send + Sync> Texel for T {}
+
+/// The plane itself, or halved until both sides are at most `largest`, the charts of `mesh` kept apart.
+#[must_use]
+pub fn fitted<'a, T: Texel>(mesh: &Mesh, plane: &'a Plane<T>, largest: usize) -> Cow<'a, Plane<T>> {
+    let (mut width, mut height) = (plane.width, plane.height);
+    while width.max(height) > largest.max(1) {
+        (width, height) = ((width / 2).max(1), (height / 2).max(1));
+    }
+    if (width, height) == (plane.width, plane.height) {
+        return Cow::Borrowed(plane);
+    }
+    let reduction = AtlasReduction::new(mesh, plane.width, plane.height);
+    Cow::Owned(reduction.reduced(plane, width, height))
+}
 
 /// Makes smaller copies of a mesh's textures of one size.
 pub struct AtlasReduction<'a> {
@@ -46,10 +69,7 @@ impl<'a> AtlasReduction<'a> {
     /// that lie in it, or, where none does, what the chart has nearest to it; texels between charts are
     /// filled.
     #[must_use]
-    pub fn reduced<T>(&self, plane: &Plane<T>, width: usize, height: usize) -> Plane<T>
-    where
-        T: Copy + Default + Add<Output = T> + Mul<f32, Output = T> + Send + Sync,
-    {
+    pub fn reduced<T: Texel>(&self, plane: &Plane<T>, width: usize, height: usize) -> Plane<T> {
         let coarse = Texels::rasterize(self.mesh, width, height);
         let size = Vec2::new(plane.width as f32, plane.height as f32);
         let value = |i: usize| {

@@ -9,7 +9,7 @@ use super::document::{array, forget_extensions, list, push, remove, remove_exten
 use super::layout::Layout;
 use super::lightmap::Baked;
 use super::scene::BakeScene;
-use crate::core::formats::{GltfFile, RawAttribute, encode_rgb8, srgb8_from_linear};
+use crate::core::formats::{GltfFile, LIGHTMAP, RawAttribute, encode_rgb8, srgb8_from_linear};
 use crate::core::geometry::Mesh;
 use crate::core::image::RgbPlane;
 use crate::error::{Error, Result};
@@ -32,7 +32,6 @@ pub(super) struct Lit {
 const CLIPPED: f64 = 1e-3;
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
-const LIGHTMAP: &str = "MOZ_lightmap";
 /// Extensions of packed data, which is written unpacked.
 const PACKINGS: [&str; 3] = [
     "EXT_meshopt_compression",

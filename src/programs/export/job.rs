@@ -4,6 +4,7 @@ use super::hulls::{COLLISION, ObjectHulls, collision_glb, object_hulls};
 use super::levels::{MOST_LEVELS, levels};
 use super::object_atlas::{AtlasKind, check_sizes, cut_out};
 use super::objects::{ClassName, Split, objects, unlike};
+use super::save::save;
 use super::{UsdOptions, punctual_lights, write_mitsuba, write_usd};
 use crate::core::formats::AsideFolder;
 use crate::core::geometry::{Camera, Projection};
@@ -269,14 +270,11 @@ pub fn export(
         });
     }
     if options.hulls && options.format.contains(&Format::Glb) {
-        let path = aside.path().join(COLLISION);
-        let bytes = collision_glb(solution, &hulls)?;
-        std::fs::write(&path, bytes).map_err(|e| Error::io(&path, e))?;
+        save(aside.path(), COLLISION, &collision_glb(solution, &hulls)?)?;
         files.push(COLLISION.to_owned());
     }
-    let path = aside.path().join("cameras.json");
     let text = format!("{:#}\n", camera_file(cameras, solution.origin));
-    std::fs::write(&path, text).map_err(|e| Error::io(&path, e))?;
+    save(aside.path(), "cameras.json", text.as_bytes())?;
     files.push("cameras.json".into());
     files.sort();
     files.dedup();
@@ -388,13 +386,8 @@ fn write_glb(
         Some(own) => objects_glb(solution, &own.objects, &glb)?,
         None => scene_glb(solution, &glb)?,
     };
-    let mut files = Vec::new();
-    let mut save = |name: String, bytes: &[u8]| {
-        let path = folder.join(&name);
-        files.push(name);
-        std::fs::write(&path, bytes).map_err(|e| Error::io(&path, e))
-    };
-    save("scene.glb".into(), &bytes)?;
+    let mut files = vec!["scene.glb".to_owned()];
+    save(folder, &files[0], &bytes)?;
     let textured = match &own {
         _ if !options.textures => Vec::new(),
         Some(own) => own.file_names().into_iter().zip(&own.objects).collect(),
@@ -402,7 +395,9 @@ fn write_glb(
     };
     for (name, textured) in textured {
         for image in png_textures(textured, options.max_texture)? {
-            save(format!("{name}_{}.png", image.name), &image.bytes)?;
+            let file = format!("{name}_{}.png", image.name);
+            save(folder, &file, &image.bytes)?;
+            files.push(file);
         }
     }
     Ok(files)

@@ -6,6 +6,7 @@
 //! `thindielectric`, tinted by the base colour, as far as light goes through them. With
 //! `diffuse_only` both programs describe exactly the same light, and must agree within their noise.
 
+use super::save::save;
 use crate::core::formats::{write_plane_float, write_rgb_float};
 use crate::core::geometry::{Camera, Mesh, Projection};
 use crate::core::image::{Plane, RgbPlane};
@@ -35,8 +36,8 @@ impl Written<'_> {
     }
 
     fn bytes(&mut self, name: &str, bytes: &[u8]) -> Result<()> {
-        let path = self.place(name);
-        std::fs::write(&path, bytes).map_err(|e| Error::io(path, e))
+        self.place(name);
+        save(self.folder, name, bytes)
     }
 }
 
@@ -89,8 +90,7 @@ pub fn write_mitsuba(
         xml.push_str(&sensor(&c.name, &c.camera)?);
     }
     xml.push_str("</scene>\n");
-    let path = folder.join("mitsuba.xml");
-    std::fs::write(&path, &xml).map_err(|e| Error::io(path, e))?;
+    save(folder, "mitsuba.xml", xml.as_bytes())?;
     Ok(files.names)
 }
 

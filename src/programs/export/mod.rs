@@ -11,6 +11,7 @@ mod mitsuba;
 mod object_atlas;
 mod objects;
 mod punctual;
+mod save;
 mod usd;
 mod usd_collision;
 mod usd_lights;

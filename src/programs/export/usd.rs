@@ -4,13 +4,14 @@
 use super::area_light::area_lights;
 use super::hulls::ObjectHulls;
 use super::objects::unlike;
+use super::save::save;
 use super::usd_collision::hull_prims;
 use super::usd_lights::{dome_prim, lamp_prim};
 use super::usd_text::{identifier, list, quoted};
 use crate::core::formats::{encode_grey8, encode_rgb8, srgb8_from_linear, write_rgb_float};
 use crate::core::geometry::{Mesh, MeshCopy, Similarity};
 use crate::core::image::{Plane, RgbPlane};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::solution::{MeshPart, Solution, copies_among};
 use glam::Vec3;
 use std::borrow::Cow;
@@ -53,33 +54,42 @@ pub(super) fn write_usd_as(
 ) -> Result<Vec<String>> {
     let peak = peak(&solution.emission);
     let mut files = vec![file, "usd_albedo.png", "usd_roughness.png"];
-    let save = |name: &str, bytes: &[u8]| {
-        std::fs::write(folder.join(name), bytes).map_err(|e| Error::io(folder.join(name), e))
-    };
-    save("usd_albedo.png", &encode_light(&solution.albedo, 1.0)?)?;
+    save(
+        folder,
+        "usd_albedo.png",
+        &encode_light(&solution.albedo, 1.0)?,
+    )?;
     let grey = |p: &Plane<f32>| {
         let byte = |x: &f32| (x.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
         let bytes: Vec<u8> = p.data.iter().map(byte).collect();
         encode_grey8(p.width, p.height, &bytes)
     };
-    save("usd_roughness.png", &grey(&solution.roughness)?)?;
+    save(folder, "usd_roughness.png", &grey(&solution.roughness)?)?;
     if let Some(metallic) = &solution.metallic {
-        save("usd_metallic.png", &grey(metallic)?)?;
+        save(folder, "usd_metallic.png", &grey(metallic)?)?;
         files.push("usd_metallic.png");
     }
     if let Some(transmission) = &solution.transmission {
-        save("usd_opacity.png", &grey(&transmission.map(|t| 1.0 - t))?)?;
+        save(
+            folder,
+            "usd_opacity.png",
+            &grey(&transmission.map(|t| 1.0 - t))?,
+        )?;
         files.push("usd_opacity.png");
     }
     if peak > 0.0 {
-        save("usd_emission.png", &encode_light(&solution.emission, peak)?)?;
+        save(
+            folder,
+            "usd_emission.png",
+            &encode_light(&solution.emission, peak)?,
+        )?;
         files.push("usd_emission.png");
     }
     if is_lit_from_outside(solution) {
         write_rgb_float(folder.join(ENVIRONMENT), &solution.environment)?;
         files.push(ENVIRONMENT);
     }
-    save(file, text(solution, peak, options).as_bytes())?;
+    save(folder, file, text(solution, peak, options).as_bytes())?;
     Ok(files.into_iter().map(str::to_owned).collect())
 }
 
@@ -117,7 +127,8 @@ fn text(solution: &Solution, peak: f32, options: UsdOptions<'_>) -> String {
     };
     let mut taken = taken_names();
     taken.extend(lights.iter().map(|l| identifier(&l.name)));
-    for mesh in mesh_prims(&solution.mesh, options.parts, &mut taken) {
+    let names = prim_names(options.parts, &mut taken);
+    for mesh in mesh_prims(&solution.mesh, options.parts, names) {
         mesh.write(&mut s);
         if let Some(object) = options.hulls.iter().find(|h| h.name == mesh.name) {
             hull_prims(&mut s, object, &mesh.prim, &mut taken);
@@ -168,25 +179,36 @@ pub(super) struct UsdCopy {
     placed: Similarity,
 }
 
-/// The meshes of all surfaces: those of the parts, or one.
+/// The object that all surfaces are where they are not divided.
+const WHOLE: &str = "surfaces";
+
+/// The names of the meshes: of the parts', or of one.
+pub(super) fn prim_names(parts: &[MeshPart], taken: &mut BTreeSet<String>) -> Vec<String> {
+    let mut prim = |name: &str| unlike(&identifier(name), '_', taken);
+    match parts {
+        [] => vec![prim(WHOLE)],
+        parts => parts.iter().map(|part| prim(&part.name)).collect(),
+    }
+}
+
+/// The meshes of all surfaces, those of the parts, or one, under the names of [`prim_names`].
 pub(super) fn mesh_prims<'a>(
     mesh: &'a Mesh,
     parts: &'a [MeshPart],
-    taken: &mut BTreeSet<String>,
+    prims: Vec<String>,
 ) -> Vec<MeshPrim<'a>> {
-    let mut prim = |name: &str| unlike(&identifier(name), '_', taken);
     if parts.is_empty() {
         // all surfaces as one keep their vertices' order
-        return vec![MeshPrim {
-            prim: prim("surfaces"),
-            name: "surfaces",
+        let whole = prims.into_iter().map(|prim| MeshPrim {
+            prim,
+            name: WHOLE,
             pivot: Vec3::ZERO,
             mesh: Cow::Borrowed(mesh),
             material: MATERIAL,
             copy: None,
-        }];
+        });
+        return whole.collect();
     }
-    let prims: Vec<String> = parts.iter().map(|part| prim(&part.name)).collect();
     let meshes: Vec<Cow<'_, Mesh>> = (parts.iter())
         .map(|part| Cow::Owned(part.mesh(mesh)))
         .collect();

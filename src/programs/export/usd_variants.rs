@@ -7,16 +7,17 @@
 
 use super::area_light::AreaLight;
 use super::objects::unlike;
+use super::save::save;
 use super::usd::{
     HEADER, MeshPrim, UsdOptions, colour_texture, encode_light, is_lit_from_outside, mesh_prims,
-    peak, taken_names, write_usd_as,
+    peak, prim_names, taken_names, write_usd_as,
 };
 use super::usd_lights::{dome_prim, lamp_prim, point_prim};
 use super::usd_text::{identifier, quoted};
 use crate::core::formats::write_rgb_half;
 use crate::core::image::{Plane, RgbPlane, Wrap};
-use crate::core::texture::AtlasReduction;
-use crate::error::{Error, Result};
+use crate::core::parallel::prelude::*;
+use crate::error::Result;
 use crate::solution::{LuminousPart, MeshPart, PunctualLight, Solution};
 use glam::Vec2;
 use std::borrow::Cow;
@@ -47,8 +48,8 @@ pub(super) struct LitScene<'a> {
     pub luminous: &'a [LuminousPart],
     /// The panorama's file, where light comes from outside.
     pub environment: Option<&'a str>,
-    /// Largest side of a texture.
-    pub largest: usize,
+    /// The albedo as large as the baked texture is to be.
+    pub albedo: &'a RgbPlane,
 }
 
 /// Writes `unlit.usda` and its textures; returns their names. `solution` shines nowhere.
@@ -113,7 +114,7 @@ impl LitScene<'_> {
             save(folder, file, &encode_light(&self.lit.emission, strongest)?)?;
         }
         let baked = format!("{name}_baked.exr");
-        write_rgb_half(folder.join(&baked), &sent_out(self.lit, self.largest))?;
+        write_rgb_half(folder.join(&baked), &sent_out(self.lit, self.albedo))?;
         let text = self.text(emission.as_deref().map(|e| (e, strongest)), &baked);
         save(folder, &files[0], text.as_bytes())?;
         files.extend(emission);
@@ -130,9 +131,11 @@ impl LitScene<'_> {
             quoted(self.name)
         );
         let mut taken = taken_names();
-        let meshes = mesh_prims(&self.lit.mesh, self.parts, &mut taken);
-        for mesh in meshes.iter().filter(|_| self.moved) {
-            mesh.write_whole(&mut s, "over");
+        let names = prim_names(self.parts, &mut taken);
+        if self.moved {
+            for mesh in mesh_prims(&self.lit.mesh, self.parts, names) {
+                mesh.write_whole(&mut s, "over");
+            }
         }
         self.added_surfaces(&mut s, &mut taken);
         s.push_str("    variantSet \"shown\" = {\n        \"traced\" {\n");
@@ -219,28 +222,10 @@ impl LitScene<'_> {
     }
 }
 
-fn save(folder: &Path, name: &str, bytes: &[u8]) -> Result<()> {
-    let path = folder.join(name);
-    std::fs::write(&path, bytes).map_err(|e| Error::io(&path, e))
-}
-
-/// What surfaces send out under their irradiance E: A · E/π, metals as if they were diffuse, and their
-/// emission; of the size of the albedo, or as much smaller as `largest` asks.
-fn sent_out(lit: &Solution, largest: usize) -> RgbPlane {
-    let (mut width, mut height) = (lit.albedo.width, lit.albedo.height);
-    while width.max(height) > largest.max(1) {
-        (width, height) = ((width / 2).max(1), (height / 2).max(1));
-    }
-    let albedo = match (width, height) == (lit.albedo.width, lit.albedo.height) {
-        true => Cow::Borrowed(&lit.albedo),
-        false => Cow::Owned(
-            AtlasReduction::new(&lit.mesh, lit.albedo.width, lit.albedo.height).reduced(
-                &lit.albedo,
-                width,
-                height,
-            ),
-        ),
-    };
+/// What surfaces of an `albedo` A send out under their irradiance E: A · E/π, metals as if they were
+/// diffuse, and their emission.
+fn sent_out(lit: &Solution, albedo: &RgbPlane) -> RgbPlane {
+    let Plane { width, height, .. } = *albedo;
     let at = |plane: &RgbPlane, uv: Vec2| {
         let size = Vec2::new(plane.width as f32, plane.height as f32);
         plane.bilinear(uv * size, Wrap::Clamp)
@@ -251,10 +236,11 @@ fn sent_out(lit: &Solution, largest: usize) -> RgbPlane {
         let diffuse = albedo.data[i] * at(&lit.irradiance, uv) / std::f32::consts::PI;
         diffuse + at(&lit.emission, uv)
     };
+    let all = 0..width * height;
     Plane {
         width,
         height,
-        data: (0..width * height).map(value).collect(),
+        data: all.into_par_iter().map(value).collect(),
     }
 }
 
@@ -262,6 +248,7 @@ fn sent_out(lit: &Solution, largest: usize) -> RgbPlane {
 mod tests {
     use super::*;
     use crate::core::formats::read_rgb;
+    use crate::core::texture::fitted;
     use crate::programs::export::light_mix::tests::two_lamps;
     use glam::Vec3;
 
@@ -285,7 +272,7 @@ mod tests {
             points: Vec::new(),
             luminous: &[],
             environment: Some("an evening_environment.exr"),
-            largest: 8,
+            albedo: &fitted(&lit.mesh, &lit.albedo, 8),
         };
         let files = scene.write(folder.path()).expect("writes");
         assert_eq!(files.len(), 3);

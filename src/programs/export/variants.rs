@@ -6,12 +6,13 @@ use super::job::{ExportOptions, Exported, Format, shown_parts};
 use super::light_mix::{LightMix, LightmapQuality, relit};
 use super::lightings::{Lightings, NamedLighting};
 use super::punctual::{point_light, punctual_lights, surface_light};
+use super::save::save;
 use super::usd_variants::{self, LitScene};
 use crate::core::formats::AsideFolder;
 use crate::core::geometry::{Mesh, clusters};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::progress::Progress;
-use crate::core::texture::{Texels, fill_uncovered};
+use crate::core::texture::{Texels, fill_uncovered, fitted};
 use crate::error::{Error, Result};
 use crate::render::{EditableScene, Lighting, SurfaceModel};
 use crate::solution::{
@@ -20,6 +21,7 @@ use crate::solution::{
 };
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::path::Path;
 
 /// File of the list of variants.
@@ -120,6 +122,8 @@ struct Workshop<'a> {
     /// Textures of the materials, the same in every file.
     encoded: Vec<NamedImage>,
     parts: Vec<MeshPart>,
+    /// The albedo as large as textures may be.
+    albedo: Cow<'a, RgbPlane>,
 }
 
 /// Writes the lightings into `folder`, all or nothing; returns the file names.
@@ -152,6 +156,7 @@ pub fn export_lightings(
         surface: Texels::rasterize(&solution.mesh, quality.side, quality.side),
         encoded: material_textures(solution, packing(options).packing())?,
         parts: shown_parts(exported, options),
+        albedo: fitted(&solution.mesh, &solution.albedo, options.max_texture),
         mix,
     };
     let aside = AsideFolder::new(folder)?;
@@ -198,11 +203,6 @@ fn packing(options: &ExportOptions) -> GlbOptions {
         tangents: options.tangents,
         ..GlbOptions::default()
     }
-}
-
-fn save(folder: &Path, name: &str, bytes: &[u8]) -> Result<()> {
-    let path = folder.join(name);
-    std::fs::write(&path, bytes).map_err(|e| Error::io(&path, e))
 }
 
 impl Workshop<'_> {
@@ -278,7 +278,7 @@ impl Workshop<'_> {
                 points: shown.points,
                 luminous: &shown.luminous,
                 environment: environment.as_deref(),
-                largest: self.options.max_texture,
+                albedo: &self.albedo,
             };
             let written = scene.write(folder)?;
             usd = written.first().cloned();

@@ -63,20 +63,21 @@ impl<'a> PathTracer<'a> {
         })
     }
 
-    /// Whether anything stops a wave's shadow rays, and what the light of the others counts.
+    /// Whether anything stops a wave's shadow rays; the light of those that pass panes counts for these.
     pub(super) fn find_occluded(&self, wave: &mut Wave) {
         let rays = &wave.shadow_rays;
         wave.occluded.clear();
         wave.occluded.resize(rays.len(), 0);
+        let Some(panes) = self.panes() else {
+            return self.tracer.occluded(rays, &mut wave.occluded);
+        };
         wave.passed.clear();
         wave.passed.resize(rays.len(), Vec3::ONE);
-        match self.panes() {
-            Some(panes) => CutOut::new(self.tracer, &panes).occluded_and_passed(
-                rays,
-                &mut wave.occluded,
-                &mut wave.passed,
-            ),
-            None => self.tracer.occluded(rays, &mut wave.occluded),
+        let seen = CutOut::new(self.tracer, &panes);
+        seen.occluded_and_passed(rays, &mut wave.occluded, &mut wave.passed);
+        for (shadow, passed) in wave.shadow.iter_mut().zip(&wave.passed) {
+            shadow.diffuse *= *passed;
+            shadow.specular *= *passed;
         }
     }
 }

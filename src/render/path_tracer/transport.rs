@@ -550,10 +550,10 @@ impl PathTracer<'_> {
 
     pub(super) fn resolve_shadows(&self, wave: &mut Wave, sums: &mut [Sums]) {
         self.find_occluded(wave);
-        let found = wave.occluded.iter().zip(&wave.passed);
-        for (s, (_, passed)) in wave.shadow.iter().zip(found).filter(|(_, (o, _))| **o == 0) {
-            sums[s.slot as usize].diffuse += s.diffuse * *passed;
-            sums[s.slot as usize].specular += s.specular * *passed;
+        let found = wave.shadow.iter().zip(&wave.occluded);
+        for (s, _) in found.filter(|(_, o)| **o == 0) {
+            sums[s.slot as usize].diffuse += s.diffuse;
+            sums[s.slot as usize].specular += s.specular;
         }
         wave.shadow.clear();
         wave.shadow_rays.clear();
