@@ -1,4 +1,4 @@
-//! The surface where a sampled function is zero, as triangles: one vertex in every cell of the grid
+//! The surface where a sampled function is zero, as squares: one vertex in every cell of the grid
 //! that it crosses, at the mean of the crossings of the cell's edges, and a square across every edge
 //! that it crosses (Gibson 1998, "Constrained Elastic Surface Nets", MICCAI, without relaxation).
 //! Cells of which a corner is unknown have no vertex: the surface ends where nothing is known. Called
@@ -7,13 +7,13 @@
 use glam::{IVec3, Vec3};
 use std::collections::BTreeMap;
 
-/// Triangles of a surface.
+/// A surface of squares.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Net {
     /// Places, in units of the grid.
     pub positions: Vec<Vec3>,
-    /// Wound so that the function grows along their normals.
-    pub triangles: Vec<[u32; 3]>,
+    /// Corners, wound so that the function grows along their normals.
+    pub squares: Vec<[u32; 4]>,
 }
 
 /// The zero of a function known at some points of the grid, which `known` lists in ascending order.
@@ -43,8 +43,7 @@ pub fn surface_net(known: &[IVec3], value: impl Fn(IVec3) -> Option<f32>) -> Net
                 continue;
             };
             let square = if a < 0.0 { [i, j, k, l] } else { [i, l, k, j] };
-            let [i, j, k, l] = square;
-            net.triangles.extend([[i, j, k], [i, k, l]]);
+            net.squares.push(square);
         }
     }
     net
@@ -82,7 +81,7 @@ fn crossing(cell: IVec3, value: &impl Fn(IVec3) -> Option<f32>) -> Option<Vec3> 
 mod tests {
     use super::*;
 
-    /// A ball: closed, every edge shared by two triangles, wound outwards, at its radius; cut where
+    /// A ball: closed, every edge shared by two squares, wound outwards, at its radius; cut where
     /// nothing is known.
     #[test]
     fn a_ball_is_closed_and_faces_out_and_ends_where_nothing_is_known() {
@@ -93,11 +92,11 @@ mod tests {
         let ball = |p: IVec3| Some(p.as_vec3().length() - 8.0);
         let net = surface_net(&known, ball);
         let mut edges: BTreeMap<(u32, u32), i32> = BTreeMap::new();
-        for t in &net.triangles {
-            let [a, b, c] = t.map(|i| net.positions[i as usize]);
-            assert!((b - a).cross(c - a).dot(a + b + c) > 0.0, "outwards");
-            for k in 0..3 {
-                let (a, b) = (t[k], t[(k + 1) % 3]);
+        for t in &net.squares {
+            let [a, b, c, d] = t.map(|i| net.positions[i as usize]);
+            assert!((c - a).cross(d - b).dot(a + b + c + d) > 0.0, "outwards");
+            for k in 0..4 {
+                let (a, b) = (t[k], t[(k + 1) % 4]);
                 *edges.entry((a.min(b), a.max(b))).or_default() += if a < b { 1 } else { -1 };
             }
         }
@@ -105,6 +104,6 @@ mod tests {
         assert!(net.positions.iter().all(|p| (p.length() - 8.0).abs() < 0.2));
         let half: Vec<IVec3> = known.into_iter().filter(|p| p.x <= 0).collect();
         let cut = surface_net(&half, |p| ball(p).filter(|_| p.x <= 0));
-        assert!(cut.positions.iter().all(|p| p.x <= 0.0) && !cut.triangles.is_empty());
+        assert!(cut.positions.iter().all(|p| p.x <= 0.0) && !cut.squares.is_empty());
     }
 }
