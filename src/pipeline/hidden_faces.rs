@@ -14,7 +14,7 @@ use crate::core::geometry::clusters;
 use crate::core::image::RgbPlane;
 use crate::core::math::luminance;
 use crate::core::parallel::prelude::*;
-use crate::core::stats::{ENOUGH, SURELY, design_effect, median};
+use crate::core::stats::{ENOUGH, SURELY, USUALLY, design_effect, median};
 use crate::core::texture::{SurfacePoint, Texels};
 use crate::irradiance::IrradianceOptions;
 use crate::observed::Surface;
@@ -56,7 +56,14 @@ pub(super) fn dark_faces(
         return None;
     }
     let rows = rows(surface, lamps, first, &hidden);
-    let dark = dark_parts(&hidden.parts, |k, dark| denied(&rows, k, dark));
+    let dark = dark_parts(&hidden.parts, |k, dark| {
+        let errors = match hidden.parts[k].kind {
+            Kind::Unseen => SURELY,
+            // what dark faces alone held is more likely dark itself
+            Kind::Remnant => USUALLY,
+        };
+        denied(&rows, k, dark, errors)
+    });
     if !dark.contains(&true) {
         return None;
     }
@@ -283,10 +290,10 @@ fn by_class(rows: Vec<(u16, Row)>) -> BTreeMap<u16, Vec<Row>> {
     out
 }
 
-/// Whether the photographs are surely likelier if part `k` of the hidden faces is dark, the others being
-/// as `dark` says: by deviations of Laplace's distribution, of as many independent places as the
+/// Whether the photographs are likelier by that many standard `errors` if part `k` of the hidden faces is
+/// dark, the others being as `dark` says: by deviations of Laplace's distribution, of as many independent places as the
 /// surface has.
-fn denied(rows: &BTreeMap<u16, Vec<Row>>, k: usize, dark: &[bool]) -> bool {
+fn denied(rows: &BTreeMap<u16, Vec<Row>>, k: usize, dark: &[bool], errors: f32) -> bool {
     let without: Vec<bool> = (0..dark.len()).map(|j| dark[j] || j == k).collect();
     let gain = |of: &Vec<Row>| {
         let [shining, off] = [dark, &without].map(|dark| Scatter::of(of, dark));
@@ -296,7 +303,7 @@ fn denied(rows: &BTreeMap<u16, Vec<Row>>, k: usize, dark: &[bool]) -> bool {
     let gain: f64 = (rows.values().filter(|of| of.len() >= ENOUGH))
         .map(gain)
         .sum();
-    gain > f64::from(SURELY * SURELY / 2.0)
+    gain > f64::from(errors * errors / 2.0)
 }
 
 /// How πL/E scatters within a class.
@@ -366,14 +373,14 @@ mod tests {
 
     #[test]
     fn what_hidden_faces_light_says_whether_they_shine() {
-        assert!(denied(&room(false), 0, &[false, false]));
-        assert!(!denied(&room(true), 0, &[false, false]));
+        assert!(denied(&room(false), 0, &[false, false], SURELY));
+        assert!(!denied(&room(true), 0, &[false, false], SURELY));
         assert!(
-            !denied(&room(true), 1, &[false, false]),
+            !denied(&room(true), 1, &[false, false], SURELY),
             "even light says nothing"
         );
         assert!(
-            !denied(&BTreeMap::new(), 0, &[false]),
+            !denied(&BTreeMap::new(), 0, &[false], SURELY),
             "nothing says nothing"
         );
     }

@@ -161,7 +161,7 @@ impl Planes {
 
 #[cfg(test)]
 mod tests {
-    use super::super::surface_nets::surface_net;
+    use super::super::surface_nets::{Sample, surface_net};
     use super::*;
     use crate::core::geometry::Camera;
     use crate::core::geometry::Projection;
@@ -213,7 +213,12 @@ mod tests {
                     .flat_map(move |y| (-15..15).map(move |z| IVec3::new(x, y, z)))
             });
             let known: Vec<IVec3> = places.collect();
-            surface_net(&known, |p| Some(self.inside(p.as_vec3())))
+            let sample = |p: IVec3| {
+                let distance = self.inside(p.as_vec3());
+                let inside = f32::from(distance < 0.0);
+                Some(Sample { distance, inside })
+            };
+            surface_net(&known, sample)
         }
     }
 

@@ -9,8 +9,8 @@
 use super::account::Account;
 use super::capture::{LabelledMesh, Shot};
 use super::creases::creased;
-use super::range_image::{RangeImage, Sight};
-use super::surface_nets::surface_net;
+use super::range_image::{Claim, RangeImage, Sight};
+use super::surface_nets::{Sample, surface_net};
 use crate::core::formats::{RawMesh, grouped};
 use crate::core::geometry::{Mesh, pieces};
 use crate::core::parallel::prelude::*;
@@ -142,8 +142,8 @@ impl Grid {
         (place / side).floor().as_ivec3().to_array()
     }
 
-    /// Mean distance of every voxel near the surface, in voxels.
-    fn fused(&self, ranges: &[RangeImage]) -> BTreeMap<[i32; 3], f32> {
+    /// What is known of every voxel near the surface.
+    fn fused(&self, ranges: &[RangeImage]) -> BTreeMap<[i32; 3], Sample> {
         let mut blocks = self.blocks(ranges);
         blocks.extend(self.frontier(ranges));
         let blocks: Vec<[i32; 3]> = blocks.into_iter().collect();
@@ -152,12 +152,14 @@ impl Grid {
             let voxels = (0..BLOCK.pow(3))
                 .map(move |k| first + IVec3::new(k / BLOCK / BLOCK, k / BLOCK % BLOCK, k % BLOCK));
             let value = |v: IVec3| {
-                let value = self.mean(v, ranges).or_else(|| self.graded(v, ranges))?;
+                let value = self
+                    .measured(v, ranges)
+                    .or_else(|| self.graded(v, ranges))?;
                 Some((v.to_array(), value))
             };
             voxels.filter_map(value).collect::<Vec<_>>()
         };
-        let fused: Vec<Vec<([i32; 3], f32)>> = blocks.par_iter().map(fuse).collect();
+        let fused: Vec<Vec<([i32; 3], Sample)>> = blocks.par_iter().map(fuse).collect();
         fused.into_iter().flatten().collect()
     }
 
@@ -213,7 +215,7 @@ impl Grid {
 
     /// A distance where none was measured: the mean over the places around, so that the frontier of what
     /// is hidden runs smoothly between voxels.
-    fn graded(&self, voxel: IVec3, ranges: &[RangeImage]) -> Option<f32> {
+    fn graded(&self, voxel: IVec3, ranges: &[RangeImage]) -> Option<Sample> {
         let (mut sum, mut count) = (0.0, 0.0);
         for k in 0..8 {
             let corner = IVec3::new(k / 4, k / 2 % 2, k % 2) * 2 - 1;
@@ -226,29 +228,86 @@ impl Grid {
             }
             count += 1.0;
         }
-        (count > 0.0).then(|| sum / count)
+        (count > 0.0).then(|| Sample {
+            distance: sum / count,
+            inside: 0.5 - 0.5 * sum / count / BAND,
+        })
     }
 
-    fn mean(&self, voxel: IVec3, ranges: &[RangeImage]) -> Option<f32> {
+    /// What the images that measure a voxel say together; `None` where none does.
+    fn measured(&self, voxel: IVec3, ranges: &[RangeImage]) -> Option<Sample> {
         let place = voxel.as_vec3() * self.voxel;
-        let (mut sum, mut whole) = (0.0f32, 0.0f32);
-        for (distance, weight) in ranges.iter().filter_map(|r| r.distance(place)) {
-            let voxels = distance / self.voxel;
-            let weight = weight * trust(voxels);
-            if weight > 0.0 {
-                sum += voxels.min(BAND) * weight;
-                whole += weight;
+        let (mut before, mut behind) = (Votes::default(), Votes::default());
+        let (mut gaps, mut whole_pixel) = (0.0f32, false);
+        for claim in (ranges.iter()).filter_map(|r| r.claim(place, BAND * self.voxel)) {
+            match claim {
+                Claim::Clear { weight } => before.add(BAND, weight, weight),
+                Claim::Nothing { weight } => gaps += weight,
+                Claim::Surface {
+                    distance,
+                    weight,
+                    whole,
+                } => {
+                    let voxels = distance / self.voxel;
+                    whole_pixel |= whole && voxels.abs() <= 1.0;
+                    match voxels < 0.0 {
+                        // (nothing is left of a distance behind by the band)
+                        true if voxels <= -BAND => {}
+                        true => behind.add(voxels, weight * trust(voxels), weight * solid(voxels)),
+                        false => before.add(voxels, weight, weight),
+                    }
+                }
             }
         }
-        (whole > 0.0).then(|| sum / whole)
+        if before.weight + behind.weight <= 0.0 {
+            return None;
+        }
+        // at an outline and behind it, what has no depth has been looked past; on a surface a sensor has gaps
+        if !whole_pixel {
+            before.add(BAND, gaps, gaps);
+        }
+        let inside = behind.votes / (before.votes + behind.votes);
+        let mean = (before.sum + behind.sum) / (before.weight + behind.weight);
+        // where the mean of different surfaces' distances is on the other side of them than most are,
+        // those that are most
+        let distance = match (inside > 0.5, mean < 0.0) {
+            (true, false) => behind.sum / behind.weight,
+            (false, true) => before.sum / before.weight,
+            _ => mean,
+        };
+        Some(Sample { distance, inside })
     }
 }
 
-/// What a distance weighs, in voxels: behind a surface by more than a voxel it may be another's, or nobody's,
-/// and gives way to an image that sees through; behind by the band it says nothing (the drop-off of
-/// Oleynikova et al. 2017, "Voxblox").
+/// Distances of one sign.
+#[derive(Default)]
+struct Votes {
+    /// Of the distances times their weights, voxels.
+    sum: f32,
+    weight: f32,
+    /// Weights as evidence for this sign.
+    votes: f32,
+}
+
+impl Votes {
+    fn add(&mut self, distance: f32, weight: f32, votes: f32) {
+        self.sum += distance * weight;
+        self.weight += weight;
+        self.votes += votes;
+    }
+}
+
+/// What a distance behind a surface weighs in a mean, in voxels: by more than a voxel it may be another's, or
+/// nobody's, and gives way to an image that sees through; behind by the band it says nothing (the
+/// drop-off of Oleynikova et al. 2017, "Voxblox").
 fn trust(distance: f32) -> f32 {
     ((BAND + distance) / (BAND - 1.0)).clamp(0.0, 1.0)
+}
+
+/// What a place behind a surface weighs as evidence for something solid, in voxels: within the noise of a
+/// voxel it is the surface; farther behind nobody has looked, and whoever looks through is right.
+fn solid(distance: f32) -> f32 {
+    (2.0 + distance).clamp(1e-3, 1.0)
 }
 
 /// The surface in metres without specks, and with no more triangles than an error of `error` metres

@@ -43,6 +43,29 @@ pub(super) enum Sight {
     NoDepth,
 }
 
+/// What an image measures of a place.
+pub(super) enum Claim {
+    /// A surface.
+    Surface {
+        /// Metres from the place to it along its normal, positive before it.
+        distance: f32,
+        /// As squarely as the surface is seen, and as finely as the place is.
+        weight: f32,
+        /// Whether all pixels around have depth.
+        whole: bool,
+    },
+    /// The image sees far past it.
+    Clear {
+        /// As finely as the place is seen.
+        weight: f32,
+    },
+    /// No depth: nothing as far as it measures, or a gap in its measurements.
+    Nothing {
+        /// As finely as the place is seen.
+        weight: f32,
+    },
+}
+
 /// How a surface runs along a row or a column of pixels.
 enum Course {
     /// From one pixel to the next but one, or half of that, metres.
@@ -140,17 +163,30 @@ impl RangeImage {
         }
     }
 
-    /// Distance from a place to the surface, metres, positive before it, and its weight: as squarely
-    /// and as near as the surface is seen.
-    pub fn distance(&self, place: Vec3) -> Option<(f32, f32)> {
+    /// What the image measures of a place, clear if more than `band` metres before what it sees; `None`
+    /// where it does not look, or cannot tell.
+    pub fn claim(&self, place: Vec3, band: f32) -> Option<Claim> {
         let pixel = self.camera.project(place)?;
-        let depth = self.depth_at(pixel)?;
-        let normal = self.normal(self.at(pixel))?;
         let ray = place - self.camera.position;
         let along = ray.length();
+        let fine = 1.0 / (along * along);
+        let taps = self.depths(pixel);
+        if nearest(&taps) <= 0.0 {
+            return Some(Claim::Nothing { weight: fine });
+        }
+        let depth = self.depth_at(pixel, &taps)?;
+        let normal = self.normal(self.at(pixel))?;
         let cosine = (-normal.dot(ray) / along).max(GRAZING);
         // zero where the ray's depth is, near it as long as along the normal
-        Some(((depth - along) * cosine, cosine / (depth * depth)))
+        let distance = (depth - along) * cosine;
+        if distance >= band {
+            return Some(Claim::Clear { weight: fine });
+        }
+        Some(Claim::Surface {
+            distance,
+            weight: cosine * fine,
+            whole: taps.iter().all(|(_, d)| *d > 0.0),
+        })
     }
 
     /// What the image says of a place about which it measures no distance; `None` where it does not look, or
@@ -177,11 +213,10 @@ impl RangeImage {
 
     /// Depth between the pixels' centres, of those that see what the nearest one sees: its inverse is linear
     /// on planes.
-    fn depth_at(&self, pixel: Vec2) -> Option<f32> {
-        let taps = self.depths(pixel);
-        let (seen, slope) = (nearest(&taps), self.slope(pixel));
+    fn depth_at(&self, pixel: Vec2, taps: &[(f32, f32); 4]) -> Option<f32> {
+        let (seen, slope) = (nearest(taps), self.slope(pixel));
         let (mut inverse, mut whole) = (0.0, 0.0);
-        for (weight, depth) in taps {
+        for &(weight, depth) in taps {
             if continues(depth, seen, slope) {
                 inverse += weight / depth;
                 whole += weight;

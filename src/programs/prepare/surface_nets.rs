@@ -16,9 +16,36 @@ pub struct Net {
     pub squares: Vec<[u32; 4]>,
 }
 
+/// What is known at a point of the grid.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sample {
+    /// Distance to the surface in units of the grid, negative inside.
+    pub distance: f32,
+    /// Share of the evidence for inside, 0 to 1; above a half where the distance is negative.
+    pub inside: f32,
+}
+
+/// Change of a distance from point to point beyond which it is not one surface's. Derived: a distance
+/// changes by no more than the points' own; half of that again for its error.
+const JUMP: f32 = 1.5;
+
+impl Sample {
+    /// Where on the way to `other` the surface is, 0 to 1: where the distance is zero, or at an outline,
+    /// where distances of different surfaces meet, where half of the evidence is for inside.
+    fn crossing(self, other: Self) -> f32 {
+        let (here, there) = (self.inside - 0.5, other.inside - 0.5);
+        let jumps = (self.distance - other.distance).abs() > JUMP && here * there < 0.0;
+        let [a, b] = match jumps {
+            true => [here, there],
+            false => [self.distance, other.distance],
+        };
+        a / (a - b)
+    }
+}
+
 /// The zero of a function known at some points of the grid, which `known` lists in ascending order.
 #[must_use]
-pub fn surface_net(known: &[IVec3], value: impl Fn(IVec3) -> Option<f32>) -> Net {
+pub fn surface_net(known: &[IVec3], value: impl Fn(IVec3) -> Option<Sample>) -> Net {
     let mut net = Net::default();
     let mut vertex: BTreeMap<[i32; 3], u32> = BTreeMap::new();
     for &cell in known {
@@ -33,7 +60,7 @@ pub fn surface_net(known: &[IVec3], value: impl Fn(IVec3) -> Option<f32>) -> Net
             let (Some(a), Some(b)) = (value(p), value(p + x)) else {
                 continue;
             };
-            if (a < 0.0) == (b < 0.0) {
+            if (a.distance < 0.0) == (b.distance < 0.0) {
                 continue;
             }
             // the four cells around the edge, counter-clockwise seen against its direction
@@ -42,7 +69,11 @@ pub fn surface_net(known: &[IVec3], value: impl Fn(IVec3) -> Option<f32>) -> Net
             let [Some(i), Some(j), Some(k), Some(l)] = corners else {
                 continue;
             };
-            let square = if a < 0.0 { [i, j, k, l] } else { [i, l, k, j] };
+            let square = if a.distance < 0.0 {
+                [i, j, k, l]
+            } else {
+                [i, l, k, j]
+            };
             net.squares.push(square);
         }
     }
@@ -55,9 +86,9 @@ fn unit(axis: usize) -> IVec3 {
 
 /// Mean of the points where the edges of a cell cross zero; `None` where none does or a corner is
 /// unknown.
-fn crossing(cell: IVec3, value: &impl Fn(IVec3) -> Option<f32>) -> Option<Vec3> {
+fn crossing(cell: IVec3, value: &impl Fn(IVec3) -> Option<Sample>) -> Option<Vec3> {
     let corner = |k: i32| IVec3::new(k & 1, k >> 1 & 1, k >> 2);
-    let mut values = [0.0f32; 8];
+    let mut values = [Sample::default(); 8];
     for (k, v) in values.iter_mut().enumerate() {
         *v = value(cell + corner(k as i32))?;
     }
@@ -65,10 +96,10 @@ fn crossing(cell: IVec3, value: &impl Fn(IVec3) -> Option<f32>) -> Option<Vec3> 
     for a in 0..8usize {
         for axis in 0..3 {
             let b = a | 1 << axis;
-            if a == b || (values[a] < 0.0) == (values[b] < 0.0) {
+            if a == b || (values[a].distance < 0.0) == (values[b].distance < 0.0) {
                 continue;
             }
-            let t = values[a] / (values[a] - values[b]);
+            let t = values[a].crossing(values[b]);
             let [from, to] = [a, b].map(|k| (cell + corner(k as i32)).as_vec3());
             sum += from.lerp(to, t);
             count += 1.0;
@@ -81,6 +112,24 @@ fn crossing(cell: IVec3, value: &impl Fn(IVec3) -> Option<f32>) -> Option<Vec3> 
 mod tests {
     use super::*;
 
+    fn sample(distance: f32) -> Sample {
+        let inside = f32::from(distance < 0.0);
+        Sample { distance, inside }
+    }
+
+    /// At an outline the surface is where half of the evidence is for inside, whatever the distances.
+    #[test]
+    fn outlines_lie_where_half_the_evidence_is() {
+        let [a, b] =
+            [(-0.1, 0.75), (3.0, 0.0)].map(|(distance, inside)| Sample { distance, inside });
+        assert!((a.crossing(b) - 1.0 / 3.0).abs() < 1e-6);
+        let near = Sample {
+            distance: 0.3,
+            inside: 0.0,
+        };
+        assert!((a.crossing(near) - 0.25).abs() < 1e-6, "one surface");
+    }
+
     /// A ball: closed, every edge shared by two squares, wound outwards, at its radius; cut where
     /// nothing is known.
     #[test]
@@ -89,7 +138,7 @@ mod tests {
         let known: Vec<IVec3> = (-n..=n)
             .flat_map(|x| (-n..=n).flat_map(move |y| (-n..=n).map(move |z| IVec3::new(x, y, z))))
             .collect();
-        let ball = |p: IVec3| Some(p.as_vec3().length() - 8.0);
+        let ball = |p: IVec3| Some(sample(p.as_vec3().length() - 8.0));
         let net = surface_net(&known, ball);
         let mut edges: BTreeMap<(u32, u32), i32> = BTreeMap::new();
         for t in &net.squares {
