@@ -43,7 +43,7 @@ pub fn creased(net: &Net, images: &[RangeImage], voxel: f32) -> (Vec<Vec3>, Vec<
     let planes: Vec<Option<Planes>> = asked.map(|(p, n)| seen(*p, *n, images, voxel)).collect();
     let bends: Vec<f32> = planes.iter().flatten().map(|p| p.bent as f32).collect();
     // most surface is flat: what bends most of it is noise
-    let scatter = f64::from(median(bends).unwrap_or(0.0)).max(LEAST_SCATTER);
+    let scatter = f64::from(median(bends).unwrap_or(0.0));
     let moved = |i: usize| {
         let shift = planes[i].and_then(|p| p.nearest(scatter));
         net.positions[i] + shift.unwrap_or(Vec3::ZERO)
@@ -148,11 +148,12 @@ fn vector(v: Vec3) -> Vector3<f64> {
 }
 
 impl Planes {
-    /// How far a vertex moves to be nearest to the planes, in voxels; along directions in which normals
-    /// turn no more than they `scatter`, it stays.
+    /// How far a vertex moves to be nearest to the planes, in voxels: not at all where normals turn no more than
+    /// twice as much as noise has them `scatter` (Stein's shrinkage), as the mean distance is better there.
     fn nearest(&self, scatter: f64) -> Option<Vec3> {
-        let held = self.turns + Matrix3::identity() * scatter;
-        let shift = held.cholesky()?.solve(&self.offsets);
+        let held = self.turns + Matrix3::identity() * scatter.max(LEAST_SCATTER);
+        let certain = (1.0 - 2.0 * scatter / (self.bent + LEAST_SCATTER)).max(0.0);
+        let shift = held.cholesky()?.solve(&self.offsets) * certain;
         let far = shift.amax();
         let shift = shift * (FARTHEST / far.max(FARTHEST));
         Some(DVec3::new(shift.x, shift.y, shift.z).as_vec3()).filter(|s| s.is_finite())

@@ -1,15 +1,16 @@
 //! A mesh from depth images, for captures that bring none: their signed distances are
 //! averaged on a grid of voxels (Curless and Levoy 1996, "A Volumetric Method for Building Complex
-//! Models from Range Images"), and the surface is where the mean is zero. What every image sees only
-//! behind something is taken for solid (their section 4, hole filling): so a lamp seen from below has
-//! an upper side, from which it shines as well, and no light leaks in behind a cupboard. Where an image
-//! looks and has no depth (a window), nothing is closed. The surface is then decimated to what the
-//! photographs resolve. Called by `write`.
+//! Models from Range Images"), and the surface is where the mean is zero; at outlines, where images
+//! speak of different surfaces, it is where half of them, by how finely they see, look past. What every
+//! image sees only behind something is taken for solid (their section 4, hole filling): so a lamp seen
+//! from below has an upper side, from which it shines as well, and no light leaks in behind a cupboard.
+//! Where an image looks and has no depth (a window), nothing is closed. The surface is put on its creases
+//! (`creases`) and decimated to what the photographs resolve. Called by `write`.
 
 use super::account::Account;
 use super::capture::{LabelledMesh, Shot};
 use super::creases::creased;
-use super::range_image::{Claim, RangeImage, Sight};
+use super::range_image::{Claim, Claimed, RangeImage, Sight};
 use super::surface_nets::{Sample, surface_net};
 use crate::core::formats::{RawMesh, grouped};
 use crate::core::geometry::{Mesh, pieces};
@@ -237,34 +238,51 @@ impl Grid {
     /// What the images that measure a voxel say together; `None` where none does.
     fn measured(&self, voxel: IVec3, ranges: &[RangeImage]) -> Option<Sample> {
         let place = voxel.as_vec3() * self.voxel;
+        let claims: Vec<Claim> = (ranges.iter())
+            .filter_map(|r| r.claim(place, BAND * self.voxel))
+            .collect();
         let (mut before, mut behind) = (Votes::default(), Votes::default());
-        let (mut gaps, mut whole_pixel) = (0.0f32, false);
-        for claim in (ranges.iter()).filter_map(|r| r.claim(place, BAND * self.voxel)) {
-            match claim {
-                Claim::Clear { weight } => before.add(BAND, weight, weight),
-                Claim::Nothing { weight } => gaps += weight,
-                Claim::Surface {
-                    distance,
-                    weight,
-                    whole,
-                } => {
-                    let voxels = distance / self.voxel;
-                    whole_pixel |= whole && voxels.abs() <= 1.0;
-                    match voxels < 0.0 {
-                        // (nothing is left of a distance behind by the band)
-                        true if voxels <= -BAND => {}
-                        true => behind.add(voxels, weight * trust(voxels), weight * solid(voxels)),
-                        false => before.add(voxels, weight, weight),
-                    }
+        let (mut facing, mut whole_pixel) = (Vec3::ZERO, false);
+        for claim in &claims {
+            if let Claimed::Surface {
+                distance,
+                normal,
+                whole,
+            } = claim.of
+            {
+                let voxels = distance / self.voxel;
+                // (nothing is left of a distance behind by the band)
+                if voxels <= -BAND {
+                    continue;
                 }
+                let squarely = normal.dot(claim.to_camera).max(0.0);
+                let weight = claim.weight * squarely;
+                let vote = weight * squarely;
+                match voxels < 0.0 {
+                    true => behind.add(voxels, weight * trust(voxels), vote * solid(voxels)),
+                    false => before.add(voxels, weight, vote),
+                }
+                facing += normal * weight;
+                whole_pixel |= whole && voxels.abs() <= 1.0;
+            }
+        }
+        let facing = facing.normalize_or_zero();
+        for claim in &claims {
+            // a pixel is the longer on the surface the more it grazes it, and its outline as uncertain
+            let squarely = match facing == Vec3::ZERO {
+                true => 1.0,
+                false => facing.dot(claim.to_camera),
+            };
+            let vote = claim.weight * squarely * squarely;
+            match claim.of {
+                Claimed::Clear => before.add(BAND, claim.weight, vote),
+                // what has no depth has been looked through or past; on a surface a sensor has gaps
+                Claimed::Nothing if !whole_pixel => before.add(BAND, claim.weight, vote),
+                _ => {}
             }
         }
         if before.weight + behind.weight <= 0.0 {
             return None;
-        }
-        // at an outline and behind it, what has no depth has been looked past; on a surface a sensor has gaps
-        if !whole_pixel {
-            before.add(BAND, gaps, gaps);
         }
         let inside = behind.votes / (before.votes + behind.votes);
         let mean = (before.sum + behind.sum) / (before.weight + behind.weight);

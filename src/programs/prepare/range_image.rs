@@ -44,26 +44,31 @@ pub(super) enum Sight {
 }
 
 /// What an image measures of a place.
-pub(super) enum Claim {
-    /// A surface.
+#[derive(Clone, Copy)]
+pub(super) struct Claim {
+    pub of: Claimed,
+    /// Unit direction from the place to the camera.
+    pub to_camera: Vec3,
+    /// As finely as the place is seen: over the square of its distance.
+    pub weight: f32,
+}
+
+/// What a place is said to be.
+#[derive(Clone, Copy)]
+pub(super) enum Claimed {
+    /// Near a surface.
     Surface {
         /// Metres from the place to it along its normal, positive before it.
         distance: f32,
-        /// As squarely as the surface is seen, and as finely as the place is.
-        weight: f32,
+        /// Unit, towards the camera.
+        normal: Vec3,
         /// Whether all pixels around have depth.
         whole: bool,
     },
-    /// The image sees far past it.
-    Clear {
-        /// As finely as the place is seen.
-        weight: f32,
-    },
-    /// No depth: nothing as far as it measures, or a gap in its measurements.
-    Nothing {
-        /// As finely as the place is seen.
-        weight: f32,
-    },
+    /// Far before all surface.
+    Clear,
+    /// Without depth: before nothing as far as the image measures, or in a gap of its measurements.
+    Nothing,
 }
 
 /// How a surface runs along a row or a column of pixels.
@@ -167,26 +172,30 @@ impl RangeImage {
     /// where it does not look, or cannot tell.
     pub fn claim(&self, place: Vec3, band: f32) -> Option<Claim> {
         let pixel = self.camera.project(place)?;
-        let ray = place - self.camera.position;
-        let along = ray.length();
-        let fine = 1.0 / (along * along);
+        let back = self.camera.position - place;
+        let along = back.length();
+        let to_camera = back / along;
+        let claim = |of: Claimed| Claim {
+            of,
+            to_camera,
+            weight: 1.0 / (along * along),
+        };
         let taps = self.depths(pixel);
         if nearest(&taps) <= 0.0 {
-            return Some(Claim::Nothing { weight: fine });
+            return Some(claim(Claimed::Nothing));
         }
         let depth = self.depth_at(pixel, &taps)?;
         let normal = self.normal(self.at(pixel))?;
-        let cosine = (-normal.dot(ray) / along).max(GRAZING);
         // zero where the ray's depth is, near it as long as along the normal
-        let distance = (depth - along) * cosine;
-        if distance >= band {
-            return Some(Claim::Clear { weight: fine });
-        }
-        Some(Claim::Surface {
-            distance,
-            weight: cosine * fine,
-            whole: taps.iter().all(|(_, d)| *d > 0.0),
-        })
+        let distance = (depth - along) * normal.dot(to_camera).max(GRAZING);
+        Some(claim(match distance < band {
+            true => Claimed::Surface {
+                distance,
+                normal,
+                whole: taps.iter().all(|(_, d)| *d > 0.0),
+            },
+            false => Claimed::Clear,
+        }))
     }
 
     /// What the image says of a place about which it measures no distance; `None` where it does not look, or
