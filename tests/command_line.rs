@@ -100,23 +100,19 @@ fn unusable_input_is_2_and_names_the_file() {
 
 #[test]
 fn with_json_stdout_is_one_json_object_even_for_errors() {
-    let out = unbake(&[
-        "--json",
-        "--quiet",
-        "eval",
-        "/nonexistent",
-        "--scene",
-        "/nonexistent",
-    ]);
-    assert_eq!(out.status.code(), Some(2));
-    let json: serde_json::Value = serde_json::from_slice(&out.stdout).expect("JSON");
-    assert_eq!(json["exit_code"], 2);
-    assert!(
-        json["error"]
-            .as_str()
-            .expect("message")
-            .contains("/nonexistent")
-    );
+    let folder = tempfile::tempdir().expect("temp");
+    let file = folder.path().join("unbake.toml");
+    std::fs::write(&file, "json = true\n").expect("file");
+    let by_file = ["--config", file.to_str().expect("utf-8")];
+    for asked in [&["--json"][..], &by_file] {
+        let verb = ["--quiet", "eval", "/nonexistent", "--scene", "/nonexistent"];
+        let out = unbake(&[asked, &verb].concat());
+        assert_eq!(out.status.code(), Some(2));
+        let json: serde_json::Value = serde_json::from_slice(&out.stdout).expect("JSON");
+        assert_eq!(json["exit_code"], 2);
+        let said = json["error"].as_str().expect("message");
+        assert!(said.contains("/nonexistent"), "{said}");
+    }
 }
 
 #[test]

@@ -168,19 +168,18 @@ fn the_surface_of_exact_depth_is_the_room() {
     assert!(fused.mesh.triangles.len() < 400_000);
 }
 
-/// A sensor's depth: millimetres in 16 bits, off by 1 % at random.
-#[test]
-fn noise_of_a_sensor_averages_out() {
-    let dir = tempfile::tempdir().expect("folder");
-    let truth = room(&dir.path().join("room"));
-    let capture = dir.path().join("capture");
+/// A room's depth as a sensor gives it: millimetres in 16 bits, off by 1 % at random, and in a `gaps` share
+/// of the pixels nothing.
+fn sensed(truth: &Scene, dir: &Path, gaps: f32) -> Scene {
+    let capture = dir.join("capture");
     std::fs::create_dir(&capture).expect("folder");
-    with_depth(&truth, &capture, |i, depth| {
+    with_depth(truth, &capture, |i, depth| {
         let name = format!("depth{i}.png");
         let noisy = |(k, d): (usize, &f32)| {
             let mut rng = KeyedRng::new(i as u64, k as u64);
             let noise: f32 = (0..12).map(|_| rng.next_f32()).sum::<f32>() - 6.0;
-            (d * (1.0 + 0.01 * noise) * 1000.0).round() as u16
+            let seen = f32::from(rng.next_f32() >= gaps);
+            (seen * d * (1.0 + 0.01 * noise) * 1000.0).round() as u16
         };
         let steps = Plane {
             width: depth.width,
@@ -190,7 +189,23 @@ fn noise_of_a_sensor_averages_out() {
         formats::write_png16(capture.join(&name), &steps).expect("depth");
         name
     });
-    let (fused, _) = prepared(&capture, &dir.path().join("fused"));
+    prepared(&capture, &dir.join("fused")).0
+}
+
+#[test]
+fn noise_of_a_sensor_averages_out() {
+    let dir = tempfile::tempdir().expect("folder");
+    let truth = room(&dir.path().join("room"));
+    let fused = sensed(&truth, dir.path(), 0.0);
+    check(&truth, &fused, 0.02, 0.05);
+}
+
+/// A pixel in ten without depth is a gap of the measurements, not a window in the wall.
+#[test]
+fn gaps_of_a_sensor_are_no_openings() {
+    let dir = tempfile::tempdir().expect("folder");
+    let truth = room(&dir.path().join("room"));
+    let fused = sensed(&truth, dir.path(), 0.1);
     check(&truth, &fused, 0.02, 0.05);
 }
 

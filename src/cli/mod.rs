@@ -52,10 +52,17 @@ pub fn run(arguments: Vec<OsString>) -> ExitCode {
             return ExitCode::from(if e.use_stderr() { 2 } else { 0 });
         }
     };
-    let as_json = wants_json(&command);
+    let mut as_json = wants_json(&command);
     let outcome = Cli::from_arg_matches(&matches)
         .map_err(|e| Error::Usage(e.to_string()))
-        .and_then(|cli| dispatch(&cli, &matches, command));
+        .and_then(|cli| {
+            if cli.global.version {
+                return print(&version()).map(|()| 0);
+            }
+            let config = configured(&cli, &matches)?;
+            as_json |= config.json;
+            dispatch(&cli, &matches, config, command)
+        });
     match outcome {
         Ok(code) => ExitCode::from(code),
         Err(e) => {
@@ -79,18 +86,25 @@ fn print_error(message: &str, exit_code: u8) {
     let _ = print(&format!("{object:#}\n"));
 }
 
-fn dispatch(cli: &Cli, matches: &clap::ArgMatches, command: Vec<String>) -> Result<u8> {
-    if cli.global.version {
-        return print(&version()).map(|()| 0);
-    }
+/// The options of a configuration file, if one was given, and the flags over them.
+fn configured(cli: &Cli, matches: &clap::ArgMatches) -> Result<Config> {
     let file = cli
         .global
         .config
         .as_deref()
         .map_or_else(|| Ok(Config::default()), Config::read)?;
     let (verb, verb_matches) = matches.subcommand().unwrap_or(("", matches));
-    let config = file.overlaid(&cli.flags(), config::tables_of(verb), verb_matches)?;
+    file.overlaid(&cli.flags(), config::tables_of(verb), verb_matches)
+}
+
+fn dispatch(
+    cli: &Cli,
+    matches: &clap::ArgMatches,
+    config: Config,
+    command: Vec<String>,
+) -> Result<u8> {
     if cli.global.print_config {
+        let verb = matches.subcommand_name().unwrap_or("");
         let only = (!verb.is_empty()).then_some(verb);
         return print(&config.documented(&Cli::command(), only)?).map(|()| 0);
     }
@@ -127,8 +141,10 @@ fn start_threads(threads: Option<usize>) -> Result<()> {
             "--threads {threads}: expected 1 to 4096; leave it out to use every core"
         )));
     }
+    // (beyond that they only wait for each other, and the result is the same)
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
     rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
+        .num_threads(threads.min(4 * cores.max(16)))
         .build_global()
         .map_err(|e| Error::Failed(format!("cannot start {threads} threads: {e}")))
 }

@@ -1,6 +1,7 @@
 //! The published method in unbake's frame: its light and its learned materials become a solution
 //! like any other, so that scores, pictures and exports compare like with like.
 
+use super::decisions::choose_environment;
 use super::light::light_field;
 use super::roughness::rooms_of;
 use super::solved::Solved;
@@ -16,7 +17,6 @@ use crate::irradiance::Estimator;
 use crate::published::{
     Correction, PublishedInput, PublishedOptions, Sides, learn, one_view_per_texel,
 };
-use crate::radiance::Environment;
 use crate::scene::Scene;
 use crate::solution::Solution;
 use crate::verdict::{Findings, Reason};
@@ -50,7 +50,7 @@ pub(super) fn reconstruct_as_published(
         &surface,
         &tbl,
         &none,
-        Environment::black(),
+        choose_environment(&surface, &options, progress),
         &texels,
         &options,
     );
@@ -120,12 +120,13 @@ fn said_of(own_rays: u64, solution: &Solution) -> Findings {
     }
 }
 
-/// The numbers of the light and of reading photographs as published: one exposure, black where no
-/// geometry is, hemisphere rays alone.
+/// The numbers of the light and of reading photographs as published: one exposure, hemisphere rays
+/// alone. Published meshes close their windows with surface of which the light texture shows what was
+/// seen there; where a mesh has none, rays that leave it meet what the photographs show there
+/// (`--environment off`: black).
 fn as_published(method: &PublishedOptions, options: &SolveOptions) -> SolveOptions {
     let plain = SolveOptions {
         exposure: Switch::Off,
-        environment: Switch::Off,
         emission: Switch::Off,
         panes: Switch::Off,
         prefilter: false,

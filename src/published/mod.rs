@@ -309,6 +309,7 @@ fn learn_by_paths(
         tracer: &surface.tracer,
         lamps: &lamps,
         emitters: &Emitters::new(mesh, &lamps, &surface.tracer, &probes),
+        sky: &Environment::from_map(input.field.environment.map().map(|l| *l * exposure)),
         offset: surface.offset,
     };
     let mut tsdr = Tsdr::new(surface, scene, exposure, options.visit_pixels, sides);
@@ -406,7 +407,7 @@ fn all_highlights(
         &surface.scene.mesh,
         &surface.orientation,
         SurfaceRadiance::reflected(tbl::lights_only(input.tbl, median)),
-        Environment::black(),
+        Environment::from_map(tbl::lights_only(input.field.environment.map(), median)),
     );
     let mirror = Reflector {
         tracer: &surface.tracer,

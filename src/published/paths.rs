@@ -15,7 +15,7 @@ use crate::core::texture::SurfacePoint;
 use crate::core::trace::{Hit, Ray, Tracer};
 use crate::gbuffer::Orientation;
 use crate::lights::{Emitters, LightModel, LightSampler};
-use crate::radiance::LightField;
+use crate::radiance::{Environment, LightField};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
@@ -36,6 +36,8 @@ pub struct PathScene<'a> {
     pub lamps: &'a LightField,
     /// How lamps are sampled.
     pub emitters: &'a Emitters,
+    /// What rays meet that leave the geometry, in the units of the losses; paths find it by chance alone.
+    pub sky: &'a Environment,
     /// Distance by which rays start above a surface, metres.
     pub offset: f32,
 }
@@ -93,6 +95,8 @@ struct Vertex {
 /// One path from a look.
 pub struct Path {
     vertices: Vec<Vertex>,
+    /// What its last ray meets outside of the geometry.
+    sky: Vec3,
 }
 
 /// A slope at a place of each texture.
@@ -160,7 +164,7 @@ impl Textures {
 impl Path {
     /// What arrives at the camera, from every vertex on: the first is the whole.
     fn radiances(&self, textures: &Textures) -> Vec<Vec3> {
-        let mut out = vec![Vec3::ZERO; self.vertices.len() + 1];
+        let mut out = vec![self.sky; self.vertices.len() + 1];
         for (k, vertex) in self.vertices.iter().enumerate().rev() {
             let material = textures.material(vertex);
             let mut sum = Vec3::ZERO;
@@ -259,6 +263,7 @@ impl PathScene<'_> {
         let mut paths: Vec<Path> = (0..count)
             .map(|_| Path {
                 vertices: Vec::with_capacity(VERTICES),
+                sky: Vec3::ZERO,
             })
             .collect();
         let mut tips: Vec<Tip> = (0..count)
@@ -339,6 +344,9 @@ impl PathScene<'_> {
         let mut hits = vec![Hit::miss(); rays.len()];
         self.tracer.closest(&rays, &mut hits);
         let ends = stands.iter().zip(rays.iter().zip(&hits));
+        for (stand, (ray, _)) in ends.clone().filter(|(_, (_, hit))| !hit.is_hit()) {
+            paths[stand.path].sky = self.sky.radiance(Vec3::from(ray.direction));
+        }
         ends.filter_map(|(stand, (ray, hit))| self.arrive(stand, ray, hit, &mut choice))
             .collect()
     }
@@ -417,7 +425,7 @@ mod tests {
     use super::*;
     use crate::core::image::Plane;
     use crate::core::trace::BruteForce;
-    use crate::radiance::{Environment, SurfaceRadiance};
+    use crate::radiance::SurfaceRadiance;
     use glam::Vec2;
 
     /// The inside of a unit cube: face k has a cell of a 3 × 2 atlas.
@@ -463,6 +471,7 @@ mod tests {
         tracer: BruteForce,
         lamps: LightField,
         emitters: Emitters,
+        sky: Environment,
     }
 
     impl Room {
@@ -493,6 +502,7 @@ mod tests {
                 tracer,
                 lamps,
                 emitters,
+                sky: Environment::from_map(Plane::filled(2, 1, Vec3::splat(3.0))),
             }
         }
 
@@ -503,6 +513,7 @@ mod tests {
                 tracer: &self.tracer,
                 lamps: &self.lamps,
                 emitters: &self.emitters,
+                sky: &self.sky,
                 offset: 1e-4,
             }
         }
@@ -567,6 +578,31 @@ mod tests {
             (both / reflection - 1.0).abs() < 0.02,
             "{both} {reflection}"
         );
+    }
+
+    /// Of surface under an even sky, what it reflects; its slope by albedo is the sky.
+    #[test]
+    fn rays_that_leave_the_geometry_meet_the_sky() {
+        let room = Room::new(0);
+        let nothing = BruteForce::new(&Mesh::default());
+        let scene = PathScene {
+            tracer: &nothing,
+            ..room.scene()
+        };
+        let textures = textures(0.3, 0.6);
+        let paths = scene.trace(&room.looks(240), 64, &textures, 5, 0);
+        let (mut mean, mut by_albedo, mut slopes) = (0.0, 0.0, Vec::new());
+        for path in &paths {
+            mean += path.radiance(&textures).x / paths.len() as f32;
+            path.adjoint(&textures, Vec3::X, &mut slopes);
+        }
+        for slope in &slopes {
+            if let Slope::Albedo(_, by) = slope {
+                by_albedo += by.x / paths.len() as f32;
+            }
+        }
+        assert!(mean > 3.0 * 0.31 && mean < 3.0 * 0.42, "{mean}");
+        assert!((by_albedo / 3.0 - 1.0).abs() < 0.02, "{by_albedo}");
     }
 
     #[test]
