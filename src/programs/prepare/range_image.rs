@@ -19,11 +19,17 @@ const GRAZING: f32 = 0.17;
 /// for depth that programs make.
 const FARTHEST: f32 = 20.0;
 
+/// Stands for the depth of a pixel that has none among others that have: nobody has looked through there.
+const GAP: f32 = -1.0;
+/// Neighbours without depth, of eight, that a pixel looking through something has. Derived: the corner of an
+/// opening has three.
+const OPEN: usize = 3;
+
 /// A depth image ready to be fused.
 pub(super) struct RangeImage {
     /// At the image's size, relative to the capture's origin.
     pub camera: Camera,
-    /// Metres along the ray; 0 = none.
+    /// Metres along the ray; 0 = none; [`GAP`] where the sensor has failed.
     pub depth: Plane<f32>,
     /// Unit normals of what the pixels see, towards the camera; zero where grazing or unknown, or where
     /// the pixel is a mixture.
@@ -39,7 +45,7 @@ pub(super) enum Sight {
     Empty,
     /// It lies behind what the image sees.
     Behind,
-    /// The image looks there and has no depth.
+    /// The image looks there and has no depth all about.
     NoDepth,
 }
 
@@ -67,7 +73,7 @@ pub(super) enum Claimed {
     },
     /// Far before all surface.
     Clear,
-    /// Without depth: before nothing as far as the image measures, or in a gap of its measurements.
+    /// Without depth: before nothing as far as the image measures, or in a large gap of its measurements.
     Nothing,
 }
 
@@ -113,6 +119,7 @@ impl RangeImage {
             depth,
             finer,
         };
+        image.mark_gaps();
         let of_pixel = |i: usize| image.turned(i).unwrap_or(Vec3::ZERO);
         let normals = (0..image.depth.data.len()).into_par_iter().map(of_pixel);
         image.normal = Plane {
@@ -121,6 +128,19 @@ impl RangeImage {
             height: image.depth.height,
         };
         image
+    }
+
+    /// Tells gaps of the measurements from what is looked through.
+    fn mark_gaps(&mut self) {
+        let image = &*self;
+        let none = |i: usize| image.depth.data[i] <= 0.0;
+        let gap = |i: &usize| {
+            let around = (0..9).filter_map(|k| image.beside(*i, k % 3 - 1, k / 3 - 1));
+            none(*i) && around.filter(|k| k != i && none(*k)).count() < OPEN
+        };
+        let pixels = (0..image.depth.data.len()).into_par_iter();
+        let gaps: Vec<usize> = pixels.filter(gap).collect();
+        gaps.into_iter().for_each(|i| self.depth.data[i] = GAP);
     }
 
     /// The middle of pixel `i`.
@@ -181,8 +201,9 @@ impl RangeImage {
             weight: 1.0 / (along * along),
         };
         let taps = self.depths(pixel);
-        if nearest(&taps) <= 0.0 {
-            return Some(claim(Claimed::Nothing));
+        let seen = nearest(&taps);
+        if seen <= 0.0 {
+            return (seen > GAP).then(|| claim(Claimed::Nothing));
         }
         let depth = self.depth_at(pixel, &taps)?;
         let normal = self.normal(self.at(pixel))?;
@@ -205,7 +226,7 @@ impl RangeImage {
         let depth = nearest(&self.depths(self.camera.project(place)?));
         let along = (place - self.camera.position).length();
         if depth <= 0.0 {
-            return Some(Sight::NoDepth);
+            return (depth > GAP).then_some(Sight::NoDepth);
         }
         match (along < depth - band, along > depth + band) {
             (true, _) => Some(Sight::Empty),
