@@ -209,7 +209,7 @@ fn gaps_of_a_sensor_are_no_openings() {
     let truth = room(&dir.path().join("room"));
     let fused = sensed(&truth, dir.path(), 0.1);
     check(&truth, &fused, 0.02, 0.05);
-    // (taken for openings, they ask for ten times as many)
+    // (taken for openings, gaps ask for five times as many)
     assert!(fused.mesh.triangles.len() < 150_000);
 }
 

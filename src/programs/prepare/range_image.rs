@@ -77,6 +77,15 @@ pub(super) enum Claimed {
     Nothing,
 }
 
+/// A pixel near a place of an image.
+#[derive(Clone, Copy)]
+struct Tap {
+    /// Share of it in between.
+    weight: f32,
+    /// Its depth, metres.
+    depth: f32,
+}
+
 /// How a surface runs along a row or a column of pixels.
 enum Course {
     /// From one pixel to the next but one, or half of that, metres.
@@ -213,7 +222,7 @@ impl RangeImage {
             true => Claimed::Surface {
                 distance,
                 normal,
-                whole: taps.iter().all(|(_, d)| *d > 0.0),
+                whole: taps.iter().all(|t| t.depth > 0.0),
             },
             false => Claimed::Clear,
         }))
@@ -235,18 +244,21 @@ impl RangeImage {
         }
     }
 
-    /// The four pixels around a place of the image: weight and depth.
-    fn depths(&self, pixel: Vec2) -> [(f32, f32); 4] {
+    /// The four pixels around a place of the image.
+    fn depths(&self, pixel: Vec2) -> [Tap; 4] {
         let (w, h) = (self.depth.width, self.depth.height);
-        bilinear_taps(w, h, pixel, self.wrap()).map(|(k, weight)| (weight, self.depth.data[k]))
+        bilinear_taps(w, h, pixel, self.wrap()).map(|(k, weight)| Tap {
+            weight,
+            depth: self.depth.data[k],
+        })
     }
 
     /// Depth between the pixels' centres, of those that see what the nearest one sees: its inverse is linear
     /// on planes.
-    fn depth_at(&self, pixel: Vec2, taps: &[(f32, f32); 4]) -> Option<f32> {
+    fn depth_at(&self, pixel: Vec2, taps: &[Tap; 4]) -> Option<f32> {
         let (seen, slope) = (nearest(taps), self.slope(pixel));
         let (mut inverse, mut whole) = (0.0, 0.0);
-        for &(weight, depth) in taps {
+        for &Tap { weight, depth } in taps {
             if continues(depth, seen, slope) {
                 inverse += weight / depth;
                 whole += weight;
@@ -322,10 +334,10 @@ impl RangeImage {
     }
 }
 
-/// The depth of the nearest of the pixels around a place: weight and depth.
-fn nearest(taps: &[(f32, f32)]) -> f32 {
-    let heaviest = taps.iter().max_by(|a, b| a.0.total_cmp(&b.0));
-    heaviest.map_or(0.0, |(_, depth)| *depth)
+/// The depth of the nearest of the pixels around a place.
+fn nearest(taps: &[Tap]) -> f32 {
+    let heaviest = taps.iter().max_by(|a, b| a.weight.total_cmp(&b.weight));
+    heaviest.map_or(0.0, |t| t.depth)
 }
 
 /// Whether two depths are of one surface that is seen less than grazing.
