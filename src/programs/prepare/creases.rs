@@ -101,7 +101,8 @@ fn seen(place: Vec3, normal: Vec3, images: &[RangeImage], voxel: f32) -> Option<
         };
         let away = (metres - image.camera.position).length();
         let wide = away * image.camera.pixel_angle(image.pixel(middle));
-        let step = ((REACH * voxel / wide / AROUND as f32) as isize).max(1);
+        let step = REACH * voxel / wide / AROUND as f32;
+        let step = (step as isize).clamp(1, image.depth.width as isize);
         for k in 0..(2 * AROUND + 1).pow(2) {
             let [across, down] =
                 [k % (2 * AROUND + 1), k / (2 * AROUND + 1)].map(|v| (v - AROUND) * step);
