@@ -170,12 +170,14 @@ fn the_surface_of_exact_depth_is_the_room() {
     assert!(fused.mesh.triangles.len() < 400_000);
 }
 
-/// A room's depth as a sensor gives it: millimetres in 16 bits, off by 1 % at random, and in a `gaps` share
-/// of the pixels nothing.
-fn sensed(truth: &Scene, dir: &Path, gaps: f32) -> Scene {
-    let capture = dir.join("capture");
+/// The mesh, checked, of a room's depth as a sensor gives it: millimetres in 16 bits, off by 1 % at random, and
+/// in a `gaps` share of the pixels nothing.
+fn sensed(gaps: f32) -> Scene {
+    let dir = tempfile::tempdir().expect("folder");
+    let truth = room(&dir.path().join("room"));
+    let capture = dir.path().join("capture");
     std::fs::create_dir(&capture).expect("folder");
-    with_depth(truth, &capture, |i, depth| {
+    with_depth(&truth, &capture, |i, depth| {
         let name = format!("depth{i}.png");
         let noisy = |(k, d): (usize, &f32)| {
             let mut rng = KeyedRng::new(i as u64, k as u64);
@@ -191,24 +193,20 @@ fn sensed(truth: &Scene, dir: &Path, gaps: f32) -> Scene {
         formats::write_png16(capture.join(&name), &steps).expect("depth");
         name
     });
-    prepared(&capture, &dir.join("fused")).0
+    let (fused, _) = prepared(&capture, &dir.path().join("fused"));
+    check(&truth, &fused, 0.02, 0.05);
+    fused
 }
 
 #[test]
 fn noise_of_a_sensor_averages_out() {
-    let dir = tempfile::tempdir().expect("folder");
-    let truth = room(&dir.path().join("room"));
-    let fused = sensed(&truth, dir.path(), 0.0);
-    check(&truth, &fused, 0.02, 0.05);
+    sensed(0.0);
 }
 
 /// A pixel in ten without depth is a gap of the measurements, not a window in the wall.
 #[test]
 fn gaps_of_a_sensor_are_no_openings() {
-    let dir = tempfile::tempdir().expect("folder");
-    let truth = room(&dir.path().join("room"));
-    let fused = sensed(&truth, dir.path(), 0.1);
-    check(&truth, &fused, 0.02, 0.05);
+    let fused = sensed(0.1);
     // (taken for openings, gaps ask for five times as many)
     assert!(fused.mesh.triangles.len() < 150_000);
 }

@@ -291,8 +291,8 @@ fn by_class(rows: Vec<(u16, Row)>) -> BTreeMap<u16, Vec<Row>> {
 }
 
 /// Whether the photographs are likelier by that many standard `errors` if part `k` of the hidden faces is
-/// dark, the others being as `dark` says: by deviations of Laplace's distribution, of as many independent places as the
-/// surface has.
+/// dark, the others being as `dark` says: by deviations of Laplace's distribution, of as many
+/// independent places as the surface has.
 fn denied(rows: &BTreeMap<u16, Vec<Row>>, k: usize, dark: &[bool], errors: f32) -> bool {
     let without: Vec<bool> = (0..dark.len()).map(|j| dark[j] || j == k).collect();
     let gain = |of: &Vec<Row>| {

@@ -214,7 +214,7 @@ impl RangeImage {
         if seen <= 0.0 {
             return (seen > GAP).then(|| claim(Claimed::Nothing));
         }
-        let depth = self.depth_at(pixel, &taps)?;
+        let depth = between(&taps, seen, self.slope(pixel))?;
         let normal = self.normal(self.at(pixel))?;
         // zero where the ray's depth is, near it as long as along the normal
         let distance = (depth - along) * normal.dot(to_camera).max(GRAZING);
@@ -251,20 +251,6 @@ impl RangeImage {
             weight,
             depth: self.depth.data[k],
         })
-    }
-
-    /// Depth between the pixels' centres, of those that see what the nearest one sees: its inverse is linear
-    /// on planes.
-    fn depth_at(&self, pixel: Vec2, taps: &[Tap; 4]) -> Option<f32> {
-        let (seen, slope) = (nearest(taps), self.slope(pixel));
-        let (mut inverse, mut whole) = (0.0, 0.0);
-        for &Tap { weight, depth } in taps {
-            if continues(depth, seen, slope) {
-                inverse += weight / depth;
-                whole += weight;
-            }
-        }
-        (whole > 0.0).then(|| whole / inverse)
     }
 
     /// Most that depth changes from one pixel to the next across a diagonal, on a surface that is seen as
@@ -338,6 +324,19 @@ impl RangeImage {
 fn nearest(taps: &[Tap]) -> f32 {
     let heaviest = taps.iter().max_by(|a, b| a.weight.total_cmp(&b.weight));
     heaviest.map_or(0.0, |t| t.depth)
+}
+
+/// Depth between the pixels' centres, of those that see the surface of depth `seen`: its inverse is linear on
+/// planes.
+fn between(taps: &[Tap], seen: f32, slope: f32) -> Option<f32> {
+    let (mut inverse, mut whole) = (0.0, 0.0);
+    for &Tap { weight, depth } in taps {
+        if continues(depth, seen, slope) {
+            inverse += weight / depth;
+            whole += weight;
+        }
+    }
+    (whole > 0.0).then(|| whole / inverse)
 }
 
 /// Whether two depths are of one surface that is seen less than grazing.

@@ -30,6 +30,10 @@ pub struct Sample {
 const JUMP: f32 = 1.5;
 
 impl Sample {
+    fn is_inside(self) -> bool {
+        self.distance < 0.0
+    }
+
     /// Where on the way to `other` the surface is, 0 to 1: where the distance is zero, or at an outline,
     /// where distances of different surfaces meet, where half of the evidence is for inside.
     fn crossing(self, other: Self) -> f32 {
@@ -60,7 +64,7 @@ pub fn surface_net(known: &[IVec3], value: impl Fn(IVec3) -> Option<Sample>) -> 
             let (Some(a), Some(b)) = (value(p), value(p + x)) else {
                 continue;
             };
-            if (a.distance < 0.0) == (b.distance < 0.0) {
+            if a.is_inside() == b.is_inside() {
                 continue;
             }
             // the four cells around the edge, counter-clockwise seen against its direction
@@ -69,7 +73,7 @@ pub fn surface_net(known: &[IVec3], value: impl Fn(IVec3) -> Option<Sample>) -> 
             let [Some(i), Some(j), Some(k), Some(l)] = corners else {
                 continue;
             };
-            let square = if a.distance < 0.0 {
+            let square = if a.is_inside() {
                 [i, j, k, l]
             } else {
                 [i, l, k, j]
@@ -96,7 +100,7 @@ fn crossing(cell: IVec3, value: &impl Fn(IVec3) -> Option<Sample>) -> Option<Vec
     for a in 0..8usize {
         for axis in 0..3 {
             let b = a | 1 << axis;
-            if a == b || (values[a].distance < 0.0) == (values[b].distance < 0.0) {
+            if a == b || values[a].is_inside() == values[b].is_inside() {
                 continue;
             }
             let t = values[a].crossing(values[b]);
