@@ -272,6 +272,9 @@ def bare(source, target):
     with open(f"{source}/transforms.json") as f:
         root = json.load(f)
     root.pop("classes", None)
+    for key in ("train_filenames", "test_filenames"):
+        if key in root:
+            root[key] = [os.path.abspath(f"{source}/{name}") for name in root[key]]
     for frame in root["frames"]:
         for key in ("label_path", "depth_file_path", "mask_path"):
             frame.pop(key, None)

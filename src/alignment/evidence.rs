@@ -4,7 +4,6 @@
 use crate::core::geometry::{Camera, Projection};
 use crate::core::image::{Plane, RgbPlane, Wrap};
 use crate::core::math::luminance;
-use crate::core::parallel::prelude::*;
 use crate::gbuffer::wrap_of;
 use crate::scene::{Scene, View};
 use crate::{Error, Result};
@@ -225,25 +224,22 @@ pub fn gather_sizes(
     let train: Vec<&View> = scene.train_views().collect();
     let n = train.len().min(most);
     let chosen: Vec<&View> = (0..n).map(|i| train[i * train.len() / n.max(1)]).collect();
-    let all: Vec<Result<Vec<ViewEvidence>>> = chosen
-        .par_iter()
-        .map(|view| {
-            let image = scene.load_radiance(view)?;
-            let labels = scene.load_labels(view)?;
-            let mask = scene.load_mask(view)?;
-            let at_size = |size: &EvidenceSize| {
-                ViewEvidence::new(
-                    &view.stem,
-                    &view.camera,
-                    &image,
-                    mask.as_ref(),
-                    labels.as_ref(),
-                    *size,
-                )
-            };
-            Ok(sizes.iter().map(at_size).collect())
-        })
-        .collect();
+    let all: Vec<Result<Vec<ViewEvidence>>> = scene.decoding().map(&chosen, |view| {
+        let image = scene.load_radiance(view)?;
+        let labels = scene.load_labels(view)?;
+        let mask = scene.load_mask(view)?;
+        let at_size = |size: &EvidenceSize| {
+            ViewEvidence::new(
+                &view.stem,
+                &view.camera,
+                &image,
+                mask.as_ref(),
+                labels.as_ref(),
+                *size,
+            )
+        };
+        Ok(sizes.iter().map(at_size).collect())
+    });
     let (mut out, mut errors) = (vec![Vec::new(); sizes.len()], Vec::new());
     for one in all {
         match one {

@@ -8,6 +8,7 @@ pub mod geometry;
 pub mod image;
 pub mod lock;
 pub mod math;
+pub mod memory;
 pub mod metrics;
 pub mod network;
 pub mod parallel;

@@ -157,14 +157,9 @@ impl Supported {
 
 /// What a reconstruction from these views costs by.
 fn workload(observer: &Observer, supported: &Supported, options: &SolveOptions) -> Workload {
-    let mesh = observer.mesh;
-    let covered: f64 = (0..mesh.triangles.len())
-        .map(|t| f64::from(mesh.chart_area(t)))
-        .filter(|a| a.is_finite())
-        .sum();
     let pixels: usize = observer.views.iter().map(|v| v.radiance.data.len()).sum();
     Workload {
-        covered: covered.clamp(0.01, 1.0),
+        covered: observer.mesh.covered_share(),
         lookup: supported.lookup,
         pixels: pixels as f64,
         edge_pixels: if options.edges == Switch::Off {

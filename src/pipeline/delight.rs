@@ -93,6 +93,7 @@ fn choose_sizes(scan: &Scan, options: &SolveOptions, progress: &Progress) -> Tex
         albedo,
         roughness,
         irradiance,
+        ..
     } = options.fit;
     let sizes = TextureSizes {
         albedo: fitted(options.albedo_size, albedo),

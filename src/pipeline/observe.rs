@@ -131,20 +131,23 @@ fn read_views(
     progress: &Progress,
 ) -> Result<ReadViews> {
     let train: Vec<&View> = scene.train_views().collect();
-    let mut ceilings = Vec::with_capacity(train.len());
-    let mut shortfalls = Vec::with_capacity(train.len());
-    let mut encoded = true;
-    let views = progress.stage("views", train.len() as u64, |p| {
-        let read = |view: &&View| {
-            let read = read_view(scene, view, tracer, options, p)?;
-            ceilings.push(read.ceiling);
-            shortfalls.push(read.shortfall);
-            encoded &= read.encoded;
+    let read = progress.stage("views", train.len() as u64, |p| {
+        scene.decoding().map(&train, |view| {
+            let read = read_view(scene, view, tracer, options);
             p.advance(1);
-            Ok(read.view)
-        };
-        train.iter().map(read).collect::<Result<Vec<_>>>()
-    })?;
+            read
+        })
+    });
+    let (mut views, mut encoded) = (Vec::with_capacity(train.len()), true);
+    let (mut ceilings, mut shortfalls) = (Vec::new(), Vec::new());
+    for read in read {
+        let read = read?;
+        read.notes.into_iter().for_each(|n| progress.note(n));
+        views.push(read.view);
+        ceilings.push(read.ceiling);
+        shortfalls.push(read.shortfall);
+        encoded &= read.encoded;
+    }
     let dark = |v: &ObservedView| v.radiance.data.iter().all(|p| *p == Vec3::ZERO);
     if views.iter().all(dark) {
         return Err(all_black(scene));
@@ -169,6 +172,8 @@ struct ReadView {
     shortfall: Shortfall,
     /// It is made for a screen.
     encoded: bool,
+    /// What is to be told of it.
+    notes: Vec<String>,
 }
 
 fn read_view(
@@ -176,11 +181,11 @@ fn read_view(
     view: &View,
     tracer: &EmbreeTracer,
     options: &SolveOptions,
-    progress: &Progress,
 ) -> Result<ReadView> {
     let (full, stats) = scene.load_radiance_with_stats(view)?;
+    let mut notes = Vec::new();
     if stats.eight_bit {
-        progress.note(format!("{}: {EIGHT_BIT}", view.stem));
+        notes.push(format!("{}: {EIGHT_BIT}", view.stem));
     }
     let ceiling = scene
         .ceiling_bits(view, (&full, &stats))?
@@ -197,6 +202,7 @@ fn read_view(
     let valid = scene
         .load_mask(view)?
         .map(|m| all_valid(&m, options.photo_reduction));
+    let labels = labels.map(|l| thinned(l, radiance.width));
     let mut clean = buffer.clean_pixels(&scene.mesh, labels.as_ref());
     if let Some(at) = &ceiling {
         // a lower bound: used only where no other look is at hand
@@ -206,7 +212,7 @@ fn read_view(
             .zip(&at.data)
             .for_each(|(clean, clipped)| *clean &= *clipped == 0);
         let share = at.data.iter().filter(|c| **c != 0).count() as f64 / at.data.len() as f64;
-        progress.note(format!(
+        notes.push(format!(
             "{}: {:.2} % of the pixels are clipped",
             view.stem,
             100.0 * share
@@ -224,6 +230,7 @@ fn read_view(
         ceiling,
         shortfall,
         encoded: view.encoded_ceiling(&stats).is_some(),
+        notes,
     })
 }
 
@@ -313,6 +320,23 @@ fn reduced(image: RgbPlane, factor: usize) -> RgbPlane {
     let factor = within(&image, factor);
     let gain = 1.0 / (factor * factor) as f32;
     blocks(&image.map(|v| *v * gain), factor, |a, b| a + b)
+}
+
+/// Class ids no finer than photographs of so many columns need: those in the middle of each block.
+fn thinned(labels: Plane<u16>, columns: usize) -> Plane<u16> {
+    let factor = within(&labels, labels.width / columns.max(1));
+    if factor <= 1 {
+        return labels;
+    }
+    let (width, height) = (labels.width / factor, labels.height / factor);
+    let middle = |i: usize| i * factor + factor / 2;
+    Plane {
+        width,
+        height,
+        data: (0..width * height)
+            .map(|i| labels[(middle(i % width), middle(i / width))])
+            .collect(),
+    }
 }
 
 /// A mask at the size of [`reduced`]: a block may be used if all of it may.

@@ -10,8 +10,8 @@ use crate::published::PublishedOptions;
 use crate::{Error, Result};
 use serde::Serialize;
 
-/// Textures whose size is a bound that the photographs' resolution may lower; otherwise the size is
-/// exact.
+/// Sizes that are bounds: of textures, which the photographs' resolution may lower, and of the
+/// photographs; otherwise a size is exact.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Fit {
     /// Albedo, radiance, emission, labels.
@@ -20,6 +20,8 @@ pub struct Fit {
     pub roughness: bool,
     /// Irradiance.
     pub irradiance: bool,
+    /// The photographs: they may be reduced further, to what memory holds.
+    pub photographs: bool,
 }
 
 /// Numbers of a reconstruction. [`super::SolveRequest`] makes them from a preset and the user's

@@ -325,6 +325,7 @@ impl SolveRequest {
                 albedo: fit(self.albedo_size.is_some()),
                 roughness: fit(self.roughness_size.is_some()),
                 irradiance: fit(self.irradiance_size.is_some()),
+                photographs: self.photo_reduction.is_none(),
             },
             photo_reduction: self.photo_reduction.unwrap_or(preset.photo_reduction),
             irradiance_estimator: self
@@ -388,6 +389,7 @@ mod tests {
                 albedo: true,
                 roughness: true,
                 irradiance: true,
+                photographs: true,
             };
             assert_eq!(
                 plain,

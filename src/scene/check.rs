@@ -7,7 +7,6 @@ use super::{FrameAccount, LoadOptions, MeshClasses, RoomGrid, Scene, Split, View
 use crate::core::geometry::{Camera, Projection};
 use crate::core::image::{Plane, RgbPlane};
 use crate::core::math::luminance;
-use crate::core::parallel::prelude::*;
 use crate::core::parallel::sum_f64;
 use crate::core::sampling::{AliasTable, KeyedRng};
 use crate::core::stats::median;
@@ -222,11 +221,8 @@ fn messages(e: &Error) -> Vec<String> {
 
 /// [`check`] for a scene in memory and any tracer.
 pub fn check_loaded(scene: &Scene, tracer: &dyn Tracer, report: &mut CheckReport) {
-    let views: Vec<Result<ViewFindings>> = scene
-        .views
-        .par_iter()
-        .map(|v| look_at(scene, v, tracer))
-        .collect();
+    let look = |v: &View| look_at(scene, v, tracer);
+    let views = scene.decoding().map(&scene.views, look);
     let mut findings = Vec::new();
     for v in views {
         match v {

@@ -5,7 +5,8 @@ use super::mesh_classes::{Named, mesh_classes};
 use super::mesh_prep::prepare_mesh;
 use super::transforms::{Frame, Model, Transforms, parse_usable, y_up_from_z_up};
 use super::{
-    Class, LdrImages, LoadOptions, MeshClasses, Mirror, Scene, Split, View, rooms, unnamed_class,
+    Class, LdrImages, LoadOptions, MeshClasses, Mirror, Scene, Split, View, decoding, rooms,
+    unnamed_class,
 };
 use crate::core::formats::{self, ImageAccount, ImageInfo};
 use crate::core::geometry::Camera;
@@ -107,7 +108,7 @@ impl Scene {
         let named = named.map(|mesh| Named::prepared(mesh, &names));
         let declared = transforms.classes;
         let classes = SceneClasses::of(named, declared, options.mesh_classes)
-            .unwrap_or_else(|| SceneClasses::derived(&views, &mut issues));
+            .unwrap_or_else(|| SceneClasses::derived(&views, options, &mut issues));
         let rooms = transforms.rooms_path.as_ref().and_then(|p| {
             rooms::read_rooms(&resolved(&folder, p), origin)
                 .map_err(|e| issues.push(e))
@@ -668,29 +669,24 @@ impl SceneClasses {
     }
 
     /// Those of a scene that declares none: every id in the label images.
-    fn derived(views: &[View], issues: &mut Vec<Error>) -> Self {
+    fn derived(views: &[View], options: &LoadOptions, issues: &mut Vec<Error>) -> Self {
         Self {
-            list: derived_classes(views, issues),
+            list: derived_classes(views, options, issues),
             of_mesh: None,
         }
     }
 }
 
 /// Every id in the label images, as classes.
-fn derived_classes(views: &[View], issues: &mut Vec<Error>) -> Vec<Class> {
-    let found: Vec<Result<BTreeSet<u16>>> = views
-        .par_iter()
-        .filter_map(|v| v.label_path.as_ref())
-        .map(|p| {
-            Ok(formats::read_labels(p)
-                .map_err(|e| as_input(e, p, "label_path"))?
-                .data
-                .into_iter()
-                .collect())
-        })
-        .collect();
+fn derived_classes(views: &[View], options: &LoadOptions, issues: &mut Vec<Error>) -> Vec<Class> {
+    let labelled = views.iter().filter_map(|v| v.label_path.as_ref());
+    let labelled: Vec<&PathBuf> = labelled.collect();
+    let ids_in = |path: &&PathBuf| -> Result<BTreeSet<u16>> {
+        let labels = formats::read_labels(path).map_err(|e| as_input(e, path, "label_path"))?;
+        Ok(labels.data.into_iter().collect())
+    };
     let mut ids = BTreeSet::new();
-    for f in found {
+    for f in decoding(views, options).map(&labelled, ids_in) {
         match f {
             Ok(f) => ids.extend(f),
             Err(e) => issues.push(e),

@@ -44,6 +44,7 @@ use crate::core::formats::ImageAccount;
 use crate::core::geometry::{Camera, Mesh};
 use crate::core::image::{CameraMask, Plane};
 use crate::core::math::colour::ColourSpace;
+use crate::core::memory::{Decoding, machine_bytes, parse_bytes};
 use crate::core::switch::Switch;
 use glam::DVec3;
 use std::path::PathBuf;
@@ -96,6 +97,11 @@ pub struct LoadOptions {
     /// Texels kept free around every chart of an own atlas.
     #[arg(long, value_name = "TEXELS", default_value_t = Self::default().unwrap_padding)]
     pub unwrap_padding: u32,
+    /// Main memory to stay within, such as 16GiB (in a file: bytes): `solve` reduces photographs until
+    /// all of it fits, or is refused at the start; everything else only decodes fewer photographs at
+    /// once [default: the machine's].
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+    pub memory: Option<u64>,
     /// Problems reported in full before the rest is only counted.
     #[arg(long, value_name = "N", default_value_t = Self::default().max_issues)]
     pub max_issues: usize,
@@ -110,8 +116,18 @@ impl Default for LoadOptions {
             unwrap: false,
             unwrap_resolution: 2048,
             unwrap_padding: 2,
+            memory: None,
             max_issues: 50,
         }
+    }
+}
+
+impl LoadOptions {
+    /// Bytes of main memory that may be used: what was asked for, or what the machine has; `None`
+    /// where its kernel does not tell.
+    #[must_use]
+    pub fn memory_limit(&self) -> Option<u64> {
+        self.memory.or_else(machine_bytes)
     }
 }
 
@@ -193,6 +209,12 @@ pub struct View {
     pub colour_space: Option<ColourSpace>,
     /// How the image is understood.
     pub account: ImageAccount,
+}
+
+fn decoding(views: &[View], options: &LoadOptions) -> Decoding {
+    let pixels = |v: &View| v.camera.width * v.camera.height;
+    let largest = views.iter().map(pixels).max().unwrap_or(0);
+    Decoding::within(options.memory_limit().unwrap_or(0), largest)
 }
 
 /// Room ids on a floor plan: `cells[(column, row)]` covers x = x_min + column·cell, z = z_min +
@@ -291,6 +313,12 @@ impl Scene {
         files.sort();
         files.dedup();
         files
+    }
+
+    /// How many photographs are decoded at once.
+    #[must_use]
+    pub fn decoding(&self) -> Decoding {
+        decoding(&self.views, &self.options)
     }
 
     /// Training views in file order.

@@ -6,7 +6,7 @@ use crate::cli::inputs::read_scene;
 use crate::cli::verb_args::{BenchVerb, Outputs, Work};
 use crate::core::formats::{Aside, atomic_write};
 use crate::error::{Error, Result};
-use crate::pipeline::{SolveOptions, SolveRequest};
+use crate::pipeline::SolveRequest;
 use crate::programs::bench::{
     AlignmentBench, IrtBench, LightBench, RobustnessBench, ScalingBench, TablesBench, TablesReport,
     TradeoffBench, TsdrBench, Workplace, bench_alignment, bench_irt, bench_kernel, bench_light,
@@ -157,14 +157,14 @@ fn no_plot() -> Result<String> {
 fn irt(scene: &Path, bench: &IrtBench, outputs: &Outputs, context: &Context) -> Result<()> {
     outputs.check()?;
     let scene = read_scene(scene, context)?;
-    let report = bench_irt(&scene, bench, &solve_options(context), &context.progress)?;
+    let report = bench_irt(&scene, bench, &context.run.options(), &context.progress)?;
     outputs.write(context, &report.text(), &report, || report.plot())
 }
 
 fn light(path: &Path, bench: &LightBench, outputs: &Outputs, context: &Context) -> Result<()> {
     outputs.check()?;
     let scene = read_scene(path, context)?;
-    let report = bench_light(&scene, bench, &solve_options(context), &context.progress)?;
+    let report = bench_light(&scene, bench, &context.run.options(), &context.progress)?;
     outputs.write(context, &report.text(), &report, no_plot)
 }
 
@@ -182,7 +182,7 @@ fn tradeoff(
         &scene,
         &runner,
         bench,
-        &solve_options(context),
+        &context.run.options(),
         &context.progress,
         &mut |so_far| outputs.write_files(so_far, || so_far.plot()).map(drop),
     )?;
@@ -298,14 +298,6 @@ fn alignment(
     }
     text += &format!("recognised in all: {} of {}\n", sum.0, sum.1);
     outputs.write(context, &text, &all, no_plot)
-}
-
-/// The reconstruction's options: the configuration file's, or the defaults.
-fn solve_options(context: &Context) -> SolveOptions {
-    context
-        .config
-        .solve
-        .options(context.seed(), context.run.recorder.started())
 }
 
 /// After the verb `bench`, turns `--json FILE` into `--json-file FILE`: everywhere else `--json` is

@@ -12,12 +12,10 @@ use std::path::Path;
 
 pub(super) fn delight(mesh: &Path, out: &Path, context: &Context) -> Result<()> {
     let config = &context.config;
-    let options = config
-        .solve
-        .options(context.seed(), context.run.recorder.started());
-    if options.budget.is_some() || options.published.is_some() {
+    let options = context.run.options();
+    if options.budget.is_some() || config.scene.memory.is_some() || options.published.is_some() {
         return Err(Error::Usage(
-            "delight: --budget and --quality paper are for photographs; choose --quality draft, standard or high".into(),
+            "delight: --budget, --memory and --quality paper are for photographs; choose --quality draft, standard or high".into(),
         ));
     }
     let scan = context.progress.stage("reading the scan", 1, |_| {
@@ -37,6 +35,7 @@ pub(super) fn delight(mesh: &Path, out: &Path, context: &Context) -> Result<()> 
         findings: solved.findings,
         alignment: None,
         inputs,
+        options,
     };
     say(&result.write(&scan.scene, out, &context.run)?, out, context)
 }

@@ -73,7 +73,9 @@ pub(crate) fn eval(out: &Path, scene_path: &Path, context: &Context) -> Result<(
         // the report tells of the run that made the solution; without its manifest, of this one
         let record = match run {
             Some(record) => record,
-            None => context.run.record(&scene, hash_inputs(&scene)?)?,
+            None => context
+                .run
+                .record(&scene, hash_inputs(&scene)?, &context.run.options())?,
         };
         context.progress.stage("report", 1, |_| {
             let reported = Reported {

@@ -99,6 +99,14 @@ impl Mesh {
         0.5 * (b - a).perp_dot(c - a).abs()
     }
 
+    /// Share of the atlas that charts cover, from 0.01 to 1; what lies on top of another counts twice.
+    #[must_use]
+    pub fn covered_share(&self) -> f64 {
+        let areas = (0..self.triangles.len()).map(|t| f64::from(self.chart_area(t)));
+        let finite = areas.filter(|a| a.is_finite());
+        finite.sum::<f64>().clamp(0.01, 1.0)
+    }
+
     /// Unnormalised geometric normal: length is twice the area, direction by the winding.
     #[must_use]
     pub fn double_area_normal(&self, t: usize) -> Vec3 {

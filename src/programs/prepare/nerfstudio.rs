@@ -235,7 +235,7 @@ impl Document {
             shot.world_from_camera = pose.map_err(|m| fail(format!("transform_matrix: {m}")))?;
             shots.push(shot);
         }
-        split(root, frames, &mut shots);
+        split(root, frames, folder, &mut shots, account);
         account.read(format!("{}: {} posed images", file.display(), shots.len()));
         undo.tell(account);
         let of_frames = frames
@@ -462,18 +462,20 @@ fn optics(
     }
 }
 
-/// Held-out frames: those of test and validation lists that are not trained on.
-fn split(root: &Map<String, Value>, frames: &[Value], shots: &mut [Shot]) {
-    let list = |key: &str| -> Option<BTreeSet<&str>> {
-        let names = root.get(key)?.as_array()?;
-        let plain = |n: &'_ str| -> usize { if n.starts_with("./") { 2 } else { 0 } };
-        Some(
-            names
-                .iter()
-                .filter_map(Value::as_str)
-                .map(|n| &n[plain(n)..])
-                .collect(),
-        )
+/// Held-out frames: those of test and validation lists that are not trained on. Names are compared as
+/// places, since a list may be relative where the frames are not.
+fn split(
+    root: &Map<String, Value>,
+    frames: &[Value],
+    folder: &Path,
+    shots: &mut [Shot],
+    account: &mut Account,
+) {
+    // without the dots of a path
+    let place = |n: &str| -> PathBuf { folder.join(n).components().collect() };
+    let list = |key: &str| -> Option<BTreeSet<PathBuf>> {
+        let names = root.get(key)?.as_array()?.iter();
+        Some(names.filter_map(Value::as_str).map(place).collect())
     };
     let (train, test, val) = (
         list("train_filenames"),
@@ -483,14 +485,22 @@ fn split(root: &Map<String, Value>, frames: &[Value], shots: &mut [Shot]) {
     if train.is_none() && test.is_none() && val.is_none() {
         return;
     }
-    for (frame, shot) in frames.iter().zip(shots) {
-        let name = frame.get("file_path").and_then(Value::as_str).unwrap_or("");
-        let name = name.strip_prefix("./").unwrap_or(name);
-        let in_list = |l: &Option<BTreeSet<&str>>| l.as_ref().is_some_and(|l| l.contains(name));
-        shot.held_out = Some(match &train {
-            Some(t) => !t.contains(name),
+    let held_out = |frame: &Value| {
+        let name = frame.get("file_path").and_then(Value::as_str);
+        let name = place(name.unwrap_or_default());
+        let in_list = |l: &Option<BTreeSet<PathBuf>>| l.as_ref().is_some_and(|l| l.contains(&name));
+        match &train {
+            Some(t) => !t.contains(&name),
             None => in_list(&test) || in_list(&val),
-        });
+        }
+    };
+    let held_out: Vec<bool> = frames.iter().map(held_out).collect();
+    if !held_out.contains(&false) {
+        account.ignored("train_filenames, test_filenames, val_filenames: they leave no frame to reconstruct from; all are taken");
+        return;
+    }
+    for (shot, held_out) in shots.iter_mut().zip(held_out) {
+        shot.held_out = Some(held_out);
     }
 }
 

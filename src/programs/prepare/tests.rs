@@ -354,6 +354,38 @@ fn files_of_training_and_test_frames_are_one_scene() {
     );
 }
 
+/// Lists name frames by place, however either is spelled; lists that hold out everything are told and
+/// not followed.
+#[test]
+fn frames_are_held_out_by_place_and_never_all() {
+    let dir = tempfile::tempdir().expect("folder");
+    panorama(&dir.path().join("a.png"), 64);
+    panorama(&dir.path().join("b.png"), 64);
+    let b = dir.path().join("b.png");
+    let frames = [frame_of("./a.png"), frame_of(&b.display().to_string())].join(", ");
+    let split = |train: &str, test: &str| {
+        let text = format!(
+            r#"{{"camera_model": "equirectangular", "frames": [{frames}], "train_filenames": ["{train}"], "test_filenames": ["{test}"]}}"#
+        );
+        fs::write(dir.path().join("transforms.json"), text).expect("file");
+        let out = dir.path().join("scene");
+        let made = run(None, dir.path(), &out, &PrepareOptions::default()).expect("prepared");
+        let text = fs::read_to_string(out.join("transforms.json")).expect("text");
+        let scene: serde_json::Value = serde_json::from_str(&text).expect("json");
+        let told = made.notes.iter().any(|n| n.contains("train_filenames"));
+        (
+            scene["train_filenames"].clone(),
+            scene["test_filenames"].clone(),
+            told,
+        )
+    };
+    let list = |name: &str| serde_json::json!([format!("images/{name}.png")]);
+    assert_eq!(split("a.png", "b.png"), (list("a"), list("b"), false));
+    assert_eq!(split("./b.png", "a.png"), (list("b"), list("a"), false));
+    let nothing = serde_json::Value::Null;
+    assert_eq!(split("c.png", "a.png"), (nothing.clone(), nothing, true));
+}
+
 #[test]
 fn a_folder_of_two_kinds_is_read_by_its_own_file_and_says_so() {
     let dir = tempfile::tempdir().expect("folder");

@@ -9,6 +9,7 @@ use super::pictures::{CONFIDENCE_RANGE, Captioned, ERROR_RANGE, ViewPictures, in
 use super::record::{RunRecord, StageRecord};
 use crate::Result;
 use crate::core::formats::grouped;
+use crate::core::memory::written_bytes;
 use crate::core::parallel::prelude::*;
 use crate::programs::evaluate::{Evaluation, GainScores, ImageScores, MaterialScores, SplitScores};
 use crate::scene::Split;
@@ -52,15 +53,6 @@ fn duration(seconds: f64) -> String {
         s if s < 60.0 => format!("{s:.1} s"),
         s if s < 3600.0 => format!("{} min {:02} s", s as u64 / 60, s as u64 % 60),
         s => format!("{} h {:02} min", s as u64 / 3600, s as u64 % 3600 / 60),
-    }
-}
-
-fn bytes(n: u64) -> String {
-    let mib = n as f64 / (1u64 << 20) as f64;
-    if mib < 1024.0 {
-        format!("{mib:.0} MiB")
-    } else {
-        format!("{:.2} GiB", mib / 1024.0)
     }
 }
 
@@ -244,7 +236,7 @@ fn summary(p: &Page<'_>) -> Markup {
             (score_tiles(p))
             (tile(false, &duration(r.wall_seconds), "wall time"))
             (tile(false, &duration(r.cpu_seconds), &threads))
-            (tile(false, &bytes(r.peak_bytes), "peak memory"))
+            (tile(false, &written_bytes(r.peak_bytes), "peak memory"))
             @if r.rays > 0 { (tile(false, &short(r.rays), "rays traced")) }
             (tile(false, &views, "training + held-out views"))
         }
@@ -704,7 +696,7 @@ fn run_section(r: &RunRecord) -> Markup {
     let rows = [
         ("processor", r.machine.cpu.clone()),
         ("threads", r.machine.threads.to_string()),
-        ("memory", bytes(r.machine.memory_bytes)),
+        ("memory", written_bytes(r.machine.memory_bytes)),
         ("unbake", r.versions.unbake.clone()),
         ("Embree", r.versions.embree.clone()),
         ("OpenImageIO", r.versions.openimageio.clone()),
@@ -838,7 +830,6 @@ mod tests {
     fn numbers_read_well() {
         assert_eq!(short(61_440_000), "61.4 M");
         assert_eq!(duration(125.0), "2 min 05 s");
-        assert_eq!(bytes(3 << 30), "3.00 GiB");
         assert_eq!(or_dash(Some(1.239), 2), "1.24");
         assert_eq!(or_dash(None, 2), "–");
     }

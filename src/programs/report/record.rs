@@ -2,6 +2,7 @@
 
 use crate::alignment::Alignment;
 use crate::core::formats::atomic_write;
+use crate::core::memory::kibibytes;
 use crate::core::progress::{Decision, Observer};
 use crate::error::{Error, Result};
 use crate::programs::export::ClassName;
@@ -235,16 +236,20 @@ pub fn hash_inputs(scene: &Scene) -> Result<Vec<InputFile>> {
     paths
         .par_iter()
         .map(|path| {
-            let bytes = std::fs::read(path)
-                .map_err(|e| Error::input(path, format!("cannot be read ({e})")))?;
+            let mut hasher = blake3::Hasher::new();
+            let read = std::fs::File::open(path).and_then(|file| {
+                hasher.update_reader(file)?;
+                Ok(hasher)
+            });
+            let hasher = read.map_err(|e| Error::input(path, format!("cannot be read ({e})")))?;
             Ok(InputFile {
                 path: path
                     .strip_prefix(&scene.folder)
                     .unwrap_or(path)
                     .to_string_lossy()
                     .into_owned(),
-                bytes: bytes.len() as u64,
-                blake3: blake3::hash(&bytes).to_hex().to_string(),
+                bytes: hasher.count(),
+                blake3: hasher.finalize().to_hex().to_string(),
             })
         })
         .collect()
@@ -373,12 +378,6 @@ pub fn peak_bytes() -> u64 {
 pub fn restart_peak() {
     // proc(5): 5 resets the peak resident set size to the current one
     let _ = std::fs::write("/proc/self/clear_refs", "5");
-}
-
-fn kibibytes(path: &str, key: &str) -> Option<u64> {
-    let text = std::fs::read_to_string(path).ok()?;
-    let line = text.lines().find_map(|l| l.strip_prefix(key))?;
-    Some(line.split_ascii_whitespace().next()?.parse::<u64>().ok()? * 1024)
 }
 
 /// The processor, the threads in use and the memory.

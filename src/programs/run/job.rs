@@ -10,7 +10,7 @@ use crate::core::formats::AsideFolder;
 use crate::core::lock::OutputLock;
 use crate::core::progress::Progress;
 use crate::error::{Error, Result};
-use crate::pipeline::{Checkpoints, SolveOptions, reconstruct};
+use crate::pipeline::{Checkpoints, SolveOptions, fitting_reduction, reconstruct};
 use crate::programs::report::{InputFile, hash_inputs};
 use crate::scene::{LoadOptions, Scene};
 use crate::solution::Solution;
@@ -43,7 +43,7 @@ impl Run {
     /// # Errors
     /// The program's own file cannot be read.
     pub fn key(&self) -> Result<String> {
-        run_key(&[], self)
+        run_key(&[], &self.options(), self)
     }
 }
 
@@ -71,11 +71,12 @@ impl Job {
         keep_inputs(out, scene_path, &[])?;
         let (scene, alignment) = aligned_scene(scene_path, &run.request, &run.progress)?;
         keep_inputs(out, &scene.folder, &scene.input_files())?;
-        let started = run.recorder.started();
+        let mut options = run.options();
+        options.photo_reduction = fitting_reduction(&scene, &options, &run.progress)?;
         let inputs = hash_inputs(&scene)?;
         keep_other_results(out, &inputs)?;
         Ok(Self {
-            options: run.request.solve.options(run.request.seed, started),
+            options,
             inputs,
             scene,
             alignment,
@@ -87,7 +88,7 @@ impl Job {
     /// # Errors
     /// The program's own file cannot be read.
     pub fn key(&self, run: &Run) -> Result<String> {
-        run_key(&self.inputs, run)
+        run_key(&self.inputs, &self.options, run)
     }
 
     /// Solves the scene.
@@ -112,6 +113,7 @@ impl Job {
                 findings,
                 alignment: Some(alignment),
                 inputs,
+                options,
             },
         })
     }

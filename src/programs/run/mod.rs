@@ -15,7 +15,7 @@ pub use result::{RunResult, SolvedRun};
 
 use crate::alignment::AlignmentOptions;
 use crate::core::progress::{Observer, Progress, Tee};
-use crate::pipeline::SolveRequest;
+use crate::pipeline::{SolveOptions, SolveRequest};
 use crate::programs::report::Recorder;
 use crate::scene::LoadOptions;
 use serde::Serialize;
@@ -62,5 +62,12 @@ impl Run {
             progress: Progress::new(Arc::new(Tee(observers))),
             recorder,
         }
+    }
+
+    /// The numbers that the request gives, before anything is known of a scene.
+    #[must_use]
+    pub fn options(&self) -> SolveOptions {
+        let request = &self.request;
+        (request.solve).options(request.seed, self.recorder.started())
     }
 }

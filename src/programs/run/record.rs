@@ -11,11 +11,11 @@ use std::path::PathBuf;
 use std::sync::OnceLock;
 
 /// A hash of everything the result depends on: inputs, options, seed and this very program.
-pub(super) fn run_key(inputs: &[InputFile], run: &Run) -> Result<String> {
+pub(super) fn run_key(inputs: &[InputFile], options: &SolveOptions, run: &Run) -> Result<String> {
     let program = program_hash()?;
     let all = json!([
         inputs,
-        options_of(run)?,
+        options_of(run, options)?,
         run.request.seed,
         Versions::current(),
         program
@@ -60,12 +60,11 @@ fn own_library() -> Option<PathBuf> {
 struct Options<'a> {
     #[serde(flatten)]
     asked: &'a RunRequest,
-    effective: SolveOptions,
+    effective: &'a SolveOptions,
 }
 
-fn options_of(run: &Run) -> Result<serde_json::Value> {
+fn options_of(run: &Run, effective: &SolveOptions) -> Result<serde_json::Value> {
     let asked = &run.request;
-    let effective = asked.solve.options(asked.seed, run.recorder.started());
     serde_json::to_value(Options { asked, effective })
         .map_err(|e| Error::Failed(format!("options: {e}")))
 }
@@ -75,12 +74,17 @@ impl Run {
     ///
     /// # Errors
     /// Options that cannot be written down.
-    pub fn record(&self, scene: &Scene, inputs: Vec<InputFile>) -> Result<RunRecord> {
+    pub fn record(
+        &self,
+        scene: &Scene,
+        inputs: Vec<InputFile>,
+        options: &SolveOptions,
+    ) -> Result<RunRecord> {
         Ok(RunRecord {
             command: self.command.clone(),
             versions: Versions::current(),
             scene: SceneSummary::of(scene),
-            options: options_of(self)?,
+            options: options_of(self, options)?,
             seed: self.request.seed,
             inputs,
             ..self.recorder.record()

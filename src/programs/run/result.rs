@@ -5,6 +5,7 @@ use super::Run;
 use crate::alignment::Alignment;
 use crate::core::progress::Progress;
 use crate::error::Result;
+use crate::pipeline::SolveOptions;
 use crate::programs::report::{InputFile, Reported, RunRecord, write_report};
 use crate::render::{HybridOptions, HybridRenderer};
 use crate::scene::Scene;
@@ -22,6 +23,8 @@ pub struct RunResult {
     pub alignment: Option<Alignment>,
     /// The files it was made from.
     pub inputs: Vec<InputFile>,
+    /// The numbers it was made with.
+    pub options: SolveOptions,
 }
 
 /// A run that wrote its result.
@@ -46,7 +49,7 @@ impl RunResult {
             solution.save(out, &SaveOptions::default())
         })?;
         let verdict = self.findings.verdict();
-        let mut record = run.record(scene, self.inputs)?;
+        let mut record = run.record(scene, self.inputs, &self.options)?;
         record.generation = generation;
         record.findings = Some(self.findings);
         record.alignment = self.alignment;
