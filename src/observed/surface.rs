@@ -7,9 +7,9 @@ use crate::core::image::{CameraMask, Plane};
 use crate::core::texture::{Texels, fill_uncovered};
 use crate::core::trace::EmbreeTracer;
 use crate::gbuffer::{ObservedView, Observer, Orientation};
-use crate::scene::{Scene, Shortfall};
+use crate::scene::{Class, Scene, Shortfall};
 use glam::Vec3;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 
 /// Sides of the textures, texels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,6 +90,14 @@ impl Surface<'_> {
     #[must_use]
     pub fn is_labelled(&self) -> bool {
         self.scene.mesh_classes.is_some() || self.views.iter().any(|v| v.labels.is_some())
+    }
+
+    /// Whether the class of each texel is one of those that `is` holds for.
+    #[must_use]
+    pub fn texels_of(&self, is: impl Fn(&Class) -> bool) -> Vec<bool> {
+        let classes = self.scene.classes.iter().filter(|c| is(c));
+        let ids: HashSet<u16> = classes.map(|c| c.id).collect();
+        self.labels.iter().map(|l| ids.contains(l)).collect()
     }
 
     /// Whether a pixel of a view gives a lower bound ([`Self::bounds`]) of one surface alone.

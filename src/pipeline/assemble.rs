@@ -200,9 +200,7 @@ struct LightMarks {
 impl LightMarks {
     fn of(surface: &Surface, found: &[FoundLight]) -> Self {
         let texels = &surface.texels;
-        let window: Vec<bool> = (surface.labels.iter())
-            .map(|l| surface.scene.class(*l).is_some_and(Class::is_window))
-            .collect();
+        let window = surface.texels_of(Class::is_window);
         let mut error = vec![0.0f32; texels.len()];
         for light in found {
             for &i in &light.texels {

@@ -270,15 +270,11 @@ impl<'s, 'a> Restorer<'s, 'a> {
     /// Seen texels of windows that no class of light holds: photographs of an ordinary camera show
     /// what is behind them darker than it is, clipped or not.
     fn windows(&self) -> Vec<bool> {
-        let scene = self.surface.scene;
-        (0..self.surface.labels.len())
-            .map(|i| {
-                let class = scene.class(self.surface.labels[i]);
-                class.is_some_and(Class::is_window)
-                    && self.surface.fusion.views[i] > 0
-                    && !self.is_light_class(i)
-            })
-            .collect()
+        let mut windows = self.surface.texels_of(Class::is_window);
+        for (i, window) in windows.iter_mut().enumerate() {
+            *window &= self.surface.fusion.views[i] > 0 && !self.is_light_class(i);
+        }
+        windows
     }
 
     /// A window: what it sends in every channel is a lower bound.

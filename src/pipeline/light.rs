@@ -84,16 +84,21 @@ pub fn reconstruct_light(surface: &Surface, options: &SolveOptions, progress: &P
     let labels = segments.as_ref().unwrap_or(&surface.labels);
 
     // surfaces nobody sees send out their class's albedo times their irradiance
-    let predicted = complete_radiance(surface, labels, &known, so_far);
-    let radiance = filled_radiance(surface, &predicted, &vec![true; predicted.len()]);
-    let (field, emitters) = light_field(
-        surface,
-        &radiance,
-        &emissive,
-        environment,
-        &coarse.texels,
-        options,
-    );
+    let radiance = progress.stage("radiance nobody sees", 1, |_| {
+        let predicted = complete_radiance(surface, labels, &known, so_far);
+        filled_radiance(surface, &predicted, &vec![true; predicted.len()])
+    });
+    let (field, emitters) = progress.stage("lights to sample", 1, |_| {
+        let seen_from = &coarse.texels;
+        light_field(
+            surface,
+            &radiance,
+            &emissive,
+            environment,
+            seen_from,
+            options,
+        )
+    });
     let seen = &surface.fusion.views;
     let unseen = seen.iter().filter(|v| **v == 0).count();
     progress.note(format!(
@@ -204,7 +209,9 @@ fn coarse_light(
     let lamps = &known.lamps;
     let radiance = first_radiance(surface, sent, known);
     let texels = coarse_texels(surface);
-    let (field, emitters) = light_field(surface, &radiance, lamps, environment, &texels, options);
+    let (field, emitters) = progress.stage("lights to sample", 1, |_| {
+        light_field(surface, &radiance, lamps, environment, &texels, options)
+    });
     let coarse = coarse_samples(options);
     let begin = Instant::now();
     let bake = progress.stage("emitters", texels.len() as u64, |p| {
@@ -431,6 +438,7 @@ pub(super) fn light_field(
 /// surface could reflect there.
 fn emitting_triangles(surface: &Surface, irradiance: &RgbPlane, known: &[bool]) -> Vec<bool> {
     let texels: Vec<EmissionEvidence> = (0..surface.texels.len())
+        .into_par_iter()
         .map(|i| EmissionEvidence {
             triangle: surface.texels.point[i].triangle,
             label: surface.labels[i],
@@ -506,6 +514,7 @@ fn complete_radiance(
         )
     }));
     (0..surface.texels.len())
+        .into_par_iter()
         .map(|i| {
             let grazed = faces.is_dark(surface, i);
             if surface.fusion.clean[i] && !grazed || lit(surface, emissive, i) {

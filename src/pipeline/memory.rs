@@ -4,7 +4,7 @@
 use super::SolveOptions;
 use crate::core::memory::written_bytes;
 use crate::core::progress::Progress;
-use crate::scene::{Scene, View};
+use crate::scene::Scene;
 use crate::{Error, Result};
 use std::fmt;
 
@@ -24,8 +24,12 @@ const PER_ROUGHNESS_TEXEL: f64 = 6.0;
 const PER_PIXEL: f64 = 37.0;
 /// Bytes a pixel of photographs made for a screen takes more: lower bounds of the light.
 const PER_CLIPPED_PIXEL: f64 = 4.0;
-/// Bytes a pixel at an edge: what it tells of the texels it mixes.
-const PER_EDGE_PIXEL: f64 = 150.0;
+/// Bytes a pixel at an edge, and of the terms that tell of the texels it mixes.
+const PER_EDGE_PIXEL: f64 = 20.0;
+/// See [`PER_EDGE_PIXEL`].
+const PER_EDGE_TERMS: f64 = 130.0;
+/// Bytes of all such terms. Derived: the limit of `inverse::mixed_pixels`.
+const MOST_TERMS: f64 = (1u64 << 30) as f64;
 /// Pixels at edges per column of a view: edges are lines, so that there are the more the finer a view is,
 /// but not with its area.
 const EDGE_PIXELS_PER_COLUMN: f64 = 60.0;
@@ -64,12 +68,14 @@ impl MemoryNeed {
     pub fn of(scene: &Scene, options: &SolveOptions) -> Self {
         let texels = |side: usize| (side as f64).powi(2);
         let r = options.photo_reduction.max(1);
-        let of_view = |v: &View| {
+        let (mut pixels, mut edges) = (0.0, 0.0);
+        for v in scene.train_views() {
             let (columns, rows) = ((v.camera.width / r).max(1), (v.camera.height / r).max(1));
             let clipped = f64::from(u8::from(v.account.is_display_referred()));
-            (columns * rows) as f64 * (PER_PIXEL + clipped * PER_CLIPPED_PIXEL)
-                + columns as f64 * EDGE_PIXELS_PER_COLUMN * PER_EDGE_PIXEL
-        };
+            pixels += (columns * rows) as f64 * (PER_PIXEL + clipped * PER_CLIPPED_PIXEL);
+            edges += columns as f64 * EDGE_PIXELS_PER_COLUMN;
+        }
+        let edges = PER_EDGE_PIXEL * edges + (PER_EDGE_TERMS * edges).min(MOST_TERMS);
         let points = 2.0 * (options.evidence_points * scene.classes.len().max(1)) as f64;
         let of_atlas = PER_ALBEDO_TEXEL * texels(options.albedo_size)
             + PER_IRRADIANCE_TEXEL * texels(options.irradiance_size);
@@ -81,7 +87,7 @@ impl MemoryNeed {
                 * (scene.mesh.covered_share() * of_atlas
                     + PER_ROUGHNESS_TEXEL * texels(options.roughness_size)),
             highlights: MARGIN * points * LOOKS * options.roughness_levels as f64 * PER_LEVEL,
-            photographs: MARGIN * scene.train_views().map(of_view).sum::<f64>(),
+            photographs: MARGIN * (pixels + edges),
             decoding: at_once * decoding.each as f64,
         }
     }
@@ -181,7 +187,7 @@ mod tests {
     use crate::core::formats::ImageAccount;
     use crate::core::geometry::{Camera, Mesh, Projection};
     use crate::core::progress::{Decision, Observer};
-    use crate::scene::Split;
+    use crate::scene::{Split, View};
     use glam::{DVec3, Mat3, Vec2, Vec3};
     use std::path::PathBuf;
     use std::sync::{Arc, Mutex};

@@ -15,6 +15,7 @@ use super::panes::show_panes;
 use super::room_levels::{PooledLevels, pool_room_levels};
 use super::solved::Solved;
 use super::{Light, Roughness, SolveOptions};
+use crate::core::parallel::prelude::*;
 use crate::core::progress::Progress;
 use crate::core::switch::Switch;
 use crate::inverse::{
@@ -83,7 +84,9 @@ pub(super) fn settle(
     let StatedErrors {
         error: mut errors,
         unexplained,
-    } = albedo_errors(surface, &light, &albedo);
+    } = progress.stage("stated errors", 1, |_| {
+        albedo_errors(surface, &light, &albedo)
+    });
     if let Some(short) = &short {
         add_error(&mut errors, |i| short.cast_error[i]);
     }
@@ -97,7 +100,9 @@ pub(super) fn settle(
     });
     show_metals(&metals, &mut albedo, &mut errors);
     show_panes(surface, &mut albedo, &mut errors);
-    let mut findings = findings(surface, &light, &albedo, &errors, &spread);
+    let mut findings = progress.stage("findings", 1, |_| {
+        findings(surface, &light, &albedo, &errors, &spread)
+    });
     findings.unexplained = f64::from(unexplained);
     add_doubts(&mut findings, doubts);
     if clipped.is_none() {
@@ -108,8 +113,11 @@ pub(super) fn settle(
     // what no texel knows of by itself
     let model_error = findings.model_error() as f32;
     add_error(&mut errors, |_| model_error);
+    let solution = progress.stage("textures", 1, |_| {
+        assemble(surface, &light, roughness, &albedo, &errors, &lights)
+    });
     Solved {
-        solution: assemble(surface, &light, roughness, &albedo, &errors, &lights),
+        solution,
         fits: roughness.materials.fits().cloned().collect(),
         rays,
         findings,
@@ -198,10 +206,9 @@ fn add_doubts(findings: &mut Findings, doubts: Vec<Doubt>) {
 }
 
 /// Adds an independent error to every texel's.
-fn add_error(errors: &mut [f32], error: impl Fn(usize) -> f32) {
-    for (i, e) in errors.iter_mut().enumerate() {
-        *e = e.hypot(error(i));
-    }
+fn add_error(errors: &mut [f32], error: impl Fn(usize) -> f32 + Sync + Send) {
+    let errors = errors.par_iter_mut().enumerate();
+    errors.for_each(|(i, e)| *e = e.hypot(error(i)));
 }
 
 /// What a clipped light hides of its surface is unknown: lamps, and what the sun shines on.

@@ -1,16 +1,14 @@
 //! Filling texels that no chart covers (Gortler et al. 1996, pull–push), so that mips and bilinear
 //! lookups never meet black.
 
+use super::Texel;
 use crate::core::image::Plane;
-use std::ops::{Add, Mul};
+use crate::core::parallel::prelude::*;
 
 /// Fills every texel with `covered == false` from the covered ones around it; covered texels keep
 /// their value. A texture without any covered texel is returned as it is.
 #[must_use]
-pub fn fill_uncovered<T>(plane: &Plane<T>, covered: &Plane<bool>) -> Plane<T>
-where
-    T: Copy + Default + Add<Output = T> + Mul<f32, Output = T>,
-{
+pub fn fill_uncovered<T: Texel>(plane: &Plane<T>, covered: &Plane<bool>) -> Plane<T> {
     let weight = covered.map(|&c| if c { 1.0f32 } else { 0.0 });
     let mut levels = vec![(plane.clone(), weight)];
     while let Some((p, w)) = levels.last() {
@@ -32,50 +30,54 @@ where
     levels.pop().map_or_else(|| plane.clone(), |l| l.0)
 }
 
-fn pull<T>(p: &Plane<T>, w: &Plane<f32>) -> (Plane<T>, Plane<f32>)
-where
-    T: Copy + Default + Add<Output = T> + Mul<f32, Output = T>,
-{
+fn pull<T: Texel>(p: &Plane<T>, w: &Plane<f32>) -> (Plane<T>, Plane<f32>) {
     let (width, height) = (p.width.div_ceil(2), p.height.div_ceil(2));
     let mut out = Plane::filled(width, height, T::default());
     let mut weight = Plane::filled(width, height, 0.0f32);
-    for y in 0..height {
-        for x in 0..width {
-            let mut sum = T::default();
-            let mut total = 0.0;
-            for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-                let (sx, sy) = (2 * x + i, 2 * y + j);
-                if sx < p.width && sy < p.height {
-                    let k = w[(sx, sy)];
-                    if k > 0.0 {
-                        sum = sum + p[(sx, sy)] * k;
-                        total += k;
-                    }
-                }
-            }
-            if total > 0.0 {
-                out[(x, y)] = sum * (1.0 / total);
-                weight[(x, y)] = total.min(1.0);
+    let mean = |x: usize, y: usize| {
+        let (mut sum, mut total) = (T::default(), 0.0);
+        for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+            let (sx, sy) = (2 * x + i, 2 * y + j);
+            if sx < p.width && sy < p.height && w[(sx, sy)] > 0.0 {
+                let k = w[(sx, sy)];
+                sum = sum + p[(sx, sy)] * k;
+                total += k;
             }
         }
-    }
+        (sum, total)
+    };
+    let rows = out.data.par_chunks_mut(width);
+    rows.zip(weight.data.par_chunks_mut(width))
+        .enumerate()
+        .for_each(|(y, (out, weight))| {
+            for x in 0..width {
+                let (sum, total) = mean(x, y);
+                if total > 0.0 {
+                    (out[x], weight[x]) = (sum * (1.0 / total), total.min(1.0));
+                }
+            }
+        });
     (out, weight)
 }
 
-fn push<T: Copy>(
+fn push<T: Texel>(
     fine: &mut Plane<T>,
     fine_weight: &mut Plane<f32>,
     coarse: &Plane<T>,
     coarse_weight: &Plane<f32>,
 ) {
     let width = fine.width;
-    for (i, (value, weight)) in fine.data.iter_mut().zip(&mut fine_weight.data).enumerate() {
-        if *weight == 0.0 {
-            let at = (i % width / 2, i / width / 2);
-            *value = coarse[at];
-            *weight = coarse_weight[at];
-        }
-    }
+    let rows = fine.data.par_chunks_mut(width);
+    rows.zip(fine_weight.data.par_chunks_mut(width))
+        .enumerate()
+        .for_each(|(y, (values, weights))| {
+            for (x, (value, weight)) in values.iter_mut().zip(weights).enumerate() {
+                if *weight == 0.0 {
+                    let at = (x / 2, y / 2);
+                    (*value, *weight) = (coarse[at], coarse_weight[at]);
+                }
+            }
+        });
 }
 
 #[cfg(test)]

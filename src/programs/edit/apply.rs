@@ -7,7 +7,7 @@ use crate::core::math::colour::ColourSpace;
 use crate::core::math::luminance;
 use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
-use crate::core::texture::{Texels, fill_uncovered};
+use crate::core::texture::{Texel, Texels, fill_uncovered};
 use crate::error::Result;
 use crate::solution::Solution;
 use glam::{Vec2, Vec3};
@@ -107,10 +107,7 @@ pub fn apply_edits(
     })
 }
 
-fn refilled<T>(plane: &Plane<T>, texels: &Texels) -> Plane<T>
-where
-    T: Copy + Default + std::ops::Add<Output = T> + std::ops::Mul<f32, Output = T>,
-{
+fn refilled<T: Texel>(plane: &Plane<T>, texels: &Texels) -> Plane<T> {
     fill_uncovered(plane, &texels.scatter(&vec![true; texels.len()], false))
 }
 

@@ -7,13 +7,12 @@
 
 use crate::core::geometry::{Mesh, charts};
 use crate::core::image::{Plane, RgbPlane};
-use crate::core::texture::{Shelves, fill_uncovered, shelves};
+use crate::core::texture::{Shelves, Texel, fill_uncovered, shelves};
 use crate::error::{Error, Result};
 use crate::solution::{MeshPart, Solution};
 use glam::{DVec2, Vec2};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::ops::{Add, Mul};
 
 /// Which textures objects have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -315,10 +314,7 @@ impl Cut<'_> {
     }
 
     /// A texture of the object: the rectangles' texels; what lies between is filled from around.
-    fn plane<T>(&self, plane: &Plane<T>) -> Plane<T>
-    where
-        T: Copy + Default + Add<Output = T> + Mul<f32, Output = T>,
-    {
+    fn plane<T: Texel>(&self, plane: &Plane<T>) -> Plane<T> {
         let texels = [
             plane.width / self.grid.width,
             plane.height / self.grid.height,
