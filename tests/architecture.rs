@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// What may be used by all of the story: types, filters, formats, rays.
-const VOCABULARY: [&str; 19] = [
-    "blocks", "lock", "network", "brdf", "texture", "trace", "stats", "metrics", "image",
+const VOCABULARY: [&str; 20] = [
+    "blocks", "lock", "memory", "network", "brdf", "texture", "trace", "stats", "metrics", "image",
     "geometry", "formats", "sampling", "math", "parallel", "progress", "switch", "verdict",
     "error", "ffi",
 ];
@@ -172,6 +172,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ("progress", &["blocks", "parallel"]),
     ("blocks", &["formats", "lock", "parallel"]),
     ("lock", &[]),
+    ("memory", &["parallel"]),
     ("verdict", &[]),
     ("error", &[]),
     ("ffi", &[]),

@@ -51,7 +51,6 @@ pub(super) fn settle(
         doubts,
         mut rays,
     } = estimated;
-    let reflectance = &roughness.reflectance;
     let clipped = clipped_light.as_ref().map(|c| c.missing);
     let mut lights = clipped_light.map_or_else(Vec::new, |c| c.lights);
     forget_lit(&mut albedo, &lights);
@@ -72,24 +71,22 @@ pub(super) fn settle(
         surface,
         &mut light,
         &mut albedo,
-        reflectance,
+        &roughness.reflectance,
         options,
         progress,
     );
-    let levels = (short.as_ref())
-        .map(|_| keep_room_levels(surface, &mut light, &mut albedo, &rooms))
-        .unwrap_or_default();
+    let levels = short
+        .is_some()
+        .then(|| keep_room_levels(surface, &mut light, &mut albedo, &rooms));
+    let levels = levels.unwrap_or_default();
     let spread = spread_of_looks(&albedo);
     settle_hidden(surface, &mut albedo, &rooms, &levels);
     let StatedErrors {
         error: mut errors,
         unexplained,
     } = progress.stage("stated errors", 1, |_| {
-        albedo_errors(surface, &light, &albedo)
+        stated_errors(surface, &light, &albedo, short.as_ref())
     });
-    if let Some(short) = &short {
-        add_error(&mut errors, |i| short.cast_error[i]);
-    }
     let estimate = Estimate {
         albedo: &mut albedo,
         errors: &mut errors,
@@ -105,13 +102,10 @@ pub(super) fn settle(
     });
     findings.unexplained = f64::from(unexplained);
     add_doubts(&mut findings, doubts);
-    if clipped.is_none() {
-        let doubt = doubt_of_infinite(&surface.shortfalls);
-        findings.others.extend(doubt);
-    }
+    let infinite = clipped.is_none().then_some(&surface.shortfalls);
+    (findings.others).extend(infinite.and_then(|files| doubt_of_infinite(files)));
     findings.light_missing = MissingLight::both(clipped, short.map(|s: Balanced| s.missing));
-    // what no texel knows of by itself
-    let model_error = findings.model_error() as f32;
+    let model_error = findings.model_error() as f32; // what no texel knows of by itself
     add_error(&mut errors, |_| model_error);
     let solution = progress.stage("textures", 1, |_| {
         assemble(surface, &light, roughness, &albedo, &errors, &lights)
@@ -122,6 +116,20 @@ pub(super) fn settle(
         rays,
         findings,
     }
+}
+
+/// The albedo's errors, those of the lamps that a room lacked included.
+fn stated_errors(
+    surface: &Surface,
+    light: &Light,
+    albedo: &AlbedoEstimate,
+    short: Option<&Balanced>,
+) -> StatedErrors {
+    let mut stated = albedo_errors(surface, light, albedo);
+    if let Some(short) = short {
+        add_error(&mut stated.error, |i| short.cast_error[i]);
+    }
+    stated
 }
 
 /// What metals and panes show is no diffuse light.

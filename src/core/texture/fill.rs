@@ -1,9 +1,17 @@
 //! Filling texels that no chart covers (Gortler et al. 1996, pull–push), so that mips and bilinear
 //! lookups never meet black.
 
-use super::Texel;
 use crate::core::image::Plane;
 use crate::core::parallel::prelude::*;
+use std::ops::{Add, Mul};
+
+/// What textures are made of.
+pub trait Texel:
+    Copy + Default + Mul<f32, Output = Self> + Add<Output = Self> + Send + Sync
+{
+}
+
+impl<T: Copy + Default + Mul<f32, Output = T> + Add<Output = T> + Send + Sync> Texel for T {}
 
 /// Fills every texel with `covered == false` from the covered ones around it; covered texels keep
 /// their value. A texture without any covered texel is returned as it is.

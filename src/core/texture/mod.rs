@@ -7,8 +7,8 @@ mod reduce;
 mod shelves;
 mod texels;
 
-pub use fill::fill_uncovered;
+pub use fill::{Texel, fill_uncovered};
 pub use mips::MipChain;
-pub use reduce::{AtlasReduction, Texel, fitted};
+pub use reduce::{AtlasReduction, fitted};
 pub use shelves::{Shelves, shelves};
 pub use texels::{SurfacePoint, Texels};

@@ -1,26 +1,19 @@
 //! Smaller copies of an atlas whose charts stay apart: a texel is the mean of its own chart's texels
 //! alone, where a box filter would mix charts that lie side by side.
 
-use super::{Texels, fill_uncovered};
+use super::Texels;
+use super::fill::{Texel, fill_uncovered};
 use crate::core::geometry::{Mesh, charts};
 use crate::core::image::{Plane, Wrap};
 use crate::core::parallel::map_chunks;
 use glam::Vec2;
 use std::borrow::Cow;
-use std::ops::{Add, Mul, Range};
+use std::ops::Range;
 
 /// Texels per piece of parallel work.
 const CHUNK: usize = 4096;
 /// Chart of a texel that no chart covers.
 const NONE: u32 = u32::MAX;
-
-/// What textures are made of.
-pub trait Texel:
-    Copy + Default + Mul<f32, Output = Self> + Add<Output = Self> + Send + Sync
-{
-}
-
-impl<T: Copy + Default + Mul<f32, Output = T> + Add<Output = T> + Send + Sync> Texel for T {}
 
 /// The plane itself, or halved until both sides are at most `largest`, the charts of `mesh` kept apart.
 #[must_use]
