@@ -18,6 +18,7 @@
 use super::ViewBuffer;
 use crate::core::geometry::{Mesh, Shells};
 use crate::core::math::Frame;
+use crate::core::parallel::map_chunks;
 use crate::core::parallel::prelude::*;
 use crate::core::sampling::{KeyedRng, square_to_cosine_hemisphere};
 use crate::core::trace::{Hit, Ray, Tracer};
@@ -249,20 +250,24 @@ fn looks_of(mesh: &Mesh, buffers: &[&ViewBuffer]) -> Vec<Looks> {
                 .pixel_solid_angle(Vec2::new(0.5 * w as f32, y as f32 + 0.5))
         };
         let largest = (0..h).map(solid_angle).fold(f32::MIN_POSITIVE, f32::max);
-        for y in 0..h {
+        // along the winding's normal or against it
+        let row = |y: usize| {
             let size = solid_angle(y) / largest;
-            for x in 0..w {
+            let look = move |x: usize| {
                 let t = b.triangle[(x, y)];
-                if t == Hit::MISS {
-                    continue;
-                }
-                let cosine = -mesh.face_normal(t as usize).dot(b.direction(x, y));
-                let l = &mut looks[t as usize];
-                if cosine > 0.0 {
-                    l.front += size * cosine;
-                } else {
-                    l.behind -= size * cosine;
-                }
+                let cosine =
+                    (t != Hit::MISS).then(|| -mesh.face_normal(t as usize).dot(b.direction(x, y)));
+                cosine.map(|c| (t as usize, size * c))
+            };
+            (0..w).filter_map(look)
+        };
+        let rows = map_chunks(h, 1, |range| range.flat_map(row).collect::<Vec<_>>());
+        // in the order of the pixels: sums of the same bits
+        for (t, look) in rows.into_iter().flatten() {
+            if look > 0.0 {
+                looks[t].front += look;
+            } else {
+                looks[t].behind -= look;
             }
         }
     }

@@ -95,13 +95,11 @@ pub fn select_points(
             ..*options
         },
     ));
-    let mut chosen = Vec::new();
-    for (_, mut members) in classes {
+    let of_class = |(_, mut members): (u16, Vec<Candidate>)| {
         // a keyed shuffle, then evenly spread points first
         members.sort_by_key(|c| c.order);
         let even = options.even.min(members.len());
         let mut rest = members.split_off(even);
-        chosen.extend(members);
         rest.retain(|c| c.strength > 0.05);
         rest.sort_by(|a, b| {
             b.strength
@@ -110,9 +108,12 @@ pub fn select_points(
                 .then(a.order.cmp(&b.order))
         });
         rest.truncate(options.highlights);
-        chosen.extend(rest);
-    }
-    chosen
+        members.extend(rest);
+        members
+    };
+    let classes: Vec<(u16, Vec<Candidate>)> = classes.into_iter().collect();
+    let chosen = classes.into_par_iter().with_max_len(1).map(of_class);
+    chosen.collect::<Vec<_>>().into_iter().flatten().collect()
 }
 
 /// What candidates are searched with.

@@ -72,6 +72,16 @@ pub struct PaletteFit<'a> {
     pub rooms: &'a [u16],
 }
 
+/// How a clean texel looks.
+struct CleanLook {
+    texel: usize,
+    cube: Cube,
+    /// Logarithm of its albedo.
+    log: Vec3,
+    /// The colour of its class's palette that is nearest, if one is near.
+    colour: Option<usize>,
+}
+
 impl PaletteFit<'_> {
     /// The classes that are painted and their colours; with `any`, whatever their texture.
     #[must_use]
@@ -111,8 +121,9 @@ impl PaletteFit<'_> {
     #[must_use]
     pub fn settle(&self, paints: &[ClassPalette]) -> Vec<(Vec3, f32)> {
         let palette: Palette = paints.iter().map(|p| (p.class, (p, p.logs()))).collect();
-        let near = self.neighbours(&palette);
-        let by_room = self.shares_by_room(&palette);
+        let clean = self.clean_looks(&palette);
+        let near = self.neighbours(&palette, &clean);
+        let by_room = self.shares_by_room(&palette, &clean);
         let details = self.details(&palette);
         (0..self.texels.len())
             .into_par_iter()
@@ -191,19 +202,40 @@ impl PaletteFit<'_> {
         (self.rooms[i], cube.as_ivec3().to_array())
     }
 
+    /// The clean texels, each with the colour it looks like.
+    fn clean_looks(&self, palette: &Palette) -> Vec<CleanLook> {
+        let look = |i: usize| {
+            let look = self.look(i, 0.0);
+            let logs = palette.get(&self.labels[i]).map(|(_, logs)| &logs[..]);
+            CleanLook {
+                texel: i,
+                cube: self.cube(i),
+                log: look.log,
+                colour: logs.and_then(|logs| nearest(&look, logs)),
+            }
+        };
+        (0..self.texels.len())
+            .into_par_iter()
+            .filter(|&i| self.is_clean(i))
+            .map(look)
+            .collect()
+    }
+
     /// How common each colour of a class is in each room: one room's paint is no other's. The
     /// class as a whole counts for [`ENOUGH_NEAR`] texels.
-    fn shares_by_room(&self, palette: &Palette) -> BTreeMap<(u16, u16), Vec<f32>> {
+    fn shares_by_room(
+        &self,
+        palette: &Palette,
+        clean: &[CleanLook],
+    ) -> BTreeMap<(u16, u16), Vec<f32>> {
         let mut counts: BTreeMap<(u16, u16), Vec<f32>> = BTreeMap::new();
-        for i in (0..self.texels.len()).filter(|&i| self.is_clean(i)) {
-            let class = self.labels[i];
-            let Some((_, logs)) = palette.get(&class) else {
+        for look in clean {
+            let class = self.labels[look.texel];
+            let (Some((_, logs)), Some(k)) = (palette.get(&class), look.colour) else {
                 continue;
             };
-            if let Some(k) = nearest(&self.look(i, 0.0), logs) {
-                let room = counts.entry((class, self.rooms[i]));
-                room.or_insert_with(|| vec![0.0; logs.len()])[k] += 1.0;
-            }
+            let room = counts.entry((class, self.rooms[look.texel]));
+            room.or_insert_with(|| vec![0.0; logs.len()])[k] += 1.0;
         }
         for ((class, _), room) in &mut counts {
             let Some((paint, _)) = palette.get(class) else {
@@ -218,13 +250,16 @@ impl PaletteFit<'_> {
     }
 
     /// What the clean texels around are, by cube and class.
-    fn neighbours(&self, palette: &Palette) -> BTreeMap<Cube, Vec<Neighbours>> {
+    fn neighbours(
+        &self,
+        palette: &Palette,
+        clean: &[CleanLook],
+    ) -> BTreeMap<Cube, Vec<Neighbours>> {
         let mut near: BTreeMap<Cube, Vec<Neighbours>> = BTreeMap::new();
-        for i in (0..self.texels.len()).filter(|&i| self.is_clean(i)) {
-            let class = self.labels[i];
-            let look = self.look(i, 0.0);
-            let logs = palette.get(&class).map_or(&[][..], |(_, logs)| &logs[..]);
-            let cube = near.entry(self.cube(i)).or_default();
+        for look in clean {
+            let class = self.labels[look.texel];
+            let colours = palette.get(&class).map_or(0, |(_, logs)| logs.len());
+            let cube = near.entry(look.cube).or_default();
             let known = cube
                 .iter()
                 .position(|n| n.class == class)
@@ -233,14 +268,14 @@ impl PaletteFit<'_> {
                         class,
                         texels: 0.0,
                         sum: Vec3::ZERO,
-                        colours: vec![0.0; logs.len()],
+                        colours: vec![0.0; colours],
                     });
                     cube.len() - 1
                 });
             let n = &mut cube[known];
             n.texels += 1.0;
             n.sum += look.log;
-            if let Some(k) = nearest(&look, logs) {
+            if let Some(k) = look.colour {
                 n.colours[k] += 1.0;
             }
         }

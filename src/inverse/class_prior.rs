@@ -201,7 +201,7 @@ struct Cubes<'a, K> {
     edge: f32,
 }
 
-impl<'a, K: Copy + Ord> Cubes<'a, K> {
+impl<'a, K: Copy + Ord + Send + Sync> Cubes<'a, K> {
     fn over(clean: &CleanTexels<'_>, texels: &'a Texels, mesh: &'a Mesh, places: &'a [K]) -> Self {
         let sides = clean
             .ids
@@ -249,17 +249,23 @@ impl<'a, K: Copy + Ord> Cubes<'a, K> {
         clean: &CleanTexels<'_>,
         class: &BTreeMap<K, Expected>,
     ) -> BTreeMap<Cube<K>, Sums> {
-        let mut near: BTreeMap<Cube<K>, Sums> = BTreeMap::new();
-        for &i in &clean.ids {
+        let of_texel = |&i: &usize| {
             let usual = class[&self.places[i]];
             let a = clean.value(i);
             let odd = (luminance(a) - luminance(usual.mean)).powi(2) / (9.0 * usual.variance);
             let w = f64::from(clean.trust(i) / (1.0 + odd));
             let l = f64::from(luminance(a));
-            let sums = near.entry(self.place(i)).or_default();
-            sums.weight += w;
-            sums.albedo += w * a.as_dvec3();
-            sums.square += w * (l * l);
+            let sums = Sums {
+                weight: w,
+                albedo: w * a.as_dvec3(),
+                square: w * (l * l),
+            };
+            (self.place(i), sums)
+        };
+        let texels: Vec<_> = clean.ids.par_iter().map(of_texel).collect();
+        let mut near: BTreeMap<Cube<K>, Sums> = BTreeMap::new();
+        for (cube, sums) in texels {
+            near.entry(cube).or_default().add(&sums, 1.0);
         }
         near
     }

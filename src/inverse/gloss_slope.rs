@@ -15,6 +15,7 @@ use super::group_fit::GroupFit;
 use super::view_residual::COMMON_SHARE;
 use crate::core::brdf::Reflectance;
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::stats::{ENOUGH, GROSS_ERRORS, Mean, passing_weight};
 use crate::highlight::Evidence;
 use glam::Vec3;
@@ -52,7 +53,7 @@ impl Slopes {
         let places: Vec<Vec3> = (points.iter())
             .map(|&i| evidence.points[i].position)
             .collect();
-        let own: Vec<Moments> = (points.iter())
+        let own: Vec<Moments> = (points.par_iter())
             .map(|&i| moments(evidence, model, i))
             .collect();
         let slope = |k: usize| {
@@ -68,7 +69,8 @@ impl Slopes {
                 Mean::over(&places, &off).error * off.len() as f64 / total,
             )
         };
-        Self((0..evidence.levels.len()).map(slope).collect())
+        let levels = (0..evidence.levels.len()).into_par_iter().with_max_len(1);
+        Self(levels.map(slope).collect())
     }
 
     /// How likely the slope of level `k` is, which errors common to all points make uncertain, or corrupt.

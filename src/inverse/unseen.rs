@@ -11,16 +11,17 @@ use super::AlbedoEstimate;
 use super::class_prior::LEAST_SPREAD;
 use super::mixed_pixels::COVERAGE_ERROR;
 use crate::core::geometry::Mesh;
+use crate::core::parallel::prelude::*;
 use crate::core::stats::{ENOUGH, median, step_over_many};
 use crate::core::texture::Texels;
 use glam::Vec3;
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::{BTreeMap, BinaryHeap, HashMap};
 
 /// A cell of one class in one room.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 struct Cell {
     class: u16,
     room: u16,
@@ -54,6 +55,7 @@ impl Unseen<'_> {
     pub fn complete(&self, albedo: &mut AlbedoEstimate, error: &[f32]) -> usize {
         let side = self.cell_side();
         let cell: Vec<Cell> = (0..self.texels.len())
+            .into_par_iter()
             .map(|i| Cell {
                 class: self.labels[i],
                 room: self.rooms[i],
@@ -66,7 +68,7 @@ impl Unseen<'_> {
         // a clean texel's variance is the least there is, that of one seen at edges alone larger by coverage's
         let clean = LEAST_SPREAD.powi(2);
         let unclean = clean / (clean + COVERAGE_ERROR.powi(2));
-        let mut cells: BTreeMap<Cell, Sum> = BTreeMap::new();
+        let mut cells: HashMap<Cell, Sum> = HashMap::new();
         for (i, cell) in cell.iter().enumerate() {
             let sum = cells.entry(*cell).or_default();
             if error[i].is_finite() && (self.reflects)(i) {
@@ -75,7 +77,7 @@ impl Unseen<'_> {
                 sum.weight += weight;
             }
         }
-        let found = nearest(&cells);
+        let found = nearest(&cells.into_iter().collect());
         let mut filled = 0;
         for (i, cell) in cell.iter().enumerate() {
             if error[i].is_finite() || !(self.reflects)(i) {

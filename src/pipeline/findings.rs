@@ -3,6 +3,7 @@
 
 use super::Light;
 use crate::core::math::luminance;
+use crate::core::parallel::prelude::*;
 use crate::core::stats::median;
 use crate::inverse::AlbedoEstimate;
 use crate::observed::Surface;
@@ -40,6 +41,7 @@ pub(super) fn findings(
 ) -> Findings {
     let texels = &surface.texels;
     let area: Vec<f64> = (0..texels.len())
+        .into_par_iter()
         .map(|i| f64::from(texels.area(&surface.scene.mesh, i)))
         .collect();
     let emits = |i: usize| light.emissive[texels.point[i].triangle as usize];

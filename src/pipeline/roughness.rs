@@ -134,6 +134,7 @@ pub(super) fn rooms_of(
         return surface.texels.scatter(&vec![1; surface.texels.len()], 0);
     };
     let rooms: Vec<u16> = (0..surface.texels.len())
+        .into_par_iter()
         .map(|i| {
             let p = surface.texels.point[i];
             let (_, face_normal) = surface.normals(p.triangle as usize, p.u, p.v);
