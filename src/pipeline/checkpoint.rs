@@ -2,12 +2,16 @@
 //!
 //! A run with the same inputs, options, seed and program finds it there and gives the same bits as
 //! one that never stopped. A file is used only if its hash fits; anything else is computed again.
-//! Nothing here can make a run fail: a disk without room is only noted.
+//! Nothing here can make a run fail: a disk without room is only noted. Files are written while the
+//! next stage computes.
 
 use crate::core::blocks::{Packed, opened, sealed};
 use crate::core::formats::atomic_write;
 use crate::core::progress::Progress;
+use crate::{Error, Result};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
 
 /// Name of the folder inside the output folder.
 const FOLDER: &str = ".partial";
@@ -16,6 +20,45 @@ const FOLDER: &str = ".partial";
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Checkpoints {
     folder: Option<PathBuf>,
+    writing: Arc<Writing>,
+}
+
+/// A file under way to the disk; whoever lets go of it last waits for it.
+#[derive(Debug, Default)]
+struct Writing(Mutex<Option<JoinHandle<Result<()>>>>);
+
+impl PartialEq for Writing {
+    /// What is under way changes nothing of where results are kept.
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl Eq for Writing {}
+
+impl Writing {
+    /// Begins to write, once what was begun before is done.
+    fn begin(&self, write: impl FnOnce() -> Result<()> + Send + 'static) -> Result<()> {
+        self.wait()?;
+        let begun = std::thread::Builder::new().spawn(write);
+        let begun = begun.map_err(|e| Error::Failed(format!("no thread to write it: {e}")))?;
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(begun);
+        Ok(())
+    }
+
+    /// Waits for what was begun.
+    fn wait(&self) -> Result<()> {
+        let begun = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let done = begun.map(JoinHandle::join);
+        done.map_or(Ok(()), |d| d.unwrap_or(Ok(())))
+    }
+}
+
+impl Drop for Writing {
+    fn drop(&mut self) {
+        // a file that failed is computed again by the run that misses it
+        let _ = self.wait();
+    }
 }
 
 impl Checkpoints {
@@ -31,6 +74,7 @@ impl Checkpoints {
         }
         Self {
             folder: Some(folder),
+            writing: Arc::default(),
         }
     }
 
@@ -45,6 +89,8 @@ impl Checkpoints {
             return compute();
         };
         let path = folder.join(name);
+        let warn = |e: Error| progress.note(format!("results cannot be kept for a later run: {e}"));
+        self.writing.wait().unwrap_or_else(warn);
         if let Some(kept) = std::fs::read(&path)
             .ok()
             .and_then(|bytes| T::restored(&opened(name, &bytes)?))
@@ -53,17 +99,19 @@ impl Checkpoints {
             return kept;
         }
         let value = compute();
-        let written = std::fs::create_dir_all(folder)
-            .map_err(|e| crate::Error::io(folder, e))
-            .and_then(|()| atomic_write(&path, &sealed(name, &value.columns())));
-        if let Err(e) = written {
-            progress.note(format!("{name} cannot be kept for a later run: {e}"));
-        }
+        let (folder, bytes) = (folder.clone(), sealed(name, &value.columns()));
+        let write = move || {
+            std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
+            atomic_write(&path, &bytes)
+        };
+        self.writing.begin(write).unwrap_or_else(warn);
         value
     }
 
     /// Removes what was kept: the run is complete.
     pub fn finish(&self) {
+        // whether it was written makes no difference any more
+        let _ = self.writing.wait();
         if let Some(all) = self.folder.as_ref().and_then(|f| f.parent()) {
             // a folder that will not go is found and removed by the next run
             let _ = std::fs::remove_dir_all(all);
@@ -101,6 +149,7 @@ mod tests {
             &run.reuse("irradiance", &p, || irradiance(1.0)),
             &irradiance(1.0)
         ));
+        drop(run);
         let again = Checkpoints::new(dir.path(), "key");
         assert!(same(
             &again.reuse("irradiance", &p, || panic!("kept")),
@@ -122,6 +171,7 @@ mod tests {
         let p = Progress::silent();
         let run = Checkpoints::new(dir.path(), "key");
         run.reuse("irradiance", &p, || irradiance(1.0));
+        run.writing.wait().expect("written");
         let path = dir.path().join(FOLDER).join("key/irradiance");
         let whole = std::fs::read(&path).expect("kept");
         for (i, damaged) in [
@@ -137,6 +187,7 @@ mod tests {
                 &run.reuse("irradiance", &p, || irradiance(i as f32)),
                 &irradiance(i as f32)
             ));
+            run.writing.wait().expect("written");
         }
         let mut bit = whole.clone();
         bit[100] ^= 1;
@@ -147,6 +198,22 @@ mod tests {
         ));
         // of another kind
         assert!(Fusion::restored(&opened("irradiance", &whole).expect("whole")).is_none());
+    }
+
+    #[test]
+    fn a_run_that_ends_early_has_kept_what_it_had() {
+        let dir = tempfile::tempdir().expect("temp");
+        let p = Progress::silent();
+        let run = Checkpoints::new(dir.path(), "key");
+        for (name, x) in [("radiance", 1.0), ("irradiance", 2.0)] {
+            run.clone().reuse(name, &p, || irradiance(x));
+        }
+        drop(run);
+        let again = Checkpoints::new(dir.path(), "key");
+        for (name, x) in [("radiance", 1.0), ("irradiance", 2.0)] {
+            let kept = again.reuse(name, &p, || panic!("{name} was kept"));
+            assert!(same(&kept, &irradiance(x)));
+        }
     }
 
     #[test]
