@@ -93,7 +93,7 @@ pub fn written_bytes(bytes: u64) -> String {
 }
 
 /// A size as people write it: `16GiB`, `16G`, `1.5 TiB`, `500MB`; a bare number is bytes. K, M, G and T
-/// alone are powers of 1024, as the kernel's limits take them.
+/// alone are powers of 1024, as the kernel's limits take them. Below a MiB it is a unit forgotten.
 ///
 /// # Errors
 /// Why it is no size.
@@ -119,7 +119,7 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
     };
     let bytes = text[..split].trim().parse::<f64>().map(|n| n * scale);
     match bytes {
-        Ok(n) if (1.0..1e18).contains(&n) => Ok(n as u64),
+        Ok(n) if (1024f64.powi(2)..1e18).contains(&n) => Ok(n as u64),
         _ => Err(HOW.into()),
     }
 }
@@ -131,18 +131,18 @@ mod tests {
     #[test]
     fn sizes_are_read_with_their_unit() {
         for (text, bytes) in [
-            ("1024", 1 << 10),
+            ("17179869184", 16 << 30),
             ("16GiB", 16 << 30),
             ("16 g", 16 << 30),
             ("0.5TiB", 1 << 39),
             ("500MB", 500_000_000),
-            ("3kb", 3000),
-            ("7B", 7),
+            ("3000000kb", 3_000_000_000),
+            ("7000000B", 7_000_000),
         ] {
             assert_eq!(parse_bytes(text), Ok(bytes), "{text}");
         }
         for wrong in [
-            "", "G", "0", "-1G", "4 GiBi", "1e30", "NaN", "3 apples", "4é",
+            "", "G", "0", "16", "3kb", "-1G", "4 GiBi", "1e30", "NaN", "3 apples", "4é",
         ] {
             assert!(parse_bytes(wrong).is_err(), "{wrong}");
         }

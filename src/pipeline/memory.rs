@@ -14,11 +14,11 @@ const PROGRAM: f64 = 170e6;
 /// Bytes a triangle: the mesh with its tree of boxes, winding, neighbours.
 const PER_TRIANGLE: f64 = 340.0;
 /// Bytes a covered texel of the albedo texture: position, fused looks, materials.
-const PER_ALBEDO_TEXEL: f64 = 240.0;
+const PER_ALBEDO_TEXEL: f64 = 270.0;
 /// Bytes a covered texel of the irradiance texture, the filter's included.
-const PER_IRRADIANCE_TEXEL: f64 = 640.0;
+const PER_IRRADIANCE_TEXEL: f64 = 700.0;
 /// Bytes a texel of the roughness texture, covered or not.
-const PER_ROUGHNESS_TEXEL: f64 = 6.0;
+const PER_ROUGHNESS_TEXEL: f64 = 9.0;
 /// Bytes a pixel of the reduced photographs. Derived: radiance 12, reflected part 12, triangle 4,
 /// distance 4, label 2, a byte each of masks, clean pixels, ceilings.
 const PER_PIXEL: f64 = 37.0;

@@ -66,7 +66,8 @@ impl Job {
     /// Reads a scene whose result is to go into `out`.
     ///
     /// # Errors
-    /// An output folder that holds input, an unusable scene, photographs that do not fit the mesh.
+    /// An output folder that holds input, an unusable scene, photographs that do not fit the mesh,
+    /// a run that does not fit into the memory it may take.
     pub fn read(scene_path: &Path, out: &Path, run: &Run) -> Result<Self> {
         keep_inputs(out, scene_path, &[])?;
         let (scene, alignment) = aligned_scene(scene_path, &run.request, &run.progress)?;
@@ -76,10 +77,10 @@ impl Job {
         let inputs = hash_inputs(&scene)?;
         keep_other_results(out, &inputs)?;
         Ok(Self {
-            options,
-            inputs,
             scene,
             alignment,
+            inputs,
+            options,
         })
     }
 
