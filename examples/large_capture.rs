@@ -8,9 +8,10 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::collections::HashMap;
 use std::path::Path;
-use unbake::core::formats::{self, GlbWriter};
+use unbake::core::formats;
 use unbake::core::geometry::Mesh;
 use unbake::core::image::Plane;
+use unbake::programs::synth::mesh_glb;
 use unbake::scene::{LoadOptions, Scene, View};
 use unbake::{Error, Result};
 
@@ -61,7 +62,7 @@ fn write(from: &str, out: &Path, enlarge: usize, subdivide: usize) -> Result<()>
     }
     let origin = scene.origin.as_vec3();
     mesh.positions.iter_mut().for_each(|p| *p += origin);
-    formats::atomic_write(out.join("mesh.glb"), &glb(&mesh)?)?;
+    formats::atomic_write(out.join("mesh.glb"), &mesh_glb(&mesh)?)?;
     formats::atomic_write(out.join("transforms.json"), json.to_string().as_bytes())?;
     println!("{} triangles", mesh.triangles.len());
     Ok(())
@@ -107,22 +108,4 @@ fn subdivided(mesh: &Mesh) -> Mesh {
     };
     fine.triangles = mesh.triangles.iter().flat_map(cut).collect();
     fine
-}
-
-fn glb(mesh: &Mesh) -> Result<Vec<u8>> {
-    let mut glb = GlbWriter::default();
-    let position = glb.positions(&mesh.positions, mesh.bounds());
-    let normal = glb.vectors(&mesh.normals);
-    let uv = glb.uvs(&mesh.uvs);
-    let indices = glb.triangles(&mesh.triangles);
-    glb.finish(json!({
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{
-            "attributes": {"POSITION": position, "NORMAL": normal, "TEXCOORD_0": uv},
-            "indices": indices,
-        }]}],
-    }))
 }

@@ -172,7 +172,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ("progress", &["blocks", "parallel"]),
     ("blocks", &["formats", "lock", "parallel"]),
     ("lock", &[]),
-    ("memory", &["parallel"]),
+    ("memory", &["formats", "parallel"]),
     ("verdict", &[]),
     ("error", &[]),
     ("ffi", &[]),

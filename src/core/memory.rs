@@ -1,6 +1,7 @@
 //! Main memory: what the machine has, how sizes are read and written, and how many photographs may be
 //! decoded at once.
 
+use super::formats::number_and_unit;
 use super::parallel::prelude::*;
 use std::path::Path;
 
@@ -81,14 +82,20 @@ pub fn kibibytes(path: &str, key: &str) -> Option<u64> {
     Some(line.split_ascii_whitespace().next()?.parse::<u64>().ok()? * 1024)
 }
 
+/// Bytes in GiB.
+#[must_use]
+pub fn gibibytes(bytes: u64) -> f64 {
+    bytes as f64 / (1u64 << 30) as f64
+}
+
 /// A size for people.
 #[must_use]
 pub fn written_bytes(bytes: u64) -> String {
-    let mib = bytes as f64 / (1u64 << 20) as f64;
-    if mib < 1024.0 {
-        format!("{mib:.0} MiB")
+    let gib = gibibytes(bytes);
+    if gib < 1.0 {
+        format!("{:.0} MiB", 1024.0 * gib)
     } else {
-        format!("{:.2} GiB", mib / 1024.0)
+        format!("{gib:.2} GiB")
     }
 }
 
@@ -99,11 +106,8 @@ pub fn written_bytes(bytes: u64) -> String {
 /// Why it is no size.
 pub fn parse_bytes(text: &str) -> Result<u64, String> {
     const HOW: &str = "expected a size such as 16GiB, 16G or 500MB";
-    let text = text.trim();
-    let split = text
-        .find(|c: char| c.is_ascii_alphabetic())
-        .unwrap_or(text.len());
-    let unit = text[split..].trim().to_ascii_lowercase();
+    let (number, unit) = number_and_unit(text);
+    let unit = unit.to_ascii_lowercase();
     let power = |letter: Option<char>| match letter {
         Some('k') => Some(1),
         Some('m') => Some(2),
@@ -117,7 +121,7 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
         (u, Some(p)) if &u[1..] == "b" => 1000f64.powi(p),
         _ => return Err(HOW.into()),
     };
-    let bytes = text[..split].trim().parse::<f64>().map(|n| n * scale);
+    let bytes = number.parse::<f64>().map(|n| n * scale);
     match bytes {
         Ok(n) if (1024f64.powi(2)..1e18).contains(&n) => Ok(n as u64),
         _ => Err(HOW.into()),

@@ -18,7 +18,6 @@
 use super::ViewBuffer;
 use crate::core::geometry::{Mesh, Shells};
 use crate::core::math::Frame;
-use crate::core::parallel::map_chunks;
 use crate::core::parallel::prelude::*;
 use crate::core::sampling::{KeyedRng, square_to_cosine_hemisphere};
 use crate::core::trace::{Hit, Ray, Tracer};
@@ -250,20 +249,11 @@ fn looks_of(mesh: &Mesh, buffers: &[&ViewBuffer]) -> Vec<Looks> {
                 .pixel_solid_angle(Vec2::new(0.5 * w as f32, y as f32 + 0.5))
         };
         let largest = (0..h).map(solid_angle).fold(f32::MIN_POSITIVE, f32::max);
-        // along the winding's normal or against it
-        let row = |y: usize| {
-            let size = solid_angle(y) / largest;
-            let look = move |x: usize| {
-                let t = b.triangle[(x, y)];
-                let cosine =
-                    (t != Hit::MISS).then(|| -mesh.face_normal(t as usize).dot(b.direction(x, y)));
-                cosine.map(|c| (t as usize, size * c))
-            };
-            (0..w).filter_map(look)
+        let size: Vec<f32> = (0..h).map(|y| solid_angle(y) / largest).collect();
+        let along_winding = |t: usize, (x, y): (usize, usize)| {
+            Some(size[y] * -mesh.face_normal(t).dot(b.direction(x, y)))
         };
-        let rows = map_chunks(h, 1, |range| range.flat_map(row).collect::<Vec<_>>());
-        // in the order of the pixels: sums of the same bits
-        for (t, look) in rows.into_iter().flatten() {
+        for (t, look) in b.told_by_pixels(along_winding) {
             if look > 0.0 {
                 looks[t].front += look;
             } else {

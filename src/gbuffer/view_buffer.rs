@@ -2,6 +2,7 @@
 
 use crate::core::geometry::{Camera, DirectionGrid, Mesh, Projection};
 use crate::core::image::{Plane, Wrap};
+use crate::core::parallel::map_chunks;
 use crate::core::parallel::prelude::*;
 use crate::core::trace::{Hit, Ray, Tracer};
 use glam::{Vec2, Vec3};
@@ -148,6 +149,27 @@ impl ViewBuffer {
     #[must_use]
     pub fn position(&self, x: usize, y: usize) -> Vec3 {
         self.camera.position + self.direction(x, y) * self.distance[(x, y)]
+    }
+
+    /// What `tell` says of the pixels that meet geometry, given the triangle and the pixel's column and
+    /// row: each with its triangle, in the pixels' order whatever the number of threads, so that sums
+    /// have the same bits.
+    pub fn told_by_pixels<T: Send>(
+        &self,
+        tell: impl Fn(usize, (usize, usize)) -> Option<T> + Sync + Send,
+    ) -> impl Iterator<Item = (usize, T)> {
+        let width = self.triangle.width;
+        let of_pixel = |at: (usize, usize)| {
+            let t = self.triangle[at];
+            let met = (t != Hit::MISS).then_some(t as usize)?;
+            Some((met, tell(met, at)?))
+        };
+        let rows = map_chunks(self.triangle.height, 1, |rows| {
+            rows.flat_map(|y| (0..width).map(move |x| (x, y)))
+                .filter_map(&of_pixel)
+                .collect::<Vec<_>>()
+        });
+        rows.into_iter().flatten()
     }
 
     /// Pixels whose eight neighbours all see the same smooth surface and carry the same label:

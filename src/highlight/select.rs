@@ -112,8 +112,8 @@ pub fn select_points(
         members
     };
     let classes: Vec<(u16, Vec<Candidate>)> = classes.into_iter().collect();
-    let chosen = classes.into_par_iter().with_max_len(1).map(of_class);
-    chosen.collect::<Vec<_>>().into_iter().flatten().collect()
+    let classes = classes.into_par_iter().with_max_len(1);
+    classes.flat_map_iter(of_class).collect()
 }
 
 /// What candidates are searched with.

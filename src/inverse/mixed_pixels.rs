@@ -25,7 +25,7 @@ use std::f32::consts::{FRAC_1_PI, PI};
 /// Rays per pixel along each axis. Measured: 4 change albedo and views by 0.03 dB at most (docs/lab/albedo.md).
 const GRID: usize = 3;
 /// Terms kept in memory at most; beyond it pixels are skipped evenly. Derived: a GiB of 16 bytes each.
-const MOST_TERMS: usize = 64 << 20;
+pub const MOST_TERMS: usize = 64 << 20;
 /// Error of coverage from `GRID`² rays, as a share of the contrast within the pixel; a texel seen at edges alone is as
 /// uncertain. Derived: the mean of √(p (1 − p)) / `GRID` over shares p.
 pub(super) const COVERAGE_ERROR: f32 = PI / 8.0 / GRID as f32;

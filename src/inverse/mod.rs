@@ -33,7 +33,7 @@ pub use contradicted_albedo::settle_contradicted;
 pub use group_fit::GroupFit;
 pub use materials::{Materials, Places, SPLIT_GAIN};
 pub use metal::{Metal, find_metals};
-pub use mixed_pixels::{MixedPixelReport, MixedPixelSolver};
+pub use mixed_pixels::{MOST_TERMS, MixedPixelReport, MixedPixelSolver};
 pub use reflectance::TexelReflectance;
 pub use roughness::{choose_model, fit_groups};
 pub use unseen::Unseen;

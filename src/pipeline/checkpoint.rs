@@ -37,9 +37,8 @@ impl PartialEq for Writing {
 impl Eq for Writing {}
 
 impl Writing {
-    /// Begins to write, once what was begun before is done.
+    /// Begins to write; what was begun before is done ([`Self::wait`]).
     fn begin(&self, write: impl FnOnce() -> Result<()> + Send + 'static) -> Result<()> {
-        self.wait()?;
         let begun = std::thread::Builder::new().spawn(write);
         let begun = begun.map_err(|e| Error::Failed(format!("no thread to write it: {e}")))?;
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(begun);
@@ -89,8 +88,6 @@ impl Checkpoints {
             return compute();
         };
         let path = folder.join(name);
-        let warn = |e: Error| progress.note(format!("results cannot be kept for a later run: {e}"));
-        self.writing.wait().unwrap_or_else(warn);
         if let Some(kept) = std::fs::read(&path)
             .ok()
             .and_then(|bytes| T::restored(&opened(name, &bytes)?))
@@ -104,7 +101,11 @@ impl Checkpoints {
             std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
             atomic_write(&path, &bytes)
         };
-        self.writing.begin(write).unwrap_or_else(warn);
+        for done in [self.writing.wait(), self.writing.begin(write)] {
+            if let Err(e) = done {
+                progress.note(format!("results cannot be kept for a later run: {e}"));
+            }
+        }
         value
     }
 

@@ -4,6 +4,7 @@
 use super::SolveOptions;
 use crate::core::memory::written_bytes;
 use crate::core::progress::Progress;
+use crate::inverse::MOST_TERMS;
 use crate::scene::Scene;
 use crate::{Error, Result};
 use std::fmt;
@@ -28,8 +29,8 @@ const PER_CLIPPED_PIXEL: f64 = 4.0;
 const PER_EDGE_PIXEL: f64 = 20.0;
 /// See [`PER_EDGE_PIXEL`].
 const PER_EDGE_TERMS: f64 = 130.0;
-/// Bytes of all such terms. Derived: the limit of `inverse::mixed_pixels`.
-const MOST_TERMS: f64 = (1u64 << 30) as f64;
+/// Bytes of such a term, of which no more than [`MOST_TERMS`] are kept. Derived: from its fields.
+const PER_TERM: f64 = 16.0;
 /// Pixels at edges per column of a view: edges are lines, so that there are the more the finer a view is,
 /// but not with its area.
 const EDGE_PIXELS_PER_COLUMN: f64 = 60.0;
@@ -49,33 +50,23 @@ const MOST_REDUCED: usize = 64;
 
 /// Bytes of main memory that a reconstruction takes at most, by cause.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MemoryNeed {
+struct MemoryNeed {
     /// The program and its mesh.
-    pub mesh: f64,
+    mesh: f64,
     /// Everything of the texels.
-    pub textures: f64,
+    textures: f64,
     /// What is looked at in search of roughness.
-    pub highlights: f64,
+    highlights: f64,
     /// Everything of the photographs at their reduced size.
-    pub photographs: f64,
+    photographs: f64,
     /// Photographs under decoding, at their full size.
-    pub decoding: f64,
+    decoding: f64,
 }
 
 impl MemoryNeed {
     /// Of a scene, with textures as large as allowed and photographs reduced as `options` say.
-    #[must_use]
-    pub fn of(scene: &Scene, options: &SolveOptions) -> Self {
+    fn of(scene: &Scene, options: &SolveOptions) -> Self {
         let texels = |side: usize| (side as f64).powi(2);
-        let r = options.photo_reduction.max(1);
-        let (mut pixels, mut edges) = (0.0, 0.0);
-        for v in scene.train_views() {
-            let (columns, rows) = ((v.camera.width / r).max(1), (v.camera.height / r).max(1));
-            let clipped = f64::from(u8::from(v.account.is_display_referred()));
-            pixels += (columns * rows) as f64 * (PER_PIXEL + clipped * PER_CLIPPED_PIXEL);
-            edges += columns as f64 * EDGE_PIXELS_PER_COLUMN;
-        }
-        let edges = PER_EDGE_PIXEL * edges + (PER_EDGE_TERMS * edges).min(MOST_TERMS);
         let points = 2.0 * (options.evidence_points * scene.classes.len().max(1)) as f64;
         let of_atlas = PER_ALBEDO_TEXEL * texels(options.albedo_size)
             + PER_IRRADIANCE_TEXEL * texels(options.irradiance_size);
@@ -87,17 +78,39 @@ impl MemoryNeed {
                 * (scene.mesh.covered_share() * of_atlas
                     + PER_ROUGHNESS_TEXEL * texels(options.roughness_size)),
             highlights: MARGIN * points * LOOKS * options.roughness_levels as f64 * PER_LEVEL,
-            photographs: MARGIN * (pixels + edges),
+            photographs: photographs(scene, options.photo_reduction),
             decoding: at_once * decoding.each as f64,
         }
     }
 
+    /// With photographs reduced otherwise.
+    fn reduced(self, scene: &Scene, reduction: usize) -> Self {
+        Self {
+            photographs: photographs(scene, reduction),
+            ..self
+        }
+    }
+
     /// All in all. Photographs are decoded, a few at a time, before there are textures.
-    #[must_use]
-    pub fn bytes(&self) -> u64 {
+    fn bytes(&self) -> u64 {
         let passing = self.decoding.max(self.textures + self.highlights);
         (self.mesh + self.photographs + passing) as u64
     }
+}
+
+/// What the training views take, reduced by a factor.
+fn photographs(scene: &Scene, reduction: usize) -> f64 {
+    let r = reduction.max(1);
+    let (mut pixels, mut edges) = (0.0, 0.0);
+    for v in scene.train_views() {
+        let (columns, rows) = ((v.camera.width / r).max(1), (v.camera.height / r).max(1));
+        let clipped = f64::from(u8::from(v.account.is_display_referred()));
+        pixels += (columns * rows) as f64 * (PER_PIXEL + clipped * PER_CLIPPED_PIXEL);
+        edges += columns as f64 * EDGE_PIXELS_PER_COLUMN;
+    }
+    let of_edges =
+        PER_EDGE_PIXEL * edges + (PER_EDGE_TERMS * edges).min(PER_TERM * MOST_TERMS as f64);
+    MARGIN * (pixels + of_edges)
 }
 
 impl fmt::Display for MemoryNeed {
@@ -144,11 +157,8 @@ pub fn fitting_reduction(
         true => (rows.unwrap_or(0) / FEWEST_ROWS).clamp(asked, MOST_REDUCED.max(asked)),
         false => asked,
     };
-    let need_at = |reduction: usize| {
-        let mut reduced = options.clone();
-        reduced.photo_reduction = reduction;
-        MemoryNeed::of(scene, &reduced)
-    };
+    let need = MemoryNeed::of(scene, options);
+    let need_at = |reduction: usize| need.reduced(scene, reduction);
     let fitting = (asked..=most).find(|r| need_at(*r).bytes() <= limit);
     let of = written_bytes(limit);
     let Some(reduction) = fitting else {
@@ -168,7 +178,7 @@ pub fn fitting_reduction(
         )));
     };
     if reduction > asked {
-        let why = format!("of {of}; else it would be {}", need_at(asked));
+        let why = format!("of {of}; else it would be {need}");
         let what = format!(
             "photographs reduced by {reduction}; at most {}",
             need_at(reduction)
@@ -176,7 +186,7 @@ pub fn fitting_reduction(
         progress.decide("memory", what, why, false);
     } else if promised.is_some() {
         let why = format!("of {of}");
-        progress.decide("memory", format!("at most {}", need_at(asked)), why, false);
+        progress.decide("memory", format!("at most {need}"), why, false);
     }
     Ok(reduction)
 }

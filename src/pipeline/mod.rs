@@ -48,7 +48,7 @@ pub use checkpoint::Checkpoints;
 pub use delight::delight;
 pub use highlights::{Highlights, gather_highlights};
 pub use light::{Light, bake_irradiance_texels, reconstruct_light};
-pub use memory::{MemoryNeed, fitting_reduction};
+pub use memory::fitting_reduction;
 pub use observe::observe;
 pub use options::{Fit, SolveOptions};
 pub use presets::SolveRequest;

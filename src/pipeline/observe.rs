@@ -7,11 +7,10 @@ use super::panes::{Cleared, clear_panes};
 use crate::Result;
 use crate::core::geometry::Camera;
 use crate::core::image::{CameraMask, Plane, RgbPlane};
-use crate::core::parallel::map_chunks;
 use crate::core::progress::Progress;
 use crate::core::stats::MAD_SCALE;
 use crate::core::texture::{SurfacePoint, Texels};
-use crate::core::trace::{EmbreeTracer, Hit};
+use crate::core::trace::EmbreeTracer;
 use crate::gbuffer::{ObservedView, Observer, Orientation, ViewBuffer};
 use crate::observed::{
     Contradictions, Fusion, Panes, Surface, balance_views, complete_labels, find_camera_rigs,
@@ -371,29 +370,19 @@ fn blocks<T: Copy>(image: &Plane<T>, factor: usize, join: impl Fn(T, T) -> T) ->
 /// still does where lens or renderer blur by more than a pixel: blinds before a bright sky would
 /// shine with it. Of what is seen so only, the missing light predicts what it reflects.
 fn back_radiance(scene: &Scene, views: &[ObservedView], orientation: &Orientation) -> Vec<Vec3> {
-    let row = |v: &ObservedView, y: usize| {
-        let b = &v.buffer;
-        let behind = |x: usize| {
-            let t = b.triangle[(x, y)];
-            if t == Hit::MISS || !among_clean(&v.clean, x, y) {
-                return None;
-            }
-            let d = b.direction(x, y);
-            let t = t as usize;
-            let away = scene.mesh.face_normal(t).dot(d) * orientation.sign(t) > 0.0;
-            away.then(|| (t, v.radiance[(x, y)]))
-        };
-        (0..b.triangle.width).filter_map(behind).collect::<Vec<_>>()
-    };
     let n = scene.mesh.triangles.len();
     let mut sum = vec![Vec3::ZERO; n];
     let mut count = vec![0u32; n];
     for v in views {
-        let rows = map_chunks(v.buffer.triangle.height, 1, |range| {
-            range.flat_map(|y| row(v, y)).collect::<Vec<_>>()
-        });
-        // in the order of the pixels: sums of the same bits
-        for (t, radiance) in rows.into_iter().flatten() {
+        let behind = |t: usize, (x, y): (usize, usize)| {
+            if !among_clean(&v.clean, x, y) {
+                return None;
+            }
+            let d = v.buffer.direction(x, y);
+            let away = scene.mesh.face_normal(t).dot(d) * orientation.sign(t) > 0.0;
+            away.then(|| v.radiance[(x, y)])
+        };
+        for (t, radiance) in v.buffer.told_by_pixels(behind) {
             sum[t] += radiance;
             count[t] += 1;
         }
@@ -415,6 +404,7 @@ fn among_clean(clean: &Plane<bool>, x: usize, y: usize) -> bool {
 mod tests {
     use super::*;
     use crate::core::geometry::{Lens, Mesh, Projection};
+    use crate::core::trace::Hit;
 
     #[test]
     fn a_reduced_photograph_keeps_its_brightness_even_beyond_its_size() {

@@ -75,10 +75,9 @@ pub(super) fn settle(
         options,
         progress,
     );
-    let levels = short
-        .is_some()
-        .then(|| keep_room_levels(surface, &mut light, &mut albedo, &rooms));
-    let levels = levels.unwrap_or_default();
+    let levels = (short.as_ref())
+        .map(|_| keep_room_levels(surface, &mut light, &mut albedo, &rooms))
+        .unwrap_or_default();
     let spread = spread_of_looks(&albedo);
     settle_hidden(surface, &mut albedo, &rooms, &levels);
     let StatedErrors {
@@ -102,8 +101,9 @@ pub(super) fn settle(
     });
     findings.unexplained = f64::from(unexplained);
     add_doubts(&mut findings, doubts);
-    let infinite = clipped.is_none().then_some(&surface.shortfalls);
-    (findings.others).extend(infinite.and_then(|files| doubt_of_infinite(files)));
+    if clipped.is_none() {
+        (findings.others).extend(doubt_of_infinite(&surface.shortfalls));
+    }
     findings.light_missing = MissingLight::both(clipped, short.map(|s: Balanced| s.missing));
     let model_error = findings.model_error() as f32; // what no texel knows of by itself
     add_error(&mut errors, |_| model_error);

@@ -7,6 +7,7 @@
 //! run. The clock decides, so two runs may differ; the decisions name the flags that repeat a run
 //! exactly.
 
+use crate::core::formats::number_and_unit;
 use crate::core::progress::Progress;
 use crate::observed::TextureSizes;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -363,17 +364,14 @@ fn as_flags(samples: u32) -> String {
 /// # Errors
 /// A text that is no positive time.
 pub fn parse_seconds(text: &str) -> Result<f64, String> {
-    let text = text.trim();
-    let split = text
-        .find(|c: char| c.is_ascii_alphabetic())
-        .unwrap_or(text.len());
-    let unit = match text[split..].trim() {
+    let (number, unit) = number_and_unit(text);
+    let unit = match unit {
         "" | "s" => 1.0,
         "m" | "min" => 60.0,
         "h" => 3600.0,
         other => return Err(format!("unknown unit {other:?}; write 90s, 1.5min or 1h")),
     };
-    match text[..split].trim().parse::<f64>() {
+    match number.parse::<f64>() {
         Ok(n) if n > 0.0 && (n * unit).is_finite() => Ok(n * unit),
         _ => Err("expected a time above 0 such as 90s, 1.5min or 1h".to_owned()),
     }

@@ -2,6 +2,7 @@
 
 use crate::cli::context::Context;
 use crate::cli::progress::seconds;
+use crate::core::memory::gibibytes;
 use crate::error::Result;
 use crate::programs::run::SolvedRun;
 use serde_json::json;
@@ -37,7 +38,7 @@ pub(super) fn summary(run: &SolvedRun, out: &Path) -> String {
         s.irradiance.width,
         s.irradiance.height,
         seconds(Duration::from_secs_f64(record.wall_seconds)),
-        record.peak_bytes as f64 / (1u64 << 30) as f64,
+        gibibytes(record.peak_bytes),
         record.machine.threads,
         s.lamps.len(),
         report,

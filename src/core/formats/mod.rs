@@ -77,7 +77,7 @@ pub use raw_mesh::{NameKind, Oddities, RawMesh, SurfaceNames};
 pub use read_mesh::read_mesh;
 pub use read_texture::{Texture, read_texture};
 pub use surface_look::{Look, TextureSource};
-pub use text::grouped;
+pub use text::{grouped, number_and_unit};
 pub use whole::{Aside, atomic_write, remove_if_there, sync};
 
 use crate::{Error, Result};

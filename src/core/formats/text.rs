@@ -14,9 +14,30 @@ pub fn grouped(n: impl std::fmt::Display) -> String {
     out
 }
 
+/// A quantity such as "1.5 min" as its number and its unit, either of which may be empty or wrong.
+#[must_use]
+pub fn number_and_unit(text: &str) -> (&str, &str) {
+    let unit = text.find(|c: char| c.is_ascii_alphabetic());
+    let (number, unit) = text.split_at(unit.unwrap_or(text.len()));
+    (number.trim(), unit.trim())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_unit_begins_with_the_first_letter() {
+        let parts = ["1.5 min", "90", " 2m ", "GiB", "4é"].map(number_and_unit);
+        let expected = [
+            ("1.5", "min"),
+            ("90", ""),
+            ("2", "m"),
+            ("", "GiB"),
+            ("4é", ""),
+        ];
+        assert_eq!(parts, expected);
+    }
 
     #[test]
     fn thousands_stand_apart() {

@@ -2,6 +2,7 @@
 
 use super::list::Item;
 use super::record::{SceneRecord, State};
+use crate::core::memory::gibibytes;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -97,13 +98,13 @@ impl Table {
             let number = |x: Option<f64>, digits: usize| {
                 x.map(|x| format!("{x:.digits$}")).unwrap_or_default()
             };
-            let peak = r.peak_bytes.map(|b| b as f64 / (1u64 << 30) as f64);
-            let gibibytes = match number(peak, 2) {
+            let peak = r.peak_bytes.map(gibibytes);
+            let peak = match number(peak, 2) {
                 none if none.is_empty() => none,
                 some => format!("{some} GiB"),
             };
             out.push_str(&format!(
-                "| {i} | {} | {} | {verdict} | {} | {} | {gibibytes} | {} |\n",
+                "| {i} | {} | {} | {verdict} | {} | {} | {peak} | {} |\n",
                 cell(&item.name),
                 state.as_str().unwrap_or_default(),
                 number(r.expected_error, 3),

@@ -7,6 +7,7 @@ use super::{
     irt_oidn, irt_rates, timed,
 };
 use crate::Result;
+use crate::core::memory::gibibytes;
 use crate::core::progress::Progress;
 use crate::ffi::oidn::Denoiser;
 use crate::pipeline::SolveOptions;
@@ -428,7 +429,7 @@ impl IrtReport {
             out,
             "\nwhole benchmark: {:.0} s, {:.2} GiB at most",
             self.seconds,
-            self.peak_bytes as f64 / (1u64 << 30) as f64
+            gibibytes(self.peak_bytes)
         )
     }
 

@@ -3,6 +3,7 @@
 
 use super::table_rows::{TableRow, TablesReport, decibels, scene_name};
 use crate::core::formats::{atomic_write, read_plane, read_rgb};
+use crate::core::memory::gibibytes;
 use crate::error::{Error, Result};
 use crate::programs::evaluate::true_materials;
 use crate::programs::report::{
@@ -131,7 +132,7 @@ impl TablePage<'_> {
                 @for value in [row.albedo_psnr, row.roughness_psnr, row.nvs_psnr] { td { (decibels(value)) } }
                 td { (row.nvs_ssim.map_or_else(|| "–".into(), |s| format!("{s:.4}"))) }
                 td { (format!("{:.0} s", row.seconds)) }
-                td { (format!("{:.2} GiB", row.peak_bytes as f64 / (1u64 << 30) as f64)) }
+                td { (format!("{:.2} GiB", gibibytes(row.peak_bytes))) }
                 (self.cells(&key(row)))
             }
         }

@@ -1,5 +1,6 @@
 //! The rows of `bench tables`: what they hold, and as text, JSON and comma-separated values.
 
+use crate::core::memory::gibibytes;
 use crate::error::{Error, Result};
 use crate::scene::Scene;
 use serde::{Deserialize, Serialize};
@@ -143,7 +144,7 @@ impl TablesReport {
                 decibels(row.roughness_psnr),
                 decibels(row.nvs_psnr),
                 row.seconds,
-                row.peak_bytes as f64 / (1u64 << 30) as f64
+                gibibytes(row.peak_bytes)
             );
         }
         out

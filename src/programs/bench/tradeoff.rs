@@ -14,6 +14,7 @@ use super::{BenchScene, Reference};
 use crate::Result;
 use crate::core::formats::read_rgb;
 use crate::core::image::Wrap;
+use crate::core::memory::gibibytes;
 use crate::core::progress::Progress;
 use crate::core::texture::Texels;
 use crate::pipeline::SolveOptions;
@@ -401,7 +402,7 @@ impl TradePoint {
             if self.pareto { "*" } else { " " },
             self.name(),
             self.time(clock),
-            o.peak_bytes as f64 / (1u64 << 30) as f64,
+            gibibytes(o.peak_bytes),
             db(o.albedo_psnr),
             db(o.roughness_psnr),
             db(o.novel_psnr),
@@ -485,8 +486,7 @@ impl TradeoffReport {
                 "  {:52} saves {:+.1} s, {:+.2} GiB; costs {:+.2} dB in the mean of the PSNRs, {:+.2} points of irradiance error",
                 p.without.as_deref().unwrap_or_default(),
                 p.time(self.clock) - base.time(self.clock),
-                (p.outcome.peak_bytes as f64 - base.outcome.peak_bytes as f64)
-                    / (1u64 << 30) as f64,
+                gibibytes(p.outcome.peak_bytes) - gibibytes(base.outcome.peak_bytes),
                 p.quality() - base.quality(),
                 100.0 * (base.irradiance_rmse - p.irradiance_rmse)
             );
@@ -586,7 +586,7 @@ const QUANTITIES: [Quantity; 6] = [
     },
     Quantity {
         name: "peak memory, GiB",
-        value: |p| p.outcome.peak_bytes as f64 / (1u64 << 30) as f64,
+        value: |p| gibibytes(p.outcome.peak_bytes),
         log: false,
     },
 ];

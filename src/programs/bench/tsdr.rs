@@ -6,6 +6,7 @@
 
 use super::child::{Outcome, Runner};
 use crate::Result;
+use crate::core::memory::gibibytes;
 use crate::core::progress::Progress;
 use crate::programs::report::{Machine, SceneSummary, Versions, machine};
 use crate::scene::Scene;
@@ -140,7 +141,7 @@ impl TsdrReport {
             out,
             "  unbake solve         {:>9.1} s   {:.2} GiB at most, {:.1} M rays",
             self.seconds,
-            o.peak_bytes as f64 / (1u64 << 30) as f64,
+            gibibytes(o.peak_bytes),
             o.rays as f64 * 1e-6
         )?;
         writeln!(

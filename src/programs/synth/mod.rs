@@ -24,6 +24,7 @@ mod plan;
 mod truth;
 mod views;
 
+pub use glb::glb as mesh_glb;
 pub use model::{Sky, SurfaceIrradiance, Textured};
 pub use options::{SynthOptions, SynthSummary};
 pub use truth::true_solution;
